@@ -8,8 +8,7 @@ import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
-from ..core.compare import Comparison
-from ..core.compare import Verdict as LimitVerdict
+from ..core.compare import Comparison, LimitVerdict
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import SMALL_DEVIATION
 from ..core.imu import AXES, SENSORS, sensor_of

@@ -55,7 +55,7 @@ SMALLEST_SCALE = 1e-12
 LARGEST_EXPONENT = 709.0
 """Largest exponent whose exp is a finite float."""
 
-Verdict = Literal['within', 'beyond', 'open']
+LimitVerdict = Literal['within', 'beyond', 'open']
 """Not above the limit; significantly above the limit by more than the margin; neither can be
 shown."""
 
@@ -81,6 +81,7 @@ class Comparison:
     limit : float
         Limit of the datasheet, or the value or upper limit of the earlier run.
     verdict : 'within', 'beyond' or 'open'
+        'beyond' if it significantly exceeds the limit by a margin, 'open' if this is undecided.
     at_least : float
         Lower end of the 95 % interval of measured / limit; 0 if unknown.
     tau : float or None
@@ -91,7 +92,7 @@ class Comparison:
     axis: str
     term: str
     limit: float
-    verdict: Verdict
+    verdict: LimitVerdict
     at_least: float = 0.0
     tau: float | None = None
 
@@ -120,8 +121,12 @@ def compare_with_limits(
     return tuple(found)
 
 
-def verdict(coefficient: Coefficient, limit: float, margin: float) -> Verdict:
-    """Return whether a coefficient is within an upper limit, beyond it, or undecided."""
+def verdict(coefficient: Coefficient, limit: float, margin: float) -> LimitVerdict:
+    """Return the verdict on a coefficient with an upper limit.
+
+    It is 'beyond' if the complete 95 % interval lies above limit * (1 + margin), 'within' if the
+    interval or the upper limit of the coefficient lies below that, and 'open' otherwise.
+    """
     highest = limit * (1.0 + margin)
     low, high = coefficient.ci95 or (None, coefficient.upper95)
     if coefficient.status == 'estimated' and low is not None and low > highest:
@@ -152,7 +157,7 @@ class Difference:
     p : float or None
         Probability of such a difference between recordings of equal noise; None if unknown.
     verdict : Change
-        Verdict after correction for the number of comparisons.
+        LimitVerdict after correction for the number of comparisons.
     """
 
     axis: str
@@ -188,7 +193,7 @@ class Difference:
         """
         if self.p is None or self.ci95 is None or self.first is None:
             return None
-        found: Verdict = 'open'
+        found: LimitVerdict = 'open'
         if self.verdict == 'higher' and self.beyond(margin):
             found = 'beyond'
         elif self.ratio is not None or self.ci95[1] <= 1.0 + margin:

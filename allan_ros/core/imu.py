@@ -244,7 +244,7 @@ def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:
 
 
 class ImuIdentity(NamedTuple):
-    """Identity of the IMU: ``header.frame_id``, and the serial number if the user gave one."""
+    """Identity of an IMU: its frame_id, and its serial number if the user stated it, else ''."""
 
     frame_id: str = ''
     hardware_id: str = ''

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the processing from samples to sums, with defaults, units and ranges."""
+"""Settings with defaults, units and ranges, and checks of their values."""
 
 from __future__ import annotations
 
@@ -59,27 +59,6 @@ def describe(settings: Any) -> dict[str, ParameterInfo]:
     return {f.name: f.metadata['info'] for f in fields(settings) if 'info' in f.metadata}
 
 
-def check(settings: Any) -> None:
-    """Raise AllanError unless every setting has the type of its default and lies in its range.
-
-    The text 'auto' is replaced by `AUTO` where it is allowed.
-    """
-    defaults = {f.name: f.default for f in fields(settings)}
-    for name, info in describe(settings).items():
-        value = getattr(settings, name)
-        if info.choices:
-            choose(info.choices, **{name: value})
-        if info.auto and value == 'auto':
-            object.__setattr__(settings, name, AUTO)
-            continue
-        expect(next(kind for kind in EXPECTED if isinstance(defaults[name], kind)), **{name: value})
-        low = -math.inf if info.low is None else info.low
-        high = math.inf if info.high is None else info.high
-        if isinstance(value, (int, float)) and not low <= value <= high:
-            unit = f' {info.unit}' if info.unit else ''
-            raise AllanError(f'{name} is {value}: it must lie between {low:g} and {high:g}{unit}')
-
-
 UNIT_SYSTEMS = ('datasheet', 'si')
 
 LIST = (tuple, list)
@@ -129,15 +108,35 @@ def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
 
 
 class CheckedSettings:
-    """Base of all settings dataclasses: every value is checked when an object is made."""
+    """Base of the dataclasses of settings, whose values are checked when an object is created.
+
+    AllanError is raised unless every value has the type of its default and lies in its range. The
+    text 'auto' is replaced by `AUTO` where it is allowed.
+    """
 
     def __post_init__(self) -> None:
-        check(self)
+        defaults = {f.name: f.default for f in fields(self)}  # type: ignore[arg-type]
+        for name, info in describe(self).items():
+            value = getattr(self, name)
+            if info.choices:
+                choose(info.choices, **{name: value})
+            if info.auto and value == 'auto':
+                object.__setattr__(self, name, AUTO)
+                continue
+            kind = next(kind for kind in EXPECTED if isinstance(defaults[name], kind))
+            expect(kind, **{name: value})
+            low = -math.inf if info.low is None else info.low
+            high = math.inf if info.high is None else info.high
+            if isinstance(value, (int, float)) and not low <= value <= high:
+                unit = f' {info.unit}' if info.unit else ''
+                raise AllanError(
+                    f'{name} is {value}: it must lie between {low:g} and {high:g}{unit}'
+                )
 
 
 @dataclass(frozen=True)
 class SegmenterSettings(CheckedSettings):
-    """How a stream is split into segments of data at rest."""
+    """Settings that determine how a recording is split into segments without gaps or motion."""
 
     stamps: str = fixed_parameter(
         'header',

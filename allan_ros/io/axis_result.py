@@ -154,27 +154,29 @@ class AxisResult:
 
     @property
     def Q(self) -> Quantity:
-        """Quantization noise."""
+        """Quantization noise in rad or m/s."""
         return self.quantity('Q')
 
     @property
     def N(self) -> Quantity:
-        """Angle or velocity random walk: the continuous density of the white noise."""
+        """Angle or velocity random walk in rad/s/sqrt(Hz) or m/s^2/sqrt(Hz): the density of the
+        white noise."""
         return self.quantity('N')
 
     @property
     def B(self) -> Quantity:
-        """Bias instability: the coefficient B, which is the minimum of the curve / 0.664."""
+        """Bias instability in rad/s or m/s^2: the coefficient B, which is the minimum of the curve
+        divided by 0.664."""
         return self.quantity('B')
 
     @property
     def K(self) -> Quantity:
-        """Rate or acceleration random walk."""
+        """Rate or acceleration random walk, in rad/s^2/sqrt(Hz) or m/s^3/sqrt(Hz)."""
         return self.quantity('K')
 
     @property
     def R(self) -> Quantity:
-        """Rate or acceleration ramp."""
+        """Rate or acceleration ramp, in rad/s^2 or m/s^3."""
         return self.quantity('R')
 
     @property

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any, Literal
 
-from ..core.compare import Comparison, Verdict, compare_with_limits
+from ..core.compare import Comparison, LimitVerdict, compare_with_limits
 from ..core.errors import AllanError
 from ..core.fields import Fields, located, plain
 from ..core.findings import Finding, finding
@@ -133,10 +133,14 @@ class Datasheet:
         }
 
 
-VERDICTS: tuple[Verdict, ...] = ('beyond', 'open', 'within')
+VERDICTS: tuple[LimitVerdict, ...] = ('beyond', 'open', 'within')
 """Verdicts of a comparison, the worst first."""
 
-VERDICT_TEXT: dict[Verdict, str] = {'within': 'within', 'open': 'not settled', 'beyond': 'beyond'}
+VERDICT_TEXT: dict[LimitVerdict, str] = {
+    'within': 'within',
+    'open': 'not settled',
+    'beyond': 'beyond',
+}
 """Verdict -> its text in tables. 'open' means that the interval contains the limit."""
 
 
@@ -153,7 +157,7 @@ class DatasheetComparison:
     comparisons: tuple[Comparison, ...]
 
     @property
-    def verdict(self) -> Verdict | None:
+    def verdict(self) -> LimitVerdict | None:
         """The worst verdict; None if nothing could be compared."""
         verdicts = {c.verdict for c in self.comparisons}
         return next((verdict for verdict in VERDICTS if verdict in verdicts), None)
@@ -192,7 +196,8 @@ def beyond_limit(
     """Return the finding that a coefficient or an Allan deviation exceeds a limit.
 
     The comparison contains the limit and the measured ratio. ``coefficient`` is the measured value;
-    None if only the ratio is known. The text states the fraction ``margin``.
+    None if only the ratio is known. The text states the fraction ``margin``, and ``axes`` are the
+    axes to which the finding applies.
     """
     c = comparison
     unit = shown_unit(c.axis, 'B' if c.tau is not None else c.term, 'datasheet')

@@ -142,7 +142,7 @@ def write_together(
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise AllanError unless a file may be written or renamed to the path."""
+    """Raise AllanError if the path is a folder, FIFO, device or socket; it need not exist."""
     with contextlib.suppress(FileNotFoundError):
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise _not_regular(path)

@@ -87,7 +87,7 @@ def pretty_unit(name: str) -> str:
 
 
 def significant(value: float, digits: int) -> str:
-    """Return a number in its shortest form with ``digits`` significant digits, keeping zeros.
+    """Return a number rounded to ``digits`` significant digits, with trailing zeros.
 
     >>> significant(0.24199, 4), significant(31.8, 4), significant(12345.6, 3)
     ('0.2420', '31.80', '12300')

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import AllanError
-from ..core.settings import check, parameter
+from ..core.settings import CheckedSettings, parameter
 from .axis_result import AxisResult
 from .format import READ_AT
 
@@ -50,7 +50,7 @@ BELOW_CURVE = 0.2
 
 
 @dataclass(frozen=True)
-class PictureSettings:
+class PictureSettings(CheckedSettings):
     """File formats and style of the plots."""
 
     plot_format: tuple[str, ...] = parameter(('png',), 'File formats of each plot: png, svg, pdf.')
@@ -61,7 +61,7 @@ class PictureSettings:
     )
 
     def __post_init__(self) -> None:
-        check(self)
+        super().__post_init__()
         for form in self.plot_format:
             if form not in FORMATS:
                 raise AllanError(f'no plot format {form!r}: choose from {", ".join(FORMATS)}')

@@ -269,10 +269,10 @@ def read_published(path: str | Path) -> dict[tuple[str, str], float]:
 def contradictions(
     curves: Curves, fits: Mapping[str, AxisFit], published: Mapping[tuple[str, str], float]
 ) -> list[str]:
-    """Return sentences about curves that cannot be at rest, and values that contradict them.
+    """Return a sentence for each curve of an IMU in motion, and for each contradicting value.
 
-    ``fits`` are the results of the curves by axis, and ``published`` are values in SI by (sensor,
-    term).
+    ``fits`` are the coefficients that were fitted to the curves, by axis. ``published`` are values
+    in SI that another program determined, by (sensor, term).
     """
     out = []
     for axis, adev in curves.adev.items():

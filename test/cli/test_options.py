@@ -12,12 +12,12 @@ import pytest
 from allan_ros.cli.main import build_parser
 from allan_ros.cli.options import add_options, add_settings, settings_of
 from allan_ros.core.errors import AllanError
-from allan_ros.core.settings import SegmenterSettings, check, parameter
+from allan_ros.core.settings import CheckedSettings, SegmenterSettings, parameter
 from allan_ros.io.readers.recording import ReadOptions
 
 
 @dataclass(frozen=True)
-class Some:
+class Some(CheckedSettings):
     """Settings with one field of each type."""
 
     limit: float = parameter(2.5, 'A limit of 50 %.', unit='s', low=0.0)
@@ -26,9 +26,6 @@ class Some:
     loud: bool = parameter(False, 'Be loud.')
     names: tuple[str, ...] = parameter((), 'Names.')
     kind: str = parameter('a', 'A kind.', choices=('a', 'b'))
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def parsed(words: list[str], settings_type: type = Some) -> argparse.Namespace:

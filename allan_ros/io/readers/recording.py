@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, cast
 from ...core.errors import AllanError
 from ...core.findings import Finding
 from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, STAMP_UNITS, ImuBatch, sample_factors
-from ...core.settings import check, parameter
+from ...core.settings import CheckedSettings, parameter
 from ..files import open_regular, read_bounded
 from ..signal import TemperatureTrace
 from .storage import Storage, damaged, decompress_file, frame_compression, normal_type, translated
@@ -35,7 +35,7 @@ Report = Callable[[Finding], None]
 
 
 @dataclass(frozen=True)
-class ReadOptions:
+class ReadOptions(CheckedSettings):
     """Information for reading that the recording itself does not contain."""
 
     topic: str = parameter('', 'Imu topic of a bag, or instance of a log; empty: the only one')
@@ -63,9 +63,6 @@ class ReadOptions:
     trust_covariance: bool = parameter(
         False, 'treat a sensor as absent wherever covariance[0] is -1 or NaN, even with valid data'
     )
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def in_si(self, batch: ImuBatch) -> ImuBatch:
         """Convert samples from the units of the options to SI."""
