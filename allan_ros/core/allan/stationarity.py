@@ -259,10 +259,11 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
     """
     offset = math.ceil(age / recording.step)
     recording = recording.cells(offset)
-    fine = CellMeans.even(recording, STEP_INTERVALS)
-    if len(fine.begin) < LEAST_CELLS:
+    fine, coarse = (CellMeans.even(recording, most) for most in (STEP_INTERVALS, FIT_INTERVALS))
+    grown = CellMeans.growing(recording)
+    # Long intervals of a recording with many gaps may all have too few samples.
+    if min(len(means.begin) for means in (fine, coarse, grown)) < LEAST_CELLS:
         return ()
-    grown, coarse = CellMeans.growing(recording), CellMeans.even(recording, FIT_INTERVALS)
     samples = recording.cell_samples
     found = []
     model = variance_model(grown)

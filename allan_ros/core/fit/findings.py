@@ -90,6 +90,13 @@ SMALL_DEVIATION = 0.05
 HUMP_RATIO = 1.5
 """Neighbouring sinusoids with a smaller ratio of frequencies are reported as one broad hump."""
 
+SAME_LINE = 1.02
+"""Sinusoids whose frequency ratio is smaller than this describe one strong vibration."""
+
+WEAK_LINE = 0.2
+"""Amplitude, relative to the largest sinusoid of a hump, below which another one only corrects the
+model of the largest."""
+
 SLOWEST_VIBRATION = 0.5
 """In Hz. Slower sinusoids are not called vibration: buildings and tables resonate above this
 frequency."""
@@ -271,12 +278,13 @@ def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: f
     """
     largest = max(lines, key=lambda line: line.amplitude)
     amplitude = math.sqrt(sum(line.amplitude**2 for line in lines))
-    if len(lines) > 1:
+    strong = [line.frequency for line in lines if line.amplitude > WEAK_LINE * largest.amplitude]
+    if strong[-1] > SAME_LINE * strong[0]:
         return finding(
             'broad_hump',
             name,
-            low=lines[0].frequency,
-            high=lines[-1].frequency,
+            low=strong[0],
+            high=strong[-1],
             amplitude=amplitude,
             unit=unit,
         )
@@ -286,9 +294,10 @@ def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: f
         period = duration_text(1.0 / largest.frequency)
         return finding(id, name, period=period, amplitude=amplitude, unit=unit)
     rate = 1.0 / tau0
-    alias = ''
-    if rate < FASTEST_VIBRATION and largest.frequency > ALIAS_FROM * rate:
-        alias = f' (or an alias of {rate - largest.frequency:.3g} Hz)'
+    alias, other = '', rate - largest.frequency
+    is_other = f'{other:.3g}' != f'{largest.frequency:.3g}'
+    if rate < FASTEST_VIBRATION and largest.frequency > ALIAS_FROM * rate and is_other:
+        alias = f' (or an alias of {other:.3g} Hz)'
     return finding(
         'vibration',
         name,

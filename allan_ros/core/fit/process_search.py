@@ -35,8 +35,9 @@ LONGEST_CORRELATION = 8
 """Length of the longest segment divided by the longest correlation time. Processes with longer ones
 cannot be distinguished from a random walk and a ramp."""
 
-FASTEST_SINUSOID = 0.45
-"""Highest frequency of a sinusoid, in cycles per smallest averaging time."""
+FASTEST_SINUSOID = 0.5
+"""Highest frequency of a sinusoid, in cycles per smallest averaging time. A lower limit would
+replace a strong sinusoid near 0.5 by others that do not exist."""
 
 SINUSOID_PERIODS = 10
 """Smallest number of periods of a sinusoid in the longest segment."""
@@ -53,6 +54,13 @@ ACCEPTED_GAIN = 21.0
 
 NO_WALK_GAIN = 6.0
 """The same for a model without a random walk, which is later compared with a model that has one."""
+
+STRONG_GAIN = 1000.0
+"""Decrease of chi^2 above which several shapes are refined before one is chosen. Between the shapes
+of the first search, chi^2 of a strong sinusoid may be far lower than at all of them."""
+
+STRONG_STARTS = 4
+"""Number of these shapes."""
 
 NEGLIGIBLE_WHITE = 0.05
 """Fraction of the Allan variance below which white noise may be omitted while a process is
@@ -172,11 +180,14 @@ class ProcessSearch:
         """Return the fit without the processes that are not significant."""
         while found.extras:
             without = [self._without(found, out) for out in range(len(found.extras))]
-            best = min(without, key=lambda f: f.chi_squared)
-            needed = self._needed(best) if self._walk else NO_WALK_GAIN
-            if best.chi_squared - found.chi_squared > needed:
+            gains = [less.chi_squared - found.chi_squared for less in without]
+            excess = [
+                gain - self._needed(less, extra)
+                for gain, less, extra in zip(gains, without, found.extras)
+            ]
+            if min(excess) > 0.0:
                 break
-            found = self.adjusted(best)
+            found = self.adjusted(without[int(np.argmin(excess))])
         return found
 
     def _without(self, found: ProcessFit, out: int) -> ProcessFit:
@@ -206,7 +217,10 @@ class ProcessSearch:
         freedom = max(self.freedom - np.count_nonzero(found.variances) - len(found.extras), 1.0)
         return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
 
-    def _needed(self, found: ProcessFit) -> float:
+    def _needed(self, found: ProcessFit, extra: Extra | None = None) -> float:
+        """Return the decrease of chi^2 that one more process needs."""
+        if isinstance(extra, GaussMarkovTerm) and not self._walk:
+            return NO_WALK_GAIN
         return REJECTED_GAIN if self.z(found) >= Z_FAIL else ACCEPTED_GAIN
 
     def with_one_more(
@@ -224,10 +238,25 @@ class ProcessSearch:
         if not len(at):
             return None
         chi_squared = self._chi_squared_with(found.extras, found.variances, self._columns[:, at])
-        best = int(np.argmin(chi_squared))
-        if not np.isfinite(chi_squared[best]):
+        least = float(chi_squared.min())
+        if not np.isfinite(least):
             return None
-        return self.adjusted(self.fitted(_sorted([*found.extras, self._grid[at[best]]])))
+        tried = [int(np.argmin(chi_squared))]
+        if found.chi_squared - least > STRONG_GAIN:
+            around = np.concatenate([[np.inf], chi_squared, [np.inf]])
+            lowest = (chi_squared <= around[:-2]) & (chi_squared <= around[2:])
+            minima = np.flatnonzero(lowest & np.isfinite(chi_squared))
+            tried = minima[np.argsort(chi_squared[minima])][:STRONG_STARTS].tolist()
+        more = [self._with(found, self._grid[at[k]], refined=len(tried) > 1) for k in tried]
+        return self.adjusted(min(more, key=lambda each: each.chi_squared))
+
+    def _with(self, found: ProcessFit, extra: Extra, refined: bool) -> ProcessFit:
+        """Return the fit with a given process added, with its best shape if ``refined``."""
+        extras = _sorted([*found.extras, extra])
+        more = self.fitted(extras)
+        if not refined:
+            return more
+        return self._with_best_shape(more, extras.index(extra), everywhere=False)
 
     def adjusted(self, found: ProcessFit, sweeps: int = 1) -> ProcessFit:
         """Return the fit with the shapes of all processes adjusted in turn, for some sweeps."""

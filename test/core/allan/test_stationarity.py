@@ -155,6 +155,19 @@ def test_a_change_of_the_bias_between_segments_is_no_random_walk():
     assert 'bias_differs' in found and 'bias_steps' not in found
 
 
+def test_steps_are_not_searched_in_a_recording_of_many_short_segments():
+    """All pairs of intervals had too few samples, which ended in a LinAlgError."""
+    engine = RunningAllan(axes=('gyro_x',))
+    rng = np.random.default_rng(3)
+    for begin in range(0, 200 * 32, 32):
+        y = rng.normal(size=(9, 1)) + 5.0 * (begin > 3200)
+        engine.update(y, begin * 10**9, (begin + 8) * 10**9)
+        engine.end_segment()
+    recording = engine.sums.history.recordings[0]
+    assert len(CellMeans.even(recording, 512).begin) >= 24
+    assert bias_steps(recording) == ()
+
+
 def test_a_random_walk_is_no_row_of_steps():
     """0.05 % of such axes are false alarms by design: probability of one in 9 below 0.5 %; seeds
     fixed.

@@ -48,6 +48,22 @@ def test_a_sinusoid_is_named_by_its_frequency(hertz, id, words):
     assert found.id == id and found.message.startswith(words)
 
 
+@pytest.mark.parametrize(
+    ('lines', 'id', 'words'),
+    [
+        ([(0.3, 31.29), (0.4, 31.31)], 'vibration', 'Vibration at 31.3 Hz'),
+        ([(0.4, 30.0), (0.02, 33.0)], 'vibration', 'Vibration at 30 Hz'),
+        ([(0.4, 30.0), (0.2, 33.0)], 'broad_hump', 'Resonance between 30 and 33 Hz'),
+        ([(0.4, 49.99)], 'vibration', 'Vibration at 50 Hz, amplitude'),
+    ],
+)
+def test_sinusoids_that_describe_one_vibration_are_reported_as_one(lines, id, words):
+    found = line_finding(
+        ('accel_x',), 'm/s^2', [Sinusoid(a, (a, a), f, (f, f)) for a, f in lines], 0.01
+    )
+    assert found.id == id and found.message.startswith(words)
+
+
 def sums_of(*segments):
     engine = RunningAllan(axes=('gyro_x',))
     for n, y in enumerate(segments):

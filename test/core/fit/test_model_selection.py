@@ -127,6 +127,9 @@ def test_a_line_far_above_the_noise_ends_in_a_fit():
         (3e-3, 3.0, 2.0),
         (1e-2, 3.0, 0.0),
         (1e-2, 7.0, 5.0),
+        (3e-3, 23.5, 0.7),
+        (3e-3, 24.6, 0.7),
+        (3e-3, 11.96, 0.7),
     ],
 )
 def test_a_strong_line_is_found_at_its_frequency(amplitude, hertz, phase):
