@@ -15,7 +15,7 @@ from allan_ros.core.noise import (
 )
 
 
-def test_long_tau_is_the_polynomial_of_the_standard():
+def test_the_terms_agree_with_the_standard_at_long_tau():
     terms = NoiseTerms(Q=2e-3, N=0.3, B=0.05, K=0.02, R=-0.004)
     tau0, m = 0.01, np.array([1000, 30000])
     tau = m * tau0
@@ -31,7 +31,7 @@ def test_a_random_walk_of_unit_steps_is_exact_at_one_sample():
 
 
 @pytest.mark.parametrize('bad', [{'N': -1.0}, {'B': math.nan}, {'R': math.inf}])
-def test_impossible_coefficients_are_refused(bad):
+def test_invalid_coefficients_are_rejected(bad):
     with pytest.raises(AllanError, match=f'^{next(iter(bad))} is'):
         NoiseTerms(**bad)
 
@@ -54,7 +54,7 @@ def test_gauss_markov_has_the_variance_of_its_autocovariance(m):
     assert sampled_gauss_markov_avar([m], 30.0)[0] == pytest.approx(expected, rel=1e-9)
 
 
-def test_gauss_markov_is_a_walk_at_first_and_white_at_last():
+def test_gauss_markov_noise_is_a_walk_at_short_and_white_at_long_times():
     # K^2 = 2/T per sample at m << T, N^2 = 2 T at m >> T
     assert gauss_markov_avar([1], 1e4)[0] == pytest.approx(2e-4 / 3.0, rel=1e-3)
     assert gauss_markov_avar([10**6], 10.0)[0] == pytest.approx(20.0 / 1e6, rel=1e-4)

@@ -28,7 +28,7 @@ def noise(n, seed=0, terms=(NoiseTerms(N=1e-3), NoiseTerms(K=1e-3))):
     return np.stack([simulate_axis(n, 0.01, t, rng) for t in terms], axis=1)
 
 
-def test_a_point_carries_its_time_count_and_deviation():
+def test_points_have_time_count_and_deviation():
     sums = sums_of(noise(5000))
     curve = allan_curve(sums)
     assert curve.axes == AXES
@@ -49,7 +49,7 @@ def test_degrees_of_freedom_follow_the_noise_and_the_segments():
         assert three.edf[i, axis] == pytest.approx(3 * one.edf[i, axis])
 
 
-def test_many_pooled_segments_count_like_kept_ones():
+def test_pooled_and_kept_segments_have_the_same_degrees_of_freedom():
     segments = [noise(300, seed) for seed in range(60)]
     curve = allan_curve(sums_of(*segments))
     i = int(np.argmax(curve.m == 32))
@@ -57,7 +57,7 @@ def test_many_pooled_segments_count_like_kept_ones():
     assert curve.edf[i, 0] == pytest.approx(expected)
 
 
-def test_white_noise_is_covered_as_often_as_the_limits_say():
+def test_the_limits_cover_white_noise_at_their_confidence_level():
     """40 records, two axes, four factors: 219 +- 8.3 of 320 (0.683) are covered; bound 4.5
     sigma.
     """
@@ -77,6 +77,6 @@ def test_constant_values_have_a_curve_of_zeros():
     assert not curve.adev.any() and not curve.ci_high.any()
 
 
-def test_nothing_has_no_curve():
+def test_sums_without_samples_have_no_curve():
     with pytest.raises(AllanError, match='at least two samples'):
         allan_curve(AllanSums.empty())

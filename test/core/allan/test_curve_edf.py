@@ -11,7 +11,7 @@ ALPHA = {'Q': 2, 'N': 0, 'B': -1, 'K': -2}
 
 
 def test_published_limits_of_phase_dat(shared_data):
-    """Stable32's table of octaves: its seven printed digits allow 1e-4, its formula of edf 1 %."""
+    """Compare with the octaves table of Stable32, within 1e-4 (deviation) and 1 % (limits)."""
     folder = shared_data / 'truth' / 'phase_dat'
     y = np.diff(np.loadtxt(folder / 'PHASE.DAT'))
     published = np.loadtxt(folder / 'phase_dat_oadev_octave.txt')
@@ -36,7 +36,7 @@ def test_agrees_with_the_combined_algorithm_at_long_tau(alpha, m):
 
 @pytest.mark.parametrize('term', 'QNBK')
 @pytest.mark.parametrize('m, stride', [(1, 1), (8, 1), (16, 2), (48, 4)])
-def test_degrees_of_freedom_are_the_spread_of_draws(term, m, stride):
+def test_degrees_of_freedom_agree_with_simulated_variances(term, m, stride):
     """2 mean^2/var over 4000 draws determines edf to sqrt((2 + 12/edf)/4000); bound 5 sigma."""
     n, draws = 128, 4000
     rng = np.random.default_rng(3)
@@ -57,7 +57,7 @@ def test_equal_segments_add_their_degrees_of_freedom():
     assert np.isnan(edf(-1, 32, 4, [0]))
 
 
-def test_unequal_segments_weigh_by_their_counts():
+def test_unequal_segments_are_weighted_by_their_counts():
     m, stride, lengths = 8, 1, np.array([40, 7, 1])
     one = np.array([edf(0, m, stride, n) for n in lengths])
     expected = lengths.sum() ** 2 / np.sum(lengths**2 / one)
@@ -78,7 +78,7 @@ def test_one_sigma_limits_of_many_degrees_of_freedom():
     assert high == pytest.approx(2.0 * (1 + 1.0006 / np.sqrt(2e6)), abs=2e-6)
 
 
-def test_limits_hold_the_truth_as_often_as_they_say():
+def test_limits_cover_the_true_variance_at_their_confidence_level():
     """White noise, 3000 draws: the coverage is 0.683 +- 0.0085; bound 5 sigma."""
     n, m, draws = 200, 20, 3000
     y = np.random.default_rng(0).standard_normal((n, draws))

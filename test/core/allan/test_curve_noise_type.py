@@ -11,7 +11,7 @@ M = np.array([1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024])
 
 
 @pytest.mark.parametrize('term, alpha', [('Q', 2), ('N', 0), ('B', -1), ('K', -2), ('R', -2)])
-def test_slope_names_pure_noise(term, alpha):
+def test_the_slope_determines_the_type_of_pure_noise(term, alpha):
     avar = term_avar(M, 0.01, NoiseTerms(**{term: 1e-3})).sum(axis=1)[:, None]
     types = noise_types_of_avar(M, avar, 10**6)
     assert (types[4:] == alpha).all()  # below, a random walk steps once a sample

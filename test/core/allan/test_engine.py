@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The engine: equal for any chunking, equal to the definition, equal to published tables."""
+"""Running sums are equal for any chunking, equal to the definition and to published tables."""
 
 import allantools
 import numpy as np
@@ -74,7 +74,7 @@ def test_any_chunking_gives_the_same_sums(n, chunks, seed):
     assert_identical(sums_of(y), sums_of(y, chunks))
 
 
-def test_looking_at_the_sums_disturbs_nothing():
+def test_reading_the_sums_does_not_change_them():
     y = np.random.default_rng(3).normal(size=(3 * BLOCK, 2))
     engine = RunningAllan(ImuIdentity('imu'), ('axis_0', 'axis_1'))
     for at in range(0, len(y), 500):
@@ -84,7 +84,7 @@ def test_looking_at_the_sums_disturbs_nothing():
     assert_identical(engine.sums, sums_of(y))
 
 
-def test_no_difference_straddles_a_cut():
+def test_no_difference_crosses_the_border_of_a_segment():
     y = np.random.default_rng(4).normal(size=(3000, 1))
     stepped = y.copy()
     stepped[1000:] += 1e3
@@ -95,7 +95,7 @@ def test_no_difference_straddles_a_cut():
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(40, 2500), st.floats(-1e3, 1e3), st.floats(1e-3, 1e3), st.integers(0, 999))
-def test_an_offset_changes_nothing_a_factor_scales_axes_permute(n, offset, factor, seed):
+def test_sums_follow_an_offset_a_factor_and_a_permutation_of_axes(n, offset, factor, seed):
     y = np.random.default_rng(seed).normal(size=(n, 3))
     plain = sums_of(y).avar
     assert sums_of(y + offset).avar == pytest.approx(plain, rel=1e-6, abs=1e-12)

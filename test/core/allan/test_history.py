@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sums by age: they add up to the sums, and leaving out the early part is exact."""
+"""Sums by age add up to the sums, and the early part can be left out exactly."""
 
 import json
 
@@ -53,11 +53,11 @@ def test_bins_add_up_to_the_sums(gaps):
     sums = recording(noise(50_000), gaps)
     number, total = binned(sums)
     assert np.array_equal(number, sums.count)
-    assert total == pytest.approx(sums.sum_sq, rel=2**-16)  # their precision
+    assert total == pytest.approx(sums.sum_sq, rel=2**-16)  # the precision of the bins
     assert len(sums.history.bins) <= 15
 
 
-def test_many_short_segments_lose_nothing_to_rounding():
+def test_bins_are_not_rounded_after_each_segment():
     """If the bins were rounded after each of 3000 segments, small contributions would be lost."""
     sums = recording(noise(60_000), tuple((i, i + 1) for i in range(19, 59_980, 20)))
     number, total = binned(sums)
@@ -140,7 +140,7 @@ def test_the_settled_part_equals_sums_of_the_samples_alone():
         assert error[long].max(initial=0.0) < 1e-9
 
 
-def test_the_settled_part_between_phase_points_is_near():
+def test_the_settled_part_between_phase_points_is_approximate():
     """At most 1/64 of all differences are assigned to the wrong part."""
     y = noise(60_000)
     sums = recording(y, ((100, 150),))
@@ -148,7 +148,7 @@ def test_the_settled_part_between_phase_points_is_near():
         found, expected = settled_sums(sums, age), recording(y[max(age, 150) :])
         n = min(len(found.count), len(expected.count)) - 8
         assert found.count[:n] == pytest.approx(expected.count[:n], rel=0.05)
-        # 300 or more differences: 8 sigma of what 1/64 of them can change
+        # 300 or more differences: 8 standard deviations of the effect of 1/64 of them
         many = expected.count[:n] // np.maximum(expected.m // expected.stride, 1)[:n] > 300
         assert found.avar[:n][many] == pytest.approx(expected.avar[:n][many], rel=0.06)
 
@@ -164,7 +164,7 @@ def test_the_settled_part_of_many_segments_has_consistent_counts():
         assert sum(c.count for c in found.classes) + len(found.segments) == found.segment_count
 
 
-def test_no_age_but_an_edge_can_be_left_out():
+def test_only_complete_bins_can_be_left_out():
     with pytest.raises(AllanError, match='not the start'):
         settled_sums(recording(noise(5000)), 1234)
 
@@ -191,7 +191,7 @@ def test_sums_read_without_a_history_add_but_cannot_be_divided():
 
 
 @pytest.mark.parametrize('gaps', [(), tuple((i, i + 7) for i in range(500, 29_000, 600))])
-def test_a_document_holds_the_history_without_loss(gaps):
+def test_a_document_restores_the_history_without_loss(gaps):
     sums = recording(noise(30_000, 6), gaps)
     both = sums + recording(noise(20_000, 6))
     for each in (sums, both):

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scatter of the noise between parts of a recording widens intervals; clean noise has none."""
+"""Scatter of the noise between parts widens the intervals; stationary noise has no scatter."""
 
 import numpy as np
 from support.drift import AXES, DEG_H, NOISE, SENSORS, sums_of_noise
@@ -69,7 +69,7 @@ def test_drift_that_differs_between_sixths_widens_the_interval_of_k():
 
 
 def test_drift_is_compared_from_two_minutes_on():
-    """The same samples with stamps at other rates: only the length in seconds decides."""
+    """The same samples with stamps at different rates are tested only if they last 120 s."""
     for rate, axes in ((250.0, [AXES]), (1000.0, [])):
         sums = sums_of_noise(NoiseTerms(N=NOISE.N), 3, 36_000, uneven_walk(), rate=rate)
         assert drift_scatter(sums.history.recordings, SENSORS).all()
@@ -77,7 +77,7 @@ def test_drift_is_compared_from_two_minutes_on():
         assert [f.axes for f in model.findings if f.id == 'drift_changes'] == axes
 
 
-def test_even_drift_has_no_scatter():
+def test_constant_drift_has_no_scatter():
     """0.1 % of clean sensors are false alarms by design: probability of one in 4 below 0.5 %;
     seeds fixed.
     """
@@ -122,7 +122,7 @@ def test_normal_noise_has_no_excess():
         assert not level_scatter(recordings, 3).any()
 
 
-def test_small_but_certain_changes_widen_without_a_finding():
+def test_small_significant_changes_widen_the_interval_without_a_finding():
     """N changes by 1.6 % between the halves: over 20 standard deviations, but below the 2 % of a
     finding.
     """

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A step in the noise is found with its size and time; none is found where there is none."""
+"""Steps of the noise level are found with size and time; steady noise has none."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class Stream:
 
 
 def difference(noise):
-    """Return the difference between before and now at the shortest averaging time."""
+    """Return the difference of earlier and recent noise at the shortest averaging time."""
     sides = [{'gyro_x': Measured(None, c.axis(0))} for c in (noise.before, noise.recent)]
     return differences([tuple(sides)])[0][0]
 
 
-def test_a_rise_is_found_with_its_size_and_time():
+def test_an_increase_is_found_with_its_size_and_time():
     noise = Stream().play(900).play(300, 1.5).recent()
     found = difference(noise)
     assert found.ci95[0] < 1.5 < found.ci95[1] and found.ci95[1] / found.ci95[0] < 1.04
@@ -50,16 +50,16 @@ def test_a_rise_is_found_with_its_size_and_time():
     assert found.beyond(0.2) and not found.beyond(0.6)
 
 
-def test_it_is_found_within_seconds():
+def test_an_increase_is_found_within_seconds():
     noise = Stream().play(600).play(15, 1.5).recent()
     assert noise.since_s < 25.0 and difference(noise).beyond(0.2)
 
 
-def test_a_fall_is_beyond_the_margin_too():
+def test_a_decrease_is_found():
     assert difference(Stream().play(600).play(300, 0.5).recent()).beyond(0.5)
 
 
-def test_a_disturbance_that_passed_is_no_change_any_more():
+def test_a_disturbance_that_has_ended_is_not_a_change():
     stream = Stream().play(900).play(100, 1.5)
     assert difference(stream.recent()).beyond(0.2)
     noise = stream.play(30).recent()
@@ -68,7 +68,7 @@ def test_a_disturbance_that_passed_is_no_change_any_more():
     assert noise.since_s == pytest.approx(25.0, abs=12.0)
 
 
-def test_a_second_rise_is_compared_with_the_level_before_the_first():
+def test_a_second_increase_is_compared_with_the_level_before_the_first():
     noise = Stream().play(900).play(200, 1.5).play(100, 2.5).recent()
     assert noise.before.adev[0, 0] == pytest.approx(1.0, rel=0.02)
     assert noise.recent.adev[0, 0] == pytest.approx(2.5, rel=0.05)
@@ -85,7 +85,7 @@ def test_steady_noise_has_no_step():
     assert not difference(noise).significant  # 5 %
 
 
-def test_without_a_step_the_window_is_compared_with_all_before():
+def test_without_a_step_the_window_is_compared_with_all_earlier_data():
     noise = Stream().play(300).play(300, 1.02).recent(300.0)
     assert noise.since_s is None
     assert noise.recent.adev[0, 0] == pytest.approx(1.02, rel=0.015)
@@ -94,7 +94,7 @@ def test_without_a_step_the_window_is_compared_with_all_before():
     assert 25_000 < noise.recent.n[0] < 35_000
 
 
-def test_an_earlier_recording_is_the_time_before():
+def test_an_earlier_recording_belongs_to_the_earlier_data():
     """A restarted node continues from its checkpoint, so recent noise is compared with data
     before the restart.
     """
@@ -107,11 +107,11 @@ def test_an_earlier_recording_is_the_time_before():
         assert noise.since_s == pytest.approx(100.0, abs=3.0)
 
 
-def test_there_is_nothing_to_compare_at_first():
+def test_short_recordings_are_not_compared():
     assert recent_noise(RunningAllan(axes=('gyro_x',)).sums, 60.0) == {}
     assert recent_noise(Stream().play(1).engine.sums, 60.0) == {}
 
 
-def test_a_window_must_have_a_length():
+def test_a_window_of_zero_is_rejected():
     with pytest.raises(AllanError, match='window'):
         Stream().play(10).recent(0.0)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The spectrum: the level of white noise, the slope of a random walk, and no effect of chunking."""
+"""Spectrum of white noise and of a random walk, for any chunking of the samples."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_random_walk_falls_as_the_square_of_frequency_across_all_levels() -> N
     assert np.all(np.abs(np.log(found.psd[many, 0] / expected[many])) < 0.5)
 
 
-def test_the_first_level_is_what_scipy_computes() -> None:
+def test_the_first_level_agrees_with_scipy() -> None:
     rows = np.random.default_rng(3).normal(size=(2, 10_000))
     sums = sums_of(rows, 777, ('gyro_x', 'gyro_y'))
     _, psd = signal.welch(rows, 1.0, 'hann', BLOCK, BLOCK // 2, detrend='constant')
@@ -70,14 +70,14 @@ def test_the_first_level_is_what_scipy_computes() -> None:
 
 
 @pytest.mark.parametrize('chunk', [1, 333, 1024, 9_999])
-def test_chunks_change_nothing(chunk: int) -> None:
+def test_any_chunking_gives_the_same_spectrum(chunk: int) -> None:
     rows = np.random.default_rng(4).normal(size=(1, 9_999))
     one, other = sums_of(rows, 5_000), sums_of(rows, chunk)
     assert np.array_equal(one.blocks, other.blocks)
     assert np.allclose(one.power, other.power, rtol=1e-12)
 
 
-def test_no_block_straddles_a_cut_and_parts_add_up() -> None:
+def test_no_block_crosses_the_border_of_a_segment_and_sums_add() -> None:
     rows = np.random.default_rng(5).normal(size=(1, 2 * 5_000))
     rows[:, 5_000:] += 1e6
     running = RunningSpectrum(AXIS)

@@ -46,7 +46,7 @@ def test_stationary_noise_has_no_early_part(terms):
 
 
 @pytest.mark.parametrize('decay', [120.0, 300.0])
-def test_a_warm_up_is_found_and_how_long_it_lasts(decay):
+def test_a_warm_up_is_found_with_its_duration(decay):
     t = np.arange(SECONDS)
     sums = sums_of_noise(NOISE, 1, early=100 * DEG_H * np.exp(-t / decay))
     parts = parts_of(sums)
@@ -96,7 +96,7 @@ def test_an_early_part_of_a_short_recording_that_changes_no_coefficient_is_not_r
         assert any(f.id == 'settled_part' for f in model.findings) == reported
 
 
-def test_only_axes_that_take_part_are_named():
+def test_only_axes_with_a_warm_up_are_reported():
     """A warm-up of one axis is far above every threshold; the noise of the others is not."""
     engine = RunningAllan(axes=AXES)
     rng = np.random.default_rng(1)
@@ -168,7 +168,7 @@ def test_steps_are_not_searched_in_a_recording_of_many_short_segments():
     assert bias_steps(recording) == ()
 
 
-def test_a_random_walk_is_no_row_of_steps():
+def test_a_random_walk_has_no_steps():
     """0.05 % of such axes are false alarms by design: probability of one in 9 below 0.5 %; seeds
     fixed.
     """

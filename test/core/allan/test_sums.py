@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The laws of addable sums, and of their document."""
+"""Addition of sums, and conversion to a document and back."""
 
 import copy
 import json
@@ -25,13 +25,13 @@ def noise(n, seed=0, axes=3):
 
 
 def frozen(sums):
-    """Return everything in the sums as a value that can be compared."""
+    """Return all fields of the sums as a value for comparison."""
     return json.dumps(sums_to_document(sums))
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(1, 400), min_size=2, max_size=6), st.integers(0, 99))
-def test_adding_equals_feeding_both_and_changes_neither(lengths, seed):
+def test_adding_equals_accumulating_both_and_changes_neither(lengths, seed):
     y = noise(sum(lengths), seed)
     cuts = np.cumsum(lengths)[:-1].tolist()
     together = sums_of(y, cuts=cuts, axes=AXES)
@@ -51,13 +51,13 @@ def test_adding_equals_feeding_both_and_changes_neither(lengths, seed):
     assert swapped.sum_sq == pytest.approx((added + parts[-1]).sum_sq, rel=1e-12)
 
 
-def test_empty_is_neutral():
+def test_adding_empty_sums_changes_nothing():
     sums = sums_of(noise(500), axes=AXES)
     assert_identical(AllanSums.empty(ImuIdentity('imu'), AXES) + sums, sums)
     assert AllanSums.empty().tau0 is None and len(AllanSums.empty().avar) == 0
 
 
-def test_only_the_longest_segments_are_kept_the_rest_is_pooled():
+def test_the_longest_segments_are_kept_and_the_others_pooled():
     lengths = [50 + 7 * (i * 37 % 60) for i in range(60)]
     y = noise(sum(lengths))
     cuts = np.cumsum(lengths)[:-1].tolist()
@@ -70,8 +70,8 @@ def test_only_the_longest_segments_are_kept_the_rest_is_pooled():
     assert sum(n for _, n in sums.length_histogram) == 60
 
 
-def test_pooled_segments_are_freed_of_their_ramps_exactly():
-    """Pure ramps, each with its own slope: after the correction all sums are zero."""
+def test_ramps_of_pooled_segments_are_removed_exactly():
+    """After the correction, the sums of pure ramps with different slopes are zero."""
     slopes = np.linspace(-3, 3, KEPT_SEGMENTS + 20)
     lengths = [400] * KEPT_SEGMENTS + [300] * 20
     parts = [r * np.arange(n)[:, None] for r, n in zip(slopes, lengths)]
@@ -144,7 +144,7 @@ def spoilers():
 
 
 @pytest.mark.parametrize('name', spoilers())
-def test_a_wrong_document_is_refused_in_one_line(name):
+def test_an_invalid_document_is_rejected_with_one_line(name):
     document = copy.deepcopy(sums_to_document(sums_of(noise(200), axes=AXES)))
     spoil, word = spoilers()[name]
     spoil(document)
@@ -154,6 +154,6 @@ def test_a_wrong_document_is_refused_in_one_line(name):
 
 
 @pytest.mark.parametrize('thing', [None, 3, 'sums', [], {}])
-def test_another_thing_is_refused(thing):
+def test_a_value_that_is_no_document_is_rejected(thing):
     with pytest.raises(AllanError):
         sums_from_document(thing)

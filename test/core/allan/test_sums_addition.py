@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of one IMU add sensor by sensor; others are rejected."""
+"""Sums of recordings of one IMU are added sensor by sensor; others are rejected."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def sums(seed: int, axes: tuple[str, ...] = AXES, frame: str = 'imu', start: int
     return running.sums
 
 
-def test_each_sensor_is_added_to_its_own():
+def test_sums_of_the_same_sensor_are_added():
     a, b = [(sums(i, AXES[:3]), sums(i + 10, AXES[3:])) for i in (1, 2)]
     total = add_sums(a, b)
     for mine, x, y in zip(total, a, b):
@@ -33,7 +33,7 @@ def test_each_sensor_is_added_to_its_own():
     assert a[0].samples == 500
 
 
-def test_a_run_without_samples_adds_nothing():
+def test_a_recording_without_samples_adds_nothing():
     a = (sums(1),)
     assert add_sums(a, ()) == a and add_sums((), a) == a and add_sums((), ()) == ()
 

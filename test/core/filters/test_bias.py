@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The bias at rest: its estimate, the coverage of its interval, and for how long it is known."""
+"""Estimate of the bias at rest, coverage of its interval, and time within a tolerance."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ TERMS = NoiseTerms(
 MODEL = BiasModel(ProcessModel(TERMS), TERMS.R)
 
 
-def test_the_interval_covers_the_bias_now_and_later():
-    """12 records of 1 h: of 12 x 13 nearly independent intervals, 88 to 99 % hold the bias.
+def test_the_interval_covers_the_present_and_the_future_bias():
+    """Of 156 nearly independent intervals (12 records of 1 h), 88 to 99 % contain the bias.
 
-    A binomial of 156 draws at 95 % is outside with a probability of 1e-3.
+    The number is binomial with 95 %: the false-alarm probability is 1e-3.
     """
     rng = np.random.default_rng(4)
     hits: dict[int, list[bool]] = {0: [], 60: [], 600: []}
@@ -59,7 +59,7 @@ def fit_with_ramp(ramp: Coefficient) -> AxisFit:
     return AxisFit({**{t: Coefficient(getattr(TERMS, t)) for t in 'QNBK'}, 'R': ramp})
 
 
-def test_a_ramp_below_the_limit_stays_possible():
+def test_a_ramp_that_is_not_resolved_widens_the_interval():
     # an estimate of 1e-8 and a limit of 1e-8 + 1.96 * 3e-8
     hidden = Coefficient(1e-8, None, 1e-8 + 1.96 * 3e-8, 'not_observable')
     model = BiasModel.of_fit(fit_with_ramp(hidden))
@@ -75,7 +75,7 @@ def test_a_ramp_below_the_limit_stays_possible():
     assert stds[0] > 1.01 * stds[1], stds
 
 
-def test_a_measured_ramp_has_the_error_of_its_interval_and_no_interval_is_vague():
+def test_the_slope_prior_follows_from_the_interval_of_the_ramp():
     resolved = Coefficient(1e-7, (1e-7 - 1.96 * 2e-8, 1e-7 + 1.96 * 2e-8), None, 'estimated', 1)
     assert BiasModel.of_fit(fit_with_ramp(resolved)).slope_std == pytest.approx(1.02e-7, rel=1e-3)
     vague = BiasModel.of_fit(fit_with_ramp(Coefficient(1e-7, None, None, 'estimated', 1)))
@@ -84,7 +84,7 @@ def test_a_measured_ramp_has_the_error_of_its_interval_and_no_interval_is_vague(
         assert BiasModel.of_fit(fit_with_ramp(nothing)).slope_std == 0.0
 
 
-def test_a_walk_that_is_not_resolved_counts_with_a_share():
+def test_a_walk_that_is_not_resolved_has_its_expected_variance():
     hidden = Coefficient(None, None, 1e-7, 'not_observable')
     noise = {**fit_with_ramp(Coefficient(0.0)).noise, 'K': hidden}
     processes = BiasModel.of_fit(AxisFit(noise)).processes
@@ -114,7 +114,7 @@ def test_a_pause_widens_the_interval():
     assert tracker.estimate() == pytest.approx(later)
 
 
-def test_nothing_is_known_before_the_first_mean():
+def test_there_is_no_estimate_before_the_first_mean():
     tracker = BiasFilter(MODEL)
     with pytest.raises(AllanError, match='at rest for a second'):
         tracker.estimate()
@@ -127,7 +127,7 @@ def test_the_optimal_average_balances_noise_and_drift():
     assert optimal_window(ProcessModel(NoiseTerms(N=1.0))) == pytest.approx(1e6)
 
 
-def test_a_wider_tolerance_lasts_longer():
+def test_the_bias_stays_longer_within_a_wider_tolerance():
     times = [time_within(MODEL, tolerance * HOUR_BIAS) for tolerance in (5.0, 20.0, 50.0)]
     assert times[0] == 0.0
     assert 60.0 < times[1] < 600.0 < times[2] < 3600.0
@@ -135,7 +135,7 @@ def test_a_wider_tolerance_lasts_longer():
         time_within(MODEL, 0.0)
 
 
-def test_a_tracker_follows_one_axis_and_a_changed_model() -> None:
+def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> None:
     tracker = BiasTracker({'gyro': 0.0})
     ends = [10**18 + 10**9 * i for i in range(1, 301)]
     values = (2.0 * HOUR_BIAS + TERMS.N * np.random.default_rng(5).normal(size=300)).tolist()
@@ -151,7 +151,7 @@ def test_a_tracker_follows_one_axis_and_a_changed_model() -> None:
     assert found.end_ns == ends[-1]
     assert found.optimal_s == optimal_window(ProcessModel(TERMS))
     assert found.within_s > 60.0
-    tracker.add_means('gyro_x', ends[-10:], values[-10:])  # known already
+    tracker.add_means('gyro_x', ends[-10:], values[-10:])  # skipped: already added
     assert tracker.bias('gyro_x') == found
     tracker.add_means('gyro_x', [ends[-1] + 61 * 10**9], [values[0]])
     direct.pause(60.0)
@@ -160,7 +160,7 @@ def test_a_tracker_follows_one_axis_and_a_changed_model() -> None:
     assert after is not None
     assert after.estimate.value == pytest.approx(direct.estimate().value)
     assert after.estimate.std == pytest.approx(direct.estimate().std)
-    tracker.add_means('gyro_x', [5 * 10**9], [1.0])  # the clock was set back: a new start
+    tracker.add_means('gyro_x', [5 * 10**9], [1.0])  # an earlier time: the means are dropped
     anew = tracker.bias('gyro_x')
     assert anew is not None and anew.estimate.value == pytest.approx(1.0, rel=1e-3)
 
@@ -176,7 +176,7 @@ def test_a_tolerance_can_be_given() -> None:
 
 
 def test_the_interval_of_the_turn_on_bias_covers_its_std() -> None:
-    # 1900 +- 9.7 of 2000 intervals: outside of 4.1 standard deviations with a chance of 4e-5.
+    # 1900 +- 9.7 of 2000 intervals: the false-alarm probability is 4e-5 (4.1 standard deviations)
     rng = np.random.default_rng(9)
     hits = 0
     for means in rng.normal(3.0, 2.0, size=(2000, 5)):

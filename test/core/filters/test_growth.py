@@ -95,7 +95,7 @@ def test_growth_of_simulated_flicker():
     assert predicted_growth(ProcessModel(terms), horizon, window) == pytest.approx(actual, rel=0.12)
 
 
-def test_long_correlation_times_keep_their_digits():
+def test_rounding_is_negligible_at_long_correlation_times():
     """At times far below tau a Gauss-Markov process is a random walk of density 2 sigma^2/tau."""
     for tau in (1e4, 1e7):
         process = ProcessModel(gauss_markov=((1.0, tau),))
@@ -121,6 +121,6 @@ def test_interval_contains_the_estimate_and_grows_with_a_limit():
     assert wider[-1] > 2.0 * top[-1]
 
 
-def test_a_horizon_of_zero_is_refused():
+def test_a_horizon_of_zero_is_rejected():
     with pytest.raises(AllanError, match='above 0'):
         predicted_growth(PROCESSES['N'], 0.0, 10.0)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of filter parameters: computed by hand, and only where they are known."""
+"""Proposed values of filter parameters and their intervals, compared with values by hand."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def parameter(expression: str, **others) -> FilterParameter:
     return FilterParameter('p', 'gyro', Expression(expression), **others)
 
 
-def test_the_rules_by_hand():
+def test_rules_for_three_axes_give_values_computed_by_hand():
     worst = propose(parameter('N**2 * f'), AXES, 200.0, {})
     assert worst.values == pytest.approx((9e-6 * 200.0,))
     assert (worst.low, worst.high) == pytest.approx((0.81 * 1.8e-3, 1.21 * 1.8e-3))
@@ -47,12 +47,12 @@ def test_the_rules_by_hand():
     assert each.ratio == pytest.approx(1.1 / 0.9)
 
 
-def test_constants_come_before_the_rate():
+def test_a_constant_named_f_replaces_the_rate():
     assert propose(parameter('f * h'), AXES, 200.0, {'h': 3.0}).values == (600.0,)
     assert propose(parameter('f'), AXES, 200.0, {'f': 50.0}).values == (50.0,)
 
 
-def test_an_unresolved_term_delays_a_parameter_only_as_far_as_it_matters():
+def test_a_term_that_is_not_resolved_widens_the_interval_by_its_effect():
     little = propose(parameter('sqrt(N**2 + B**2)'), AXES, 200.0, {})
     assert little.values[0] == pytest.approx(math.hypot(3e-3, 4e-5))
     assert little.low == pytest.approx(2.7e-3) and little.ratio < 1.25
@@ -76,7 +76,7 @@ def test_values_are_kept_within_the_limits():
     assert held.high == pytest.approx(3.3e-3)  # the interval contains the true value
 
 
-def test_a_missing_sensor_or_term_is_refused():
+def test_a_missing_sensor_or_term_is_rejected():
     with pytest.raises(AllanError, match='no accel'):
         propose(FilterParameter('p', 'accel', Expression('N')), AXES, 200.0, {})
     nothing = axis(1e-3, b=Coefficient(None, status='not_observable'))
@@ -104,7 +104,7 @@ def test_a_value_differs_by_a_fraction():
         (parameter('N * g'), 'contains g'),
     ],
 )
-def test_an_invalid_mapping_is_refused(wrong, reason):
+def test_an_invalid_mapping_is_rejected(wrong, reason):
     with pytest.raises(AllanError, match=reason):
         check_mapping(FilterMapping('f', (wrong,)))
     check_mapping(FilterMapping('f', (parameter('N * h * f'),), {'h': 1.0}))

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Formulas of configuration files: only arithmetic is accepted."""
+"""Expressions in configuration files: only arithmetic is accepted."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.mapping import MAX_LENGTH, Expression
 
 
-def test_arithmetic_is_done_as_written():
+def test_arithmetic_follows_the_rules_of_python():
     values = {'N': 2.0, 'B': 3.0, 'h': 4.0, 'f': 100.0}
     for text, expected in (
         ('N', 2.0),
@@ -66,13 +66,13 @@ def test_only_arithmetic_is_accepted(text):
     'text',
     ['N / 0', 'sqrt(-N)', '10**10**10', '(-N)**0.5', 'sqrt(N, N)', 'max(N)', 'K', '1e308 * 10'],
 )
-def test_an_expression_without_a_finite_value_is_refused(text):
+def test_an_expression_without_a_finite_value_is_rejected(text):
     with pytest.raises(AllanError):
         Expression(text).value({'N': 1.0})
 
 
 @given(st.text(max_size=60))
-def test_any_text_is_a_formula_or_refused(text):
+def test_any_text_is_evaluated_or_rejected(text):
     with contextlib.suppress(AllanError):
         made = Expression(text)
         assert math.isfinite(made.value(dict.fromkeys(made.names, 1.5)))

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From coefficients to filter parameters: each convention gives the variance of the noise."""
+"""Filter parameters of each convention add the variance of the continuous-time noise."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ SECONDS = 7.0
 @given(n=levels, rate=rates)
 def test_steps_of_white_noise_add_up_to_n_squared_t(n: float, rate: float) -> None:
     steps, dt = SECONDS * rate, 1.0 / rate
-    # (dt F) Q (dt F)' of FAST-LIO and of the autopilots: dt^2 variance a step.
+    # (dt F) Q (dt F)' of FAST-LIO and of autopilots: dt^2 times the variance per step
     assert steps * dt**2 * white_std(n, rate) ** 2 == pytest.approx(n**2 * SECONDS)
-    # V noise V' of the midpoint rule: two independent halves a step.
+    # V noise V' of the midpoint rule: two independent halves per step
     halves = 2.0 * (0.5 * dt * midpoint_white_std(n, rate)) ** 2
     assert steps * halves == pytest.approx(n**2 * SECONDS)
 
@@ -58,14 +58,14 @@ def test_steps_of_a_walk_add_up_to_k_squared_t(k: float, rate: float) -> None:
     assert steps * (dt * white_std(k, rate)) ** 2 == pytest.approx(k**2 * SECONDS)
 
 
-def test_a_simulated_sample_has_the_std_that_is_written() -> None:
+def test_white_std_is_the_std_of_a_simulated_sample() -> None:
     # 4e5 samples: the standard deviation of this estimate is 0.11 %.
     rate, n = 200.0, 1e-3
     samples = simulate_axis(400_000, 1.0 / rate, NoiseTerms(N=n), np.random.default_rng(3))
     assert samples.std() == pytest.approx(white_std(n, rate), rel=0.005)
 
 
-def test_a_simulated_walk_has_the_rate_that_is_written() -> None:
+def test_white_std_of_k_is_the_rate_of_a_simulated_walk() -> None:
     rate, k = 200.0, 1e-3
     bias = simulate_axis(400_000, 1.0 / rate, NoiseTerms(K=k), np.random.default_rng(4))
     assert (np.diff(bias) * rate).std() == pytest.approx(white_std(k, rate), rel=0.005)
@@ -82,7 +82,7 @@ def three(*values: float) -> list[Level]:
     return [Level(f'gyro_{a}', 'N', value) for a, value in zip('xyz', values)]
 
 
-def test_the_rules_by_hand() -> None:
+def test_rules_for_three_axes_give_values_computed_by_hand() -> None:
     axes = three(1.0, 5.0, 7.0)
     assert sensor_level(axes, 'worst', 2.0).values == (14.0, 14.0, 14.0)
     assert sensor_level(axes, 'worst').levels == (axes[2],)
@@ -106,14 +106,14 @@ def fit_with(**noise: Coefficient) -> AxisFit:
     return AxisFit({term: noise.get(term, Coefficient(None)) for term in 'QNBKR'})
 
 
-def test_a_term_that_is_not_observable_counts_with_its_limit() -> None:
+def test_a_term_that_is_not_resolved_has_its_upper_limit() -> None:
     fit = fit_with(K=Coefficient(0.0, (0.0, 2e-6), 2e-6, 'not_observable'))
     assert axis_level('gyro_x', fit, 'K') == Level('gyro_x', 'K', 2e-6, None, True)
     with pytest.raises(AllanError, match=r'K of gyro_x is not observable .below 2e-06.*--strict'):
         axis_level('gyro_x', fit, 'K', strict=True)
 
 
-def test_a_measured_term_counts_with_its_value() -> None:
+def test_a_resolved_term_has_its_estimate() -> None:
     fit = fit_with(K=Coefficient(1e-6, (8e-7, 2e-6), 1.9e-6))
     assert axis_level('gyro_x', fit, 'K', strict=True) == Level(
         'gyro_x', 'K', 1e-6, (8e-7, 2e-6), False
@@ -139,7 +139,7 @@ def hidden(limit: float) -> Coefficient:
     return Coefficient(None, None, limit, 'not_observable')
 
 
-def test_one_limit_of_k_stands_for_all_drift_that_is_not_resolved() -> None:
+def test_the_limit_of_k_is_used_if_no_drift_is_resolved() -> None:
     fit = fit_with(N=resolved(1e-3), B=hidden(1e-4), K=hidden(1e-5), R=hidden(1e-7))
     reduced = reduce_axis('gyro_x', fit)
     assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
@@ -148,7 +148,7 @@ def test_one_limit_of_k_stands_for_all_drift_that_is_not_resolved() -> None:
         reduce_axis('gyro_x', fit, strict=True)
 
 
-def test_limits_do_not_count_beside_what_is_resolved() -> None:
+def test_limits_are_not_used_if_other_drift_is_resolved() -> None:
     alone = fit_with(N=resolved(1e-3), B=resolved(1e-4))
     beside = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-3), R=hidden(1e-3))
     one, other = (reduce_axis('gyro_x', fit) for fit in (alone, beside))
@@ -157,7 +157,7 @@ def test_limits_do_not_count_beside_what_is_resolved() -> None:
     assert not one.levels['K'].is_limit
 
 
-def test_drift_that_is_quick_counts_as_white_and_k_as_its_limit() -> None:
+def test_fast_drift_becomes_white_noise_and_k_has_its_limit() -> None:
     process = GaussMarkov(3e-3, (2e-3, 4e-3), 0.02, (0.01, 0.03))
     fit = replace(fit_with(N=resolved(1e-3), K=hidden(1e-5)), processes=Processes((process,)))
     reduced = reduce_axis('gyro_x', fit)
@@ -182,7 +182,7 @@ def test_the_expected_variance_lies_between_estimate_and_limit() -> None:
     assert expected_variance(Coefficient(None, None, None, 'not_observable')) == 0.0
 
 
-def test_a_filter_with_all_states_allows_for_a_walk_that_is_not_resolved() -> None:
+def test_a_filter_with_all_states_includes_the_expected_k() -> None:
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=hidden(1e-5))
     bare, careful = (
         reduce_axis('gyro_x', fit, 'processes', expect_walk=expect).reduction.walk
@@ -213,7 +213,7 @@ def test_the_predicted_growth_has_an_interval() -> None:
     assert white.std == pytest.approx(1e-3 * math.hypot(math.sqrt(1000.0 / 3.0), 5.0))
 
 
-def test_the_predicted_growth_allows_for_a_walk_that_is_not_resolved() -> None:
+def test_the_predicted_growth_includes_the_expected_k() -> None:
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=hidden(1e-4))
     last = growth_table(fit)[-1]
     believed = predicted_growth(expected_model(fit), last.horizon, last.window)
@@ -231,7 +231,7 @@ def test_the_ends_of_the_reduction_contain_it() -> None:
     assert reduced_ends('gyro_x', blind, Horizons.up_to(30.0))['K'][2] == math.inf
 
 
-def test_white_noise_alone_can_cover_a_horizon() -> None:
+def test_white_noise_alone_can_bound_the_growth() -> None:
     axes = {f'gyro_{a}': fit_with(N=resolved(1e-3), B=resolved(1e-4)) for a in 'xyz'}
     (bare,) = white_variances(axes, 100.0).values()
     (wide,) = white_variances(axes, 100.0, horizon=60.0).values()

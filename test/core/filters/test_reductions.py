@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A reduction bounds the error growth of the model that it replaces; the discrete matrices are
+"""Reductions have at least the error growth of the complete model; the discrete matrices are
 exact.
 """
 
@@ -55,7 +55,7 @@ def test_the_growth_is_bounded_from_above(model, states, horizon):
     assert np.all(growth[0] >= slack * growth[1])
 
 
-def test_a_model_of_n_and_k_is_its_own_reduction():
+def test_a_model_of_n_and_k_is_not_changed():
     model = ProcessModel(NoiseTerms(N=2e-4, K=3e-6))
     reduction = reduce_model(model)
     assert (reduction.white, reduction.walk) == pytest.approx((2e-4, 3e-6))
@@ -63,26 +63,26 @@ def test_a_model_of_n_and_k_is_its_own_reduction():
     assert not reduction.poor
 
 
-def test_one_process_is_found_again():
+def test_a_single_process_is_not_changed():
     process = (9.0 * DEG / 3600, 10.0)
     reduction = reduce_model(ProcessModel(HUMP.terms, (process,)), 'gauss_markov')
     assert reduction.gauss_markov[0] == pytest.approx(process, rel=0.1)
 
 
-def test_n_is_kept_and_k_raised_for_flicker():
+def test_flicker_increases_k_but_not_n():
     reduction = reduce_model(FLICKER, 'walk', Horizons.up_to(30.0))
     assert reduction.white == FLICKER.terms.N
     assert reduction.walk > 10.0 * FLICKER.terms.K
     assert 1.3 < reduction.ratio[1] < 2.0
 
 
-def test_short_processes_become_white_where_k_cannot_hold_them():
+def test_fast_processes_become_white_noise_if_a_walk_is_a_poor_model():
     reduction = reduce_model(QUICK, 'walk', Horizons.up_to(30.0))
     assert not reduction.poor
     assert reduction.white == pytest.approx(math.hypot(1e-5, 1e-4 * math.sqrt(2 * 0.05)))
 
 
-def test_all_processes_lose_nothing():
+def test_a_reduction_to_all_processes_is_exact():
     reduction = reduce_model(HUMP, 'processes', Horizons.up_to(100.0))
     assert reduction.gauss_markov == HUMP.gauss_markov
     assert reduction.ratio == pytest.approx((1.0, 1.0))
@@ -111,7 +111,7 @@ def test_a_drift_of_the_size_of_rounding_has_a_closest_process():
         assert found is not None and found[0] > 0.0 and math.isfinite(found[0])
 
 
-def test_a_misnamed_option_is_refused():
+def test_unknown_states_are_rejected():
     with pytest.raises(AllanError, match='choose one of'):
         reduce_model(FLICKER, 'two')  # type: ignore[arg-type]
     with pytest.raises(AllanError, match='above 0 s'):
@@ -143,7 +143,7 @@ def test_matrices_are_those_of_the_continuous_model(dt):
 
 
 @pytest.mark.parametrize('white, limit', [(10.0, 0.05), (0.5, 0.11), (0.0, 0.15)])
-def test_four_processes_follow_flicker(white, limit):
+def test_four_processes_have_the_allan_variance_of_flicker(white, limit):
     processes = flicker_processes(2.0, white)
     assert len(processes) == 4
     tau = np.geomspace(3.0, 3000.0, 50)
@@ -151,6 +151,6 @@ def test_four_processes_follow_flicker(white, limit):
     assert np.abs(ratio - 1.0).max() < limit
 
 
-def test_a_step_of_nothing_is_refused():
+def test_a_step_of_zero_is_rejected():
     with pytest.raises(AllanError, match='rate above 0'):
         StateSpace(1.0).transition(0.0)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The variance of a sample: the measured one, and the one that makes a filter consistent."""
+"""Sample variance from the Allan deviation, and the variance for a consistent filter."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def measured(y: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize('kind', ['white', 'filtered', 'quantization', 'walk', 'line'])
-def test_it_is_the_variance_within_a_second_whatever_the_noise(kind):
+def test_it_is_the_variance_within_a_second_for_any_noise(kind):
     rng = np.random.default_rng(3)
     white = rng.normal(0.0, 2.0, 1 << 18)
     y = {
@@ -45,7 +45,7 @@ def test_it_is_the_variance_within_a_second_whatever_the_noise(kind):
         'walk': np.cumsum(white) * 0.01,
         'line': np.sin(0.7 * np.arange(len(white))),
     }[kind]
-    # 2048 windows weigh the samples otherwise than overlapping differences do: 1.7 % for the walk
+    # windows weight the samples differently from overlapping differences: 1.7 % for the walk
     assert measured(y) == pytest.approx(windowed_variance(y), rel=0.04)
 
 
@@ -87,12 +87,12 @@ def test_white_variances_by_hand():
     axes = {
         'gyro_x': fit_of(1e-3),
         'gyro_y': fit_of(2e-3),
-        'gyro_z': fit_of(None, 3e-3),  # the limit stands for it
+        'gyro_z': fit_of(None, 3e-3),  # the upper limit is used
         'accel_x': fit_of(1e-2),
         'accel_y': fit_of(1e-2),
     }
     found = white_variances(axes, 200.0)
-    assert set(found) == {'gyro'}  # the accelerometer lacks an axis
+    assert set(found) == {'gyro'}  # an axis of the accelerometer is missing
     assert found['gyro'] == pytest.approx((2e-4, 8e-4, 1.8e-3))
     assert white_variances(axes, 200.0, 10.0)['gyro'] == pytest.approx((2e-2, 8e-2, 1.8e-1))
     axes['gyro_z'] = fit_of(None)
