@@ -31,7 +31,7 @@ from .core.settings import (
 from .core.simulate import Faults, simulate_imu
 from .io.comparison import Inflation, RunComparison, Subject, compare_runs
 from .io.comparison import inflate as inflation_of
-from .io.datasheets import check_margin, load_sensor
+from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH
 from .io.readers.arrays import recording_in_memory, without_absent
@@ -306,8 +306,7 @@ def compare(
     >>> ar.compare(quiet, noisy).differs
     True
     """
-    ResultSettings(method=method)  # checks it
-    check_margin(margin)
+    ResultSettings(method=method, margin=margin)  # checks them before recordings are read
     expect(LIST, labels=labels)
     if len(labels) > len(sources):
         raise AllanError(

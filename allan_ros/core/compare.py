@@ -291,7 +291,7 @@ def _change(difference: Difference, beyond: bool) -> Change:
     if difference.p is None or difference.ci95 is None:
         return 'open'
     if not beyond:
-        # A limit that does not exclude equality is inconclusive; two estimates give a ratio.
+        # Two estimates without a significant difference are alike; a limit alone shows nothing.
         return 'open' if difference.ratio is None else 'alike'
     return 'higher' if difference.ci95[0] > 1.0 else 'lower'
 
@@ -373,7 +373,7 @@ def _p_value_of_limit(a: tuple[float, float, float], limit: float) -> float:
     # 2 s z exp(2 s z) = 2 s 1.96 (value / limit)^2, solved by the Lambert W function in logarithms
     right = math.log(2.0 * scale * Z_95) + 2.0 * (math.log(value) - math.log(limit))
     z = float(special.wrightomega(right)) / (2.0 * scale)
-    # Below the quantile of the limit itself, the change of the limit is unknown.
+    # At a lower confidence than 95 %, the limit is unknown.
     return min(4.0 * float(special.ndtr(-z)), 1.0) if z >= Z_95 else 1.0
 
 

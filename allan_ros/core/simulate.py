@@ -131,11 +131,10 @@ def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generat
 
     q, w, b, k, r = terms.in_sample_units(tau0)
     half = fft.next_fast_len(max(n - 1, ASYMPTOTIC_LAG), real=True)
-    # (2 sin(pi f))^2 at the frequencies of the circulant with 2*half lags: |transfer|^2 of a
-    # difference.
+    # squared gain of a difference, (2 sin(pi f))^2, at the frequencies of the circulant
     step = 4.0 * np.sin(np.pi * np.arange(half + 1) / (2 * half)) ** 2
-    # In the steps dy, white theta (Q) is a second difference, white y (N) a first difference, and a
-    # random walk (K) white noise.
+    # In the differences dy, Q is white noise that is differenced twice, N is white noise that is
+    # differenced once, and K is white noise.
     eigenvalues = (q * step + w) * step + k
     if b > 0.0:
         eigenvalues += b * _flicker_eigenvalues(half)
@@ -169,7 +168,7 @@ def _flicker_eigenvalues(half: int) -> Floats:
     # cached for one length, because all axes of an IMU have the same length
     from scipy import fft
 
-    # The transform of an even sequence is the cosine transform of half of it.
+    # The Fourier transform of an even sequence is the cosine transform of half of it.
     eigenvalues = fft.dct(_flicker_autocovariance(half), type=1, overwrite_x=True)
     eigenvalues.flags.writeable = False
     return np.asarray(eigenvalues)
@@ -243,7 +242,7 @@ def simulate_imu(
         samples = np.empty((n, len(AXES)))
     except (MemoryError, ValueError) as error:
         raise AllanError(
-            f'{n:,} samples do not fit the memory: reduce the length or the rate'
+            f'{n:,} samples do not fit into memory: reduce the duration or the rate'
         ) from error
     for i, (axis_terms, axis_seed) in enumerate(zip(terms, axis_seeds.spawn(len(AXES)))):
         samples[:, i] = simulate_axis(n, tau0, axis_terms, np.random.default_rng(axis_seed))

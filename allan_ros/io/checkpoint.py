@@ -180,7 +180,7 @@ class Checkpoint:
         trial = self._file.with_name(f'{self._file.name}.trial')
         try:
             write_atomic(trial, '')  # reports write problems now, not after the first period
-            with contextlib.suppress(OSError):  # an empty file remains
+            with contextlib.suppress(OSError):  # else an empty file remains
                 trial.unlink(missing_ok=True)
         except AllanError as error:
             self._report_unwritable(error)

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Any, Literal
 
 from ..core.compare import Comparison, LimitVerdict, compare_with_limits
@@ -27,7 +26,6 @@ from ..core.findings import Finding, finding
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import FLICKER_FLOOR
-from ..core.settings import expect
 from .files import config_file, config_names, read_yaml
 from .format import interval_text, shown_unit, significant, value_text
 
@@ -181,13 +179,6 @@ def against_datasheet(
     """
     found = compare_with_limits(datasheet.name, datasheet.values(), noise, margin)
     return DatasheetComparison(datasheet, margin, found)
-
-
-def check_margin(margin: float) -> None:
-    """Raise AllanError unless the margin is a number of 0 or more."""
-    expect(Real, margin=margin)
-    if not margin >= 0.0:
-        raise AllanError(f'margin is {margin:g}: give 0 or more')
 
 
 def beyond_limit(

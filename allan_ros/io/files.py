@@ -383,7 +383,7 @@ class PathLock:
                 os.close(handle)  # the lock file was released and removed before it was locked
                 continue
             self._handle = handle
-            # the disk is full: the name of the owner is not written
+            # if the disk is full, the number of the process is missing
             with contextlib.suppress(OSError):
                 self._mark.write_text(f'{os.getpid()}\n')
         return ''
@@ -397,7 +397,7 @@ class PathLock:
             os.close(handle)
 
     def _open_mark(self) -> int:
-        # not for writing, which would prevent remounting the file system read-only
+        # a file that is open for writing would prevent remounting the file system read-only
         flags = os.O_CREAT | os.O_RDONLY
         for name in ('O_NOFOLLOW', 'O_NONBLOCK', 'O_CLOEXEC'):  # opening a FIFO must not block
             flags |= getattr(os, name, 0)

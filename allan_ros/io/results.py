@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,6 @@ from .datasheets import (
     DatasheetComparison,
     against_datasheet,
     beyond_limit,
-    check_margin,
     load_sensor,
 )
 from .exporters import ExportOptions, make_export, target_of
@@ -351,7 +351,9 @@ class Results:
 
         expect((Results, *PATH), 'results or a path', baseline=baseline)
         expect((Datasheet, *PATH), 'a datasheet or its name', sensor=sensor)
-        check_margin(margin)
+        expect(Real, margin=margin)
+        if not margin >= 0.0:
+            raise AllanError(f'margin is {margin:g}: give 0 or more')
         results = replace(self, margin=margin)
         if isinstance(baseline, Results):
             results = replace(results, baselines={'the earlier run': baseline})

@@ -304,7 +304,7 @@ def _metadata(
                 'message_count': times.count,
             }
         ],
-        # YAML would write references to equal values
+        # copied, because YAML writes a reference for an object that occurs twice
         'files': [{'path': file, **copy.deepcopy(extent)}],
         'custom_data': None,
         'ros_distro': 'jazzy',

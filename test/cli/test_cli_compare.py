@@ -79,7 +79,7 @@ def test_a_difference_fails_only_when_asked(analysed: Path, tmp_path: Path, caps
             '3 labels for 2 inputs',
         ),
         (['{run}', 'sensor:none'], "no datasheet 'none'"),
-        (['{run}', '{run}', '--margin', '-1'], 'margin is -1: give 0 or more'),
+        (['{run}', '{run}', '--margin', '-1'], 'margin is -1.0: it must lie between 0 and 100'),
     ],
 )
 def test_what_cannot_be_compared_is_one_line(
