@@ -8,7 +8,7 @@ VENV ?= .venv
 # One more than two cores, because tests of nodes wait most of the time.
 JOBS ?= 3
 HOURS ?= 2
-# Filters and another DDS, to read with them what is written; empty to leave them out.
+# Extra of setup.py with filter libraries and another DDS, which only tests use; empty: none.
 CONSUMERS ?= consumers
 TESTS ?= test
 
@@ -23,12 +23,12 @@ LINT_TYPES := numpy==2.4.6 rich==15.0.0 hypothesis==6.170.15
 # What Ubuntu 22.04 (ROS 2 Humble) ships.
 FLOOR_PINS := numpy==1.21.* scipy==1.8.* matplotlib==3.5.*
 
-# The ROS wheels mark a Python they have re-executed; a child in another venv must not inherit it.
+# The ROS wheels re-execute Python and set a marker, which a child in another venv must not inherit.
 ifdef _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH
 endif
 
-# pip leaves the compilation of modules to their first import, which has to keep its result.
+# pip installs without compiling; Python compiles modules at their first import and must save this.
 unexport PYTHONDONTWRITEBYTECODE
 
 # The matrices of a fit are small: more threads per process only cost time.
@@ -114,7 +114,7 @@ $(VENV)/.ready: setup.py pyproject.toml scripts/venv_extras.py
 		$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable ".[$$extras]"
 	touch $@
 
-# Types of a numpy that is newer than the oldest Python are only read, never run.
+# Of these packages only the type annotations are read, so they may need a newer Python.
 $(LINT)/.ready: Makefile
 	rm -rf $(LINT)
 	$(PYTHON) -m venv $(LINT)

@@ -15,13 +15,13 @@ DASK = 'distributed>=2022.2'
 ROSBAGS = 'rosbags>=0.11.7'
 ULOG = 'pyulog>=1.0'
 README = Path(__file__).resolve().with_name('README.md')
-"""Beside the resolved path, because `colcon build --symlink-install` runs a link to this file."""
+"""In the folder of the resolved path: `colcon build --symlink-install` runs a link to this file."""
 
 
 def ros_wheels(distro):
-    """Return the wheels that bring rclpy and Fast DDS where no ROS is installed.
+    """Return the requirements that install rclpy and Fast DDS from PyPI, without ROS.
 
-    They exist for CPython 3.10 to 3.13 on x86-64 Linux only.
+    The wheels exist for CPython 3.10 to 3.13 on x86-64 Linux only.
     """
     messages = (
         'diagnostic-msgs',
@@ -99,7 +99,7 @@ setup(
         'kilted': ros_wheels('kilted'),
         'rosbags': [ROSBAGS],  # Imu fields in other messages; writing ROS 1 bags
         'ulog': [ULOG],  # PX4 logs
-        # For tests: libraries of filters that read the exported files, and another DDS. gtsam 4.2
+        # For tests: filter libraries that read the exported files, and another DDS. gtsam 4.2
         # requires numpy 1, and newer versions do not support Python 3.10.
         'consumers': [
             'cyclonedds>=0.10',

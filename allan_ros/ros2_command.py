@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 allan`: the verbs of `allan`, and verbs for running nodes, as a command of ros2cli.
+"""`ros2 allan`: a command of ros2cli with the verbs of `allan`, and verbs for running nodes.
 
-ros2cli finds it by an entry point of the package. Without ros2cli, this module is not imported.
+ros2cli loads it through an entry point of the package; nothing else imports this module.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ NODE_VERBS = {
 """Verb for running nodes -> help text."""
 
 WITH_VALUE = ('--node', '--seconds', '--web')
-"""Options of these verbs that take a value."""
+"""Options of these verbs that are followed by a value."""
 
 
 class AllanCommand(Base):  # type: ignore[misc]
     """Measure and watch the noise of IMUs."""
 
     def add_arguments(self, parser: argparse.ArgumentParser, cli_name: str) -> None:
-        """Declare the verb; the verb itself parses its options."""
+        """Declare the verb and its arguments, which the verb itself parses."""
         from .cli.main import VERBS
 
         width = max(map(len, (*VERBS, *NODE_VERBS)))
@@ -66,7 +66,7 @@ class AllanCommand(Base):  # type: ignore[misc]
 
 
 def _is_for_files(verb: str, words: list[str]) -> bool:
-    """Return whether a verb that exists for files and for nodes gets files, or ``--help``."""
+    """Return whether these arguments select the verb of `allan`: a file, or ``--help``."""
     from .cli.main import VERBS
 
     files = [w for last, w in zip(['', *words], words) if w[:1] != '-' and last not in WITH_VALUE]

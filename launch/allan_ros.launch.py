@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Monitor one or several IMUs with allan_monitor, or with its parts in separate processes.
+"""Start allan_monitor for one or several IMUs, or its parts in separate processes.
 
 ros2 launch allan_ros allan_ros.launch.py imu:=/camera/imu sensor:=adis16475-3
 ros2 launch allan_ros allan_ros.launch.py imu:=/left/imu,/right/imu checkpoint:=/var/lib/imus
@@ -17,33 +17,33 @@ PACKAGE = 'allan_ros'
 
 ARGUMENTS = {
     'imu': ('imu/data', 'Imu topic, or several separated by commas'),
-    'labels': ('', 'short name of each of several IMUs, separated by commas; else from the topic'),
+    'labels': ('', 'short name of each IMU, separated by commas; default: from the topics'),
     'namespace': ('', 'namespace of the nodes'),
     'sensor': ('', 'datasheet to compare with: a name in config/sensors, or a file'),
     'baseline': ('', 'results.json of an earlier run to compare with'),
-    'checkpoint': ('', 'file in which the sums survive a restart; a folder for several IMUs'),
+    'checkpoint': ('', 'file that keeps the sums over a restart; a folder for several IMUs'),
     'hardware_id': ('', 'serial number of each IMU, separated by commas'),
-    'relay': ('false', 'true: republish with covariances, to imu/data_with_covariance'),
-    'apart': ('false', 'true: accumulator, estimator and relay as separate processes'),
+    'relay': ('false', 'true: republish with covariances, on <imu>_with_covariance'),
+    'apart': ('false', 'true: accumulator, estimator and relay in separate processes'),
     'use_sim_time': ('false', 'true: time comes from /clock'),
 }
-"""Argument -> its default and description; `config` is declared separately."""
+"""Launch argument -> default and description; `config` is declared separately."""
 
 PARAMETERS = {
     'sensor': 'estimator.sensor',
     'baseline': 'estimator.baseline',
     'checkpoint': 'checkpoint.path',
 }
-"""Argument -> parameter that it sets if given; otherwise the configuration file applies."""
+"""Launch argument -> parameter that it overrides if it is given."""
 
 
 def items(text):
-    """Return the words of a list separated by commas."""
+    """Return the items of a list that are separated by commas."""
     return [word.strip() for word in text.split(',') if word.strip()]
 
 
 def nodes(context):
-    """Return the nodes that the arguments select."""
+    """Return the nodes for the launch arguments in the context."""
     given = {name: LaunchConfiguration(name).perform(context) for name in (*ARGUMENTS, 'config')}
     overrides = {parameter: given[name] for name, parameter in PARAMETERS.items() if given[name]}
     topics = items(given['imu'])
@@ -85,7 +85,7 @@ def nodes(context):
 
 
 def generate_launch_description():
-    """Return the launch arguments and the nodes they start."""
+    """Return the launch arguments and the nodes."""
     config = PathJoinSubstitution([FindPackageShare(PACKAGE), 'config', 'allan_ros.yaml'])
     return LaunchDescription(
         [

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sets parameters of another node from the noise model, through its parameter services.
+"""Sets parameters of another node, such as a filter, from the noise model.
 
-Before each update it reads the values of the node, in order to store the previous values, to skip
-values that are already correct, and to detect a restart of the node. If the node rejects a value,
-its reason is shown and the value is not sent again.
+It uses the parameter services of that node. Before each update it reads the present values: to
+store the original values, to skip values that are already correct, and to notice a restart of the
+node. If the node rejects a value, its reason is reported and the value is not sent again.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from .node import AllanNode, Part
 from .settings import PushSettings
 
 ANSWER_S = 5.0
-"""Time in s to wait for an answer of the node; then it is asked again a period later."""
+"""Time in s to wait for an answer of the node; without one, the next update tries again."""
 
 RETRY_S = 1.0
-"""Period in s of the search for a missing node."""
+"""Period in s at which an update is tried until values and node are available."""
 
 
 class ParameterPush(Part):
-    """Keeps parameters of the node ``push.node`` ('' for none) equal to the noise model.
+    """Sets parameters of the node ``push.node`` whenever the noise model has changed enough.
 
-    The node that owns this object gets the parameters ``push.*`` and the service ``~/restore``.
-    AllanError is raised if the mapping cannot be read.
+    It declares the parameters ``push.*`` of its ``owner``, and creates the service ``~/restore``.
+    If ``push.node`` is empty, nothing is set. Raises AllanError if the mapping cannot be read.
     """
 
     def __init__(self, owner: AllanNode) -> None:
@@ -55,9 +55,9 @@ class ParameterPush(Part):
         self._current: dict[str, ParameterValue] = {}
         self._refused: dict[str, Proposal] = {}
         self._notes: dict[str, str] = {}
-        self._asked: list[Any] = []  # futures of the answers that `_then` processes
-        self._then: Callable[[list[Any]], None] = list.clear
-        self._asked_at = self._due_at = 0.0
+        self._calls: list[Any] = []  # futures of the answers that `_on_answers` processes
+        self._on_answers: Callable[[list[Any]], None] = list.clear
+        self._called_at = self._due_at = 0.0
         owner.create_service(Trigger, '~/restore', self._on_restore)
         if target:
             # answers must be received while ~/restore waits for them
@@ -71,20 +71,20 @@ class ParameterPush(Part):
             )
 
     def offer(self, results: Results) -> None:
-        """Accept the latest noise model; results without axes withdraw it."""
+        """Use the latest noise model; results without axes mean that it is withdrawn."""
         if not results.axes or self._results is None:
-            self._due_at = 0.0  # the first model, and the first after a withdrawal, is used at once
+            self._due_at = 0.0  # use the first model, and the first after a withdrawal, at once
         self._results = results if results.axes else None
 
     def tick(self, now: float) -> None:
-        """Start to set parameters if this is due, and stop waiting for late answers."""
-        if self._asked:
-            if all(future.done() for future in self._asked):
-                answers = [future.result() for future in self._asked]
-                self._asked = []
-                self._then(answers)
-            elif now - self._asked_at > ANSWER_S:
-                self._abandon()
+        """Process answers of the node, and start an update if it is due."""
+        if self._calls:
+            if all(future.done() for future in self._calls):
+                answers = [future.result() for future in self._calls]
+                self._calls = []
+                self._on_answers(answers)
+            elif now - self._called_at > ANSWER_S:
+                self._cancel_calls()
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
             return
         settings = self._settings.value
@@ -103,10 +103,10 @@ class ParameterPush(Part):
         self._notes.pop('', None)
         # one by one: if one of several is not declared, a node returns no value at all
         requests = [GetParameters.Request(names=[proposal.name]) for proposal in ready]
-        self._ask(self._get, requests, partial(self._on_read, ready))
+        self._call(self._get, requests, partial(self._on_read, ready))
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """Return the state of the parameters; no status if none are set."""
+        """Return the status of the parameters; no status without ``push.node``."""
         if self._mapping is None:
             return []
         enabled = self._settings.value.enabled
@@ -128,7 +128,7 @@ class ParameterPush(Part):
     def _proposals(
         self, mapping: FilterMapping, results: Results, settings: PushSettings
     ) -> list[Proposal]:
-        """Return the values to be set, and store the reason for each uncertain one."""
+        """Return the values that can be set; note the reasons why the others cannot."""
         fits = {name: axis.fit for name, axis in results.axes.items()}
         known = fits, results.rate_hz, mapping.constants, mapping.horizon
         made = []
@@ -143,22 +143,22 @@ class ParameterPush(Part):
         refused = ((p, self._refused.get(p.name)) for p in ready)
         return [p for p, r in refused if r is None or p.differs(r.values, settings.change)]
 
-    def _ask(self, client: Client, requests: list[Any], then: Callable[[list[Any]], None]) -> None:
-        """Send the requests; `tick` processes the answers, or stops waiting."""
-        self._asked, self._then = [client.call_async(request) for request in requests], then
-        self._asked_at = time.monotonic()
+    def _call(self, client: Client, requests: list[Any], then: Callable[[list[Any]], None]) -> None:
+        """Send the requests; `tick` passes all answers to ``then``, or gives up after a while."""
+        self._calls = [client.call_async(request) for request in requests]
+        self._on_answers, self._called_at = then, time.monotonic()
 
-    def _abandon(self) -> None:
-        for future in self._asked:
+    def _cancel_calls(self) -> None:
+        for future in self._calls:
             future.cancel()
-        self._asked = []
+        self._calls = []
 
     def _on_read(self, proposals: list[Proposal], answers: list[Any]) -> None:
-        """Store the values of the node, and set those that differ from the proposals."""
+        """Store the present values of the node, and set those that differ from the proposals."""
         wanted = []
         for proposal, answer in zip(proposals, answers):
             name, value = proposal.name, next(iter(answer.values), ParameterValue())
-            if self._fits(proposal, value):
+            if self._has_right_type(proposal, value):
                 self._current[name] = value
                 self._notes.pop(name, None)
                 if proposal.differs(_numbers(value), self._settings.value.change):
@@ -166,14 +166,13 @@ class ParameterPush(Part):
         if wanted:
             messages = [_message(p, self._current[p.name]) for p in wanted]
             request = SetParameters.Request(parameters=messages)
-            self._ask(self._set, [request], partial(self._on_set, wanted))
+            self._call(self._set, [request], partial(self._on_set, wanted))
 
-    def _fits(self, proposal: Proposal, value: ParameterValue) -> bool:
-        """Return whether the node's parameter can have the proposed value; store the reason if
-        not."""
-        kind, wanted = 'a number with a point', ParameterType.PARAMETER_DOUBLE
+    def _has_right_type(self, proposal: Proposal, value: ParameterValue) -> bool:
+        """Return whether the parameter has the type of the proposal; note the reason if not."""
+        kind, wanted = 'a double', ParameterType.PARAMETER_DOUBLE
         if len(proposal.values) > 1:
-            kind, wanted = 'an array of numbers', ParameterType.PARAMETER_DOUBLE_ARRAY
+            kind, wanted = 'an array of doubles', ParameterType.PARAMETER_DOUBLE_ARRAY
         if value.type == wanted:
             return True
         unset = value.type == ParameterType.PARAMETER_NOT_SET
@@ -183,7 +182,7 @@ class ParameterPush(Part):
         return False
 
     def _on_set(self, wanted: list[Proposal], answers: list[Any]) -> None:
-        """Log the accepted and the rejected values."""
+        """Store and log which values the node has accepted or rejected."""
         for proposal, result in zip(wanted, answers[0].results):
             name, value = proposal.name, _text(proposal.values)
             if not result.successful:
@@ -201,7 +200,7 @@ class ParameterPush(Part):
             )
 
     def _note(self, name: str, note: str) -> None:
-        """Store the message about a parameter ('' for the node), and log it if it is new."""
+        """Store a message about a parameter ('' for the node), and log it if it is new."""
         if self._notes.get(name) != note:
             self._log.info(f'{name}: {note}' if name else note)
         self._notes[name] = note
@@ -211,11 +210,11 @@ class ParameterPush(Part):
     async def _on_restore(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """Restore the previous values; nothing is set until push.enabled is true again."""
+        """Set the original values again, and set push.enabled to false."""
         if self._mapping is not None:
             off = Parameter('push.enabled', Parameter.Type.BOOL, False)
             self._owner.set_parameters([off])
-        self._abandon()
+        self._cancel_calls()
         former = dict(self._former)
         if not former:
             response.message = 'nothing was set, so there is nothing to restore'
@@ -225,9 +224,9 @@ class ParameterPush(Part):
             return response
         wanted = [ParameterMessage(name=name, value=value) for name, value in former.items()]
         request = SetParameters.Request(parameters=wanted)
-        self._ask(self._set, [request], list.clear)
-        answer = await self._asked[0]
-        if answer is None:  # `tick` stopped waiting
+        self._call(self._set, [request], list.clear)
+        answer = await self._calls[0]
+        if answer is None:  # cancelled by `tick`
             response.message = f'{self.node} did not answer within {ANSWER_S:g} s'
             return response
         failed = [
@@ -246,13 +245,13 @@ class ParameterPush(Part):
 
 
 def _numbers(value: ParameterValue) -> tuple[float, ...]:
-    """Return the values of a parameter with one or several numbers."""
+    """Return the numbers of a parameter that is a double or an array of doubles."""
     array = value.type == ParameterType.PARAMETER_DOUBLE_ARRAY
     return tuple(value.double_array_value) if array else (value.double_value,)
 
 
 def _message(proposal: Proposal, current: ParameterValue) -> ParameterMessage:
-    """Return the parameter with the proposed value, in its declared type."""
+    """Return the proposed parameter; its type is that of the current value."""
     value = ParameterValue(type=current.type)
     if current.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
         value.double_array_value = list(proposal.values)
