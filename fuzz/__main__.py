@@ -15,27 +15,28 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from .harness import CURRENT, HANG_SECONDS, Tally, Watch, run_target
-from .targets import TARGETS
+from .harness import CURRENT, HANG_SECONDS, TARGETS, Tally, Watch, run_target
 
 EXIT_CRASHES = 1
 
 HEADING = ('target', 'inputs', 'refused in a line', 'valid', 'crashes', 'slowest, s', 'memory, MB')
-"""Memory is the growth of the process after the first inputs."""
+"""Columns of the table; the memory is the growth of the process after the first inputs."""
 
 GRACE_S = HANG_SECONDS + 60.0
-"""Time in s that a target may take in addition: for its start, the last input, and shrinking."""
+"""Additional time in s that a target may take to start, to check the last input, and to shrink."""
 
 
 def main() -> int:
     """Run the targets and return 1 if one crashed."""
     parser = argparse.ArgumentParser(prog='python -m fuzz', description=__doc__)
     parser.add_argument('targets', nargs='*', metavar='TARGET', help=f'of {", ".join(TARGETS)}')
-    parser.add_argument('--seconds', type=float, default=60.0, help='in all (default 60)')
-    parser.add_argument('--seed', type=int, default=0, help='where to begin; other, other inputs')
-    parser.add_argument('--shrink', action='store_true', help='make what crashes small: slow')
-    parser.add_argument('--write', action='store_true', help='also write the table of the docs')
-    parser.add_argument('--here', action='store_true', help='run in this process, print JSON')
+    parser.add_argument('--seconds', type=float, default=60.0, help='total time in s (default 60)')
+    parser.add_argument('--seed', type=int, default=0, help='first seed of the inputs')
+    parser.add_argument(
+        '--shrink', action='store_true', help='reduce inputs that crash to small ones (slow)'
+    )
+    parser.add_argument('--write', action='store_true', help='also write the table in docs')
+    parser.add_argument('--here', action='store_true', help='run in this process, and print JSON')
     options = parser.parse_args()
     names = options.targets or list(TARGETS)
     if unknown := set(names) - set(TARGETS):
@@ -77,16 +78,16 @@ def _in_a_process(name: str, seconds: float, number: int, shrink: bool) -> Tally
             start_new_session=True,
         )
         try:
-            out, said = process.communicate(timeout=seconds + GRACE_S)
+            out, errors = process.communicate(timeout=seconds + GRACE_S)
         except subprocess.TimeoutExpired:
             _kill_group(process.pid)
-            out, said = '', f'hung between inputs\n{process.communicate()[1]}'
+            out, errors = '', f'hung between inputs\n{process.communicate()[1]}'
         finally:
             _kill_group(process.pid)
         if process.returncode or not out.strip():
             last = current.read_text('utf-8', errors='replace') if current.exists() else 'no input'
-            said = f'ended with {process.returncode}: {said[-4000:]}\n  {last[:2000]}'
-            return Tally(name, crashes={'process': said})
+            text = f'ended with {process.returncode}: {errors[-4000:]}\n  {last[:2000]}'
+            return Tally(name, crashes={'process': text})
     return Tally(**json.loads(out.strip().splitlines()[-1]))
 
 

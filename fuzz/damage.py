@@ -98,7 +98,7 @@ def damaged(draw: Any, seeds: Sequence[bytes], most: int = 4) -> bytes:
 
 
 HUGE = 'HUGE'
-"""Placeholder for a number that JSON can express and a float cannot."""
+"""Placeholder for 1e400, which is a valid number in JSON and too large for a float."""
 
 scalars = (
     st.none()

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""results.json, sums.json and checkpoints, used as the command line and the nodes use them."""
+"""Damaged results.json, sums.json and checkpoints, used as in the command line and the nodes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from .reading import small_batch
 
 SAMPLES = 3000
 FITTED = 8
-"""One of this number of sums is fitted, which takes a hundred times as long as reading."""
+"""One of this number of inputs is also fitted, which takes a hundred times as long as reading."""
 
 
 @lru_cache(maxsize=1)
@@ -86,10 +86,10 @@ def check(made: tuple[str, bytes, int], folder: Path) -> bool:
         else:
             _use_sums(document, choice)
     if kind == 'sums' and not choice % FITTED:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as said:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as output:
             code = main(['merge', str(path)])
-        if code not in (0, 1) or 'Traceback' in said.getvalue():
-            raise BrokenRule(f'exit {code}: {said.getvalue()}')
+        if code not in (0, 1) or 'Traceback' in output.getvalue():
+            raise BrokenRule(f'exit {code}: {output.getvalue()}')
     if list(folder.iterdir()) != [path]:
         raise BrokenRule('reading left a file behind')
     return outcome.valid
@@ -122,7 +122,7 @@ def _use_sums(document: object, choice: int) -> None:
 
 
 def _restart(path: Path, data: bytes) -> bool:
-    """Start with the file as a node does, which may rename it but never delete it."""
+    """Start with a checkpoint as a node does, which may rename the file but not delete it."""
     checkpoint = Checkpoint(path, LOG)
     if checkpoint.loaded is not None:
         check_line(str(checkpoint.loaded))

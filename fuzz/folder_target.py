@@ -43,7 +43,7 @@ ALIASES, MERGES = (
     first + ''.join(f'{b}: &{b} {link.format(",".join([f"*{a}"] * 9))}\n' for a, b in PAIRS)
     for first, link in (('a: &a [x,x,x]\n', '[{}]'), ('a: &a {k: 1}\n', '{{<<: [{}]}}'))
 )
-"""Entries that each contain the previous one nine times."""
+"""YAML lines whose entries each contain the previous one nine times."""
 
 YAML_TRICKS = (
     'rosbag2_bagfile_information: !!python/object/apply:os.system ["touch pwned"]\n',
@@ -76,8 +76,8 @@ def _folders(draw: Any) -> tuple[bytes, bytes | None]:
         | st.sampled_from(YAML_TRICKS).map(str.encode)
         | any_bytes([b'rosbag2_bagfile_information:\n  relative_file_paths:\n    - a_0.mcap\n'])
     )
-    whole = st.just(_splits(1))
-    return draw(metadata), draw(st.none() | whole | whole | any_bytes([_splits(1)]))
+    intact = st.just(_splits(1))
+    return draw(metadata), draw(st.none() | intact | intact | any_bytes([_splits(1)]))
 
 
 def check(made: tuple[bytes, bytes | None], folder: Path) -> bool:

@@ -9,6 +9,7 @@ The rule: every input gives a valid result or an `AllanError` of one printable l
 from __future__ import annotations
 
 import faulthandler
+import importlib
 import json
 import os
 import resource
@@ -21,6 +22,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -121,10 +123,10 @@ def refused_or_valid() -> Iterator[Outcome]:
         outcome.valid = False
 
 
-def check_line(said: str) -> None:
-    """Raise unless this is one printable line of limited length."""
-    if not said or not said.isprintable() or len(said) > LONGEST_LINE:
-        raise BrokenRule(f'no line to read: {said[:200]!r}')
+def check_line(text: str) -> None:
+    """Raise unless the text is one printable line of limited length."""
+    if not text or not text.isprintable() or len(text) > LONGEST_LINE:
+        raise BrokenRule(f'not a printable line: {text[:200]!r}')
 
 
 def check_document(text: str) -> None:
@@ -138,8 +140,9 @@ def _no_constant(name: str) -> float:
 
 
 class Watch:
-    """Audits which files the interpreter opens for writing, and its processes and connections (PEP
-    578).
+    """Detects, by audit events (PEP 578), forbidden system calls and writes outside a folder.
+
+    Events are checked while ``folder`` is not None; violations are appended to ``seen``.
     """
 
     def __init__(self) -> None:
@@ -157,7 +160,7 @@ class Watch:
             writes = set(mode) & set('wax+') if isinstance(mode, str) else (flags or 0) & _WRITES
             if writes and not self._is_ours(path):
                 self._refuse(f'open {path!r} to write')
-        # inside a folder that was opened before, names are relative to it
+        # names may be relative to a folder that was opened before
         in_folder = any(isinstance(a, int) and a >= 0 for a in arguments[-1:])
         paths = arguments[1:2] if event == 'os.symlink' else arguments[: 1 + ('rename' in event)]
         if event in _CHANGES and not in_folder and not all(map(self._is_ours, paths)):
@@ -284,3 +287,16 @@ def _too_slow(*_: object) -> None:
 def _address_space() -> int:
     pages = int(Path('/proc/self/statm').read_text().split()[0])
     return pages * resource.getpagesize()
+
+
+NAMES: tuple[str, ...] = ('mcap', 'sqlite3', 'ros1', 'folder', 'tables', 'losses', 'hostile', 'imu')
+NAMES += ('documents', 'absurd', 'nodes')
+
+
+def _load(name: str) -> Target:
+    target: Target = importlib.import_module(f'.{name}_target', __package__).TARGET
+    return target
+
+
+TARGETS: dict[str, Callable[[], Target]] = {name: partial(_load, name) for name in NAMES}
+"""Name of a target -> function that imports and returns it."""

@@ -23,7 +23,7 @@ from allan_ros.io.writing import write_recording
 from .harness import BrokenRule, Target
 from .mcap_target import MAGIC, record
 from .reading import read_and_check, small_batch
-from .ros1_target import Odd
+from .ros1_target import Damage
 from .ros1_target import build as build_ros1
 
 GROWTH_BYTES = 450 << 20
@@ -160,7 +160,7 @@ def _ros1(folder: Path, how: str, size: int) -> Path:
     )
     chunk = struct.pack('<I', len(fields)) + fields + struct.pack('<I', len(data)) + data
     path = folder / 'a.bag'
-    path.write_bytes(build_ros1(Odd()) + chunk)
+    path.write_bytes(build_ros1(Damage()) + chunk)
     return path
 
 

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""mcap files (https://mcap.dev/spec) built record by record, with damage in chosen fields.
+"""mcap files (https://mcap.dev/spec) with wrong values in some fields.
 
-Lengths, offsets, checksums and indexes are correct except for the damaged ones, so that a reader
-passes its first checks and the later code is tested, too.
+All other lengths, offsets, checksums and indexes are correct, so that the first checks of a reader
+succeed, and the later code is tested, too.
 """
 
 from __future__ import annotations

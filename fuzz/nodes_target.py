@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Running nodes over DDS: Imu messages with arbitrary bytes, foreign documents, odd parameters.
+"""Damaged messages, documents and parameters, which running nodes receive over DDS.
 
-One monitor with a relay and one estimator run all the time. After every input both must still
-publish `/diagnostics`, answer their services and accept a valid message.
+One monitor with a relay, and one estimator, run all the time. After each input, both must still
+publish `/diagnostics` and answer their services.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ PARAMETERS += ('input.stale_after', 'segmenter.max_bridge', 'segmenter.motion_ra
 PARAMETERS += ('checkpoint.path', 'checkpoint.period', 'input.topics', 'no.such', 'relay.inflate')
 
 NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf)(?!\w)')
-"""Text that diagnostics must not contain."""
+"""Text that must not be in diagnostics: numbers that are not finite."""
 
 _values = (
     st.booleans()
@@ -162,9 +162,9 @@ class Graph:
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
             self.heard[status.name.partition(':')[0]] = time.monotonic()
-            for said in (status.message, *(f'{v.key}: {v.value}' for v in status.values)):
-                if NO_NUMBER.search(said):
-                    raise BrokenRule(f'{status.name}: {said}')
+            for text in (status.message, *(f'{v.key}: {v.value}' for v in status.values)):
+                if NO_NUMBER.search(text):
+                    raise BrokenRule(f'{status.name}: {text}')
 
     def _resident(self, name: str) -> int:
         pages = Path(f'/proc/{self.processes[name].pid}/statm').read_text().split()[1]
@@ -180,13 +180,13 @@ class Graph:
 
 @lru_cache(maxsize=1)
 def graph() -> Graph:
-    """Return the one graph of this process."""
+    """Return the nodes, which are started at the first call."""
     return Graph()
 
 
 @st.composite
 def _attacks(draw: Any) -> tuple[str, Any]:
-    """Draw the attack: messages, a text on a topic, or a parameter."""
+    """Draw an input: messages, a text on a topic, or the value of a parameter."""
     sums, results = seeds()
     match draw(st.sampled_from(['imu', 'imu', 'text', 'text', 'parameter'])):
         case 'imu':
@@ -221,7 +221,7 @@ def check(attack: tuple[str, Any], folder: Path) -> bool:
             message = String(data=text)
             here.texts[topic].publish(message)
         except UnicodeEncodeError:
-            return False  # half a pair cannot be sent
+            return False  # a lone surrogate cannot be sent
     else:
         outcome.valid = here.set_parameter(*what)
     here.check_alive()

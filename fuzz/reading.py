@@ -21,7 +21,7 @@ from allan_ros.io.recorded import Provenance
 from .harness import BrokenRule, check_document, check_line, refused_or_valid
 
 MESSAGES = 40
-"""Messages of a small bag: some chunks, some pages."""
+"""Number of messages of a small bag, enough for several chunks or pages."""
 
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 5_000_000
@@ -39,7 +39,10 @@ def payloads(encoding: Any, n: int = MESSAGES) -> list[bytes]:
 
 
 def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> bool:
-    """Read a recording to its sums; return whether it is valid; raise if it breaks the rule."""
+    """Compute the sums of a recording, and return whether it is valid.
+
+    Raises BrokenRule when reading breaks the rule of `harness`.
+    """
     before = sorted(path.parent.rglob('*'))
     with refused_or_valid() as outcome:
         for recording in open_recordings([path], options):

@@ -35,8 +35,8 @@ SECOND = 10**9
 
 
 @dataclass
-class Odd:
-    """Damage: (opcode, field) -> bytes, None to omit it; and whether there is an index."""
+class Damage:
+    """Changes of an intact bag; ``fields`` maps (opcode, field) to bytes, or to None to omit it."""
 
     fields: dict[tuple[int, str], bytes | None] = field(default_factory=dict)
     message: bytes | None = None
@@ -45,11 +45,11 @@ class Odd:
     connection: bool = True
 
 
-def _record(odd: Odd, opcode: int, data: bytes, **fields: bytes) -> bytes:
-    """Return a record that begins with ``op``."""
+def _record(damage: Damage, opcode: int, data: bytes, **fields: bytes) -> bytes:
+    """Return a record with this opcode, data and header fields."""
     pairs = {'op': bytes([opcode]), **fields}
-    pairs.update({name: v for (code, name), v in odd.fields.items() if code == opcode and v})
-    gone = {name for (code, name), v in odd.fields.items() if code == opcode and v is None}
+    pairs.update({name: v for (code, name), v in damage.fields.items() if code == opcode and v})
+    gone = {name for (code, name), v in damage.fields.items() if code == opcode and v is None}
     head = b''.join(
         struct.pack('<I', len(name) + 1 + len(value)) + name.encode() + b'=' + value
         for name, value in pairs.items()
@@ -62,33 +62,33 @@ def _time(ns: int) -> bytes:
     return struct.pack('<II', *divmod(ns, SECOND))
 
 
-def build(odd: Odd) -> bytes:
-    """Return a bag with that damage."""
+def build(damage: Damage) -> bytes:
+    """Return a bag with these changes."""
     one = struct.pack('<I', 0)
     described = _fields(
         topic=b'/imu',
-        type=odd.fields.get((7, 'type')) or b'sensor_msgs/Imu',
+        type=damage.fields.get((7, 'type')) or b'sensor_msgs/Imu',
         md5sum=b'*',
-        message_definition=odd.fields.get((7, 'message_definition')) or b'Header header\n',
+        message_definition=damage.fields.get((7, 'message_definition')) or b'Header header\n',
     )
-    connection = _record(odd, 7, described, conn=one, topic=b'/imu')
-    out = MAGIC + _record(odd, 3, b' ' * 64, index_pos=bytes(8), conn_count=one, chunk_count=one)
+    connection = _record(damage, 7, described, conn=one, topic=b'/imu')
+    out = MAGIC + _record(damage, 3, b' ' * 64, index_pos=bytes(8), conn_count=one, chunk_count=one)
     imus = payloads('ros1')
     each = MESSAGES // CHUNKS
     for number in range(CHUNKS):
-        inner, entries = connection if odd.connection else b'', b''
+        inner, entries = connection if damage.connection else b'', b''
         for i in range(number * each, (number + 1) * each):
             stamp = _time(START_NS + i * PERIOD_NS)
             entries += stamp + struct.pack('<I', len(inner))
-            body = odd.message if odd.message is not None and i % each == 3 else imus[i]
-            inner += _record(odd, 2, body, conn=one, time=stamp)
-        data = bz2.compress(inner) if odd.compression == 'bz2' else inner
+            body = damage.message if damage.message is not None and i % each == 3 else imus[i]
+            inner += _record(damage, 2, body, conn=one, time=stamp)
+        data = bz2.compress(inner) if damage.compression == 'bz2' else inner
         size = struct.pack('<I', len(inner))
-        out += _record(odd, 5, data, compression=odd.compression.encode(), size=size)
-        if odd.index:
+        out += _record(damage, 5, data, compression=damage.compression.encode(), size=size)
+        if damage.index:
             count = struct.pack('<I', each)
-            out += _record(odd, 4, entries, ver=count, conn=one, count=count)
-    return out + (connection if odd.index else b'')
+            out += _record(damage, 4, entries, ver=count, conn=one, count=count)
+    return out + (connection if damage.index else b'')
 
 
 def _fields(**fields: bytes) -> bytes:
@@ -113,7 +113,7 @@ def boundaries(data: bytes) -> Iterator[int]:
 @lru_cache(maxsize=1)
 def seeds() -> tuple[bytes, ...]:
     """Return intact bags of every form."""
-    return (build(Odd()), build(Odd(index=False)), build(Odd(compression='bz2')))
+    return (build(Damage()), build(Damage(index=False)), build(Damage(compression='bz2')))
 
 
 @st.composite
@@ -129,7 +129,7 @@ def _bags(draw: Any) -> bytes:
     )
     keys = st.tuples(st.sampled_from([2, 3, 4, 5, 7]), st.sampled_from(FIELDS))
     return build(
-        Odd(
+        Damage(
             draw(st.dictionaries(keys, values, max_size=3)),
             draw(st.none() | any_bytes(payloads('ros1', 2))),
             draw(st.sampled_from(['none', 'none', 'bz2', 'lz4', 'x\n'])),

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables (CSV, TSV, text) and numpy arrays (npy, npz)."""
+"""Damaged tables (CSV, TSV, text) and numpy files (npy, npz)."""
 
 from __future__ import annotations
 
@@ -138,8 +138,8 @@ def check(made: tuple[str, bytes], folder: Path) -> bool:
     name, data = made
     path = folder / name
     path.write_bytes(data)
-    told = ReadOptions(rate_hz=100.0, stamp_unit='us', gyro_unit='deg/s')
-    return read_and_check(path) | read_and_check(path, told)
+    options = ReadOptions(rate_hz=100.0, stamp_unit='us', gyro_unit='deg/s')
+    return read_and_check(path) | read_and_check(path, options)
 
 
 TARGET = Target('tables', _files(), check)

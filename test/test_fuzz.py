@@ -18,8 +18,8 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from allan_ros.core.errors import AllanError
 from allan_ros.io.readers.recording import open_recordings
 from fuzz import documents_target, mcap_target, ros1_target, sqlite3_target
+from fuzz.harness import TARGETS
 from fuzz.reading import MESSAGES, read_and_check
-from fuzz.targets import TARGETS
 
 INPUTS = {'mcap': 20, 'sqlite3': 30, 'ros1': 40, 'folder': 30, 'tables': 40, 'imu': 3}
 INPUTS |= {'documents': 8, 'losses': 60, 'hostile': 10, 'absurd': 4}

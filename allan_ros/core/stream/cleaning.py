@@ -64,28 +64,6 @@ class StampChoice:
         return even_stamps(self._computed - len(batch), len(batch), self._rate)
 
 
-class WarmUp:
-    """Skips the first ``seconds`` of a stream; the attribute ``skipped`` counts these samples."""
-
-    def __init__(self, seconds: float) -> None:
-        self.skipped = 0
-        self._length_ns = round(seconds * 1e9)
-        self._end_ns: int | None = None
-        self._over = not self._length_ns
-
-    def skip(self, stamps: Stamps) -> int:
-        """Return how many of the next samples to skip; ``stamps``, (n,), are in ns, and n > 0."""
-        if self._over:  # a later backward clock step skips no further samples
-            return 0
-        if self._end_ns is None:
-            self._end_ns = int(stamps[0]) + self._length_ns
-        late = stamps >= self._end_ns
-        self._over = bool(late.any())
-        count = int(np.argmax(late)) if self._over else len(stamps)
-        self.skipped += count
-        return count
-
-
 class StampFilter:
     """Drops samples that are not finite, repeat the previous one, or have a backward stamp.
 
@@ -268,16 +246,9 @@ def clipped_share(samples: Floats) -> float:
     values, counts = np.unique(samples[np.abs(samples) <= LARGEST], return_counts=True)
     if len(values) < CLIPPED_VALUES:
         return 0.0
-    ends = [(values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2])]
-    most = max(
-        (
-            count
-            for value, count, next_count in ends
-            if value and count >= CLIPPED_RATIO * next_count
-        ),
-        default=0,
-    )
-    share = float(most / counts.sum())
+    ends = ((values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2]))
+    clipped = [count for value, count, near in ends if value and count >= CLIPPED_RATIO * near]
+    share = float(max(clipped, default=0) / counts.sum())
     return share if share >= MIN_CLIPPED else 0.0
 
 

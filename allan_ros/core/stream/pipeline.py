@@ -22,7 +22,7 @@ from ..allan.sums import AllanSums
 from ..findings import Finding
 from ..imu import AXES, ImuBatch, ImuIdentity, joined
 from ..settings import SegmenterSettings
-from .cleaning import SampleHoldFilter, SensorPlan, StampChoice, StampFilter, WarmUp, plan_sensors
+from .cleaning import SampleHoldFilter, SensorPlan, StampChoice, StampFilter, plan_sensors
 from .health import (
     LISTED_SEGMENTS,
     Accumulation,
@@ -199,7 +199,8 @@ class FrameStream:
         self._options = options
         self._learning: list[ImuBatch] = []
         self._learned = 0
-        self._warm_up = WarmUp(settings.skip)
+        self._skip_ns = round(settings.skip * 1e9)  # 0 once the warm-up time is over
+        self._skipped = 0  # number of samples during this time
 
     @property
     def state(self) -> State:
@@ -212,7 +213,7 @@ class FrameStream:
     @property
     def counts(self) -> Counts:
         """Counts of the samples of all sensor streams; the number received is 0."""
-        counts = Counts(skipped=self._warm_up.skipped)
+        counts = Counts(skipped=self._skipped)
         for sensor in self.sensors:
             counts.add(sensor.counts)
         return counts
@@ -255,8 +256,12 @@ class FrameStream:
         if self.first_ns is None:
             self.first_ns = int(stamps[0])
         self.last_ns = int(stamps[-1])
-        start = self._warm_up.skip(stamps)
-        stamps, rows = stamps[start:], rows[:, start:]
+        if self._skip_ns:
+            late = stamps >= self.first_ns + self._skip_ns
+            start = int(np.argmax(late)) if late.any() else len(stamps)
+            self._skip_ns *= not late.any()
+            self._skipped += start
+            stamps, rows = stamps[start:], rows[:, start:]
         for sensor in self.sensors:
             sensor.feed(stamps, rows)
 

@@ -228,14 +228,10 @@ def is_imu(payload: bytes, encoding: Encoding) -> bool:
     return True
 
 
-def _too_few(index: int, length: int) -> MalformedMessage:
-    return MalformedMessage(index, f'{length} bytes are too few for an Imu')
-
-
 def _order_and_frame_bytes(payload: bytes, encoding: Encoding, index: int = 0) -> tuple[str, int]:
     """Return the byte order of a message, and the serialized length of its frame_id."""
     if len(payload) < _FRAME_AT:
-        raise _too_few(index, len(payload))
+        raise MalformedMessage(index, f'{len(payload)} bytes are too few for an Imu')
     order = '<' if encoding == 'ros1' else _ORDERS.get(payload[:2])
     if order is None:
         reason = f'its encapsulation 0x{payload[:2].hex()} is not plain CDR'
@@ -296,11 +292,11 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
     Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
     """
     order, frame_bytes = _order_and_frame_bytes(payload, encoding)
-    if frame_bytes > len(payload):
-        raise _too_few(0, len(payload))
+    if frame_bytes > min(len(payload), MAX_NAME):
+        raise MalformedMessage(0, f'a frame_id of {frame_bytes} bytes is too long')
     dtype, offsets = _layout(encoding, order, frame_bytes)[1:3]
     if len(payload) < offsets['orientation'] + _DOUBLE:
-        raise _too_few(0, len(payload))
+        raise MalformedMessage(0, f'{len(payload)} bytes are too few for a Temperature')
     # the value follows the header, like the orientation in an Imu message
     record = np.frombuffer(payload.ljust(dtype.itemsize, b'\0'), dtype, 1)[0]
     stamp_ns = int(record['sec']) * NANOSECONDS + int(record['nanosec'])

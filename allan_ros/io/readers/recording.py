@@ -12,7 +12,7 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path, PurePosixPath
@@ -366,32 +366,23 @@ def open_storage(path: Path) -> Iterator[tuple[Storage, str]]:
     The format is 'mcap', 'sqlite3' or 'ros1'. Raises AllanError when the file is missing, damaged,
     or not a bag.
     """
-    compression = frame_compression(first_bytes(path))
-    if not compression:
-        with _open_plain(path, path) as storage:
-            yield storage
-        return
-    with tempfile.TemporaryDirectory(prefix='allan_ros.') as folder:
-        plain = Path(folder, path.stem)
-        decompress_file(path, compression, plain)
-        with _open_plain(plain, path) as storage:
-            yield storage
-
-
-@contextmanager
-def _open_plain(path: Path, shown: Path) -> Iterator[tuple[Storage, str]]:
-    """Open an uncompressed bag file; error messages name it ``shown``."""
     from .mcap import McapStorage
     from .ros1 import Ros1Storage
     from .sqlite3 import open_sqlite3
 
-    openers: dict[str, Any] = {
+    openers: dict[str, Callable[[Path, Path], AbstractContextManager[Storage]]] = {
         'mcap': McapStorage.open,
         'sqlite3': open_sqlite3,
         'ros1': Ros1Storage.open,
     }
-    kind = _by_magic(first_bytes(path))[1]
-    if not kind:
-        raise damaged(shown, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
-    with openers[kind](path, shown) as storage:
-        yield storage, kind
+    compression = frame_compression(first_bytes(path))
+    with ExitStack() as stack:
+        plain = path
+        if compression:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='allan_ros.'))
+            plain = Path(folder, path.stem)
+            decompress_file(path, compression, plain)
+        form = _by_magic(first_bytes(plain))[1]
+        if not form:
+            raise damaged(path, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
+        yield stack.enter_context(openers[form](plain, path)), form
