@@ -225,7 +225,7 @@ def gmwm(sums: AllanSums, axis: int) -> ProcessModel:
 
 
 def models_of(sums: AllanSums, with_gmwm: bool) -> dict[str, list[ProcessModel]]:
-    """Return the models of all axes by several methods."""
+    """Return method -> the noise models of all axes fitted with it."""
     slopes = [NoiseTerms(N=r['N'], K=r['K']) for r in read_slopes(sums)]
     out = {
         'this package': [fit.selected for fit in fit_noise(sums).axes.values()],

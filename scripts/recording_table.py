@@ -78,7 +78,7 @@ def rows(records: int) -> Iterator[str]:
 
 
 def cell(halves: list[float]) -> str:
-    """Return the cell of one term for one duration."""
+    """Return the text of the table cell for one term and one length of recording."""
     shown = np.isfinite(halves)
     if not shown.any():
         return 'no'

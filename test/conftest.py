@@ -39,10 +39,10 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> Any:
-    """Leave the tests in test/launch to launch_testing, and keep it away from the others.
+    """Let launch_testing collect only the tests in test/launch.
 
-    Where it is installed, it imports each module before pytest does. A module that skips itself, or
-    that fails, then ends the collection of all tests.
+    Where it is installed, it imports each module before pytest does. A module that skips itself,
+    or that fails, would then end the collection of all tests.
     """
     if 'launch' in module_path.relative_to(ROOT).parts:
         return None

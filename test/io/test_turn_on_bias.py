@@ -19,7 +19,7 @@ WHITE, RATE, SAMPLES = 1e-3, 10.0, 6000
 
 @pytest.fixture(scope='module')
 def merged() -> ar.Results:
-    """Return the results of three recordings with these offsets on every axis."""
+    """Return the results of three recordings, with one of these offsets on all axes of each."""
     rng = np.random.default_rng(6)
     runs = [
         ar.analyze(offset + WHITE * rng.standard_normal((SAMPLES, 3)), rate=RATE, motion_gate=False)

@@ -111,7 +111,7 @@ def one_by_one(path: Path) -> list[tuple[int, int, str, bytes]]:
 
 
 def our_way(path: Path) -> list[tuple[int, int, str, bytes]]:
-    """Return the same, read by this package."""
+    """Return record time, stamp, frame and samples of each message, read by this package."""
     [recording] = open_recordings([path], ReadOptions(topic='/imu'))
     rows = []
     for batch in recording.batches():

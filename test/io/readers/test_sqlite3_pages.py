@@ -91,7 +91,7 @@ def messages(path: Path, ids: set[int]) -> list[tuple[int, bytes]]:
 
 
 def row_by_row(path: Path, ids: set[int]) -> list[tuple[int, bytes]]:
-    """Return the same, read by SQLite."""
+    """Return record time and bytes of each message, read row by row with SQLite."""
     with mock.patch.object(Sqlite3Storage, '_is_usual', return_value=False):
         return messages(path, ids)
 
