@@ -11,7 +11,7 @@ const AllanChart = (() => {
   const LIMIT = [1, 5];
   const BESIDE = [[2, 2], [6, 2], [1, 4]];
   const STRIP = 15;
-  // The level part of the curve is 0.664 B: the label states this, because the table contains B.
+  // The flat part of the curve is at 0.664 B: the label states this, because the table contains B.
   const caption = (term, likely = []) => (term === 'B' ? '0.664 B' : term) + (likely.includes(term) ? '?' : '');
   const isTerm = (name) => name in DASHES;
 

@@ -104,8 +104,8 @@ def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Itera
         also += [f'{_letter(name)}: {", ".join(parts)}'] if parts else []
     yield _note(
         '95 % intervals below the values. "<" is the 95 % upper limit of a term that is not '
-        'resolved. B is the coefficient; the level part of the curve lies at 0.664 B.'
-        + (f' The model also has {"; ".join(also)}.' if also else '')
+        'resolved. B is the coefficient; the flat part of the curve is at 0.664 B.'
+        + (f' Other parts of the model: {"; ".join(also)}.' if also else '')
     )
 
 

@@ -71,4 +71,4 @@ def test_a_part_that_is_only_likely_is_marked() -> None:
     axis = axis_of(N=Coefficient(1e-3, (9e-4, 1.1e-3)), B=likely)
     assert axis.fit.likely == ('B',)
     html = ''.join(coefficient_table('gyro', {'gyro_x': axis}))
-    assert 'The model also has x: B, likely but not resolved (?).' in html
+    assert 'Other parts of the model: x: B, likely but not resolved (?).' in html
