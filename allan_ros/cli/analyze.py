@@ -39,7 +39,7 @@ from ..io.verdict import WORDS, Verdict, verdict_of
 from .batch import by_topic, fitted, on_cluster, recordings_in, run_batch
 from .console import Console, coloured, painted, width
 from .options import Command, Settings, settings_of
-from .tables import LEVEL_COLOURS, findings_lines, print_results
+from .tables import LEVEL_COLOURS, findings_lines, results_lines
 
 EXIT_UNKNOWN, EXIT_FAILED = 1, 3
 
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
         separate = by_topic(jobs)
         if len(separate) > 1:
             return run_batch(separate, args)
-    outcomes = list(_spread(jobs, args, console))
+    outcomes = list(_read_all(jobs, args, console))
     lost = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
     recordings = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
     if not recordings:
@@ -150,7 +150,8 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
         if written:
             console.say(written)
     elif not (console.quiet and written):
-        print_results(results, verdict, settings.units, console.verbose)
+        style = width(), coloured(sys.stdout), console.verbose
+        print('\n'.join(results_lines(results, verdict, settings.units, *style)))
         if written:
             print(f'\n{written}')
     if fails(verdict, results, args.fail_on):
@@ -167,7 +168,7 @@ def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
     return verdict.level == 'failed' or any(f.severity in enough for f in results.findings)
 
 
-def _spread(
+def _read_all(
     jobs: Sequence[ReadJob], args: argparse.Namespace, console: Console
 ) -> Iterator[RecordingSums | Finding]:
     """Read the recordings in this process, in several processes, or on a cluster."""

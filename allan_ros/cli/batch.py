@@ -88,7 +88,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     console = Console.of(args)
     outcomes: list[Outcome] = []
     with console.progress(f'{len(jobs)} recordings', len(jobs)) as progress:
-        for outcome in _spread(jobs, args):
+        for outcome in _outcomes(jobs, args):
             outcomes.append(outcome)
             progress.advance(1)
     units = args.units
@@ -104,7 +104,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     return 1 if any(outcome.error for outcome in outcomes) else 0
 
 
-def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outcome]:
+def _outcomes(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outcome]:
     """Yield the outcomes of the jobs in order, run here, in processes, or on a Dask cluster."""
     names = names_of(jobs)
     if args.scheduler:
@@ -128,7 +128,11 @@ def _spread(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outco
 def analyze_one(
     job: ReadJob, name: str, args: argparse.Namespace, recorded: RecordingSums | None = None
 ) -> Outcome:
-    """Fit one recording, and write its files to its folder; ``recorded`` if it is read already."""
+    """Fit one recording, and write its files to its folder.
+
+    ``name`` is the name of the recording in the summary. Without its sums in ``recorded``, the
+    recording is read first.
+    """
     outcome = Outcome(job.path, name)
     folder = Path(args.output) / outcome.folder if args.output else None
     try:

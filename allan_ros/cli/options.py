@@ -54,7 +54,7 @@ class Command:
 
 
 def _terms(text: str) -> dict[str, float]:
-    """Return term -> number of ``N=0.3,B=7``."""
+    """Parse ``N=0.3,B=7`` to term -> number."""
     try:
         pairs = [part.split('=') for part in text.split(',')]
         return {term.strip(): float(value) for term, value in pairs}
@@ -63,7 +63,7 @@ def _terms(text: str) -> dict[str, float]:
 
 
 def _period(text: str) -> tuple[float, float]:
-    """Return (start, length) in s of ``60:2.5``."""
+    """Parse ``60:2.5`` to (start, length) in s."""
     try:
         start, length = text.split(':')
         return float(start), float(length)

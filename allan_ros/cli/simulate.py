@@ -116,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _watched(batches: Iterator[ImuBatch], samples: int, console: Console) -> Iterator[ImuBatch]:
-    """Yield the batches, and show the progress in a total number of samples."""
+    """Yield the batches, and show the progress; ``samples`` is their total number."""
     with console.progress('writing', samples) as progress:
         for batch in batches:
             yield batch

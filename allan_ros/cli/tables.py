@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -34,7 +33,7 @@ from ..io.verdict import (
     headline,
     too_short,
 )
-from .console import SEVERITY_COLOURS, coloured, painted, width, wrapped
+from .console import SEVERITY_COLOURS, painted, wrapped
 
 LEVEL_COLOURS: dict[Level, str] = {
     'healthy': '1;32',
@@ -60,7 +59,8 @@ def datasheet_lines(
 ) -> Iterator[str]:
     """Yield the lines of a comparison: a headline, then the verdict of each axis on each limit.
 
-    ``judged`` is False if the results are too short for a verdict. ``columns`` is the width.
+    ``units`` is 'datasheet' or 'si', ``columns`` the width of the text. ``judged`` is False if the
+    results are too short for a verdict.
     """
     sheet = comparison.datasheet
     found = HEADLINES[comparison.verdict] if judged else 'not judged'
@@ -80,7 +80,7 @@ def _line(group: list[Comparison], stated: str, units: str) -> str:
     limit = f'{significant(first.limit * unit.factor, LIMIT_DIGITS)} {unit.name}'
     axes: dict[LimitVerdict, list[str]] = {}
     for c in group:
-        axes.setdefault(c.verdict, []).append(c.axis.rsplit('_', 1)[1])
+        axes.setdefault(c.verdict, []).append(c.axis[-1])
     verdicts = ', '.join(f'{" ".join(names)} {VERDICT_TEXT[v]}' for v, names in axes.items())
     sensor = sensor_of(first.axis)
     return f'{sensor:5} {first.term}  {verdicts}: limit {limit} (stated {stated})'
@@ -96,12 +96,6 @@ MOST_FINDINGS, MOST_STEPS = 5, 4
 """Largest number of findings without ``--verbose``, and of next steps."""
 
 
-def print_results(results: Results, verdict: Verdict, units: str, complete: bool = False) -> None:
-    """Print the results; with ``complete``, all findings and their remedies."""
-    for line in results_lines(results, verdict, units, width(), coloured(sys.stdout), complete):
-        print(line)
-
-
 def results_lines(
     results: Results,
     verdict: Verdict,
@@ -112,7 +106,8 @@ def results_lines(
 ) -> Iterator[str]:
     """Yield the lines of the results: headline, verdict, tables, findings, next steps.
 
-    ``columns`` is the width; ``complete`` includes all findings and their remedies.
+    ``units`` is 'datasheet' or 'si', ``columns`` the width of the text, ``colours`` whether to
+    colour it; ``complete`` includes all findings and their remedies.
     """
     yield from wrapped(headline(results), columns, '  ')
     yield from verdict_lines(verdict, columns, colours)
@@ -140,7 +135,7 @@ def results_lines(
 
 
 def verdict_lines(verdict: Verdict, columns: int, colours: bool = False) -> list[str]:
-    """Return the level of the verdict and its summary, as wrapped lines."""
+    """Return the lines of the level and the summary of a verdict, wrapped to ``columns``."""
     word = WORDS[verdict.level].lower()
     lines = wrapped(f'{word}: {verdict.summary}', columns, '  ')
     return [painted(lines[0], word, LEVEL_COLOURS[verdict.level], colours), *lines[1:]]
@@ -193,7 +188,7 @@ def term_labels(sensor: str, units: str) -> list[str]:
 def axis_cells(axis: str, noise: Mapping[str, Coefficient], units: str) -> list[str]:
     """Return the column of one axis: x, y or z, then the values with their intervals."""
     shown = [(noise[term], shown_unit(axis, term, units)) for term in TERMS]
-    return [axis.rsplit('_', 1)[1], *(coefficient_cell(c, unit) for c, unit in shown)]
+    return [axis[-1], *(coefficient_cell(c, unit) for c, unit in shown)]
 
 
 def coefficient_cell(coefficient: Coefficient, unit: ShownUnit) -> str:
@@ -239,7 +234,7 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
     for sensor, where in SENSORS.items():
         axes = [a for a in AXES[where] if any(a in r.results.axes for r in comparison.runs)]
         labels = [sensor, *_run_labels(comparison, sensor, units)]
-        cells = [[a.rsplit('_', 1)[1], *_run_cells(comparison, a, units)] for a in axes]
+        cells = [[a[-1], *_run_cells(comparison, a, units)] for a in axes]
         yield from table_lines(labels, cells, columns)
     yield ''
     if comparison.pairs:

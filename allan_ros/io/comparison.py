@@ -368,8 +368,8 @@ def write_overlay(
 ) -> Path:
     """Write report.html of the first recording with the curves of the others; return its path.
 
-    The other recordings are earlier runs in this report: they are exceeded by more than ``margin``
-    (a fraction) or not. ``facts`` adds rows (heading -> text) to the table of the method.
+    The report treats the other recordings as earlier runs; ``margin`` is the fraction above their
+    values from which a coefficient is beyond them. ``facts`` adds rows to the table of the method.
     """
     from .report import ReportContext, render_report
 

@@ -141,7 +141,7 @@ def heading(figure: Figure, title: str, facts: str, entries: Sequence[Entry], co
 
 
 def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) -> None:
-    """Make both axes logarithmic with the given limits, and draw a grid.
+    """Make both axes logarithmic with the limits ``across`` (x) and ``up`` (y), and draw a grid.
 
     The grid is a single artist: separate lines would take longer than the rest of the figure.
     """
@@ -202,7 +202,10 @@ def draw_key(panel: Axes, entries: Sequence[Entry], wide: bool) -> None:
 
 
 def _draw_entry(owner: Figure | Axes, inches: Any, left: float, top: float, entry: Entry) -> None:
-    """Draw one entry at a fixed position; a legend of matplotlib would take three times as long."""
+    """Draw an entry of a legend at ``left`` and ``top`` in ``inches``, a transform.
+
+    It takes a third of the time of a legend of matplotlib.
+    """
     text, style = entry
     if style:
         at = [left, left + 0.11, left + 0.22], [top - 0.5 * LINE_IN] * 3

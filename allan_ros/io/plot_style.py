@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import AllanError
-from ..core.settings import CheckedSettings, parameter
+from ..core.settings import CheckedSettings, choose, parameter
 from .axis_result import AxisResult
 from .format import READ_AT
 
@@ -62,11 +62,8 @@ class PictureSettings(CheckedSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for form in self.plot_format:
-            if form not in FORMATS:
-                raise AllanError(f'no plot format {form!r}: choose from {", ".join(FORMATS)}')
-        if not self.plot_format:
-            raise AllanError(f'no plot format given: choose from {", ".join(FORMATS)}')
+        for form in self.plot_format or ('',):
+            choose(FORMATS, plot_format=form)
 
 
 class DrawnCurve(NamedTuple):

@@ -125,7 +125,7 @@ class TemperatureTrace:
 
 
 def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> TemperatureTrace | None:
-    """Return the plausible ones of readings (header ns, record ns, degC); None if there are none.
+    """Return the plausible ones of (header ns, record ns, degC) readings, or None without any.
 
     ``source`` is the topic or column of the readings.
     """
@@ -139,7 +139,7 @@ def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> Tempera
 
 
 class Decimated(Generic[Item]):
-    """Every n-th item of a stream, in constant memory; n doubles when the memory is full.
+    """Every n-th item of a stream; n doubles when there are more than ``most`` items.
 
     Examples
     --------

@@ -109,7 +109,7 @@ def test_a_sheet_that_is_none_is_refused_in_one_line(tmp_path: Path, text: str) 
 def test_unknown_styles_and_forms_are_refused() -> None:
     with pytest.raises(AllanError, match="no plot style 'http"):
         load_style('http://example.org/my.mplstyle')
-    with pytest.raises(AllanError, match="no plot format 'gif'"):
+    with pytest.raises(AllanError, match="plot_format is 'gif': choose one of png, svg, pdf"):
         PictureSettings(plot_format=('png', 'gif'))
 
 

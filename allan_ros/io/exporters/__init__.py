@@ -131,7 +131,7 @@ class ExportOptions(CheckedSettings):
 
 @dataclass(frozen=True)
 class Entry:
-    """One key of a file."""
+    """One key of a file with its value and the origin of the value."""
 
     path: tuple[str, ...]  # the key, preceded by the keys of the mappings that contain it
     value: Value
@@ -171,7 +171,7 @@ class Row(NamedTuple):
 
 
 def rows(table: str) -> tuple[Row, ...]:
-    """Return the rows of a text table with the columns of `Row`; with limits as low..high."""
+    """Return the rows of a text table with the columns of `Row`, limits as low..high."""
     found = []
     for line in table.strip().splitlines():
         key, sensor, what, *rest = line.split()

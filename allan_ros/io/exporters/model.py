@@ -168,7 +168,7 @@ class FilterNoise:
         return entry if row.limits is None else clamped(entry, *row.limits)
 
     def _process_entry(self, path: tuple[str, ...], row: Row) -> Entry:
-        """Return the entry of a number of the Gauss-Markov bias."""
+        """Return the entry of sigma, tau or the driving density of the Gauss-Markov bias."""
         bias = self.process(row.sensor)
         words, values = '[s]', bias.tau
         if row.what != 'tau':
@@ -213,9 +213,10 @@ class FilterNoise:
     def reduction(
         self, axis: str, states: States = 'walk', expect_walk: bool = False
     ) -> AxisReduction:
-        """Return the model of one axis reduced to the given states, over the horizons of the file.
+        """Return the noise model of one axis, reduced to the states of a filter.
 
-        ``expect_walk`` gives a K that is not resolved its expected value.
+        ``states`` is the model of the bias in the filter: 'none', 'walk', 'gauss_markov' or
+        'processes'. With ``expect_walk``, a K that is not resolved has its expected value.
         """
         key, fit = (axis, states, expect_walk), self.results.axes[axis].fit
         if key not in self._reductions:

@@ -57,10 +57,10 @@ def sensor_charts(
     spectra: Sequence[Spectrum],
     summary: SignalSummary | None,
 ) -> dict[str, Any]:
-    """Return the chart data of one sensor as a JSON object.
+    """Return the data of all charts of one sensor ('gyro' or 'accel') as a JSON object.
 
-    Without spectra, a summary of the signal, or sums in the results, the charts that need them are
-    missing.
+    ``spectra`` may contain other axes. Without the spectrum, the ``summary`` of the raw signal, or
+    sums in the results, the charts that need them are omitted.
     """
     axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
     tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
@@ -109,7 +109,7 @@ def _units(sensor: str, units: str) -> dict[str, Any]:
 
 def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
     """Return the curve, the model and its parts of one axis at the averaging times ``tau``."""
-    shown: dict[str, Any] = {'name': name, 'label': name.rsplit('_', 1)[1]}
+    shown: dict[str, Any] = {'name': name, 'label': name[-1]}
     curve = drawn_curve(axis)
     if curve is None or axis.curve is None:
         return shown
@@ -185,7 +185,8 @@ def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> di
 
 
 def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str, Any]:
-    """Return the raw signal of each axis relative to its median, and what is not used of it."""
+    """Return the raw signal of each axis relative to its median, and the periods without used
+    samples."""
     shown = []
     for name in axes:
         i = AXES.index(name)
@@ -202,7 +203,7 @@ def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str,
 
 
 def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
-    """Return the temperature over the time of the signals; None if none was recorded."""
+    """Return the temperature over the time of the raw signal; None if none was recorded."""
     if summary is None or summary.temperature is None:
         return None
     temperature = summary.temperature
@@ -286,8 +287,7 @@ def _placed(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Record
 
 
 def _bias(recording: Recording, start: float, tau0: float) -> Trend:
-    """Return the means over equal stretches of time, NaN unless more than half of the samples are
-    used."""
+    """Return the means over equal intervals, NaN unless more than half of the samples are used."""
     cells = recording.coarser(MEANS, recording.period_begin)
     span = cells.step * tau0
     known = cells.cell_samples[:, None] > cells.step / 2

@@ -101,7 +101,7 @@ def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Itera
             for part in axis.part_adev(np.ones(1, int))
             if part not in TERMS or part in axis.fit.likely
         ]
-        also += [f'{_letter(name)}: {", ".join(parts)}'] if parts else []
+        also += [f'{name[-1]}: {", ".join(parts)}'] if parts else []
     yield _note(
         '95 % intervals below the values. "<" is the 95 % upper limit of a term that is not '
         'resolved. B is the coefficient; the flat part of the curve is at 0.664 B.'
@@ -131,7 +131,7 @@ def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
             units = {system: shown_unit(name, 'B', system) for system in SYSTEMS}
             size = _size(axis.turn_on.std, axis.turn_on.ci95, units)
             yield (
-                f'<p class="note">Bias of {_letter(name)} between {axis.turn_on.recordings} '
+                f'<p class="note">Bias of {name[-1]} between {axis.turn_on.recordings} '
                 f'recordings: standard deviation {size}</p>'
             )
 
@@ -180,7 +180,10 @@ def datasheet_table(sensor: str, axes: Axes, comparison: DatasheetComparison) ->
 def baseline_table(
     sensor: str, axes: Axes, name: str, baseline: Results, comparisons: Sequence[Comparison]
 ) -> Iterator[str]:
-    """Yield an HTML table of the comparison with an earlier run; nothing without common terms."""
+    """Yield an HTML table of the comparison with an earlier run; nothing without comparisons.
+
+    ``name`` and ``baseline`` are the name and the results of this run; ``comparisons`` are with it.
+    """
     notes = [
         '"Within": not significantly above the earlier run. "Beyond": significantly above it, by '
         'more than the margin.'
@@ -288,7 +291,7 @@ def _comparison(caption: str, axes: Axes, rows: Sequence[Row], corner: str = 'te
 def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str = '') -> str:
     """Return an HTML table with a column for each axis, headed x, y, z."""
     first = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
-    head = ''.join(f'<th scope="col">{_letter(axis)}</th>' for axis in axes)
+    head = ''.join(f'<th scope="col">{axis[-1]}</th>' for axis in axes)
     body = ''.join(f'<tr><th scope="row">{th}</th>{"".join(cells)}</tr>' for th, cells in rows)
     return (
         f'<table class="{kind}">{caption}<thead><tr>{first}{head}</tr></thead>'
@@ -303,10 +306,6 @@ def _ends(interval: str) -> str:
 
 def _note(text: str) -> str:
     return f'<p class="note">{escape(text, quote=False).replace(" %", "&nbsp;%")}</p>'
-
-
-def _letter(axis: str) -> str:
-    return axis.rsplit('_', 1)[1]
 
 
 def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
