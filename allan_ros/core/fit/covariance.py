@@ -24,13 +24,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..allan.sums import FIRST_FACTORS, LEVEL_FACTORS, counts, grid
 from ..errors import AllanError
-from .model import DIFFERENCE, Floats, walk_from_cubic
-
-Ints = NDArray[np.int64]
+from .model import DIFFERENCE, Floats, Ints, walk_from_cubic
 
 TERM_PAIRS = tuple((a, b) for a in range(4) for b in range(a, 4))
 """The ten products of variance coefficients in a covariance: q q, q w, q b, .. k k."""
@@ -112,13 +109,13 @@ def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
 
 
 def _products(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return the six products C_k C_l and the three C_k at lags s, (9, ...)."""
+    """Return the six products and the three covariances of differences at lags s, (9, ...)."""
     c = lag_covariance(s, mi, mj)
     return np.stack([*(c[a] * c[b] for a, b in _SMOOTH_PAIRS), *c])
 
 
 def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
-    """Return the sums over lags a..b of the products, and of s times the products, (2, 9, n).
+    """Return sums over the lags a..b of `_products`, and of these times the lag, (2, 9, n).
 
     All arguments are (n,) arrays of whole numbers, a <= b. The first and the last lag count half.
     Up to `EXACT_POINTS` lags are summed, more are integrated by Gauss-Legendre quadrature.
@@ -134,7 +131,7 @@ def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
 
 
 def _edges(mi: int, mj: int) -> Ints:
-    """Return ends of ranges of lags: dense near s = b m_j - a m_i, where C is not smooth."""
+    """Return borders of lag ranges, dense near the lags where the covariance is not smooth."""
     span = EXACT_POINTS * EXACT_PANELS
     near = np.arange(-EXACT_PANELS, EXACT_PANELS + 1) * EXACT_POINTS
     reach = [span]
@@ -150,7 +147,7 @@ def _edges(mi: int, mj: int) -> Ints:
 
 
 class _LagTable:
-    """Cumulative sums over lags for every pair whose smaller factor is on level 0."""
+    """Cumulative sums over lags for every pair of factors whose smaller one is on level 0."""
 
     def __init__(self, factors: int) -> None:
         first = len(FIRST_FACTORS) + len(LEVEL_FACTORS)
@@ -198,7 +195,7 @@ _lag_tables: list[_LagTable] = []
 
 
 def _lag_table(octaves: int) -> _LagTable:
-    """Return a table of at least the given number of octaves."""
+    """Return a `_LagTable` of at least the given number of octaves."""
     factors = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * octaves
     for table in _lag_tables:
         if table.row.shape[1] >= factors:
@@ -232,7 +229,7 @@ def pair_sums(samples: int) -> PairSums:
 
 
 def clear_pair_sums() -> None:
-    """Free the cache of `pair_sums` and the table from which it is computed."""
+    """Free the caches of `pair_sums` and of the sums over lags that it uses."""
     _lag_tables.clear()
     pair_sums.cache_clear()
 
@@ -296,7 +293,7 @@ def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
 def _add_quantization(
     squares: Floats, singles: Floats, i: Ints, j: Ints, m: Ints, stride: Ints, count: Ints
 ) -> None:
-    """Add the contribution of q, which is correlated only at the nine lags b m_j - a m_i."""
+    """Add, in place, the part of q, which is correlated only at the nine lags b m_j - a m_i."""
     mi, mj = m[i], m[j]
     norm = 2.0 * mi.astype(float) * mj
     lags = [
@@ -325,7 +322,7 @@ def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
     return np.where(last >= first, np.maximum(number, 0), 0).astype(float)
 
 
-def filled_white(m: Ints, filled: Ints, samples: int) -> Floats:
+def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     """Return the increase of the Allan variance of unit white noise due to interpolated samples.
 
     Linear interpolation replaces samples by weighted means of the two samples next to a gap. The

@@ -13,11 +13,10 @@ import numpy as np
 from ..allan.curve import AllanCurve
 from ..findings import Finding, duration_text, finding
 from ..imu import SI_UNITS, sensor_of
-from .gls_solver import K, N, Q
 from .goodness import few_averages
 from .interpretation import largest_deviation, model_line, recommended_duration
-from .intervals import Z_DETECT, RampInterval, Score
-from .model import AxisFit, Floats, NoiseModel, Sinusoid
+from .intervals import Z_DETECT, RampInterval, ScoreTest
+from .model import AxisFit, Floats, K, N, NoiseModel, Q, Sinusoid
 from .model_selection import Selection
 from .table import PooledTable
 
@@ -25,10 +24,8 @@ NEGLIGIBLE_STEP = 0.02
 """Rounding steps below this fraction of the white noise per sample are ignored: they increase its
 variance by a fraction of only 3e-5."""
 
-
 WHOLE_TOLERANCE = 0.05
 """Largest distance of the phase, divided by the step, from a whole number."""
-
 
 LEAST_POINTS = 8
 """Smallest number of different phase values in which a step is searched. Fewer values are multiples
@@ -39,14 +36,8 @@ def common_step(phase: Floats, deviation: float) -> float | None:
     """Return the largest step of which all values are multiples, or None if there is none.
 
     Samples that are rounded to a step have a phase (cumulative sum) of multiples of this step.
-
-    Parameters
-    ----------
-    phase : (points,) float64 array
-        Phase at some of the samples.
-    deviation : float
-        Standard deviation of the white noise per sample. Steps below `NEGLIGIBLE_STEP` times this
-        value are ignored.
+    ``phase`` contains the phase at some samples. ``deviation`` is the standard deviation of the
+    white noise per sample; steps far below it are ignored.
     """
     least = NEGLIGIBLE_STEP * deviation
     moved = np.unique(np.abs(phase[np.abs(phase) > least]))
@@ -71,8 +62,8 @@ def common_step(phase: Floats, deviation: float) -> float | None:
 def _common_divisor(a: float, b: float, least: float) -> float:
     """Return the greatest common divisor; a remainder below ``least`` is taken as 0."""
     while b >= least:
-        rest = a % b
-        a, b = b, min(rest, b - rest)
+        remainder = a % b
+        a, b = b, min(remainder, b - remainder)
     return a
 
 
@@ -113,7 +104,7 @@ ALIAS_FROM = 0.02
 can only be aliases of vibration at nearly the sample rate."""
 
 
-def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Merge findings with equal text into one for all their axes."""
     out: dict[tuple[str, str, str], Finding] = {}
     for f in findings:
@@ -125,18 +116,13 @@ def joined(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 def rounding_step(phase: Floats, white: float) -> float | None:
     """Return the step to which the samples are rounded, or None if its effect is small.
 
-    Parameters
-    ----------
-    phase : (points,) float64 array
-        Phase at some of the samples.
-    white : float
-        Variance of the white noise per sample.
+    ``phase`` is the cumulative sum at some samples, ``white`` the white noise variance per sample.
     """
     step = common_step(phase, math.sqrt(max(white, 0.0)))
     return step if step is not None and step * step / 12.0 > ROUNDING_SHARE * white else None
 
 
-def explain_no_estimates(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
+def findings_without_estimates(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
     """Return the finding that explains why an axis has no estimates."""
     name = (pooled.sums.axes[axis],)
     longest = max((s.samples for s in pooled.segments), default=0)
@@ -145,7 +131,7 @@ def explain_no_estimates(pooled: PooledTable, axis: int, constant: bool) -> list
     return [finding('record_too_short', name, samples=longest)]
 
 
-def explain(
+def axis_findings(
     pooled: PooledTable,
     axis: int,
     selected: Selection,
@@ -155,20 +141,8 @@ def explain(
 ) -> list[Finding]:
     """Return the findings about the fit of one axis.
 
-    Parameters
-    ----------
-    pooled : PooledTable
-        The data of all axes.
-    axis : int
-        Position among the axes of the sums.
-    selected : Selection
-        The selected model and its fit.
-    fit : AxisFit
-        The same fit in SI units.
-    ramp : RampInterval or None
-        The ramp, if it can be estimated.
-    tau0 : float
-        Sample period in s.
+    ``selected`` is the selected model, ``fit`` the same in SI units, ``ramp`` the ramp (None if it
+    cannot be estimated), and ``tau0`` the sample period in s.
     """
     name = (pooled.sums.axes[axis],)
     unit = SI_UNITS[sensor_of(name[0])]['B']
@@ -200,7 +174,7 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
             misfit = finding('misfit', (name,), deviation=abs(relative), tau=duration_text(tau))
             small = abs(relative) < SMALL_DEVIATION
             found.append(replace(misfit, severity='info') if small else misfit)
-    return replace(model, axes=axes, findings=(*model.findings, *joined(found)))
+    return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
 
 
 def _shape_findings(
@@ -265,16 +239,8 @@ def _grouped(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
 def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: float) -> Finding:
     """Return the finding about one sinusoid, or about several that describe one broad hump.
 
-    Parameters
-    ----------
-    name : (str,)
-        The axis.
-    unit : str
-        SI unit of the amplitude.
-    lines : sequence of Sinusoid
-        Lowest frequency first.
-    tau0 : float
-        Sample period in s.
+    ``name`` contains the axis, ``unit`` is the SI unit of the amplitude, and ``tau0`` the sample
+    period in s. The sinusoids are sorted by frequency.
     """
     largest = max(lines, key=lambda line: line.amplitude)
     amplitude = math.sqrt(sum(line.amplitude**2 for line in lines))
@@ -322,7 +288,7 @@ def _time_findings(
             np.zeros(len(pooled.segments)),
         )
         if (
-            Score(without_ramps, K, selected.fit.variances, selected.fit.options.misfit)(0.0)
+            ScoreTest(without_ramps, K, selected.fit.variances, selected.fit.options.misfit)(0.0)
             > Z_DETECT
         ):
             found.append(finding('drift_not_separable', name))

@@ -15,8 +15,8 @@ import numpy as np
 
 from ..allan.sums import AllanSums
 from ..findings import Finding
-from .findings import explain, explain_no_estimates, joined
-from .gls_solver import FitOptions, K, Misfit, N, Q, solve
+from .findings import axis_findings, findings_without_estimates, merge_equal
+from .gls_solver import FitOptions, Misfit, solve
 from .intervals import (
     CoefficientInterval,
     RampInterval,
@@ -30,8 +30,11 @@ from .model import (
     AxisFit,
     Coefficient,
     Floats,
+    K,
+    N,
     NoiseModel,
     Processes,
+    Q,
     Sinusoid,
     coefficient_to_si,
 )
@@ -56,13 +59,9 @@ END_TOLERANCE = 1e-9
 def fit_gls(sums: AllanSums, like: NoiseModel | None = None) -> NoiseModel:
     """Estimate the five terms of every axis by generalised least squares.
 
-    Too few data raise no error: a term that the data do not determine has no value and no limit.
-
-    Parameters
-    ----------
-    sums : AllanSums
-    like : NoiseModel, optional
-        An earlier fit whose processes and shortest averaging times are used; no model is selected.
+    Too few data raise no error: a term that the data do not determine has no value and no limit. If
+    ``like`` is given, the processes and shortest averaging times of that fit are used, and no model
+    is selected.
     """
     pooled = PooledTable(sums)
     tau0 = sums.tau0 or 1.0
@@ -72,7 +71,7 @@ def fit_gls(sums: AllanSums, like: NoiseModel | None = None) -> NoiseModel:
         fit, found = _fit_axis(pooled, a, tau0, like.axes[name] if like else None)
         axes[name] = fit
         findings += found
-    return NoiseModel('gls', tau0, axes, joined(findings))
+    return NoiseModel('gls', tau0, axes, merge_equal(findings))
 
 
 def _fit_axis(
@@ -81,11 +80,11 @@ def _fit_axis(
     """Return the fit of one axis and its findings."""
     constant = pooled.is_noiseless(axis)
     if constant or len(pooled.m) <= LEAST_FACTORS:
-        return _without_estimates(), explain_no_estimates(pooled, axis, constant)
+        return _without_estimates(), findings_without_estimates(pooled, axis, constant)
     selected = select_model(pooled, axis, _options_of(like, tau0) if like else None)
     variances, options = selected.fit.variances, selected.fit.options
     if len(selected.fit.table.m) <= LEAST_FACTORS:
-        return _without_estimates(), explain_no_estimates(pooled, axis, constant)
+        return _without_estimates(), findings_without_estimates(pooled, axis, constant)
     # With the derivatives by the shapes, intervals include the uncertainty of the shapes.
     table = options.table(pooled, axis, options.noise(variances), tangents=True)
     variances = np.concatenate([variances, np.zeros(table.terms.shape[1] - len(variances))])
@@ -106,7 +105,7 @@ def _fit_axis(
         alone = solve(
             selected.fit.table, variances[: len(sizes)], columns=others, misfit=options.misfit
         )
-        value = _consistent(selected.fit.table, alone, intervals, options.misfit)[N]
+        value = _consistent(selected.fit.table, alone.variances, intervals, options.misfit)[N]
         noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
     if options.misfit.size and any(isinstance(e, SinusoidTerm) for e in options.extras):
         noise['N'] = _limit_if_uncertain(noise['N'])
@@ -122,7 +121,7 @@ def _fit_axis(
         ),
         signed=options.signed,
     )
-    return fit, explain(pooled, axis, selected, fit, ramp, tau0)
+    return fit, axis_findings(pooled, axis, selected, fit, ramp, tau0)
 
 
 def _options_of(fit: AxisFit, tau0: float) -> FitOptions | None:
@@ -146,12 +145,12 @@ def _consistent(
     estimate with q unconstrained.
     """
     above, below = 1.0 + END_TOLERANCE, 1.0 - END_TOLERANCE
-    seen = [(t, each) for t, each in enumerate(intervals) if each.observable]
-    outside = [t for t, i in seen if not above * i.low < variances[t] < below * i.high]
+    resolved = [(t, each) for t, each in enumerate(intervals) if each.observable]
+    outside = [t for t, i in resolved if not above * i.low < variances[t] < below * i.high]
     if not outside:
         return variances
     out = variances.copy()
-    out[outside] = solve(table, variances, signed=True, misfit=misfit)[outside]
+    out[outside] = solve(table, variances, signed=True, misfit=misfit).variances[outside]
     return out
 
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from ..deferred import lapack
 from ..errors import AllanError
-from .model import RANDOM_TERMS, Floats
-from .processes import Extra, correlation_times
+from .model import RANDOM_TERMS, Floats, K, N, Q
+from .processes import Process, correlation_times
 from .ramp import Noise
 from .table import EMPTY_ROW, PooledTable, Table
 
@@ -102,39 +102,29 @@ def nonnegative_least_squares(
 NNLS_GUESSES = 5
 """Number of attempts to guess the active set."""
 
-
 NNLS_ROUNDS = 3
 """Largest number of iterations of the method of Lawson & Hanson, per column."""
 
-
 NNLS_TOLERANCE = 1e-10
 """Relative size below which a gradient or a coefficient is a rounding error."""
-
 
 JITTER = 1e-4
 """Added to the diagonal of the correlation matrix of the table before its Cholesky decomposition.
 Neighbouring averaging factors are nearly identical, and the covariance is only accurate to about
 this value."""
 
-
 TOLERANCE = 1e-3
 """Relative change of the modelled Allan variance below which the iteration stops. The covariance
 depends on this variance, and its error changes the coefficients only in second order."""
 
-
 ROUNDS = 12
 """Largest number of iterations of a fit; two to five are usual."""
-
 
 LONGEST_STEP = 9.0
 """Largest extrapolation of an iteration, relative to the change since the previous one."""
 
-
 NOISE_FLOOR = 1e-6
 """Smallest white noise in the covariance, relative to the smallest that affects the table."""
-
-
-Q, N, B, K = range(len(RANDOM_TERMS))
 
 
 @dataclass(frozen=True)
@@ -155,8 +145,8 @@ class Misfit:
 NO_MISFIT = Misfit()
 
 
-def first_guess(table: Table) -> Floats:
-    """Return initial q, w, b, k, fitted with the approximate relative weights 1/sqrt(m)."""
+def initial_variances(table: Table) -> Floats:
+    """Return a first estimate of q, w, b, k, fitted with the relative weights 1/sqrt(m)."""
     weight = np.sqrt(1.0 / table.m) / np.where(table.avar > 0.0, table.avar, np.inf)
     terms = table.terms[:, : len(RANDOM_TERMS)]
     return nonnegative_least_squares(terms * weight[:, None], table.avar * weight)
@@ -164,7 +154,7 @@ def first_guess(table: Table) -> Floats:
 
 @dataclass(frozen=True)
 class Whitening:
-    """Transformation of a table to unit covariance.
+    """Linear transformation that gives correlated Allan variances unit covariance.
 
     The covariance is D L L' D with the standard deviations D (``deviation``) and the Cholesky
     factor L (``lower``) of the correlation matrix.
@@ -201,15 +191,15 @@ class Whitening:
         )
 
     def apply(self, columns: Floats) -> Floats:
-        """Return columns of table values multiplied by L^-1 D^-1."""
+        """Return columns multiplied by L^-1 D^-1, so that their errors are uncorrelated."""
         return np.asarray(lapack.dtrtrs(self.lower, columns / self.deviation[:, None], lower=1)[0])
 
     def weights(self, contrast: Floats) -> Floats:
-        """Convert weights for whitened values to weights for the values of the table."""
+        """Convert weights of the whitened values to weights of the original values."""
         return np.asarray(lapack.dtrtrs(self.lower, contrast, lower=1, trans=1)[0] / self.deviation)
 
     def covariance_with(self, contrast: Floats) -> Floats:
-        """Return the covariance of the table values with a weighted sum of the whitened values."""
+        """Return the covariance of each original value with a weighted sum of whitened values."""
         return np.asarray(self.lower @ contrast * self.deviation)
 
 
@@ -221,45 +211,11 @@ def _cholesky(correlation: Floats) -> Floats | None:
     return None if info else np.asarray(lower, float)
 
 
-def solve(
-    table: Table,
-    variances: Floats,
-    *,
-    fixed: Mapping[int, float] | None = None,
-    columns: tuple[int, ...] | None = None,
-    signed: bool = False,
-    misfit: Misfit = NO_MISFIT,
-) -> Floats:
-    """Return the variance coefficients that fit the table.
-
-    Parameters
-    ----------
-    table : Table
-    variances : (terms,) float64 array
-        Initial coefficients.
-    fixed : mapping of column to coefficient, optional
-        Columns whose coefficient is fixed.
-    columns : tuple of int, optional
-        Columns whose coefficient may differ from 0; all by default.
-    signed : bool
-        Whether q may be negative (the effect of a low-pass filter).
-    misfit : Misfit
-        Relative model error that is added to the covariance.
-    """
-    return iterate(table, variances, fixed, columns, signed, misfit).variances
-
-
 class Solution(NamedTuple):
-    """Result of the last iteration of `iterate`.
+    """Fitted variance coefficients, and the whitening of the last iteration.
 
-    Attributes
-    ----------
-    variances : (terms,) float64 array
-        Coefficients.
-    whitening : Whitening
-        Whitening with the covariance of this iteration.
-    white : (factors, terms + 1) float64 array
-        Whitened columns of the table and, last, its whitened Allan variances.
+    ``white`` contains the whitened columns of the table and, last, its whitened Allan variances,
+    (factors, terms + 1).
     """
 
     variances: Floats
@@ -267,41 +223,58 @@ class Solution(NamedTuple):
     white: Floats
 
 
-def iterate(
+def solve(
     table: Table,
     variances: Floats,
+    *,
     fixed: Mapping[int, float] | None = None,
     columns: Sequence[int] | None = None,
     signed: bool = False,
     misfit: Misfit = NO_MISFIT,
 ) -> Solution:
-    """Fit a table like `solve`, and also return the whitened table of the last iteration."""
-    held = dict(fixed or {})
+    """Fit variance coefficients to Allan variances by iterated generalised least squares.
+
+    Parameters
+    ----------
+    table : Table
+        Allan variances, and their expectation and covariance per unit coefficient.
+    variances : (terms,) float64 array
+        Initial coefficients.
+    fixed : mapping of column to coefficient, optional
+        Columns whose coefficient is fixed.
+    columns : sequence of int, optional
+        Columns whose coefficient may differ from 0; all by default.
+    signed : bool
+        Whether q may be negative (the effect of a low-pass filter).
+    misfit : Misfit
+        Relative model error that is added to the covariance.
+    """
+    known = dict(fixed or {})
     size = table.terms.shape[1]
     columns = range(size) if columns is None else columns
-    free = [c for c in columns if c not in held]
+    free = [c for c in columns if c not in known]
     tangents = range(table.noises + table.lines, size)
     negative = [i for i, c in enumerate(free) if (c == Q and signed) or c in tangents]
     new = np.zeros(size)
-    for c, value in held.items():
+    for c, value in known.items():
         new[c] = value
     now = new.copy()
     now[free] = variances[free]
     both = np.column_stack([table.terms, table.avar])
-    floor = white_floor(table)
-    before = table.terms @ with_floor(table, now, floor)
+    floor = noise_floor(table)
+    before = table.terms @ with_noise_floor(table, now, floor)
     last: tuple[Floats, Floats] | None = None
     for _ in range(ROUNDS):
         whitening = Whitening.of(covariance_at(table, now, misfit, floor))
         white = whitening.apply(both)
         target = white[:, -1]
-        for c, value in held.items():
+        for c, value in known.items():
             target = target - value * white[:, c]
         new = new.copy()
         new[free] = nonnegative_least_squares(white[:, free], target, negative)
         # Only the modelled variance must converge: it determines the covariance, while the
         # coefficients of two similar terms may still change.
-        change = table.terms @ with_floor(table, new, floor) / before - 1.0
+        change = table.terms @ with_noise_floor(table, new, floor) / before - 1.0
         if np.all(np.abs(change) <= TOLERANCE):
             break
         now = new
@@ -311,32 +284,36 @@ def iterate(
             share = float(change @ turn) / max(float(turn @ turn), np.finfo(float).tiny)
             now = new - np.clip(share, -LONGEST_STEP, 1.0) * (new - last[0])
         last = new, change
-        before = table.terms @ with_floor(table, now, floor)
+        before = table.terms @ with_noise_floor(table, now, floor)
     return Solution(new, whitening, white)
 
 
-def white_floor(table: Table) -> float:
-    """Return the largest w whose white noise has a negligible effect on the table."""
+def noise_floor(table: Table) -> float:
+    """Return the largest white noise w with a negligible effect on the Allan variances."""
     positive = table.avar > 0.0
     return NOISE_FLOOR * float(np.min((table.avar * table.m)[positive])) if positive.any() else 1.0
 
 
-def with_floor(table: Table, variances: Floats, floor: float | None = None) -> Floats:
-    """Return nonnegative coefficients with w >= `white_floor`, for a regular covariance."""
+def with_noise_floor(table: Table, variances: Floats, floor: float | None = None) -> Floats:
+    """Return nonnegative coefficients with at least the white noise w of `noise_floor`.
+
+    The covariance of the Allan variances is then not singular.
+    """
     p = np.maximum(variances, 0.0)
     p[table.noises + table.lines :] = 0.0
-    p[N] = max(p[N], white_floor(table) if floor is None else floor)
+    p[N] = max(p[N], noise_floor(table) if floor is None else floor)
     return p
 
 
 def covariance_at(
     table: Table, variances: Floats, misfit: Misfit = NO_MISFIT, floor: float | None = None
 ) -> Floats:
-    """Return the covariance of a table with given coefficients and model error, (factors, factors).
+    """Return the covariance of the Allan variances for given coefficients, (factors, factors).
 
-    The coefficients are made nonnegative and get a smallest white noise first.
+    It includes the relative model error ``misfit``. The coefficients are made nonnegative and get a
+    smallest white noise first.
     """
-    p = with_floor(table, variances, floor)
+    p = with_noise_floor(table, variances, floor)
     covariance = table.covariance(p)
     square = (table.terms @ p) ** 2
     diagonal = covariance.reshape(-1)[:: len(square) + 1]
@@ -348,7 +325,6 @@ def covariance_at(
 
 RAMP_ROUNDS = 4
 """Largest number of iterations between ramps and coefficients; two or three are usual."""
-
 
 RAMP_TOLERANCE = 1e-2
 """Relative change of the coefficients that has a negligible effect on the ramps."""
@@ -366,7 +342,7 @@ class FitOptions:
         Whether q may be negative, the effect of a low-pass filter.
     misfit : Misfit
         Relative model error that is added to the covariance.
-    extras : tuple of Extra
+    extras : tuple of Process
         Processes in addition to the five terms, Gauss-Markov processes before sinusoids.
     walk : bool
         Whether k may differ from 0.
@@ -375,7 +351,7 @@ class FitOptions:
     m_min: int = 1
     signed: bool = False
     misfit: Misfit = NO_MISFIT
-    extras: tuple[Extra, ...] = ()
+    extras: tuple[Process, ...] = ()
     walk: bool = True
 
     def table(
@@ -386,7 +362,7 @@ class FitOptions:
         ramps: Floats | None = None,
         tangents: bool = False,
     ) -> Table:
-        """Return the table of an axis with these processes and averaging factors.
+        """Return the Allan variances of an axis, with columns for these processes and factors.
 
         ``noise`` is the noise model for which the ramps are estimated; ``ramps`` gives known ramps
         per sample (NaN: estimate). ``tangents`` adds the derivatives by the logarithms of the
@@ -396,7 +372,7 @@ class FitOptions:
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Columns whose coefficient may differ from 0."""
+        """Positions of the coefficients that may differ from 0."""
         every = range(len(RANDOM_TERMS) + len(self.extras))
         return tuple(c for c in every if self.walk or c != K)
 
@@ -408,7 +384,7 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class PointFit:
-    """Variance coefficients of one axis, with the table and the options of the fit."""
+    """Fitted variance coefficients of one axis, with the Allan variances and options of the fit."""
 
     variances: Floats
     table: Table
@@ -416,7 +392,7 @@ class PointFit:
 
     @property
     def ramp_variance(self) -> Floats:
-        """Variance of the ramp of each kept segment, (segments,); 0 if no ramp was estimated."""
+        """Variance of the linear drift of each segment, (segments,); 0 without an estimate."""
         return np.asarray(self.table.ramp_variance @ self.options.noise(self.variances).variances)
 
 
@@ -426,11 +402,12 @@ def point_fit(
     options: FitOptions = FitOptions(),
     variances: Floats | None = None,
 ) -> PointFit:
-    """Fit one axis, alternating between ramps and coefficients until both converge.
+    """Fit one axis, alternating between the linear drifts (ramps) and the coefficients.
 
     Parameters
     ----------
     pooled : PooledTable
+        Data of all axes.
     axis : int
         Position among the axes of the sums.
     options : FitOptions
@@ -438,15 +415,16 @@ def point_fit(
         Initial coefficients; missing ones of processes are 0.
     """
     if variances is None:
-        variances = first_guess(pooled.table(axis))
+        variances = initial_variances(pooled.table(axis))
     variances = np.concatenate(
         [variances, np.zeros(len(RANDOM_TERMS) + len(options.extras) - len(variances))]
     )
     table = options.table(pooled, axis, options.noise(variances))
     for _ in range(RAMP_ROUNDS):
-        new = solve(
+        solution = solve(
             table, variances, columns=options.columns, signed=options.signed, misfit=options.misfit
         )
+        new = solution.variances
         settled = np.all(np.abs(new - variances) <= RAMP_TOLERANCE * np.abs(variances))
         variances = new
         if settled:

@@ -13,9 +13,7 @@ from ..deferred import special
 from .gls_solver import (
     JITTER,
     NO_MISFIT,
-    K,
     Misfit,
-    N,
     PointFit,
     Whitening,
     covariance_at,
@@ -23,7 +21,7 @@ from .gls_solver import (
     solve,
 )
 from .intervals import coefficient_interval, standard_errors
-from .model import RANDOM_TERMS, Floats
+from .model import RANDOM_TERMS, Floats, K, N
 from .processes import GaussMarkovTerm
 from .table import PooledTable, Table
 
@@ -68,7 +66,6 @@ MISFIT_STEPS = 30
 MARGIN = 0.05
 """Smallest distance of a step from either end of the bracket, as a fraction of the bracket."""
 
-
 LEAST_FREEDOM = 6.0
 """Degrees of freedom above which averages are used by `precise_rows`. The likelihood assumes
 Gaussian averages and favours a bounded drift if the last few averages happen to be small."""
@@ -112,7 +109,7 @@ class Goodness:
 
 
 def goodness(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
-    """Return the chi^2 test of a model with the same nonzero terms, fitted with a fixed covariance.
+    """Return the chi^2 test of a model: its nonzero terms are fitted with a fixed covariance.
 
     The covariance is that of the given variance coefficients and model error. The degrees of
     freedom are the effective number of independent points, minus the number of nonzero terms and of
@@ -123,14 +120,14 @@ def goodness(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> Goo
     white = Whitening.of(covariance).apply(np.column_stack([table.terms[:, active], table.avar]))
     design = white[:, :-1] / np.linalg.norm(white[:, :-1], axis=0)
     basis = np.linalg.qr(design)[0]
-    rest = white[:, -1] - basis @ (basis.T @ white[:, -1])
+    residual = white[:, -1] - basis @ (basis.T @ white[:, -1])
     shapes = np.count_nonzero(active >= len(RANDOM_TERMS))
     freedom = degrees_of_freedom(covariance) - len(active) - shapes
-    return Goodness(float(rest @ rest), max(freedom, 1.0))
+    return Goodness(float(residual @ residual), max(freedom, 1.0))
 
 
 def degrees_of_freedom(covariance: Floats) -> float:
-    """Return the effective number of independent points of a table with this covariance.
+    """Return the effective number of independent values among values with this covariance.
 
     It is the sum of lambda/(lambda + jitter) over the eigenvalues lambda of the correlation matrix.
     The jitter removes directions without information.
@@ -201,7 +198,7 @@ def misfit_of_long_averages(
     low, high, eps = misfit.size, MISFIT_LIMIT, max(misfit.size, MISFIT_START / 2.0)
     for _ in range(MISFIT_STEPS):
         error = Misfit(eps, m_min)
-        variances = solve(table, variances, signed=signed, misfit=error)
+        variances = solve(table, variances, signed=signed, misfit=error).variances
         large_enough = long_tau_deficit(table, variances, error) > DEFICIT_LIMIT
         low, high = (low, eps) if large_enough else (eps, high)
         if high - low < MISFIT_TOLERANCE * high:
@@ -210,7 +207,7 @@ def misfit_of_long_averages(
     return Misfit(high, m_min)
 
 
-def misfit_of_fit(table: Table, variances: Floats, signed: bool) -> Misfit:
+def misfit_of_table(table: Table, variances: Floats, signed: bool) -> Misfit:
     """Return the relative model error for which chi^2 has its expected value.
 
     If the terms describe the table up to some averaging factor, only larger factors get an error:
@@ -228,7 +225,7 @@ def misfit_of_fit(table: Table, variances: Floats, signed: bool) -> Misfit:
         short = table.rows(table.m < split)
         if len(short.m) > 2 * len(RANDOM_TERMS):
             other = _misfit_from(table, variances, signed, split)
-            best = solve(table, variances, signed=signed, misfit=other)
+            best = solve(table, variances, signed=signed, misfit=other).variances
             if other.size > most or goodness(short, best).fails:
                 high = middle
                 continue
@@ -246,7 +243,7 @@ def _misfit_from(table: Table, variances: Floats, signed: bool, m_min: int) -> M
     """
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
     for _ in range(MISFIT_STEPS):
-        variances = solve(table, variances, signed=signed, misfit=Misfit(eps, m_min))
+        variances = solve(table, variances, signed=signed, misfit=Misfit(eps, m_min)).variances
         got = goodness(table, variances, Misfit(eps, m_min))
         ratio = got.chi_squared / got.freedom
         if abs(ratio - 1.0) < MISFIT_TOLERANCE:
@@ -299,24 +296,24 @@ def aic(fit: PointFit, misfit: Misfit = NO_MISFIT) -> float:
 
 
 def minus_log_likelihood(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> float:
-    """Return -2 log likelihood of a table for given coefficients, without a constant.
+    """Return -2 log likelihood of the Allan variances for given coefficients, without a constant.
 
     The Allan variances are assumed Gaussian.
     """
     whitening = Whitening.of(covariance_at(table, variances, misfit))
-    rest = whitening.apply((table.avar - table.terms @ variances)[:, None])
+    residual = whitening.apply((table.avar - table.terms @ variances)[:, None])
     size = np.log(np.diag(whitening.lower)).sum() + np.log(whitening.deviation).sum()
-    return float(np.sum(rest**2) + 2.0 * size)
+    return float(np.sum(residual**2) + 2.0 * size)
 
 
 def precise_rows(fit: PointFit) -> NDArray[np.bool_]:
-    """Return which averages have at least `LEAST_FREEDOM` degrees of freedom, (factors,)."""
+    """Return which averaging factors have at least `LEAST_FREEDOM` degrees of freedom."""
     variance = np.diag(covariance_at(fit.table, fit.variances, NO_MISFIT))
     return np.asarray(2.0 * (fit.table.terms @ fit.variances) ** 2 >= LEAST_FREEDOM * variance)
 
 
 def minus_log_profile(table: Table, fit: PointFit) -> float:
-    """Return -2 log profile likelihood of a table: the smallest value over the random walk k.
+    """Return -2 log profile likelihood of the Allan variances, maximised over the random walk k.
 
     If a random walk dominates the longest averages, its estimate depends on few of them. If it is
     too low by chance, the other averages seem unlikely.
@@ -328,17 +325,17 @@ def minus_log_profile(table: Table, fit: PointFit) -> float:
         fits += [
             solve(table, fit.variances, fixed={K: most * w}, signed=signed) for w in PROFILE_WALKS
         ]
-    return min(minus_log_likelihood(table, p) for p in fits)
+    return min(minus_log_likelihood(table, each.variances) for each in fits)
 
 
 def with_model_error(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
     """Return the fit with the relative model error for which it passes the chi^2 test."""
-    misfit = misfit_of_fit(fit.table, fit.variances, fit.options.signed)
+    misfit = misfit_of_table(fit.table, fit.variances, fit.options.signed)
     return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.variances)
 
 
 def relative_error_of_n(pooled: PooledTable, axis: int, fit: PointFit) -> float:
-    """Return the relative standard error of N, with model error and uncertain process shapes."""
+    """Return the relative standard error of N, with model error and uncertain processes."""
     options = fit.options
     table = options.table(pooled, axis, options.noise(fit.variances), tangents=True)
     variances = np.concatenate([fit.variances, np.zeros(table.terms.shape[1] - len(fit.variances))])

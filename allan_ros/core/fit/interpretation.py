@@ -24,10 +24,8 @@ from .model import AxisFit, Deviation, Floats
 MIN_WIDTH = 3.0
 """Smallest ratio tau_high/tau_low of a range with a single dominant term: half a decade."""
 
-
 SIGNIFICANT = 3.0
 """Number of error bars below which the deviation of a point from the model is not significant."""
-
 
 FILTER_LOSS = 0.02
 """Relative decrease of the Allan deviation below which the effect of a low-pass filter is not
@@ -116,7 +114,7 @@ class Region:
     tau_low, tau_high : float
         Ends of the range in s.
     term : str
-        Term or process with the largest share of the Allan variance. Several names joined by '+' if
+        Term or process with the largest share of the Allan variance. several names joined by '+' if
         no single one dominates over a wide enough range.
     slope : float
         d log adev / d log tau of the measured curve over the range. A single term has the slope -1

@@ -27,42 +27,34 @@ from ..deferred import special
 from .gls_solver import (
     NO_MISFIT,
     RIDGE,
-    K,
     Misfit,
     PointFit,
-    Q,
     Whitening,
     covariance_at,
-    iterate,
+    noise_floor,
     solve,
-    white_floor,
-    with_floor,
+    with_noise_floor,
 )
-from .model import RANDOM_TERMS, Z_95, Floats, GaussMarkov, Processes, Sinusoid
-from .processes import Extra, GaussMarkovTerm
+from .model import RANDOM_TERMS, Z_95, Floats, GaussMarkov, K, Processes, Q, Sinusoid
+from .processes import GaussMarkovTerm, Process
 from .table import PooledTable, Table
 
 Z_DETECT = 2.33
 """Normal quantile of 99 %. Above it a term is resolved; an absent term is resolved by mistake in 1
 % of records."""
 
-
 Z_TOLERANCE = 1e-3
 """Tolerance of z at the end of an interval, about 0.05 % of the half-width."""
-
 
 MAX_SLOW_STEPS = 2
 """Number of slow steps (bracket not halved, or no bracket found) after which a longer step is
 taken."""
 
-
 MAX_STEP_RATIO = 5.0
 """Largest factor by which a step increases the distance from the start."""
 
-
 MAX_DISTANCE = 1e8
 """Largest distance, relative to the first guess, at which an end of an interval is searched."""
-
 
 NEGLIGIBLE_SKEWNESS = 1e-3
 """Skewness whose effect is negligible."""
@@ -91,7 +83,7 @@ class CoefficientInterval:
         return self.z_zero > Z_DETECT
 
 
-class Score:
+class ScoreTest:
     """Score test of one variance coefficient; a call with a value c returns z(c).
 
     Attributes
@@ -115,7 +107,7 @@ class Score:
 
         An estimate below ``at_least`` is replaced by ``at_least``.
         """
-        variances, whitening, white = iterate(
+        variances, whitening, white = solve(
             self.table,
             self._start,
             fixed={self.term: c},
@@ -127,7 +119,7 @@ class Score:
         contrast = _contrast(white[:, active], active.index(self.term))
         self.estimate = float(contrast @ white[:, -1])
         self.deviation = float(np.sqrt(contrast @ contrast))
-        model = self.table.terms @ with_floor(self.table, variances)
+        model = self.table.terms @ with_noise_floor(self.table, variances)
         weights, covariance = whitening.weights(contrast), whitening.covariance_with(contrast)
         third = 2.0 * float(np.sum(weights * covariance**2 / model))
         z = (max(self.estimate, at_least) - c) / self.deviation
@@ -143,13 +135,13 @@ def _inverse(design: Floats) -> tuple[Floats, Floats]:
 
 
 def _contrast(design: Floats, at: int) -> Floats:
-    """Return weights w such that w @ (whitened table) is the estimate of one column."""
+    """Return the weights of the whitened values in the estimate of one coefficient."""
     inverse, size = _inverse(design)
     return np.asarray(design / size @ inverse[:, at] / size[at])
 
 
 def standard_errors(design: Floats) -> Floats:
-    """Return the standard errors of the least-squares estimates of whitened columns, (columns,)."""
+    """Return the standard errors of least-squares estimates for whitened columns, (columns,)."""
     inverse, size = _inverse(design)
     return np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
 
@@ -168,37 +160,30 @@ def normal_deviate(z: float, skewness: float) -> float:
 def coefficient_interval(
     table: Table, term: int, variances: Floats, misfit: Misfit = NO_MISFIT
 ) -> CoefficientInterval:
-    """Return the 95 % interval of the coefficient of one term.
+    """Return the 95 % interval of one variance coefficient, by inversion of the score test.
 
-    Parameters
-    ----------
-    table : Table
-    term : int
-        Column of the term in the table.
-    variances : (terms,) float64 array
-        Fitted variance coefficients.
-    misfit : Misfit
-        Relative model error of the fit.
+    ``term`` is its column in the table, ``variances`` are the fitted variance coefficients, and
+    ``misfit`` is the relative model error.
     """
-    score = Score(table, term, variances, misfit)
+    score = ScoreTest(table, term, variances, misfit)
     z_zero = score(0.0)
-    deviation = max(score.deviation, white_floor(table))
+    deviation = max(score.deviation, noise_floor(table))
     # The fitted coefficient is preferred: the estimate of the test at 0 can be far off.
     middle = variances[term] if variances[term] > 0.0 else max(score.estimate, 0.0)
     if z_zero > Z_DETECT:
         known = [(0.0, z_zero), (middle, score(middle))]
         reach = Z_95 * score.deviation
-        high = cross(score, -Z_95, known, middle + reach, np.inf)
-        low = cross(score, Z_95, known, middle - reach, 0.0)
+        high = find_crossing(score, -Z_95, known, middle + reach, np.inf)
+        low = find_crossing(score, Z_95, known, middle - reach, 0.0)
         return CoefficientInterval(z_zero, low, high)
     # An estimate below zero is replaced by zero, so the limit reflects the length of the record.
     known = [(0.0, max(z_zero, 0.0))]
     reach = middle + Z_95 * deviation
-    upper = cross(lambda c: score(c, 0.0), -Z_95, known, reach, np.inf)
+    upper = find_crossing(lambda c: score(c, 0.0), -Z_95, known, reach, np.inf)
     return CoefficientInterval(z_zero, 0.0, upper)
 
 
-def cross(
+def find_crossing(
     z: Callable[[float], float],
     target: float,
     known: Sequence[tuple[float, float]],
@@ -286,20 +271,13 @@ def processes_of(fit: PointFit, table: Table, tau0: float) -> Processes:
 
 
 def processes_in_si(
-    extras: Sequence[Extra], variances: Floats, errors: Floats, tau0: float
+    extras: Sequence[Process], variances: Floats, errors: Floats, tau0: float
 ) -> Processes:
     """Return processes with 95 % intervals that are symmetric in the logarithm, in SI units.
 
-    Parameters
-    ----------
-    extras : sequence of Extra
-        The processes.
-    variances : float64 array
-        Coefficients of the four random terms and of the processes.
-    errors : (4 + 2 extras,) float64 array
-        Standard errors of the coefficients, then those of the derivative columns of the processes.
-    tau0 : float
-        Sample period in s.
+    ``variances`` are the coefficients of the four random terms and of the processes. ``errors`` are
+    the standard errors of the coefficients, then those of the derivative columns of the processes.
+    ``tau0`` is the sample period in s.
     """
     gauss_markov, sinusoid = [], []
     for k, extra in enumerate(extras, start=len(RANDOM_TERMS)):
@@ -321,19 +299,19 @@ def processes_in_si(
 Z_DETECT_RAMP = 2.58
 """Normal quantile of 99.5 %. R has a sign, so both tails contribute to 1 % false alarms."""
 
-
 SAME_RAMP_P = 0.01
 """p value below which the test rejects that all segments have the same ramp."""
 
 
 @dataclass(frozen=True)
 class RampInterval:
-    """Estimate of a ramp per sample, its 95 % interval and the results of two tests.
+    """Estimated linear drift (ramp) of an axis, its 95 % interval and two test results.
 
     Attributes
     ----------
     value : float
-        Weighted mean of the segments; that of the longest segment if they differ.
+        Drift per sample, as weighted mean of the segments; that of the longest segment if they
+        differ.
     low, high : float
         Ends of the interval.
     observable : bool
@@ -352,16 +330,10 @@ class RampInterval:
 def ramp_interval(
     pooled: PooledTable, axis: int, fit: PointFit, walk: float
 ) -> RampInterval | None:
-    """Return the ramp of one axis with its 95 % interval, or None if no segment determines it.
+    """Return the linear drift (ramp) of one axis with its 95 % interval.
 
-    Parameters
-    ----------
-    pooled : PooledTable
-    axis : int
-        Position among the axes of the sums.
-    fit : PointFit
-    walk : float
-        Upper limit of k, which limits the width of the interval.
+    None if no segment determines it. ``walk`` is the upper limit of k, which limits the width of
+    the interval.
     """
     variance = fit.ramp_variance
     counted = np.flatnonzero(variance > 0.0)
@@ -393,8 +365,8 @@ def ramp_interval(
         shifted = replace(tables[1], avar=middle + slope * x + curvature * x * x)
         start_values = solve(
             shifted, start_values, signed=fit.options.signed, misfit=fit.options.misfit
-        )
-        noise = fit.options.noise(with_floor(shifted, start_values))
+        ).variances
+        noise = fit.options.noise(with_noise_floor(shifted, start_values))
         free, weights = pooled.ramps(axis, noise, known_or_free)
         of_ramps = pooled.ramp_variance(weights, noise.times) @ noise.variances
         r, sd = _mean(free[counted], of_ramps[counted])
@@ -407,8 +379,8 @@ def ramp_interval(
         bound = _mean(ramps, replace(fit, variances=most).ramp_variance[counted])[1]
     reach, half = Z_95 * bound, Z_95 * deviation
     start = [(0.0, z(0.0)), (value, z(value))]
-    low = cross(z, Z_95, start, value - half, value - reach)
-    high = cross(z, -Z_95, start, value + half, value + reach)
+    low = find_crossing(z, Z_95, start, value - half, value - reach)
+    high = find_crossing(z, -Z_95, start, value + half, value + reach)
     observable = abs(value) > Z_DETECT_RAMP * bound or abs(start[0][1]) > Z_DETECT_RAMP
     return RampInterval(value, low, high, observable, shared)
 

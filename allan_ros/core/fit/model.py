@@ -22,14 +22,13 @@ Ints = NDArray[np.int64]
 RANDOM_TERMS = ('Q', 'N', 'B', 'K')
 """The random terms, in the order of all arrays of variance coefficients (q, w, b, k)."""
 
+Q, N, B, K = range(len(RANDOM_TERMS))
 
 WHITE = np.array([0.0, 1.0, 0.0, 0.0])
 """Variance coefficients of white noise of unit variance."""
 
-
 TAU0_EXPONENT = {'Q': 1.0, 'N': 0.5, 'B': 0.0, 'K': -0.5}
 """SI coefficient = sqrt(variance coefficient) * tau0**exponent, where tau0 is in s."""
-
 
 DIFFERENCE = (1.0, -2.0, 1.0)
 """Coefficients of the second difference theta(u + 2m) - 2 theta(u + m) + theta(u) of the phase."""
@@ -66,14 +65,8 @@ def phase_covariance(t: Floats) -> Floats:
 def coefficient_to_si(term: str, variance: float, tau0: float) -> float:
     """Convert a variance coefficient (q, w, b, k), or the ramp per sample, to an SI coefficient.
 
-    Parameters
-    ----------
-    term : str
-        One of `TERMS`.
-    variance : float
-        Variance coefficient, or the ramp for term 'R'. A negative variance coefficient gives 0.
-    tau0 : float
-        Sample period in s.
+    ``term`` is one of `TERMS`, and ``tau0`` the sample period in s. A negative variance coefficient
+    gives 0.
     """
     if term == 'R':
         return variance / tau0
@@ -87,7 +80,6 @@ The same data decide whether a term gets an interval or an upper limit. With 1.6
 95 %, for limits, a term near the threshold would be missed in 5 % of records below and in 2.5 %
 above. With one quantile, a limit is the upper end of an interval that begins at 0, as in the
 unified intervals of Feldman & Cousins (Phys. Rev. D 57, 1998) for nonnegative estimates."""
-
 
 TERMS = ('Q', 'N', 'B', 'K', 'R')
 """Quantization, angle/velocity random walk, bias instability, rate random walk, rate ramp."""

@@ -9,16 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import AllanError
-from .gls_solver import (
-    NO_MISFIT,
-    FitOptions,
-    K,
-    PointFit,
-    Q,
-    covariance_at,
-    first_guess,
-    point_fit,
-)
+from .gls_solver import NO_MISFIT, FitOptions, PointFit, covariance_at, initial_variances, point_fit
 from .goodness import (
     DEFICIT_LIMIT,
     Z_EXCLUDE_SHORT,
@@ -30,18 +21,18 @@ from .goodness import (
     long_tau_deficit,
     looks_filtered,
     minus_log_profile,
-    misfit_of_fit,
     misfit_of_long_averages,
+    misfit_of_table,
     passes,
     passes_unfiltered,
     precise_rows,
     relative_error_of_n,
     with_model_error,
 )
-from .intervals import Score
-from .model import RANDOM_TERMS, Floats
+from .intervals import ScoreTest
+from .model import RANDOM_TERMS, Floats, K, Q
 from .process_search import LONGEST_CORRELATION, MAX_PROCESSES, ProcessSearch
-from .processes import Extra, GaussMarkovTerm, SinusoidTerm
+from .processes import GaussMarkovTerm, Process, SinusoidTerm
 from .table import PooledTable, Table
 
 M_MIN = (2, 4, 8, 16, 64)
@@ -66,10 +57,8 @@ one more Gauss-Markov process. It is exceeded by chance on one of 200 axes."""
 IMPRECISE_RATIO = 2.0
 """Largest part of this statistic that may come from averages of few degrees of freedom."""
 
-
 SINUSOID_RATIO = 21.0
 """The same for one more sinusoid; exceeded by chance in one of 2000 records."""
-
 
 MAX_ERROR_RATIO = 4.0
 """Largest ratio of the relative error of N without the shortest averages to that of a fit of all
@@ -89,7 +78,6 @@ ROUNDS = 6
 
 SAME_SHAPE = 0.05
 """Relative change of a shape that has a negligible effect on the covariance."""
-
 
 Z_SLACK = 1.0
 """A model with processes may exceed the normal deviate of an accepted model by this value."""
@@ -151,7 +139,7 @@ def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None
     """
     free = point_fit(pooled, axis, FitOptions(signed=True))
     first = best_case_goodness(free.table, free.variances)
-    z_quantization = Score(free.table, Q, free.variances)(0.0)
+    z_quantization = ScoreTest(free.table, Q, free.variances)(0.0)
     selected = Selection(free, first, z_quantization, z_quantization < Z_LOW_PASS)
     if not selected.filtered:
         plain = point_fit(pooled, axis, FitOptions(), np.maximum(free.variances, 0.0))
@@ -182,7 +170,9 @@ def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> Poi
     return fit
 
 
-def _one_more(pooled: PooledTable, axis: int, fit: PointFit, kind: type[Extra]) -> PointFit | None:
+def _one_more(
+    pooled: PooledTable, axis: int, fit: PointFit, kind: type[Process]
+) -> PointFit | None:
     """Return the fit with one more process of a kind; None if the likelihood ratio is too small."""
     is_line = kind is SinusoidTerm
     search = _search_with_covariance_of(pooled, axis, fit)
@@ -309,7 +299,7 @@ def _with_needed_misfit(pooled: PooledTable, axis: int, selected: Selection) -> 
     fit, misfit = selected.fit, NO_MISFIT
     signed = fit.options.signed
     if goodness_z(fit) >= Z_FAIL:
-        misfit = misfit_of_fit(fit.table, fit.variances, signed)
+        misfit = misfit_of_table(fit.table, fit.variances, signed)
     levels_off = long_tau_deficit(fit.table, fit.variances, misfit) <= DEFICIT_LIMIT
     if levels_off:
         misfit = misfit_of_long_averages(fit.table, fit.variances, signed, misfit)
@@ -330,7 +320,7 @@ def _with_searched_processes(
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.variances))
     search = _search(pooled, table, _scaled_covariance(table), options)
-    extras: tuple[Extra, ...] = fit.options.extras
+    extras: tuple[Process, ...] = fit.options.extras
     for _ in range(ROUNDS):
         found = search.search(extras)
         settled = _same_shapes(found.extras, extras)
@@ -349,14 +339,14 @@ def _with_searched_processes(
 
 def _scaled_covariance(table: Table) -> Floats:
     """Return the covariance of an approximate fit, scaled to the measured values."""
-    variances = first_guess(table)
+    variances = initial_variances(table)
     model = table.terms @ variances
     growth = np.where(table.avar > 0.0, table.avar, model) / model
     return np.asarray(covariance_at(table, variances, NO_MISFIT) * np.outer(growth, growth))
 
 
-def _same_shapes(new: tuple[Extra, ...], old: tuple[Extra, ...]) -> bool:
-    """Return whether both lists have the same processes with almost the same shapes."""
+def _same_shapes(new: tuple[Process, ...], old: tuple[Process, ...]) -> bool:
+    """Return whether both lists have the same processes with nearly equal times and frequencies."""
     return len(new) == len(old) and all(
         type(a) is type(b) and abs(a.shape - b.shape) <= SAME_SHAPE * b.shape
         for a, b in zip(new, old)

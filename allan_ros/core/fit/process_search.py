@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .gls_solver import B, K, N, Q, Whitening, nonnegative_least_squares
+from .gls_solver import Whitening, nonnegative_least_squares
 from .goodness import Z_FAIL, degrees_of_freedom
-from .model import RANDOM_TERMS, Floats
-from .processes import Extra, GaussMarkovTerm, SinusoidTerm
+from .model import RANDOM_TERMS, B, Floats, K, N, Q
+from .processes import GaussMarkovTerm, Process, SinusoidTerm
 from .table import Table
 
 SHAPES_PER_OCTAVE = 6
@@ -93,7 +93,7 @@ class ProcessFit:
 
     Attributes
     ----------
-    extras : tuple of Extra
+    extras : tuple of Process
         Gauss-Markov processes before sinusoids.
     variances : (4 + extras,) float64 array
         Variance coefficients of the terms and the processes.
@@ -101,20 +101,20 @@ class ProcessFit:
         Sum of the squared whitened residuals.
     """
 
-    extras: tuple[Extra, ...]
+    extras: tuple[Process, ...]
     variances: Floats
     chi_squared: float
 
 
 class ProcessSearch:
-    """Search for the processes that describe a table with a fixed covariance.
+    """Search for Gauss-Markov processes and sinusoids that describe measured Allan variances.
 
     Parameters
     ----------
     table : Table
-        Table of the four random terms.
+        Allan variances with the columns of the four random terms.
     covariance : (factors, factors) float64 array
-        Covariance of the Allan variances.
+        Covariance of the Allan variances; it is not changed by the search.
     samples : int
         Length of the longest segment in samples.
     signed : bool
@@ -143,7 +143,7 @@ class ProcessSearch:
         least = shortest * float(table.m[0])
         drifts = _spaced(least, samples / LONGEST_CORRELATION)
         lines = _spaced(SINUSOID_PERIODS / samples, FASTEST_SINUSOID / float(table.m[0]))
-        self._grid: list[Extra] = [GaussMarkovTerm(float(t)) for t in drifts]
+        self._grid: list[Process] = [GaussMarkovTerm(float(t)) for t in drifts]
         self._grid += [SinusoidTerm(float(f)) for f in lines]
         self._columns = self._white(self._grid)
         self._of_kind = {
@@ -151,21 +151,21 @@ class ProcessSearch:
             for kind in (GaussMarkovTerm, SinusoidTerm)
         }
 
-    def _white(self, extras: Sequence[Extra]) -> Floats:
+    def _white(self, extras: Sequence[Process]) -> Floats:
         """Return the whitened columns of processes, (rows, processes)."""
         if not extras:
             return np.zeros((len(self._target), 0))
         return self._to_white @ self.table.columns(extras)
 
-    def fitted(self, extras: Sequence[Extra]) -> ProcessFit:
+    def fitted(self, extras: Sequence[Process]) -> ProcessFit:
         """Return the fit of given processes and the four random terms."""
         design = np.column_stack([self._terms, self._white(extras)])
         variances = nonnegative_least_squares(design, self._target, (Q,) if self.signed else ())
-        rest = self._target - design @ variances
-        return ProcessFit(tuple(extras), variances, float(rest @ rest))
+        residual = self._target - design @ variances
+        return ProcessFit(tuple(extras), variances, float(residual @ residual))
 
-    def search(self, start: Sequence[Extra] = ()) -> ProcessFit:
-        """Return the fit with the fewest processes that describe the table.
+    def search(self, start: Sequence[Process] = ()) -> ProcessFit:
+        """Return the fit with the fewest processes that describe the data.
 
         The search begins with the processes ``start``; those that are not significant are removed.
         """
@@ -217,18 +217,21 @@ class ProcessSearch:
         freedom = max(self.freedom - np.count_nonzero(found.variances) - len(found.extras), 1.0)
         return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
 
-    def _needed(self, found: ProcessFit, extra: Extra | None = None) -> float:
+    def _needed(self, found: ProcessFit, extra: Process | None = None) -> float:
         """Return the decrease of chi^2 that one more process needs."""
         if isinstance(extra, GaussMarkovTerm) and not self._walk:
             return NO_WALK_GAIN
         return REJECTED_GAIN if self.z(found) >= Z_FAIL else ACCEPTED_GAIN
 
     def with_one_more(
-        self, found: ProcessFit, kinds: Sequence[type[Extra]] = (GaussMarkovTerm, SinusoidTerm)
+        self,
+        found: ProcessFit,
+        kinds: Sequence[type[Process]] = (GaussMarkovTerm, SinusoidTerm),
     ) -> ProcessFit | None:
-        """Return the best fit with one more process of the given kinds, with all shapes adjusted.
+        """Return the best fit with one more process of the given kinds, or None.
 
-        None if no process decreases chi^2.
+        Correlation times and frequencies of all processes are adjusted. None if no process
+        decreases chi^2.
         """
         allowed = np.zeros(len(self._grid), bool)
         for kind in kinds:
@@ -250,7 +253,7 @@ class ProcessSearch:
         more = [self._with(found, self._grid[at[k]], refined=len(tried) > 1) for k in tried]
         return self.adjusted(min(more, key=lambda each: each.chi_squared))
 
-    def _with(self, found: ProcessFit, extra: Extra, refined: bool) -> ProcessFit:
+    def _with(self, found: ProcessFit, extra: Process, refined: bool) -> ProcessFit:
         """Return the fit with a given process added, with its best shape if ``refined``."""
         extras = _sorted([*found.extras, extra])
         more = self.fitted(extras)
@@ -259,7 +262,7 @@ class ProcessSearch:
         return self._with_best_shape(more, extras.index(extra), everywhere=False)
 
     def adjusted(self, found: ProcessFit, sweeps: int = 1) -> ProcessFit:
-        """Return the fit with the shapes of all processes adjusted in turn, for some sweeps."""
+        """Return the fit with all correlation times and frequencies adjusted in turn."""
         for sweep in range(sweeps):
             before = found.chi_squared
             for k in range(len(found.extras)):
@@ -269,7 +272,10 @@ class ProcessSearch:
         return found
 
     def _with_best_shape(self, found: ProcessFit, k: int, everywhere: bool) -> ProcessFit:
-        """Return the fit with the best shape of process k; try the whole grid if ``everywhere``."""
+        """Return the fit with the best correlation time or frequency of process k.
+
+        The whole grid is searched if ``everywhere``, and the best value is refined.
+        """
         best = found.extras[k]
         others = [e for n, e in enumerate(found.extras) if n != k]
         variances = np.delete(found.variances, len(RANDOM_TERMS) + k)
@@ -305,7 +311,7 @@ class ProcessSearch:
 
     def _chi_squared_with(
         self,
-        extras: Sequence[Extra],
+        extras: Sequence[Process],
         variances: Floats,
         candidates: Floats,
         actives: Sequence[tuple[int, ...]] = ((), (B,), (K,), (B, K)),
@@ -325,16 +331,16 @@ class ProcessSearch:
         for some in actives if self._walk else [each for each in actives if K not in each]:
             active = sorted((*certain, *some))
             basis, upper = np.linalg.qr(known[:, active] / self._scale(known[:, active]))
-            rest = self._target - basis @ (basis.T @ self._target)
+            residual = self._target - basis @ (basis.T @ self._target)
             shared = basis.T @ candidates
             alone = np.sum(candidates**2, axis=0) - np.sum(shared**2, axis=0)
-            along = candidates.T @ rest
+            along = candidates.T @ residual
             share = along / np.maximum(alone, 1e-12 * np.sum(candidates**2, axis=0))
             free = [n for n, c in enumerate(active) if c == Q]
             other = np.linalg.solve(upper, (basis.T @ self._target)[:, None] - shared * share)
             other[free] = 0.0
             possible = (share > 0.0) & (other >= 0.0).all(axis=0)
-            chi_squared = rest @ rest - along * share
+            chi_squared = residual @ residual - along * share
             least = np.where(possible, np.minimum(least, chi_squared), least)
         return least
 
@@ -345,12 +351,12 @@ class ProcessSearch:
 
 
 def _spaced(low: float, high: float) -> Floats:
-    """Return shapes that are evenly spaced in their logarithm; none if low >= high."""
+    """Return values that are evenly spaced in their logarithm; none if low >= high."""
     if low >= high:
         return np.zeros(0)
     return np.geomspace(low, high, int(np.log2(high / low) * SHAPES_PER_OCTAVE) + 2)
 
 
-def _sorted(extras: Sequence[Extra]) -> list[Extra]:
-    """Return the Gauss-Markov processes, then the sinusoids, each sorted by shape."""
+def _sorted(extras: Sequence[Process]) -> list[Process]:
+    """Return the Gauss-Markov processes, then the sinusoids, each sorted by its shape."""
     return sorted(extras, key=lambda e: (isinstance(e, SinusoidTerm), e.shape))

@@ -30,9 +30,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from ..noise import gauss_markov_sums, sinusoid_avar
-from .model import RANDOM_TERMS, Floats, Ints, walk_from_cubic
-
-Q = RANDOM_TERMS.index('Q')
+from .model import RANDOM_TERMS, Floats, Ints, Q, walk_from_cubic
 
 SINUSOID_PEAK = 0.371
 """Value of f m at which the Allan variance of a sinusoid, sin^4(pi f m)/(pi f m)^2, is largest."""
@@ -66,31 +64,20 @@ class SinusoidTerm:
         return SINUSOID_PEAK / self.shape
 
 
-Extra = GaussMarkovTerm | SinusoidTerm
+Process = GaussMarkovTerm | SinusoidTerm
 
 
-def correlation_times(extras: Sequence[Extra]) -> tuple[float, ...]:
+def correlation_times(extras: Sequence[Process]) -> tuple[float, ...]:
     """Return the correlation times in samples of the Gauss-Markov processes in a list."""
     return tuple(e.shape for e in extras if isinstance(e, GaussMarkovTerm))
 
 
-def amplitude_variance(samples: int, times: Sequence[float], lines: Sequence[Extra]) -> Floats:
-    """Return the variance of the estimated squared amplitude of each sinusoid due to noise.
+def amplitude_variance(samples: int, times: Sequence[float], lines: Sequence[Process]) -> Floats:
+    """Return the variance of estimated squared amplitudes, (sinusoids, 4 + processes).
 
     White noise of two-sided density S adds 8 A^2 S / n to this variance for an amplitude A and n
-    samples. The result is relative to A^2 and per unit of each variance coefficient.
-
-    Parameters
-    ----------
-    samples : int
-        Number of samples n.
-    times : sequence of float
-        Correlation times in samples of the Gauss-Markov processes.
-    lines : sequence of SinusoidTerm
-
-    Returns
-    -------
-    (sinusoids, 4 + processes) float64 array
+    samples. The result is relative to A^2 and per unit of each variance coefficient. ``times`` are
+    the correlation times of Gauss-Markov processes in samples.
     """
     rows = []
     for line in lines:
@@ -107,23 +94,15 @@ def amplitude_variance(samples: int, times: Sequence[float], lines: Sequence[Ext
 
 
 def independent_variance(
-    m: Ints, stride: Ints, count: Ints, samples: int, segments: int, lines: Sequence[Extra]
+    m: Ints, stride: Ints, count: Ints, samples: int, segments: int, lines: Sequence[Process]
 ) -> Floats:
     """Return the variance of Allan variances due to sinusoids that is independent at each factor.
 
-    A sinusoid and white noise multiply in the squared differences. At every s-th start, the
-    differences also contain the noise at the aliases of the sinusoid. With C differences l_j of the
-    sinusoid and d_j of the noise, the variance of mean(l d) is E[l^2]/C sum_k (1 - |k|/C) cos(omega
-    s k) R_d(s k). The mean of l^2 itself depends on the phase, relatively by 1/(C sin(omega s)), or
-    entirely if the phase is the same at all starts.
-
-    Parameters
-    ----------
-    m, stride, count : (factors,) int64 arrays
-        Averaging factors, samples between two starts, and numbers of differences.
-    samples, segments : int
-        Total number of samples, and number of segments.
-    lines : sequence of SinusoidTerm
+    A sinusoid and white noise multiply in the squared differences. At every s-th start
+    (``stride``), the differences also contain the noise at the aliases of the sinusoid. With C
+    differences (``count``) l_j of the sinusoid and d_j of the noise, the variance of mean(l d) is
+    E[l^2]/C sum_k (1 - |k|/C) cos(omega s k) R_d(s k). The mean of l^2 itself depends on the phase,
+    relatively by 1/(C sin(omega s)), or entirely if the phase is the same at all starts.
 
     Returns
     -------
@@ -255,12 +234,12 @@ class _Segments:
         Only segments of at least ``least`` samples are counted.
         """
         enough = (self.samples >= least[:, None]) * self.number
-        rest = np.mod(self.samples - reach[:, None], stride[:, None])
-        return np.asarray((rest * enough).sum(axis=1) / np.maximum(enough.sum(axis=1), 1.0))
+        remainder = np.mod(self.samples - reach[:, None], stride[:, None])
+        return np.asarray((remainder * enough).sum(axis=1) / np.maximum(enough.sum(axis=1), 1.0))
 
 
 class _Lags:
-    """Quadrature over the lags of given pairs of averaging factors."""
+    """Sums over lags of products of covariances, for given pairs of averaging factors."""
 
     def __init__(self, mi: Ints, mj: Ints, si: Ints, sj: Ints, segments: _Segments) -> None:
         self.mi, self.mj = mi.astype(float), mj.astype(float)
@@ -290,7 +269,10 @@ class _Lags:
         return np.where(u <= self.near[:, None], self.plateau[:, None], falling)
 
     def covariances(self, u: Floats, times: Sequence[float]) -> Floats:
-        """Return C of unit w, b, k and of the processes at lags u, (3 + processes, pairs, lags)."""
+        """Return the covariance of differences at lags u of unit w, b, k and of the processes.
+
+        Shape (3 + processes, pairs, lags).
+        """
         norm, scale = self.norm[:, None], self.mj[:, None]
         absolute = 4.0 * u
         flicker = _square_log(u, scale) * 4.0
@@ -317,7 +299,7 @@ class _Lags:
         return np.stack(out)
 
     def sums(self, times: Sequence[float], products: Sequence[tuple[int, int]]) -> Floats:
-        """Return twice (or four times) the sums over lags of the products, (products, pairs)."""
+        """Return 2 or 4 times the sums over lags of products of covariances, (products, pairs)."""
         u, weight = self._weights(max(times))
         c = self.covariances(u, times)
         corners = np.stack([np.zeros_like(self.mi), self.mi, self.mj, self.near, self.far], axis=1)
@@ -347,7 +329,7 @@ class _Lags:
         return out
 
     def _weights(self, longest: float) -> tuple[Floats, Floats]:
-        """Return lags, (pairs, nodes), and the weights of the products of C at these lags.
+        """Return lags and their weights in the quadrature, (pairs, nodes) each.
 
         The slope of the number of pairs changes where a segment ends. A segment that ends between
         two corners is integrated up to its end, with the polynomial through the nodes.
@@ -392,7 +374,7 @@ class _Lags:
             weight[at] += 2.0 * number * outer[at, None] * (powers[:, :NODES] @ _AT)
 
     def _bounds(self, longest: float) -> list[Floats]:
-        """Return the lags between which C is smooth, in increasing order."""
+        """Return the lags between which the covariance is smooth, in increasing order."""
         corners = np.sort(
             np.stack([np.zeros_like(self.mi), self.mi, self.near, self.mj, self.far]), axis=0
         )
@@ -400,11 +382,11 @@ class _Lags:
         return [np.minimum(lag, np.maximum(self.end, 0.0)) for lag in (*corners, *tail)]
 
     def _step_corrections(self) -> tuple[Floats, Floats]:
-        """Return corrections of the sum over lags at both ends of the decrease of the pairs.
+        """Return corrections of the quadrature for the number of pairs, which decreases in steps.
 
-        The number of pairs is a step function whose steps are ``ratio`` lags wide. The corrections
-        are the differences between its sum and the integral of a straight line, in units of C
-        squared.
+        A step is ``ratio`` lags wide. The corrections are the differences between a sum over the
+        steps and the integral of a straight line at the begin and at the end of the decrease, in
+        units of the squared covariance.
         """
         ratio, lost = self.ratio, self.lost
         bend = np.where(ratio <= self.mi / self.stride, (ratio - 1.0 / ratio) / 12.0, lost / 2.0)

@@ -42,14 +42,13 @@ from .model import (
     WHITE,
     Floats,
     Ints,
+    N,
     phase_covariance,
     walk_from_cubic,
 )
 
-N = RANDOM_TERMS.index('N')
-
 SHIFTS_PER_OCTAVE = 4
-"""Number of correlation times per octave at which `DriftShift` is computed; interpolation between
+"""Number of correlation times per octave at which `ProcessShift` is computed; interpolation between
 them is accurate to 1e-4."""
 
 SHORTEST_SHIFT = 0.25
@@ -85,7 +84,9 @@ class Noise(NamedTuple):
 
 @dataclass(frozen=True)
 class RampEffect:
-    """Moments of a ramp estimate, per unit coefficient of the four terms and of the processes.
+    """Covariance of an estimated linear drift (ramp) with the Allan variances, and its variance.
+
+    Both are per unit coefficient of the four random terms and of the processes.
 
     Attributes
     ----------
@@ -99,7 +100,7 @@ class RampEffect:
     variance: Floats
 
     def shift(self, m: Ints) -> Floats:
-        """Return the change of E d^2/(2 m^2) due to the removal of the ramp, (factors, noises).
+        """Return the change of the Allan variances due to the removed ramp, (factors, noises).
 
         -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit coefficient.
         """
@@ -110,7 +111,7 @@ class RampEffect:
 
 @dataclass(frozen=True)
 class RampGeometry:
-    """Covariances that determine the best ramp estimate of a segment of a given length.
+    """Covariances that determine the best estimate of the linear drift (ramp) of a segment.
 
     Attributes
     ----------
@@ -144,7 +145,7 @@ class RampGeometry:
     stride: Ints
 
     def best_weights(self, noise: Noise) -> Floats | None:
-        """Return the weights of the phase for the best estimate of the ramp, (points,).
+        """Return the weights of the phase points in the best estimate of the ramp, (points,).
 
         None if there are fewer than three points or no noise.
         """
@@ -160,14 +161,10 @@ class RampGeometry:
         return np.asarray(np.convolve(solution / solution.sum(), DIFFERENCE) / self.step**2)
 
     def effect(self, weights: Floats, times: Sequence[float] | Floats = ()) -> RampEffect:
-        """Return the covariance of a ramp estimate with the Allan table, and its variance.
+        """Return the covariance of a ramp estimate with the Allan variances, and its variance.
 
-        Parameters
-        ----------
-        weights : (points,) float64 array
-            Weights of the phase points in the estimate.
-        times : sequence of float
-            Correlation times, in samples, of processes that follow the four terms in the result.
+        ``weights`` are the weights of the phase points, ``times`` are the correlation times, in
+        samples, of processes that follow the four terms in the result.
         """
         cross = self.cross @ weights
         if len(times):
@@ -175,7 +172,11 @@ class RampGeometry:
         return RampEffect(cross, self.variance(weights, times))
 
     def variance(self, weights: Floats, times: Sequence[float] | Floats = ()) -> Floats:
-        """Return the variance of a ramp estimate with these weights, (noises,)."""
+        """Return the variance of a ramp estimate per unit coefficient, (noises,).
+
+        ``weights`` are the weights of the phase points, ``times`` the correlation times of
+        processes.
+        """
         on_second = np.cumsum(np.cumsum(weights))[:-2]
         # w' S w of a Toeplitz S is the sum of its lags times the autocorrelation of w.
         lags = np.correlate(on_second, on_second, 'full')[len(on_second) - 1 :]
@@ -200,7 +201,7 @@ class RampGeometry:
     def _decay_cross(
         self, weights: Floats, times: Sequence[float] | Floats, white: Floats
     ) -> Floats:
-        """Return the covariances of S_i with a ramp estimate for Gauss-Markov processes.
+        """Return the covariances of a ramp estimate with the mean differences of processes.
 
         The integral of exp(-|t|/T) is T sign(t) (1 - exp(-|t|/T)). The sum of its values at t - x
         over the points x follows from the sums over the points before and after t of the weights,
@@ -228,7 +229,7 @@ class RampGeometry:
 
 @lru_cache(maxsize=80)
 def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
-    """Return the geometry of a segment of ``samples`` samples; the last 80 are cached.
+    """Return the `RampGeometry` of a segment of ``samples`` samples; the last 80 are cached.
 
     ``step`` is the number of samples between two phase points; 0 selects that of a complete
     segment.
@@ -318,12 +319,12 @@ def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
 
 @lru_cache(maxsize=256)
 def mean_covariances(samples: int, time: float) -> Floats:
-    """Return the covariances of S_i and S_j for a Gauss-Markov process of unit variance, (pairs,).
+    """Return the covariances of the mean differences of a Gauss-Markov process, (pairs,).
 
-    For the pairs i <= j of `numpy.triu_indices`; ``time`` is the correlation time in samples. The
-    double sum over starts is replaced by a double integral, which is minus the second
-    antiderivative of the covariance of the phase between the ends: -A |t|^3/12 - B/2 (T^2
-    exp(-|t|/T) + T |t|).
+    They are the covariances of S_i and S_j for unit variance and the correlation time ``time`` in
+    samples, for the pairs i <= j of `numpy.triu_indices`. The double sum over starts is replaced by
+    a double integral, which is minus the second antiderivative of the covariance of the phase
+    between the ends: -A |t|^3/12 - B/2 (T^2 exp(-|t|/T) + T |t|).
     """
     slope, size = (float(x[0]) for x in gauss_markov_sums(time))
     ends, shares = _ends(samples)
@@ -346,10 +347,10 @@ def mean_covariances(samples: int, time: float) -> Floats:
 # --- segments that are pooled by length -----------------------------------------------------------
 
 
-def fixed_effect(samples: int, times: Sequence[float] | Floats = ()) -> RampEffect | None:
-    """Return the effect of removing the least-squares ramp of a pooled segment.
+def least_squares_effect(samples: int, times: Sequence[float] | Floats = ()) -> RampEffect | None:
+    """Return the effect of removing the least-squares line from a segment of ``samples`` samples.
 
-    None for segments too short for a ramp. ``times`` are correlation times of processes in samples.
+    None if the segment is too short. ``times`` are correlation times of processes in samples.
     """
     geometry = ramp_geometry(samples)
     if geometry.points < 3:
@@ -364,21 +365,12 @@ def pooled_shift(
     count: Ints,
     times: Sequence[float] | Floats = (),
 ) -> Floats:
-    """Return the change of the expected sums over the pooled differences when ramps are removed.
+    """Return the change of the Allan sums of pooled segments due to removed linear drifts.
 
-    Parameters
-    ----------
-    classes : sequence of LengthClass
-        Pooled segments by length.
-    m, stride, count : (factors,) int64 arrays
-        Averaging factors, samples between two starts, and differences of all pooled segments.
-    times : sequence of float
-        Correlation times of processes, in samples.
-
-    Returns
-    -------
-    (factors, 4 + processes) float64 array
-        Per unit coefficient, for sums of d^2/(2 m^2).
+    ``m``, ``stride`` and ``count`` are the averaging factors, the samples between two starts and
+    the numbers of differences of all pooled segments. ``times`` are correlation times of processes
+    in samples. The result is the change of the expected sums of d^2/(2 m^2) per unit coefficient,
+    (factors, 4 + processes).
     """
     change = np.zeros((len(m), len(RANDOM_TERMS) + len(times)))
     number = np.zeros(len(m))
@@ -391,9 +383,9 @@ def pooled_shift(
         change[whole] += here[:, None] * _shift(round(mean), times)[whole]
         partly[(2 * m > low) & (2 * m < high)] = round(mean)
     for i in np.flatnonzero(partly):
-        rest = max(count[i] - number[i], 0.0)
-        number[i] += rest
-        change[i] += rest * _shift(max(int(partly[i]), 2 * int(m[i])), times)[i]
+        remaining = max(count[i] - number[i], 0.0)
+        number[i] += remaining
+        change[i] += remaining * _shift(max(int(partly[i]), 2 * int(m[i])), times)[i]
     return np.asarray(change * (count / np.maximum(number, 1.0))[:, None])
 
 
@@ -415,14 +407,14 @@ def _differences(pool: LengthClass, mean: float, m: Ints, stride: Ints) -> Float
 
 
 def _shift(samples: int, times: Sequence[float] | Floats) -> Floats:
-    """Return the change of E d^2/(2 m^2) due to a removed ramp, (factors, noises)."""
-    effect = fixed_effect(samples, times)
+    """Return the change of the Allan variances of a segment due to a removed ramp."""
+    effect = least_squares_effect(samples, times)
     m = ramp_geometry(samples).m
     return np.zeros((len(m), len(RANDOM_TERMS) + len(times))) if effect is None else effect.shift(m)
 
 
-class DriftShift:
-    """Change of the Allan variances of Gauss-Markov processes due to the removal of ramps.
+class ProcessShift:
+    """Change of the Allan variances of Gauss-Markov processes if linear drifts (ramps) are removed.
 
     Relative to the low-frequency level of the process, it is a smooth function of the logarithm of
     the correlation time. It is computed once at `SHIFTS_PER_OCTAVE` points and interpolated by

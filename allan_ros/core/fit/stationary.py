@@ -190,8 +190,8 @@ def _without_early_part(
     divided = _settled_part(sums, last.age)
     if divided is None:
         return sums, fit_noise(sums, method), [_warm_up_finding(sums, parts, last.age)]
-    rest, age = divided
-    settled = fit_noise(rest, method)
+    remaining, age = divided
+    settled = fit_noise(remaining, method)
     certain = settle and max(part.excess for part in parts) >= CERTAIN_EXCESS
     # The selection of the model takes most of the time: it is done once.
     complete = fit_noise(sums, method, settled if certain else None)
@@ -216,7 +216,7 @@ def _without_early_part(
         what=_early_part_text(sums, parts),
         changes='; '.join(change.text(early) for change in (changes or every)[:NAMED_CHANGES]),
     )
-    return (rest, settled, [found]) if certain else (sums, complete, [found])
+    return (remaining, settled, [found]) if certain else (sums, complete, [found])
 
 
 def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
@@ -290,10 +290,10 @@ def _settled_part(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
     if edge is None:
         return None
     try:
-        rest = settled_sums(sums, edge)
+        remaining = settled_sums(sums, edge)
     except AllanError:
         return None
-    return (rest, edge) if rest.samples >= LEAST_REMAINING * sums.samples else None
+    return (remaining, edge) if remaining.samples >= LEAST_REMAINING * sums.samples else None
 
 
 def _warm_up_finding(sums: AllanSums, parts: list[EarlyPart], age: int) -> Finding:

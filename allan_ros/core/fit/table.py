@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from ..allan.sums import AllanSums, SegmentRecord, allan_variance
 from ..noise import sampled_gauss_markov_avar, sinusoid_avar
-from .covariance import TERM_PAIRS, PairSums, clear_pair_sums, filled_white, pair_sums
-from .model import RANDOM_TERMS, Floats, Ints, avar_terms
+from .covariance import TERM_PAIRS, PairSums, clear_pair_sums, interpolation_excess, pair_sums
+from .model import RANDOM_TERMS, Floats, Ints, N, avar_terms
 from .processes import (
-    Extra,
     GaussMarkovTerm,
+    Process,
     amplitude_variance,
     correlation_times,
     independent_variance,
@@ -32,17 +32,15 @@ from .processes import (
     process_squares,
 )
 from .ramp import (
-    DriftShift,
     Noise,
+    ProcessShift,
     RampEffect,
     RampGeometry,
-    fixed_effect,
+    least_squares_effect,
     mean_covariances,
     pooled_shift,
     ramp_geometry,
 )
-
-N = RANDOM_TERMS.index('N')
 
 ROUNDING = 1e-12
 """Fraction of the variance below which the remainder after removal of the ramp is a rounding
@@ -90,7 +88,7 @@ class Table:
     independent_variance : (2, sinusoids, factors) float64 array
         Variance of ``avar`` due to a sinusoid that is independent at each factor: relative to the
         squared amplitude times w, and to the square of the squared amplitude.
-    drift_shift : callable or None
+    process_shift : callable or None
         Returns the change of the columns of Gauss-Markov processes due to the removal of ramps, for
         averaging factors and correlation times, (factors, processes); None for no change.
     """
@@ -105,28 +103,28 @@ class Table:
     noises: int = len(RANDOM_TERMS)
     amplitude_variance: Floats = field(default_factory=lambda: np.zeros((0, len(RANDOM_TERMS))))
     independent_variance: Floats = field(default_factory=lambda: np.zeros((2, 0, 0)))
-    drift_shift: Callable[[Ints, Floats], Floats] | None = None
+    process_shift: Callable[[Ints, Floats], Floats] | None = None
 
     @property
     def lines(self) -> int:
         """Number of sinusoids."""
         return len(self.amplitude_variance)
 
-    def columns(self, extras: Sequence[Extra]) -> Floats:
+    def columns(self, extras: Sequence[Process]) -> Floats:
         """Return the expected ``avar`` of processes of unit size, (factors, processes)."""
         drift = np.array([isinstance(e, GaussMarkovTerm) for e in extras], bool)
         shapes = np.array([e.shape for e in extras])
         out = np.empty((len(self.m), len(extras)))
         if drift.any():
             out[:, drift] = sampled_gauss_markov_avar(self.m, shapes[drift])
-            if self.drift_shift is not None:
-                out[:, drift] += self.drift_shift(self.m, shapes[drift])
+            if self.process_shift is not None:
+                out[:, drift] += self.process_shift(self.m, shapes[drift])
         if not drift.all():
             out[:, ~drift] = sinusoid_avar(self.m[:, None], shapes[~drift])
         return out
 
-    def tangents(self, extras: Sequence[Extra]) -> Floats:
-        """Return the derivatives of `columns` by the logarithms of the shapes."""
+    def tangents(self, extras: Sequence[Process]) -> Floats:
+        """Return the derivatives of `columns` by the logarithms of the process shapes."""
         half = SHAPE_STEP**0.5
         above, below = (
             self.columns([replace(e, shape=e.shape * factor) for e in extras])
@@ -154,7 +152,7 @@ class Table:
         return np.asarray(covariance)
 
     def rows(self, keep: NDArray[np.bool_]) -> Table:
-        """Return the table with only some of its averaging factors."""
+        """Return the same table with only the averaging factors where ``keep`` is True."""
         i, j = np.triu_indices(len(self.m))
         return replace(
             self,
@@ -187,8 +185,8 @@ def _products(processes: int) -> tuple[Ints, Ints]:
 
 
 @dataclass(frozen=True)
-class _Part:
-    """One kept segment, or the pooled segments of one length class.
+class _SegmentGroup:
+    """One separately stored segment, or several pooled segments of similar length.
 
     Attributes
     ----------
@@ -208,14 +206,14 @@ class _Part:
     at: Ints
 
     @classmethod
-    def of(cls, samples: int, number: int, factors: int, step: int = 0) -> _Part:
+    def of(cls, samples: int, number: int, factors: int, step: int = 0) -> _SegmentGroup:
         pairs = pair_sums(samples)
         i, j = np.triu_indices(len(pairs.m))
         at = i * factors - i * (i - 1) // 2 + (j - i)
         return cls(number, pairs, ramp_geometry(samples, step), at)
 
     def ramp_squares(self, effect: RampEffect, times: Sequence[float]) -> Floats:
-        """Return the change of the sums over pairs due to removed ramps, (products, pairs).
+        """Return the change of the covariance sums due to removed ramps, (products, pairs).
 
         The difference d - r m^2 has the covariance C - D at every lag. In units of 1/(2 m_i m_j), D
         is the same for all starts if r is the best estimate, and nearly the same for any good
@@ -226,11 +224,12 @@ class _Part:
         number = self.pairs.count[i].astype(float) * self.pairs.count[j]
         processes = [mean_covariances(self.pairs.samples, time) for time in times]
         mean = np.stack([*(self.pairs.singles / number), *processes])
-        less = (effect.cross[:, j] * m[i] + effect.cross[:, i] * m[j]) / np.sqrt(2.0)
-        rest = less - effect.variance[:, None] * (m[i] * m[j] / 2.0) - mean
+        removed = (effect.cross[:, j] * m[i] + effect.cross[:, i] * m[j]) / np.sqrt(2.0)
+        reduced = removed - effect.variance[:, None] * (m[i] * m[j] / 2.0) - mean
         a, b = _products(len(times))
         twice = np.where(a == b, 2.0, 4.0)[:, None]
-        return np.asarray(self.number * twice * number * (rest[a] * rest[b] - mean[a] * mean[b]))
+        change = reduced[a] * reduced[b] - mean[a] * mean[b]
+        return np.asarray(self.number * twice * number * change)
 
 
 class PooledTable:
@@ -241,11 +240,11 @@ class PooledTable:
         factors = len(sums.count)
         self.m = sums.m
         self.terms = avar_terms(self.m)
-        self._kept = [_Part.of(s.samples, 1, factors, s.phase_step) for s in sums.segments]
+        self._kept = [_SegmentGroup.of(s.samples, 1, factors, s.phase_step) for s in sums.segments]
         self._pooled = [
-            _Part.of(round(c.samples / c.count), c.count, factors) for c in sums.classes
+            _SegmentGroup.of(round(c.samples / c.count), c.count, factors) for c in sums.classes
         ]
-        self._filled = filled_white(self.m, sums.filled, max(sums.samples, 1))
+        self._filled = interpolation_excess(self.m, sums.filled, max(sums.samples, 1))
         i, j = np.triu_indices(factors)
         self._pair_counts = sums.count[i].astype(float) * sums.count[j]
         squares = np.zeros((len(TERM_PAIRS), len(i)))
@@ -263,12 +262,12 @@ class PooledTable:
         shift = partial(pooled_shift, sums.classes, self.m, sums.stride, self._pooled_count)
         self._pooled_terms = shift(())
         longest = max((s.samples for s in self.segments), default=1)
-        self._pooled_drifts = DriftShift(longest, lambda t: shift(t)[:, 4:])
+        self._pooled_drifts = ProcessShift(longest, lambda t: shift(t)[:, 4:])
 
     def _with_pooled_ramps(self, squares: Floats, times: tuple[float, ...]) -> Floats:
-        """Add, in place, the effect of the removal of pooled ramps to the last products."""
+        """Add, in place, the effect of removed ramps of pooled segments to the covariance sums."""
         for part in self._pooled:
-            effect = fixed_effect(part.pairs.samples, times)
+            effect = least_squares_effect(part.pairs.samples, times)
             if effect is not None:
                 squares[:, part.at] += part.ramp_squares(effect, times)[-len(squares) :]
         return squares
@@ -289,18 +288,10 @@ class PooledTable:
     def ramps(
         self, axis: int, noise: Noise, known: Floats | None = None
     ) -> tuple[Floats, list[Floats | None]]:
-        """Return the ramp per sample of each kept segment, and the weights of its phase.
+        """Return the linear drift per sample of each segment, and the weights of the phase points.
 
-        Known ramps are returned unchanged, with None as weights.
-
-        Parameters
-        ----------
-        axis : int
-            Position among the axes of the sums.
-        noise : Noise
-            Noise model for which the estimate has the smallest variance.
-        known : (segments,) float64 array, optional
-            Known ramps per sample, NaN where the ramp is to be estimated.
+        The drifts are estimated with the smallest variance for the given noise. Values in ``known``
+        that are not NaN are returned unchanged, with None as weights.
         """
         known = np.full(len(self._kept), np.nan) if known is None else known
         found = np.where(np.isfinite(known), known, 0.0)
@@ -315,9 +306,10 @@ class PooledTable:
     def ramp_variance(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> Floats:
-        """Return the variance of each ramp per unit coefficient, (segments, noises).
+        """Return the variance of the linear drift of each segment, (segments, noises).
 
-        It is 0 if the ramp is known or cannot be estimated.
+        It is per unit coefficient, and 0 if the drift is known or cannot be estimated. ``weights``
+        are those of `ramps`, ``times`` are correlation times of processes in samples.
         """
         out = np.zeros((len(weights), len(RANDOM_TERMS) + len(times)))
         for s, (part, w) in enumerate(zip(self._kept, weights)):
@@ -327,8 +319,8 @@ class PooledTable:
 
     def _effects(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
-    ) -> list[tuple[_Part, RampEffect]]:
-        """Return the kept segments with estimated ramps, and the effect of the removal of each."""
+    ) -> list[tuple[_SegmentGroup, RampEffect]]:
+        """Return the segments with estimated ramps, and the effect of the removal of each ramp."""
         return [
             (part, part.geometry.effect(w, times))
             for part, w in zip(self._kept, weights)
@@ -340,11 +332,11 @@ class PooledTable:
         axis: int,
         noise: Noise = Noise(),
         ramps: Floats | None = None,
-        extras: Sequence[Extra] = (),
+        extras: Sequence[Process] = (),
         m_min: int = 1,
         tangents: bool = False,
     ) -> Table:
-        """Return the table of one axis, with the ramps estimated for given noise.
+        """Return the Allan variances of one axis without linear drifts, and their moments.
 
         Parameters
         ----------
@@ -355,7 +347,7 @@ class PooledTable:
             describes the complete curve, is replaced by white noise.
         ramps : (segments,) float64 array, optional
             Known ramps per sample, NaN where the ramp is to be estimated.
-        extras : sequence of Extra
+        extras : sequence of Process
             Processes whose columns are added, Gauss-Markov processes before sinusoids.
         m_min : int
             Smallest averaging factor.
@@ -385,7 +377,7 @@ class PooledTable:
             added = self._pooled_drifts(times) if self._pooled else 0.0
             return np.asarray((added + self._kept_shift(weights, times)[:, 4:]) / count)
 
-        smooth = DriftShift(self.sums.segments[0].samples if self.segments else 1, shift)
+        smooth = ProcessShift(self.sums.segments[0].samples if self.segments else 1, shift)
         table = Table(
             self.m,
             self.sums.count,
@@ -395,12 +387,12 @@ class PooledTable:
             found,
             self.ramp_variance(weights, times),
             len(RANDOM_TERMS) + len(times),
-            drift_shift=lambda m, t: smooth(t)[np.searchsorted(self.m, m)],
+            process_shift=lambda m, t: smooth(t)[np.searchsorted(self.m, m)],
         )
         table = table.rows((self.m >= m_min) & _informative(table, self.terms, noise.white()))
         if not extras:
             return table
-        exact = replace(table, drift_shift=lambda m, t: shift(t)[np.searchsorted(self.m, m)])
+        exact = replace(table, process_shift=lambda m, t: shift(t)[np.searchsorted(self.m, m)])
         columns = [table.terms, exact.columns(extras)]
         if tangents:
             columns.append(exact.tangents(extras))
@@ -418,7 +410,11 @@ class PooledTable:
     def _kept_shift(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> Floats:
-        """Return the change of the sums of d^2/(2 m^2) due to removed ramps, (factors, noises)."""
+        """Return the change of the Allan sums of stored segments due to removed ramps.
+
+        It is the change of the expected sums of d^2/(2 m^2) per unit coefficient, (factors,
+        noises).
+        """
         out = np.zeros((len(self.m), len(RANDOM_TERMS) + len(times)))
         for part, effect in self._effects(weights, times):
             m, count = part.pairs.m, part.pairs.count
@@ -442,14 +438,14 @@ class PooledTable:
 
 
 def clear_cache() -> None:
-    """Free the cached tables: about 20 MB, which are computed again in 0.2 s."""
+    """Free about 20 MB of cached covariances, which are computed again in 0.2 s."""
     clear_pair_sums()
     ramp_geometry.cache_clear()
     mean_covariances.cache_clear()
 
 
 def _informative(table: Table, complete: Floats, variances: Floats) -> NDArray[np.bool_]:
-    """Return which factors keep enough variance when the ramps are removed, (factors,)."""
+    """Return which averaging factors keep enough variance without the ramps, (factors,)."""
     p = np.zeros(table.noises)
     p[: len(variances)] = np.maximum(variances, 0.0)
     keep = (table.count > 0) & (

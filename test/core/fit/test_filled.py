@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.fit import fit_noise
-from allan_ros.core.fit.covariance import filled_white
+from allan_ros.core.fit.covariance import interpolation_excess
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 
@@ -31,13 +31,13 @@ def test_the_effect_of_one_gap_equals_direct_counting():
             filled = np.zeros((k, 1), int)
             filled[-1] = 3
             expected = 3 / 1000 * change / (2 * m**2)
-            assert filled_white(np.array([m]), filled, 1000) == pytest.approx(expected)
+            assert interpolation_excess(np.array([m]), filled, 1000) == pytest.approx(expected)
 
 
 def test_at_long_times_a_gap_adds_its_length_and_half_its_square():
     filled = np.array([[0], [10]])
     m = np.array([10**7])
-    assert filled_white(m, filled, 10**6)[0, 0] * 10**7 == pytest.approx(10 / 10**6 * 4.0)
+    assert interpolation_excess(m, filled, 10**6)[0, 0] * 10**7 == pytest.approx(10 / 10**6 * 4.0)
 
 
 def test_samples_between_two_gaps_have_a_part_of_both():
@@ -53,7 +53,7 @@ def test_samples_between_two_gaps_have_a_part_of_both():
     filled = np.bincount(edges[:, 1] - edges[:, 0])[1:, None]
     m = np.array([1, 2, 4, 8])
     found = [np.mean((phase[2 * k :] - 2 * phase[k:-k] + phase[: -2 * k]) ** 2) for k in m]
-    expected = 1 / m + filled_white(m, filled, n)[:, 0]
+    expected = 1 / m + interpolation_excess(m, filled, n)[:, 0]
     assert found / (2 * m**2) == pytest.approx(expected, rel=0.02)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.findings import duration_text, finding
-from allan_ros.core.fit.findings import joined, line_finding
+from allan_ros.core.fit.findings import line_finding, merge_equal
 from allan_ros.core.fit.gls import fit_gls
 from allan_ros.core.fit.model import Sinusoid
 
@@ -29,7 +29,7 @@ def test_findings_that_read_alike_are_one():
     one = finding('ramps_differ', ('gyro_x',))
     other = finding('ramps_differ', ('gyro_z',))
     third = finding('misfit', ('gyro_y',), deviation=0.1, tau='3 s')
-    both, last = joined([one, third, other])[0], joined([one, third, other])[1]
+    both, last = merge_equal([one, third, other])
     assert both.axes == ('gyro_x', 'gyro_z')
     assert last == third
 

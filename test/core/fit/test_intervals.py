@@ -6,17 +6,14 @@ from scipy import special
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit.gls_solver import (
-    JITTER,
-    NO_MISFIT,
-    B,
-    K,
-    N,
-    Whitening,
-    covariance_at,
-    point_fit,
+from allan_ros.core.fit.gls_solver import JITTER, NO_MISFIT, Whitening, covariance_at, point_fit
+from allan_ros.core.fit.intervals import (
+    ScoreTest,
+    coefficient_interval,
+    find_crossing,
+    normal_deviate,
 )
-from allan_ros.core.fit.intervals import Score, coefficient_interval, cross, normal_deviate
+from allan_ros.core.fit.model import B, K, N
 from allan_ros.core.fit.table import PooledTable
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
@@ -47,8 +44,12 @@ def test_without_skewness_nothing_changes():
 @pytest.mark.parametrize('outer', [1.1, 2.0, 50.0])
 def test_ends_are_found_from_any_start(outer):
     up, down = [(1.0, -1.0)], [(-1.0, 1.0)]
-    assert cross(lambda c: -(c**3), -27.0, up, outer, np.inf) == pytest.approx(3.0, abs=1e-3)
-    assert cross(lambda c: -(c**3), 27.0, down, -outer, -np.inf) == pytest.approx(-3.0, abs=1e-3)
+    assert find_crossing(lambda c: -(c**3), -27.0, up, outer, np.inf) == pytest.approx(
+        3.0, abs=1e-3
+    )
+    assert find_crossing(lambda c: -(c**3), 27.0, down, -outer, -np.inf) == pytest.approx(
+        -3.0, abs=1e-3
+    )
 
 
 def test_the_end_of_a_deviation_that_is_linear_takes_two_evaluations():
@@ -60,21 +61,21 @@ def test_the_end_of_a_deviation_that_is_linear_takes_two_evaluations():
 
     end = (5.0 + 1.96) / (1.0 - 0.3 * 1.96)
     known = [(0.0, 5.0), (5.0, 0.0)]
-    assert cross(z, -1.96, known, 9.0, np.inf) == pytest.approx(end, rel=1e-9)
+    assert find_crossing(z, -1.96, known, 9.0, np.inf) == pytest.approx(end, rel=1e-9)
     assert len(asked) == 2
 
 
 def test_where_z_jumps_over_its_target_the_end_is_at_the_jump():
-    end = cross(lambda c: 1.0 - c - (c > 2.5), -2.0, [(0.0, 1.0)], 1.0, np.inf)
+    end = find_crossing(lambda c: 1.0 - c - (c > 2.5), -2.0, [(0.0, 1.0)], 1.0, np.inf)
     assert end == pytest.approx(2.5, rel=1e-3)
-    end = cross(lambda c: -1.0 - 5.0 * (c > 0.0), -2.0, [(0.0, -1.0)], 1.0, np.inf)
+    end = find_crossing(lambda c: -1.0 - 5.0 * (c > 0.0), -2.0, [(0.0, -1.0)], 1.0, np.inf)
     assert end == pytest.approx(0.0, abs=1e-6)
-    assert cross(lambda c: -1.0, -2.0, [(0.0, -1.0)], 0.0, np.inf) == 0.0
+    assert find_crossing(lambda c: -1.0, -2.0, [(0.0, -1.0)], 0.0, np.inf) == 0.0
 
 
 def test_what_is_never_reached_is_the_limit():
-    assert cross(lambda c: -np.arctan(c), -5.0, [(0.0, 0.0)], 1.0, np.inf) == np.inf
-    assert cross(lambda c: -c, -5.0, [(0.0, 0.0)], 1.0, 2.0) == 2.0
+    assert find_crossing(lambda c: -np.arctan(c), -5.0, [(0.0, 0.0)], 1.0, np.inf) == np.inf
+    assert find_crossing(lambda c: -c, -5.0, [(0.0, 0.0)], 1.0, 2.0) == 2.0
 
 
 @pytest.mark.parametrize('term', [N, K])
@@ -82,13 +83,13 @@ def test_ends_are_where_the_score_says(fit, term):
     interval = coefficient_interval(fit.table, term, fit.variances)
     assert interval.observable
     assert interval.low < fit.variances[term] < interval.high
-    score = Score(fit.table, term, fit.variances)
+    score = ScoreTest(fit.table, term, fit.variances)
     assert score(interval.high) == pytest.approx(-1.96, abs=3e-3)
     assert score(interval.low) == pytest.approx(1.96, abs=3e-3)
 
 
 def test_an_interval_surrounds_the_value_and_not_what_a_zero_would_make_of_it():
-    # Two hours of the paper's z gyro: held at zero, K is estimated at 2.3 times its variances.
+    # Two hours of the paper's z gyro: held at zero, K is estimated at 2.3 times its value.
     axis_seed = np.random.SeedSequence(0).spawn(2)[0].spawn(6)[2]
     terms = NoiseTerms(Q=1e-7, N=7.13e-5, B=2.94e-5, K=4.09e-6, R=8.92e-8)
     y = simulate_axis(720_000, 0.01, terms, np.random.default_rng(axis_seed))
@@ -96,7 +97,7 @@ def test_an_interval_surrounds_the_value_and_not_what_a_zero_would_make_of_it():
     engine.update(y[:, None], 0, 7_199_990_000_000)
     engine.end_segment()
     fit = point_fit(PooledTable(engine.sums), 0)
-    at_zero = Score(fit.table, K, fit.variances)
+    at_zero = ScoreTest(fit.table, K, fit.variances)
     at_zero(0.0)
     assert at_zero.estimate > 2.0 * fit.variances[K]
     interval = coefficient_interval(fit.table, K, fit.variances)
@@ -130,7 +131,7 @@ def test_an_indefinite_matrix_is_replaced_by_the_nearest_covariance():
 
 
 def test_a_term_held_further_off_is_further_off(fit):
-    score = Score(fit.table, K, fit.variances)
+    score = ScoreTest(fit.table, K, fit.variances)
     z = [score(fit.variances[K] * factor) for factor in (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3)]
     assert np.all(np.diff(z) < 0.0)
 

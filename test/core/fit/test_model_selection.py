@@ -10,7 +10,7 @@ from allan_ros.core.allan.curve import allan_curve
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.fit.findings import with_deviations
 from allan_ros.core.fit.gls import fit_gls
-from allan_ros.core.fit.gls_solver import covariance_at, first_guess
+from allan_ros.core.fit.gls_solver import covariance_at, initial_variances
 from allan_ros.core.fit.process_search import ProcessSearch
 from allan_ros.core.fit.processes import GaussMarkovTerm
 from allan_ros.core.fit.table import PooledTable
@@ -245,7 +245,7 @@ def test_a_process_is_kept_or_dropped_where_no_other_correlation_time_can_be_tri
     engine.update(np.random.default_rng(1).standard_normal((400, 1)), 0, 399 * 10**7)
     engine.end_segment()
     table = PooledTable(engine.sums).table(0, m_min=16)
-    covariance = covariance_at(table, first_guess(table))
+    covariance = covariance_at(table, initial_variances(table))
     search = ProcessSearch(table, covariance, 400, signed=False, walk=True)
     assert search.search([GaussMarkovTerm(30.0)]).extras in ((), (GaussMarkovTerm(30.0),))
 

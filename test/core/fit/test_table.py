@@ -10,7 +10,7 @@ import pytest
 
 from allan_ros.core.allan.sums import LENGTH_CLASS_RATIO, LengthClass, counts, grid_for
 from allan_ros.core.fit.model import avar_terms
-from allan_ros.core.fit.ramp import fixed_effect, pooled_shift, ramp_geometry
+from allan_ros.core.fit.ramp import least_squares_effect, pooled_shift, ramp_geometry
 from allan_ros.core.fit.table import PooledTable
 
 POWER = np.array([0.0, 1.0, 0.01, 1e-4])
@@ -42,7 +42,7 @@ def one_by_one(lengths, m, stride):
     """Return the sums over all differences, (factors, 4), and their number."""
     shift, number = np.zeros((len(m), 4)), np.zeros(len(m), np.int64)
     for n in lengths:
-        effect, count = fixed_effect(int(n)), counts(int(n), m, stride)
+        effect, count = least_squares_effect(int(n)), counts(int(n), m, stride)
         number += count
         if effect is not None:
             own = ramp_geometry(int(n)).m
