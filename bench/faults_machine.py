@@ -148,7 +148,7 @@ def starved(client: Client, folder: Path) -> Row:
         trial.spin(20.0)
         for process in busy:
             process.end(signal.SIGKILL)
-    return trial.row(f'monitor at nice 19 beside {BUSY_PROCESSES} busy loops for 20 s')
+    return trial.row(f'monitor at nice 19 next to {BUSY_PROCESSES} busy loops for 20 s')
 
 
 @fault()

@@ -82,7 +82,7 @@ def test_a_link_laid_where_the_folder_is_tried_is_not_followed(tmp_path: Path) -
     assert victim.read_text() == 'precious'
 
 
-def test_a_corrupt_checkpoint_is_set_aside_beside_itself(tmp_path: Path) -> None:
+def test_a_corrupt_checkpoint_is_renamed_in_its_folder(tmp_path: Path) -> None:
     path = tmp_path / 'deep' / 'imu.json'
     path.parent.mkdir()
     path.write_text('{"schema": 1e400}')

@@ -51,7 +51,7 @@ def test_all_files_are_written(analysed: Path) -> None:
     assert {path.name for path in analysed.iterdir()} == FILES
 
 
-def test_pictures_come_in_the_forms_asked_for_and_a_former_run_beside(
+def test_plots_have_the_requested_formats_and_show_the_earlier_run(
     recording: Path, analysed: Path, tmp_path: Path
 ) -> None:
     former = str(analysed / 'results.json')

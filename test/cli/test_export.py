@@ -22,7 +22,7 @@ def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_analyze_writes_the_files_asked_for_beside_kalibrs(folder: Path) -> None:
+def test_analyze_writes_the_requested_files_and_the_one_of_kalibr(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert {'imu.yaml', 'vins_fusion_imu.yaml', 'basalt_imu.json', 'gtsam_imu.py'} <= names
     assert not [name for name in names if name.startswith('orb_slam3')]

@@ -30,7 +30,7 @@ def a_summary(recordings: int = 1) -> SignalSummary | None:
     return summarize_signal([envelope] * recordings, [Segment(0, 400, 8.0)], 1000)
 
 
-def test_a_row_an_axis_and_the_signal_beside_it(small_results: Results) -> None:
+def test_each_axis_has_a_row_with_its_signal(small_results: Results) -> None:
     figure = sensor_figure(small_results, 'gyro', a_summary(2))
     assert len(figure.axes) == 6
     assert render_figure(figure, 'png').startswith(b'\x89PNG')

@@ -119,7 +119,7 @@ class Graph:
         while not (value := holds()):
             if time.monotonic() > deadline:
                 logs = '\n'.join(f'--- {p.arguments}\n{p.output}' for p in self._processes)
-                raise AssertionError(f'waited {patience} s in vain; {self.summary()}\n{logs}')
+                raise AssertionError(f'no success within {patience} s; {self.summary()}\n{logs}')
             self._executor.spin_once(timeout_sec=0.05)
         return value
 

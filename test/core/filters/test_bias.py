@@ -161,8 +161,8 @@ def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> Non
     assert after.estimate.value == pytest.approx(direct.estimate().value)
     assert after.estimate.std == pytest.approx(direct.estimate().std)
     tracker.add_means('gyro_x', [5 * 10**9], [1.0])  # an earlier time: the means are dropped
-    anew = tracker.bias('gyro_x')
-    assert anew is not None and anew.estimate.value == pytest.approx(1.0, rel=1e-3)
+    restarted = tracker.bias('gyro_x')
+    assert restarted is not None and restarted.estimate.value == pytest.approx(1.0, rel=1e-3)
 
 
 def test_a_tolerance_can_be_given() -> None:

@@ -150,8 +150,8 @@ def test_the_limit_of_k_is_used_if_no_drift_is_resolved() -> None:
 
 def test_limits_are_not_used_if_other_drift_is_resolved() -> None:
     alone = fit_with(N=resolved(1e-3), B=resolved(1e-4))
-    beside = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-3), R=hidden(1e-3))
-    one, other = (reduce_axis('gyro_x', fit) for fit in (alone, beside))
+    with_limits = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-3), R=hidden(1e-3))
+    one, other = (reduce_axis('gyro_x', fit) for fit in (alone, with_limits))
     assert one == other
     assert one.levels['K'].raised_from == 0.0
     assert not one.levels['K'].is_limit

@@ -264,7 +264,7 @@ def test_a_slow_cycle_does_not_widen_n(size):
 
 
 @pytest.mark.parametrize('size', [28.0, 100.0, 300.0])
-def test_n_beside_a_strong_sinusoid_is_right_or_a_limit(size):
+def test_n_next_to_a_strong_sinusoid_is_right_or_a_limit(size):
     """Regression: N was 10 to 45 % too small. A limit is missed one time in 40 by design; seed
     fixed.
     """

@@ -76,7 +76,7 @@ def test_isolated_losses_are_bridged_on_the_line_between_their_neighbours():
 
 
 @pytest.mark.parametrize('day', [0, 1])
-def test_losses_beside_jitter_are_no_change_of_the_rate(day):
+def test_losses_with_jitter_are_no_change_of_the_rate(day):
     """Normal jitter of 30 % of the period and 3 % random losses, also with a gap of a day.
 
     With such jitter some losses are missed, and nearly as many are detected where there is none.

@@ -43,7 +43,7 @@ def test_merging_twice_is_merging_once() -> None:
     assert once.count(BLOCK_BEGIN) == 1
 
 
-def test_missing_keys_are_added_beside_their_siblings() -> None:
+def test_missing_keys_are_added_next_to_their_siblings() -> None:
     mine = 'top:\n    a: 1.0 # first\n    c: 3\n# tail\nother: 1\n'
     wanted = 'top:\n    a: 0.5 # first\n    c: 3\n    b: 0.5\n# tail\nother: 1\n'
     assert merged(mine, entry('top.a'), entry('top.b')) == BLOCK + wanted

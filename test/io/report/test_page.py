@@ -122,9 +122,9 @@ def test_whatever_a_recording_says_stays_text(small_results: Results) -> None:
         method=HOSTILE,
     )
     results = replace(results, baselines={HOSTILE: small_results})
-    beside = replace(everything(results), method={HOSTILE: HOSTILE})
+    extras = replace(everything(results), method={HOSTILE: HOSTILE})
     plain = Page(render_report(small_results, everything(small_results), 'datasheet'))
-    page = Page(render_report(results, beside, 'datasheet'))
+    page = Page(render_report(results, extras, 'datasheet'))
     assert len(page.scripts) == len(plain.scripts)
     assert page.text.count('alert(1)') >= 8
     assert page.policy == plain.policy
@@ -139,8 +139,8 @@ def test_a_script_element_cannot_be_ended_by_its_data() -> None:
 
 @pytest.mark.parametrize('units', ['datasheet', 'si'])
 def test_the_page_says_what_the_results_say(small_results: Results, units: str) -> None:
-    beside = everything(small_results)
-    text = render_report(small_results, beside, units)
+    extras = everything(small_results)
+    text = render_report(small_results, extras, units)
     page = Page(text)
     for said in ('Noise of unit 7', 'runs/one.mcap', 'allan analyze my_bag', 'What to do next'):
         assert said in page.text
@@ -163,7 +163,7 @@ def test_an_absent_sensor_and_an_empty_curve_leave_the_page_whole(small_results:
         assert [a['name'] for s in data['sensors'] for a in s['axes']] == list(axes)
 
 
-def test_charts_are_in_si_beside_their_factors(small_results: Results) -> None:
+def test_charts_contain_si_values_and_factors(small_results: Results) -> None:
     chart = sensor_charts(small_results, 'accel', (), None)
     curve = small_results.axes['accel_y'].curve
     assert curve is not None
