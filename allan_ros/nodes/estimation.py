@@ -204,7 +204,7 @@ class ImuEstimate(Part):
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
     def _withdraw(self, lost: float) -> None:
-        """Withdraw the model, because a share of its samples is lost, and let a fit start now."""
+        """Withdraw the model because the share ``lost`` of its samples is gone; fit again soon."""
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None

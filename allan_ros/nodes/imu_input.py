@@ -87,13 +87,13 @@ class DrainedGroup(CallbackGroup):
     """
 
     def can_execute(self, entity: Any) -> bool:
-        """Return False."""
+        """Return False: the executor must not take messages of this subscription."""
         return False
 
     beginning_execution = can_execute
 
     def ending_execution(self, entity: Any) -> None:
-        """Do nothing."""
+        """Do nothing: no execution ever begins."""
 
 
 def qos_text(qos: QoSProfile) -> str:
@@ -127,26 +127,11 @@ def _take(subscription: Subscription) -> Any:
 def subscribe_raw(
     node: Node, topic: str, callback: Callable[..., None], depth: int, plain: bool
 ) -> tuple[Subscription, bool]:
-    """Subscribe to Imu messages as raw bytes.
+    """Subscribe to an Imu topic as raw bytes.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    topic : str
-        May be remapped.
-    callback : callable
-        Called with the bytes and, if the queue is polled, rclpy's information about the message.
-    depth : int
-        Depth of the queue.
-    plain : bool
-        Whether the executor shall call ``callback`` for each message.
-
-    Returns
-    -------
-    subscription : rclpy.subscription.Subscription
-    polled : bool
-        Whether the caller must empty the queue. False if ``plain``, or if this version of rclpy
-        cannot do it.
+    Returns the subscription, and whether the caller must empty its queue. This is False if
+    ``plain`` is True or this version of rclpy cannot do it: then the executor calls ``callback``
+    with the bytes of each message. ``depth`` is the depth of the queue.
     """
     # Best effort connects to every publisher; reliable publishers still deliver in order.
     qos = QoSProfile(
@@ -195,7 +180,7 @@ class ImuInput:
         self._events = _event_handles(self._subscription)
 
     def drain(self) -> None:
-        """Fetch all queued messages."""
+        """Fetch the queued messages; without effect unless the input is ``polled``."""
         if not self.polled:
             return
         # The queue may still contain messages of a publisher that has left since the last call.
@@ -213,7 +198,10 @@ class ImuInput:
                 self._collect(*message)
 
     def batches(self) -> Iterator[ImuBatch]:
-        """Yield the fetched messages once, in order, in SI units; a batch has one frame_id."""
+        """Decode the messages received since the last call, in SI units, and yield them in order.
+
+        All samples of a batch have the same frame_id. Malformed messages are counted and dropped.
+        """
         payloads, received = self._payloads, np.array(self._received_ns, np.int64)
         self._payloads, self._received_ns = [], []
         try:

@@ -33,17 +33,11 @@ REPLACED_SHARE = 0.1
 """Coefficients are withdrawn if their sums lose a larger share of the samples. A small loss is
 normal: samples from the start of a motion are removed when the motion is detected."""
 
-PLACES = {'gyro': 'angular', 'accel': 'linear'}
-"""Sensor -> vector of the twist message that contains its bias."""
-
 ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
 """Axis -> row in the 6x6 covariance of a twist: linear x, y, z, then angular x, y, z."""
 
 UNKNOWN = -1.0
 """Variance of an axis whose bias is unknown, as in sensor_msgs/Imu."""
-
-FORMAT = 'png'
-"""Format name in `sensor_msgs/CompressedImage`; image_transport decodes it."""
 
 Pictures = dict[str, bytes]
 
@@ -154,7 +148,10 @@ def _samples_by_start(sums: AllanSums) -> Counter[int]:
 
 
 class BiasPublisher:
-    """Estimates the bias of each axis at rest, and publishes it on ``<home>bias``."""
+    """Estimates the bias of each axis at rest, and publishes it.
+
+    ``home`` is the prefix of the topic, such as ``~/`` or ``~/<label>/``.
+    """
 
     def __init__(self, node: Node, home: str, settings: EstimatorSettings) -> None:
         tolerance = {'gyro': settings.bias_tolerance_gyro, 'accel': settings.bias_tolerance_accel}
@@ -175,7 +172,7 @@ class BiasPublisher:
             self._publisher.publish(bias_message(known, snapshot.frame_id))
 
     def use(self, results: Results | None) -> None:
-        """Use the noise models of these results; None: use no model until the next results."""
+        """Estimate the bias with the noise models of these results; None removes the models."""
         axes = results.axes if results is not None else {}
         self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
         self._tracker.set_models({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
@@ -227,7 +224,8 @@ def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarian
         covariance[7 * row] = UNKNOWN if bias is None else bias.estimate.std**2
         if bias is not None:
             sensor, letter = axis.split('_')
-            setattr(getattr(message.twist.twist, PLACES[sensor]), letter, bias.estimate.value)
+            vector = {'gyro': message.twist.twist.angular, 'accel': message.twist.twist.linear}
+            setattr(vector[sensor], letter, bias.estimate.value)
     message.twist.covariance = covariance
     return message
 
@@ -289,7 +287,7 @@ class AllanPlot:
             )
             return
         for sensor, picture in pictures.items():
-            message = CompressedImage(format=FORMAT)
+            message = CompressedImage(format='png')
             message.header.stamp = self._node.get_clock().now().to_msg()
             message.data.frombytes(picture)  # an array.array avoids a copy into a list of ints
             self._publishers[sensor].publish(message)

@@ -102,7 +102,10 @@ class Handshake:
         return done and self._wanted <= self._publisher.get_subscription_count() <= len(known)
 
     def again(self) -> None:
-        """Require another answer of each remaining subscriber; one that never answered is late."""
+        """Start again: each remaining subscriber must answer another call.
+
+        A subscriber that did not answer before is called, but not waited for.
+        """
         self._wanted, now = 0, time.monotonic()
         # new objects, because an answer to an earlier call may still arrive
         self._subscribers = {
@@ -159,6 +162,11 @@ class Player(Node):
         self._handshake = Handshake(self, self._publisher, options.wait)
         self._asking, self._answered = False, threading.Event()
         self.create_timer(POLL_S, self._tick, clock=STEADY)  # signals are also handled at wake-ups
+        source = ' '.join(options.input) if self._recordings else 'a simulated IMU'
+        self.get_logger().info(
+            f'plays {source} on {self._publisher.topic_name}; '
+            f'number of subscribers to wait for: {options.wait}'
+        )
         self._thread = threading.Thread(target=self._work)
         self._thread.start()
 
@@ -250,15 +258,15 @@ class Player(Node):
             self._clock_due = now + CLOCK_PERIOD_S
             self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
 
-    def _wait_for_answers(self, unknown: str) -> None:
-        """Wait until all subscribers have answered, and log a warning about the others."""
+    def _wait_for_answers(self, event: str) -> None:
+        """Wait for the answers of all subscribers; warn if it is unknown whether one ``event``."""
         self._answered.clear()
         self._asking = True
         while not (self._stop.is_set() or self._answered.wait(POLL_S)):
             pass
         for name in () if self._stop.is_set() else self._handshake.silent():
             self.get_logger().warning(
-                f'{name} subscribes but does not answer: it is unknown whether it {unknown}'
+                f'{name} subscribes but does not answer: it is unknown whether it {event}'
             )
 
     def _wait_for_acknowledgements(self) -> None:

@@ -78,7 +78,7 @@ class RelayTopics(NamedTuple):
 
 
 def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
-    """Return the variances to fill in for each sensor of the noise model."""
+    """Return sensor -> variances of its axes, in (rad/s)^2 or (m/s^2)^2, for the covariances."""
     if settings.variance == 'sample':
         stds = {name: axis.sample_std for name, axis in results.axes.items()}
         return measured_variances(stds, settings.inflate)

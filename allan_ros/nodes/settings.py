@@ -109,11 +109,7 @@ class PublishSettings(CheckedSettings):
     """How often the nodes publish (group ``publish``)."""
 
     sums_period: float = parameter(
-        10.0,
-        'Period at which the sums are published, and fitted if they have grown.',
-        's',
-        0.1,
-        3600.0,
+        10.0, 'Period at which sums are published, and fitted if they have grown.', 's', 0.1, 3600.0
     )
     diagnostics_period: float = parameter(
         1.0, 'Period at which every diagnostic status is published.', 's', 0.1, 60.0
@@ -155,11 +151,7 @@ class EstimatorSettings(CheckedSettings):
         high=100.0,
     )
     recent_window: float = fixed_parameter(
-        3600.0,
-        'Length of the recent window, which is compared with all earlier data.',
-        's',
-        1.0,
-        604800.0,
+        3600.0, 'Length of the recent window, compared with all earlier data.', 's', 1.0, 604800.0
     )
     bias_tolerance_gyro: float = fixed_parameter(
         0.0,
@@ -173,11 +165,7 @@ class EstimatorSettings(CheckedSettings):
         0.0, 'Tolerance of the accelerometer bias; 0: twice its 95 % interval.', 'm/s^2', 0.0, 100.0
     )
     plot_period: float = parameter(
-        10.0,
-        'Shortest time between two Allan plots; none is drawn without a subscriber.',
-        's',
-        1.0,
-        86400.0,
+        10.0, 'Shortest time between two Allan plots; none without a subscriber.', 's', 1.0, 86400.0
     )
 
 

@@ -77,20 +77,11 @@ def run(
     The exit code is 0, or 1 if the node cannot start (invalid parameters, a missing file); the
     reason is then logged in one line.
 
-    Parameters
-    ----------
-    name : str
-        Name of the executable, for the log.
-    make_node : callable
-        Returns the node. Its arguments are an event that stops the node when it is set, and the
-        parsed options. The node needs a timer, because signals are handled when the executor wakes.
-        Its method ``close()`` is called once before the node is destroyed. If it has a method
-        ``fault(where, error)``, exceptions of its callbacks are passed there, and the node
-        continues.
-    parser : argparse.ArgumentParser
-        Parser of the command line without ROS arguments.
-    args : sequence of str, optional
-        Command line without the name of the program; default: ``sys.argv``.
+    ``make_node`` returns the node. Its arguments are an event that stops the node when it is set,
+    and the options that ``parser`` finds in the command line ``args`` (None: ``sys.argv``) without
+    ROS arguments. The node needs a timer, because signals are handled when the executor wakes. Its
+    method ``close()`` is called once before it is destroyed. If it has a method
+    ``fault(where, error)``, exceptions of its callbacks are passed there, and the node continues.
     """
     argv = sys.argv if args is None else [name, *args]
     try:

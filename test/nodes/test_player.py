@@ -63,6 +63,7 @@ def test_it_keeps_the_stamps_of_the_recording(graph, still_imu, bag):
     assert np.array_equal(ear.hear(200), still_imu(200).stamps_ns)
     graph.until(lambda: player.poll() is not None)  # the player asks whether the end has arrived
     assert player.wait() == 0
+    assert f'plays {bag} on /imu/data; number of subscribers to wait for: 1' in player.output
     assert 'played 200 messages' in player.output and 'does not answer' not in player.output
 
 
