@@ -149,7 +149,7 @@ def sampled_gauss_markov_avar(m: ArrayLike, correlation: ArrayLike) -> NDArray[n
 
 
 def _gauss_markov_growth(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return 2x - 3 + 4 exp(-x) - exp(-2x), with small rounding errors at small x."""
+    """Return 2x - 3 + 4 exp(-x) - exp(-2x), with relative rounding errors of 1e-16/x^2."""
     return np.asarray(2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x))
 
 

@@ -170,10 +170,7 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
 
 
 def _local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
-    """Return the weighted least-squares slope of log avar over log m near each factor.
-
-    It is NaN if fewer than two points in the range have a positive weight and variance.
-    """
+    """Return the weighted slope of log avar over log m near each factor; NaN without two points."""
     x = np.log(m.astype(float))
     distance = np.log(SLOPE_RANGE) * (1.0 + 1e-9)
     out = np.full(avar.shape, np.nan)

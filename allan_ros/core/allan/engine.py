@@ -163,10 +163,7 @@ class _Level:
                 by_period.merge(length)
 
     def _split_by_bin(self, first: int, number: int) -> list[tuple[int, int, int]]:
-        """Return (age bin, low, high): differences ``first + low`` to ``first + high`` start in it.
-
-        The list covers ``number`` differences, from ``first`` on.
-        """
+        """Return (age bin, low, high): differences first + low to first + high start in it."""
         begin, end = self.bin_starts
         if begin <= first and first + number <= end:
             return [(self.bin, 0, number)]

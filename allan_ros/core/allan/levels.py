@@ -99,10 +99,9 @@ WhiteLevel = tuple[int, Floats, Ints]
 
 
 def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict[int, WhiteLevel]:
-    """Return the white noise in each part of the recordings, by position of the axis.
+    """Return the white noise in each part of the recordings, for the axes that have white noise.
 
-    ``parts`` is the number of equal parts of each recording; if it is 0, each period is a part. The
-    first ``age`` samples are left out. Axes without a range of white noise are not in the result.
+    ``parts`` is the number of equal parts of each recording; if it is 0, each period is a part.
     """
     split = [_level_parts(recording, age, parts) for recording in recordings]
     levels = min((count.shape[1] for count, _ in split), default=0)
@@ -138,10 +137,7 @@ def _level_parts(recording: Recording, age: int, parts: int) -> tuple[Ints, Floa
 
 
 def _white_level(variance: Floats, count: Floats) -> int | None:
-    """Return the first level from which the variance falls as for white noise, or None.
-
-    ``variance`` and ``count`` are given at the averaging factors 1, 4, 16 ...
-    """
+    """Return the index of the first factor at which the variance falls as for white noise."""
     with np.errstate(divide='ignore', invalid='ignore'):
         slopes = np.diff(np.log(variance)) / math.log(4.0)
     for i, slope in enumerate(slopes):
@@ -156,9 +152,7 @@ def _white_scatters(levels: dict[int, WhiteLevel]) -> dict[int, Scatter]:
 
 
 def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
-    """Return the scatter of the variances of parts, or None if fewer than two parts have enough
-    data.
-    """
+    """Return the scatter of the variances of parts, or None for fewer than two long parts."""
     some = (count >= LEAST_DIFFERENCES) & (variance > 0.0)
     variance, count = variance[some], count[some]
     if len(count) < 2:

@@ -58,9 +58,7 @@ class CellMeans:
 
     @classmethod
     def _between(cls, recording: Recording, edges: NDArray[np.int64]) -> CellMeans:
-        """Return the means over the intervals between edges that have samples in at least half of
-        their time.
-        """
+        """Return the means over the intervals that have samples in at least half of their time."""
         begin, end, number = edges[:-1], edges[1:], recording.cell_samples[: edges[-1]]
         if not len(begin):
             return cls(np.zeros(0), np.zeros(0), recording.cell_means[:0])
@@ -259,10 +257,7 @@ def _score(at: Likelihood, units: Sequence[Floats]) -> tuple[Floats, Floats]:
 def _line_search(
     at: Likelihood, values: Floats, units: Sequence[Floats], change: Floats, effects: Floats | None
 ) -> Likelihood | None:
-    """Return the likelihood after the largest of the steps 1, 1/2, 1/4 ... that improves it.
-
-    The variances are changed by the step times ``change``. None if none of ten steps improves it.
-    """
+    """Return the likelihood after the largest of ten halved steps that improves it, or None."""
     for halvings in range(10):
         new = np.maximum(at.variances + change * 0.5**halvings, 0.0)
         if not new.any():

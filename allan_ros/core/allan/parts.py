@@ -138,9 +138,7 @@ def _recompute_long_factors(
 ) -> None:
     """Replace, in place, the sums of a shortened segment at factors whose stride is a phase step.
 
-    The starts of differences are multiples of the stride from the beginning of a segment, so they
-    are different in the shortened segment. ``sum_sq`` and ``number`` are the sums of squares and
-    counts to change.
+    The starts of differences are counted from the beginning of a segment, so they are different.
     """
     step = segment.phase_step
     for i in np.flatnonzero(stride % step == 0):
@@ -162,10 +160,7 @@ def _differences(phase: Floats, lag: int) -> Floats:
 def _settled_classes(
     classes: tuple[LengthClass, ...], early: list[AgeBin]
 ) -> tuple[LengthClass, ...]:
-    """Return the length classes without the segments that begin in the early bins.
-
-    Their ramp corrections are subtracted from the longest class; only the sum over classes is used.
-    """
+    """Return the length classes without the segments that begin in the early bins."""
     removed = reduce(operator.add, early)
     pooled = {index: (count, samples) for index, count, samples in removed.pooled}
     ramp, kept = removed.ramp, []
@@ -175,7 +170,7 @@ def _settled_classes(
             kept.append(replace(c, count=c.count - count, samples=c.samples - samples))
         else:
             ramp = add_padded(ramp, -c.ramp_correction)
-    if kept:
+    if kept:  # only the sum of the ramp corrections over the classes is used
         kept[-1] = replace(kept[-1], ramp_correction=add_padded(kept[-1].ramp_correction, -ramp))
     return tuple(kept)
 
@@ -273,10 +268,7 @@ def _rows(
 
 
 def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
-    """Return the equivalent degrees of freedom per second difference at each factor m.
-
-    ``total`` is the number of differences of all data, for which they are computed.
-    """
+    """Return the degrees of freedom per second difference at each factor, for ``total`` of them."""
     return np.array(
         [
             edf(int(alpha), int(factor), max(1, int(factor) // LEVEL_FACTORS[0]), int(n)) / int(n)
@@ -307,10 +299,9 @@ def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int | None]:
 
 
 def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
-    """Return twice the log likelihood ratio of a step after each row, compared with no step.
+    """Return twice the log likelihood ratio of a step after each row, or -inf with too few data.
 
-    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The ratio is -inf if one side of
-    the step has too few degrees of freedom.
+    ``degrees`` and ``squares`` are cumulative sums, (rows, ...).
     """
     nu = degrees, degrees[-1] - degrees, degrees[-1]
     sums = squares, squares[-1] - squares, squares[-1]
@@ -324,10 +315,7 @@ def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
 def _curve(
     axis: str, m: Ints, tau0: float, count: Ints, sum_sq: Floats, share: Floats, types: Ints
 ) -> AllanCurve:
-    """Return the curve of the given rows of an axis; it is NaN at factors without data.
-
-    ``share`` is the number of degrees of freedom per second difference at each factor.
-    """
+    """Return the curve of an axis; ``share`` is the edf per second difference at each factor."""
     number = count.sum(axis=0)
     with np.errstate(invalid='ignore', divide='ignore'):
         avar = sum_sq.sum(axis=0) / (2.0 * m.astype(float) ** 2 * number)

@@ -155,11 +155,7 @@ def spectrum_of(sums: SpectrumSums, tau0: float) -> Spectrum | None:
 
 
 def _in_log_bins(axes: tuple[str, ...], f: Floats, psd: Floats, blocks: Floats) -> Spectrum:
-    """Return the mean density in each of `PER_DECADE` intervals per decade of frequency.
-
-    ``f``, ``psd`` and ``blocks`` (number of averaged blocks, used as weight) are given for each
-    frequency bin of each level.
-    """
+    """Return the mean density in logarithmic intervals, weighted by the number of blocks."""
     order = np.argsort(f)
     f, psd, blocks = f[order], psd[order], blocks[order]
     groups = np.floor(np.log10(f) * PER_DECADE).astype(int)

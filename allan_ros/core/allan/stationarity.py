@@ -115,18 +115,18 @@ def _groups(axes: int, sensors: Sequence[Sequence[int]], kind: str) -> Iterator[
 
 
 def _fit_alternative(
-    values: Floats, model: VarianceModel, null: Likelihood, candidate: _Candidate, kind: str
+    values: Floats, model: VarianceModel, null: Likelihood, candidate: _Candidate
 ) -> Likelihood:
-    if kind == 'warm_up':
+    if candidate.kind != 'walk':
         effect = candidate.shape[:, None]
         return maximum(values, model.units, null.variances, effect, iterations=10)
     start = np.append(null.variances, 0.0)
     return maximum(values, (*model.units, candidate.shape), start, iterations=10)
 
 
-def _score_of(null: Likelihood, candidate: _Candidate, kind: str) -> float:
+def _score_of(null: Likelihood, candidate: _Candidate) -> float:
     """Return the score statistic of an effect: about twice its log likelihood ratio."""
-    if kind == 'warm_up':
+    if candidate.kind != 'walk':
         shape = null.whitening @ candidate.shape
         return float((shape @ null.residual) ** 2 / max(float(shape @ shape), 1e-300))
     unit = null.whitening @ candidate.shape @ null.whitening.T
@@ -156,9 +156,7 @@ def _most_significant(
     candidates = _candidates(model, len(recording.cell_samples), kind)
     values = (model.contrasts @ means.means).T
     nulls = [null_model(each, model) for each in values]
-    scores = np.array(
-        [[_score_of(null, c, kind) if null else 0.0 for c in candidates] for null in nulls]
-    )
+    scores = np.array([[_score_of(null, c) if null else 0.0 for c in candidates] for null in nulls])
     groups = list(_groups(len(nulls), sensors, kind))
     fitted = {
         axis
@@ -172,7 +170,7 @@ def _most_significant(
         if null is None or axis not in fitted:
             continue
         for i in pooled | {int(scores[axis].argmax())}:
-            new = _fit_alternative(values[axis], model, null, candidates[i], kind)
+            new = _fit_alternative(values[axis], model, null, candidates[i])
             ratio[axis, i] = max(new.value - null.value, 0.0)
     excess, group = max(
         ((float(ratio[list(g)].sum(axis=0).max()) - limit, g) for g, limit in groups),
@@ -188,7 +186,7 @@ def _most_significant(
         for axis, null in enumerate(nulls):
             if null is None:
                 continue
-            new = _fit_alternative(values[axis], model, null, best, kind)
+            new = _fit_alternative(values[axis], model, null, best)
             amplitudes[axis] = new.amplitudes[0]
             if axis in group:
                 age = max(age, _negligible_from(means, new, best))
@@ -197,10 +195,7 @@ def _most_significant(
 
 
 def _negligible_from(means: CellMeans, fit: Likelihood, effect: _Candidate) -> float:
-    """Return the age in cells after which the remainder of a warm-up is negligible.
-
-    If this age is in the second half of the recording, the exponential is extrapolated.
-    """
+    """Return the age in cells after which the remainder of a warm-up is negligible."""
     if effect.kind == 'linear':
         return effect.parameter
     last = means.end[-1]

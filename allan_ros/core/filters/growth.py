@@ -312,10 +312,7 @@ def growth_parts(
 def _unit_error(
     kernel: Callable[[Floats], Kernels], h: Floats, w: Floats, integrals: int
 ) -> Floats:
-    """Return the variance of the error for a process of unit size with the covariances ``kernel``.
-
-    ``h`` and ``w`` are horizon and averaging time of the bias, in the time unit of the kernel.
-    """
+    """Return the variance of the error for a unit process with the covariances ``kernel``."""
     ratio = h / w
     zero = np.zeros_like(h)
     if integrals == 1:

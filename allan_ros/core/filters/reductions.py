@@ -159,11 +159,7 @@ def flicker_processes(bias_instability: float, white: float = 0.0) -> Processes:
 
 
 def _integrated_variance(x: float) -> float:
-    """Return 2x - 3 + 4 exp(-x) - exp(-2x), accurate for small x.
-
-    It is the process noise variance of the integral of a Gauss-Markov process over x correlation
-    times, in units of sigma^2 tau^2.
-    """
+    """Return 2x - 3 + 4 exp(-x) - exp(-2x), accurate for small x."""
     if x > 0.05:
         return 2.0 * x + 4.0 * math.expm1(-x) - math.expm1(-2.0 * x)
     return x**3 * (2.0 / 3.0 - x * (0.5 - x * (7.0 / 30.0 - x / 12.0)))
@@ -328,9 +324,7 @@ def _variance(model: ProcessModel, horizons: Horizons) -> Floats:
 
 @lru_cache(maxsize=512)
 def _unit_variance(term: str, tau: float, horizons: Horizons) -> Floats:
-    """Return `_variance` for N = 1 or K = 1 (``term``), or, if ``term`` is '', for a Gauss-Markov
-    process with sigma = 1 and correlation time ``tau``.
-    """
+    """Return the variance for N = 1, K = 1 or, if ``term`` is '', a Gauss-Markov process."""
     terms = NoiseTerms(**{term: 1.0}) if term else NoiseTerms()
     variance = _variance(ProcessModel(terms, () if term else ((1.0, tau),)), horizons)
     variance.setflags(write=False)
