@@ -23,6 +23,7 @@ from .core.settings import (
     UNIT_SYSTEMS,
     CheckedSettings,
     SegmenterSettings,
+    check_names,
     describe,
     expect,
     parameter,
@@ -202,9 +203,19 @@ def analyze(
     >>> round(results['gyro_z'].N.to('deg/sqrt(h)').value, 1)
     3.4
     """
-    reading, segmenter = _options_of(options)
-    reading = replace(reading, rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit)
-    segmenter = replace(segmenter, declared_rate=rate)
+    of_reading, of_processing = describe(ReadOptions), describe(SegmenterSettings)
+    rates = 'rate_hz', 'declared_rate'  # both are set by ``rate``
+    check_names(options, [name for name in (*of_processing, *of_reading) if name not in rates])
+    reading = ReadOptions(
+        rate_hz=rate,
+        gyro_unit=gyro_unit,
+        accel_unit=accel_unit,
+        **{name: value for name, value in options.items() if name in of_reading},
+    )
+    segmenter = SegmenterSettings(
+        declared_rate=rate,
+        **{name: value for name, value in options.items() if name in of_processing},
+    )
     ResultSettings(method=method, margin=margin)  # checks them before recordings are read
     expect(str, hardware_id=hardware_id)
     expect(Integral, processes=processes)
@@ -336,7 +347,7 @@ def inflate(
 ) -> Inflation:
     """Measure by how much running motors increase the IMU noise of a robot at rest.
 
-    The factors are for a filter: its N and K are multiplied by them.
+    A filter that uses the noise at rest should multiply its N and K by the resulting factors.
 
     Parameters
     ----------
@@ -354,7 +365,8 @@ def inflate(
     Returns
     -------
     Inflation
-        The factors for N and K of each axis (``axes``), and the largest factor for N (``factor``).
+        For each axis (``axes``), the factors for N (``white.factor``) and K (``walk.factor``); and
+        the largest factor for N of all axes (``factor``).
 
     Raises
     ------
@@ -479,10 +491,3 @@ def _recorded(source: Results | str | os.PathLike[str]) -> RecordingSums:
         raise AllanError('these results were read without their sums: give the folder or sums.json')
     judged = () if source.datasheet is None else (source.datasheet,)
     return replace(source.recorded, judged=judged)
-
-
-def _options_of(options: Mapping[str, Any]) -> tuple[ReadOptions, SegmenterSettings]:
-    """Return the reading options and settings of the stream from keyword arguments."""
-    reading = {name: options[name] for name in describe(ReadOptions) if name in options}
-    rest = {name: value for name, value in options.items() if name not in reading}
-    return ReadOptions(**reading), settings_from(SegmenterSettings, rest)

@@ -118,24 +118,28 @@ class Fields:
                 raise AllanError(f'{self.where}: {key!r:.40} is unknown, use {", ".join(known)}')
 
     def text(self, key: str, default: object = _REQUIRED, longest: int = MAX_TEXT) -> str:
+        """Return a text of at most ``longest`` characters; ``default`` if the key is missing."""
         value = str(self._get(key, str, 'a text', default))
         if len(value) > longest:
             raise self._wrong(key, value, f'a text of at most {longest} characters')
         return value
 
     def choice(self, key: str, choices: tuple[str, ...]) -> str:
+        """Return a text that is one of the choices."""
         value = self.text(key)
         if value not in choices:
             raise self._wrong(key, value, f'one of {", ".join(choices)}')
         return value
 
     def integer(self, key: str, default: object = _REQUIRED, least: int = -MAX_INTEGER) -> int:
+        """Return a whole number of at least ``least``; ``default`` if the key is missing."""
         value = int(self._get(key, int, 'a whole number', default))
         if not least <= value < MAX_INTEGER:
             raise self._wrong(key, value, f'a whole number from {least} to {MAX_INTEGER}')
         return value
 
     def number(self, key: str, least: float = -MAX_FLOAT) -> float:
+        """Return a finite number of at least ``least``."""
         value = self._number(key, self._get(key, (int, float), 'a number'))
         if value < least:
             raise self._wrong(key, value, f'a number of at least {least:g}')
@@ -148,6 +152,7 @@ class Fields:
             return to_si(value, stated, unit)
 
     def interval(self, key: str) -> tuple[float, float]:
+        """Return a list of two finite numbers as a tuple."""
         values = self.sequence(key)
         if len(values) != 2:
             raise self._wrong(key, values, 'a pair of numbers')
@@ -184,6 +189,7 @@ class Fields:
         return np.array(value, float).reshape(rows, columns)
 
     def sequence(self, key: str, most: int = MAX_ITEMS) -> Sequence[Any]:
+        """Return a list of at most ``most`` items, which the caller checks."""
         found: Sequence[Any] = self._get(key, list, 'a list')
         if len(found) > most:
             raise AllanError(
@@ -196,12 +202,15 @@ class Fields:
         return self._get(key, object, 'a value')
 
     def fields(self, key: str) -> Fields:
+        """Return a JSON object below this one."""
         return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}', *self._record_rules)
 
     def optional_fields(self, key: str) -> Fields | None:
+        """Return a JSON object below this one; None if it is null or missing."""
         return None if self._document.get(key) is None else self.fields(key)
 
     def each(self, key: str, most: int = MAX_ITEMS) -> Iterator[Fields]:
+        """Yield the items of a list of at most ``most`` JSON objects."""
         for i, item in enumerate(self.sequence(key, most)):
             yield Fields(item, f'{self.where}.{key}[{i}]', *self._record_rules)
 

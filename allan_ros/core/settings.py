@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 from numbers import Integral, Real
@@ -93,17 +93,21 @@ def choose(choices: Collection[str], **values: object) -> None:
             raise AllanError(f'{name} is {shown:.60}: choose one of {known}')
 
 
-def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
-    """Return a settings object of the class ``kind`` with the given values.
-
-    Raises AllanError for an unknown name; the message contains the most similar known one.
-    """
-    known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+def check_names(given: Iterable[str], known: Sequence[str]) -> None:
+    """Raise AllanError for the first unknown name; the message names the most similar known one."""
     for name in given:
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
             use = near[0] if near else ', '.join(known)
             raise AllanError(f'option {name!r} is unknown: use {use}')
+
+
+def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
+    """Return a settings object of the class ``kind`` with the given values.
+
+    Raises AllanError for an unknown name or an invalid value.
+    """
+    check_names(given, [f.name for f in fields(kind)])  # type: ignore[arg-type]
     return kind(**given)
 
 
@@ -129,9 +133,12 @@ class CheckedSettings:
             high = math.inf if info.high is None else info.high
             if isinstance(value, (int, float)) and not low <= value <= high:
                 unit = f' {info.unit}' if info.unit else ''
-                raise AllanError(
-                    f'{name} is {value}: it must lie between {low:g} and {high:g}{unit}'
+                limits = (
+                    f'be at least {low:g}'
+                    if info.high is None
+                    else f'lie between {low:g} and {high:g}'
                 )
+                raise AllanError(f'{name} is {value}: it must {limits}{unit}')
 
 
 @dataclass(frozen=True)

@@ -189,7 +189,7 @@ class Results:
         -------
         pandas.DataFrame or list of dict
             The columns axis, term, value, ci95_low, ci95_high, upper95 and unit; a DataFrame if
-            pandas is installed. Unknown numbers are None.
+            pandas is installed. Unknown numbers are None, or NaN in a DataFrame.
         """
         choose(UNIT_SYSTEMS, units=units)
         rows = [_table_row(axis, term, units) for axis in self.axes.values() for term in TERMS]
