@@ -80,9 +80,8 @@ class ParameterPush(Part):
         """Process answers of the node, and start an update if it is due."""
         if self._calls:
             if all(future.done() for future in self._calls):
-                answers = [future.result() for future in self._calls]
-                self._calls = []
-                self._on_answers(answers)
+                calls, self._calls = self._calls, []
+                self._on_answers([future.result() for future in calls])
             elif now - self._called_at > ANSWER_S:
                 self._cancel_calls()
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')

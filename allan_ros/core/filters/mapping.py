@@ -156,11 +156,12 @@ class Proposal:
     def differs(self, current: Sequence[float], change: float) -> bool:
         """Return whether any value differs from the current one by more than a fraction of it.
 
-        ``change`` is this fraction. The result is True if the number of values differs.
+        ``change`` is this fraction. The result is True if the number of values differs, or a
+        current value is NaN.
         """
         if len(current) != len(self.values):
             return True
-        return any(abs(v - c) > change * abs(c) for v, c in zip(self.values, current))
+        return not all(abs(v - c) <= change * abs(c) for v, c in zip(self.values, current))
 
 
 def propose(

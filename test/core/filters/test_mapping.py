@@ -93,6 +93,7 @@ def test_a_value_differs_by_a_fraction():
     p = Proposal('p', (1.05,), 1.0, 1.1)
     assert p.differs((1.0,), 0.01) and not p.differs((1.0,), 0.1)
     assert p.differs((0.0,), 0.1) and p.differs((1.05, 1.05), 0.1)
+    assert p.differs((math.nan,), 0.1)  # the default of some nodes for an unset parameter
 
 
 @pytest.mark.parametrize(
