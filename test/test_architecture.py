@@ -100,7 +100,7 @@ def test_below_the_shells_nothing_prints_or_exits(path: Path) -> None:
     assert not calls & {'print', 'sys.exit', 'exit', 'quit'}
 
 
-def test_the_scan_sees_a_forbidden_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_scan_finds_a_forbidden_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules[__name__], 'PACKAGE', tmp_path)
     file = tmp_path / 'core' / 'fit' / 'bad.py'
     file.parent.mkdir(parents=True)

@@ -61,7 +61,7 @@ def test_a_vulnerability_is_named(
     assert 'VULNERABLE: numpy 1: PYSEC-1, fixed in 2.0' in capsys.readouterr().out
 
 
-def test_what_was_skipped_is_not_taken_for_good(
+def test_a_skipped_package_is_not_reported_as_safe(
     audit: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     answer(audit, monkeypatch, skip_reason='not found')
@@ -69,7 +69,7 @@ def test_what_was_skipped_is_not_taken_for_good(
     assert 'NOT AUDITED: 1 of ' in capsys.readouterr().err
 
 
-def test_a_tool_that_fails_is_said(
+def test_a_tool_that_fails_is_reported(
     audit: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(audit, 'TOOL', [sys.executable, '-c', 'raise SystemExit("no network")'])

@@ -86,7 +86,7 @@ def test_executables_and_launch_arguments_exist(page: Path) -> None:
             assert f"'{argument}'" in launch, argument
 
 
-def test_pages_from_code_say_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_generated_pages_are_current(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / 'scripts'))
     reference = importlib.import_module('reference')
     for name, text in reference.pages().items():

@@ -33,7 +33,7 @@ WHOLE: dict[str, tuple[bytes, Callable[[bytes], Iterator[int]]]] = {
 
 
 @pytest.mark.parametrize('name', INPUTS)
-def test_damaged_inputs_are_refused_in_a_line_or_valid(
+def test_damaged_inputs_are_rejected_in_a_line_or_valid(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(documents_target, 'FITTED', 1000)  # no fits: they are slow
@@ -57,7 +57,7 @@ def test_damaged_inputs_are_refused_in_a_line_or_valid(
 
 
 @pytest.mark.parametrize('name', WHOLE)
-def test_a_bag_cut_at_any_record_reads_or_is_refused_in_a_line(name: str, tmp_path: Path) -> None:
+def test_a_bag_cut_at_any_record_reads_or_is_rejected_in_a_line(name: str, tmp_path: Path) -> None:
     data, boundaries = WHOLE[name]
     places = sorted(set(boundaries(data)))
     assert len(places) > MESSAGES  # at least one per message

@@ -43,7 +43,7 @@ def tracked_files() -> list[Path]:
 
 
 @pytest.mark.parametrize('words', HEADER)
-def test_every_source_file_says_whose_it_is(words: str) -> None:
+def test_every_source_file_has_a_licence_header(words: str) -> None:
     files = [
         path
         for path in tracked_files()

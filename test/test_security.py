@@ -49,7 +49,7 @@ def test_nothing_from_outside_is_executed(path: Path) -> None:
     assert not imported & FORBIDDEN_IMPORTS
 
 
-def test_the_scan_sees_what_is_forbidden(tmp_path: Path) -> None:
+def test_the_scan_finds_forbidden_calls(tmp_path: Path) -> None:
     bad = tmp_path / 'bad.py'
     bad.write_text('import yaml\nyaml.unsafe_load(text)\n')
     assert {name for name, _ in calls(bad)} & FORBIDDEN_CALLS
@@ -94,7 +94,7 @@ def test_a_corrupt_checkpoint_is_renamed_in_its_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('label', ['../x', '/etc/x', 'a/b', '..', 'a\0b', 'a b', '~', 'é/..'])
-def test_a_label_is_no_path(label: str) -> None:
+def test_a_label_is_not_a_path(label: str) -> None:
     pytest.importorskip('rclpy')
     from allan_ros.nodes.settings import InputSettings
 

@@ -55,7 +55,7 @@ def test_one_to_six_axes(
     assert not r.findings or all(f.id != 'sensor_absent' for f in r.findings)
 
 
-def test_an_axis_alone_gives_what_it_gives_among_six(noise: np.ndarray) -> None:
+def test_one_axis_gives_the_same_sums_as_among_six(noise: np.ndarray) -> None:
     alone = ar.analyze(noise[:, 2], rate=RATE, axes='gyro_z', motion_gate=False, **QUICK)
     among = ar.analyze(noise, rate=RATE, motion_gate=False, **QUICK)
     assert np.array_equal(alone['gyro_z'].curve.adev, among['gyro_z'].curve.adev)
@@ -117,7 +117,7 @@ def test_a_data_frame_by_name_and_date(noise: np.ndarray) -> None:
         (np.full(100, np.nan), {'rate': 10}, 'no static data'),
     ],
 )
-def test_wrong_sources_are_refused_in_one_line(source: object, options: dict, said: str) -> None:
+def test_wrong_sources_are_rejected_in_one_line(source: object, options: dict, said: str) -> None:
     with pytest.raises(ar.AllanError, match=said):
         ar.analyze(source, **options)
 
@@ -201,7 +201,7 @@ def test_files(results: ar.Results, tmp_path: Path) -> None:
             fails()
 
 
-def test_a_curve_made_elsewhere_is_fitted(noise: np.ndarray) -> None:
+def test_a_curve_of_another_tool_is_fitted(noise: np.ndarray) -> None:
     curve = ar.adev(np.random.default_rng(5).normal(scale=1e-3, size=60_000), rate=RATE)
     for given in (curve, (curve.tau, curve.adev)):
         axis = ar.fit(given, axis='accel_y', record=600.0)
@@ -249,7 +249,7 @@ def test_merged_results_are_compared_with_the_datasheet_of_the_parts(tmp_path: P
     assert [f.id for f in differ.findings].count('datasheets_differ') == 1
 
 
-def test_compare_tells_a_noisy_run(results: ar.Results) -> None:
+def test_compare_detects_a_noisy_run(results: ar.Results) -> None:
     noisy = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
     comparison = ar.compare(results, noisy, labels=['before', 'after'], sensor='adis16475-3')
     assert comparison.differs
@@ -300,13 +300,13 @@ def test_each_axis_may_have_its_own_noise() -> None:
         (lambda w: ar.adev(['a', 'b']), 'the samples are not numbers'),
     ],
 )
-def test_a_wrong_argument_of_an_analysis_is_one_clear_line(call, message):
+def test_a_wrong_argument_of_an_analysis_gives_one_line(call, message):
     with pytest.raises(ar.AllanError, match=message) as error:
         call(np.random.default_rng(0).normal(size=100))
     assert '\n' not in str(error.value)
 
 
-def test_auto_is_a_word_in_python_too() -> None:
+def test_auto_is_accepted_in_python() -> None:
     white = np.random.default_rng(0).normal(scale=0.01, size=3000)
     named, default = (
         ar.analyze(white, rate=100, axes='gyro_z', **o) for o in ({'skip': 'auto'}, {})

@@ -39,14 +39,14 @@ def test_a_folder_and_its_documents_give_the_same_results(
 
 
 @pytest.mark.parametrize('name', ['results.json', 'sums.json'])
-def test_another_document_is_refused_by_its_name(name: str, tmp_path: Path) -> None:
+def test_another_document_is_rejected_by_its_name(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text('[]')
     for read in (load, load_sums, results_of):
         with pytest.raises(AllanError, match=name.replace('.', r'\.')):
             read(tmp_path / name)
 
 
-def test_a_folder_without_documents_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_documents_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(AllanError, match=r'no results\.json in this folder'):
         load(tmp_path)
     with pytest.raises(AllanError, match=r'no sums\.json in this folder'):

@@ -59,7 +59,7 @@ def test_the_rest_is_analyzed_and_drawn(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('stamp', [-(2**63), 2**63 - 1])
-def test_impossible_times_are_refused(stamp: int) -> None:
+def test_impossible_times_are_rejected(stamp: int) -> None:
     batch = ar.simulate(hours=0.01, rate=50)
     batch.stamps_ns[3] = stamp
     with pytest.raises(ar.AllanError, match='check their unit'):
@@ -89,7 +89,7 @@ def test_an_axis_without_a_finite_value_is_reported(value: float) -> None:
     assert 'axis_absent' not in {f.id for f in others.findings}
 
 
-def test_masked_values_are_no_samples() -> None:
+def test_masked_values_are_not_samples() -> None:
     samples = np.ma.masked_greater(np.random.default_rng(0).normal(size=2000), 2.0)
     found = {f.id for f in ar.analyze(samples, rate=100.0).findings}
     assert found & {'not_finite', 'bridged'}

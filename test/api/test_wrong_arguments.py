@@ -80,7 +80,7 @@ CALLS = [
 
 
 @pytest.mark.parametrize('call, message', CALLS, ids=[message[:30] for _, message in CALLS])
-def test_a_wrong_argument_is_one_clear_line(call, message, small_results, tmp_path, monkeypatch):
+def test_a_wrong_argument_gives_one_line(call, message, small_results, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ar.AllanError, match=message) as error:
         call(small_results)

@@ -67,7 +67,7 @@ def test_plots_have_the_requested_formats_and_show_the_earlier_run(
     assert '"spectrum":{"frequency"' in page
 
 
-def test_what_cannot_be_drawn_is_refused_before_anything_is_read(
+def test_what_cannot_be_drawn_is_rejected_before_anything_is_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for how in (['--plot-format', 'gif'], ['--plot-style', 'odd'], ['--baseline', 'none.json']):
@@ -75,7 +75,7 @@ def test_what_cannot_be_drawn_is_refused_before_anything_is_read(
         assert how[1] in capsys.readouterr().err
 
 
-def test_results_hold_the_truth(analysed: Path, recording: Path) -> None:
+def test_intervals_of_results_contain_the_truth(analysed: Path, recording: Path) -> None:
     # N of a gyro at 6 min, 50 Hz has a 95 % interval of 3 %: six standard deviations are 10 %.
     axes = read(analysed / 'results.json')['axes']
     truth = read_noise(truth_path(recording))
@@ -83,7 +83,7 @@ def test_results_hold_the_truth(analysed: Path, recording: Path) -> None:
         assert result['noise']['N']['value'] == pytest.approx(truth[axis].N, rel=0.1)
 
 
-def test_the_table_shows_what_the_files_hold(
+def test_the_table_agrees_with_the_files(
     recording: Path, analysed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['analyze', str(recording), '--units', 'si']) == 0
@@ -93,7 +93,7 @@ def test_the_table_shows_what_the_files_hold(
     assert 'rad/s/sqrt(Hz)' in said
 
 
-def test_no_file_is_written_unless_asked(
+def test_no_file_is_written_by_default(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -147,7 +147,7 @@ ABSURD_SUMS: dict[str, tuple[list[Any], Any]] = {
 
 
 @pytest.mark.parametrize('what', ABSURD_SUMS)
-def test_absurd_sums_are_refused_in_one_line(
+def test_absurd_sums_are_rejected_in_one_line(
     what: str, analysed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     document = read(analysed / 'sums.json')
@@ -163,13 +163,13 @@ def test_absurd_sums_are_refused_in_one_line(
     assert error.count('\n') == 1 and str(path) in error and 'Traceback' not in error
 
 
-def test_a_run_given_twice_is_refused(analysed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_given_twice_is_rejected(analysed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sums = str(analysed / 'sums.json')
     assert main(['merge', sums, sums]) == 1
     assert 'give each recording once' in capsys.readouterr().err
 
 
-def test_different_imus_are_told_apart(
+def test_different_imus_are_distinguished(
     analysed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     document = read(analysed / 'sums.json')
@@ -182,7 +182,7 @@ def test_different_imus_are_told_apart(
     assert 'different IMUs' in error
 
 
-def test_skipping_all_of_it_is_told(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_skipping_all_data_is_reported(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['analyze', str(recording), '--skip', '9999']) == 1
     assert capsys.readouterr().err.endswith(
         '--skip 9999 (s) excludes the complete recording: reduce it\n'

@@ -21,7 +21,7 @@ QUICK = ('--method', 'relative')
 """The fastest method, for tests that do not depend on the fit."""
 
 
-def test_what_is_one_recording_and_what_is_a_batch(tmp_path: Path) -> None:
+def test_a_folder_is_one_recording_or_a_batch(tmp_path: Path) -> None:
     def folder(name: str, *files: str) -> str:
         place = tmp_path / name
         for file in files:

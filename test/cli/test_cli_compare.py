@@ -28,14 +28,14 @@ def test_analyze_keeps_the_comparison_with_a_datasheet(analysed: Path) -> None:
     assert found['axes']['gyro_x']['N']['verdict'] == 'within'
 
 
-def test_analyze_says_how_it_stands(recording: Path, capsys) -> None:
+def test_analyze_prints_the_verdict(recording: Path, capsys) -> None:
     assert main(['analyze', str(recording), '--sensor', 'adis16475-3']) == 0
     said = capsys.readouterr().out
     assert 'compared with the datasheet of ADIS16475-3: ' in said
     assert 'gyro  N  x y z within: limit 0.300 deg/sqrt(h) (stated 0.3 deg/sqrt(h))' in said
 
 
-def test_an_unknown_datasheet_is_refused_before_anything_is_read(capsys) -> None:
+def test_an_unknown_datasheet_is_rejected_before_anything_is_read(capsys) -> None:
     assert main(['analyze', 'no_such_recording', '--sensor', 'adis1647-3']) == 1
     assert "no datasheet 'adis1647-3': did you mean adis16475-3" in capsys.readouterr().err
 
@@ -48,7 +48,7 @@ def test_a_recording_and_its_results_are_alike(analysed: Path, recording: Path, 
     assert 'again ratio' in said
 
 
-def test_a_difference_fails_only_when_asked(analysed: Path, tmp_path: Path, capsys) -> None:
+def test_a_difference_fails_only_with_the_option(analysed: Path, tmp_path: Path, capsys) -> None:
     document = json.loads((analysed / 'results.json').read_text())
     noise = document['axes']['gyro_z']['noise']['N']
     noise['value'] *= 2
@@ -124,7 +124,7 @@ def test_a_report_draws_the_others_over_the_first(
     assert 'Compared with again' in page
 
 
-def test_a_measured_ratio_comes_before_a_bound(analysed: Path, tmp_path: Path, capsys) -> None:
+def test_a_measured_ratio_precedes_a_bound(analysed: Path, tmp_path: Path, capsys) -> None:
     document = json.loads((analysed / 'results.json').read_text())
     noise = document['axes']['gyro_z']['noise']
     noise['N']['value'] *= 10

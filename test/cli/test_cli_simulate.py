@@ -110,7 +110,7 @@ def test_a_malformed_option_is_explained(tmp_path, capsys, arguments):
     assert 'write ' in capsys.readouterr().err
 
 
-def test_an_existing_recording_is_kept_unless_told(tmp_path, capsys):
+def test_an_existing_recording_is_kept_by_default(tmp_path, capsys):
     out = tmp_path / 'a.npz'
     simulate(out, '--gyro', 'N=1')
     assert main(['simulate', str(out), *SHORT, '--gyro', 'N=2']) == 1

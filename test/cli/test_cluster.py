@@ -63,7 +63,7 @@ def test_processes_give_what_one_gives(
     assert shown(recordings, capsys, '--jobs', '2') == shown(recordings, capsys)
 
 
-def test_what_one_process_finds_wrong_is_said(
+def test_an_error_in_one_process_is_reported(
     recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wrong = tmp_path / 'wrong.npz'
@@ -114,7 +114,7 @@ def deadly(victim: str, deaths: Path, times: int) -> Callable[[ReadJob], Recordi
     return work
 
 
-def test_a_dead_worker_costs_nothing_while_another_lives(
+def test_a_dead_worker_is_replaced_by_another_one(
     cluster: Any, recordings: list[str], tmp_path: Path
 ) -> None:
     work = deadly(recordings[1], tmp_path, times=1)
@@ -123,7 +123,7 @@ def test_a_dead_worker_costs_nothing_while_another_lives(
     assert documents(parts) == documents([read_recording(job) for job in jobs_of(recordings)])
 
 
-def test_a_recording_at_which_all_workers_die_costs_itself_only(
+def test_a_recording_at_which_all_workers_die_is_left_out(
     cluster: Any, recordings: list[str], tmp_path: Path
 ) -> None:
     work = deadly(recordings[1], tmp_path, times=100)
@@ -134,13 +134,13 @@ def test_a_recording_at_which_all_workers_die_costs_itself_only(
     assert documents([first, third]) == documents(kept)
 
 
-def test_what_a_worker_finds_wrong_is_said(cluster: Any, tmp_path: Path) -> None:
+def test_an_error_in_a_worker_is_reported(cluster: Any, tmp_path: Path) -> None:
     jobs = jobs_of([str(tmp_path / 'gone.npz')])
     with pytest.raises(AllanError, match='no such file'):
         list(on_cluster(jobs, cluster.scheduler_address, Console()))
 
 
-def test_a_scheduler_that_does_not_answer_is_said(
+def test_a_scheduler_that_does_not_answer_is_reported(
     recordings: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip('distributed')

@@ -26,7 +26,7 @@ def method_of(capsys: pytest.CaptureFixture[str]) -> object:
     return json.loads(capsys.readouterr().out)['method']
 
 
-def test_options_come_from_the_file_and_the_command_line_wins(
+def test_options_of_the_command_line_override_the_file(
     folder: Path, recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / 'allan.toml').write_text(

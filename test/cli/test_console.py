@@ -67,7 +67,7 @@ def test_json_of_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert Path(told['truth']).exists()
 
 
-def test_quiet_says_nothing_where_the_result_goes_to_files(
+def test_quiet_prints_nothing_if_the_result_is_written_to_files(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['analyze', str(recording), *FIT, '--quiet', '-o', str(tmp_path)]) == 0
@@ -79,7 +79,7 @@ def test_quiet_says_nothing_where_the_result_goes_to_files(
     assert 'no such file' in capsys.readouterr().err
 
 
-def test_verbose_tells_settings_sources_and_times_on_stderr(
+def test_verbose_prints_settings_sources_and_times_to_stderr(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['analyze', str(recording), *FIT]) == 0
@@ -127,7 +127,7 @@ def test_the_width_is_what_columns_says(monkeypatch: pytest.MonkeyPatch) -> None
     assert width() == 40
 
 
-def test_the_detail_says_how_many_samples_each_sensor_used(
+def test_the_detail_states_how_many_samples_each_sensor_used(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = str(tmp_path / 'held.npz')

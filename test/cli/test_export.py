@@ -53,9 +53,7 @@ def test_list_explains_each_target_in_a_line(capsys: pytest.CaptureFixture[str])
     assert all(what in line for line, what in zip(lines, TARGETS.values()))
 
 
-def test_what_a_number_is_not_goes_to_stderr(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_notes_of_an_export_go_to_stderr(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ['export', str(folder / 'results.json'), '--to', 'orb_slam3']
     assert main([*words, '--fidelity', 'coefficients']) == 0
     shown = capsys.readouterr()
@@ -119,7 +117,7 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
         (['merge', '{above}'], 'no sums.json in this folder'),
     ],
 )
-def test_what_a_user_can_mend_is_one_line_and_exit_1(
+def test_an_error_of_the_user_gives_one_line_and_exit_code_1(
     folder: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = {

@@ -16,7 +16,7 @@ from allan_ros.io.user_files import read_curves
 TAU = np.geomspace(0.1, 1000.0, 200)
 
 
-def test_five_terms_come_back():
+def test_five_terms_are_recovered():
     model = ProcessModel(NoiseTerms(N=1e-3, B=1e-4, K=1e-5))
     fit = fit_curve(TAU, np.sqrt(model.avar(TAU)))
     assert fit.noise['N'].value == pytest.approx(1e-3, rel=0.01)
@@ -70,7 +70,7 @@ def test_a_file_that_is_missing_is_an_error(tmp_path, capsys):
 
 
 @pytest.mark.parametrize('text', ['', 'tau,speed\n1,2\n', '1 2 3\n', 'tau,gyro_x\n1,x\n'])
-def test_what_is_no_curve_is_an_error(tmp_path, text, capsys):
+def test_an_invalid_curve_is_an_error(tmp_path, text, capsys):
     path = tmp_path / 'curve.csv'
     path.write_text(text)
     assert main(['fit', str(path)]) == 1

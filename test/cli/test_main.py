@@ -34,7 +34,7 @@ def exit_code(words: Sequence[str]) -> object:
 
 
 @pytest.mark.parametrize('verb', VERBS)
-def test_every_verb_tells_its_options_an_example_and_its_exit_codes(
+def test_the_help_of_every_verb_has_options_an_example_and_exit_codes(
     verb: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert exit_code([verb, '--help']) == 0
@@ -98,7 +98,7 @@ def test_a_wrong_command_line_is_exit_2(
         (['simulate', 'x', '--preset', 'papr'], 'paper'),
     ],
 )
-def test_a_slip_is_answered_with_what_was_meant(
+def test_a_misspelling_is_answered_with_a_suggestion(
     words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert exit_code(words) == 2
@@ -151,7 +151,7 @@ def test_what_goes_wrong_is_one_line_and_no_traceback(
         (['merge', '/no/such.json'], 'no such file'),
     ],
 )
-def test_what_a_user_can_mend_is_one_line_and_exit_1(
+def test_an_error_of_the_user_gives_one_line_and_exit_code_1(
     words: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words) == 1
@@ -162,7 +162,7 @@ def test_what_a_user_can_mend_is_one_line_and_exit_1(
 
 
 @pytest.mark.parametrize('closed', ['>&-', '2>&-'])
-def test_closed_streams_are_no_error(closed: str) -> None:
+def test_closed_streams_are_not_an_error(closed: str) -> None:
     call = f"{sys.executable} -c 'from allan_ros.cli.main import console; console()' sensors"
     assert subprocess.run(f'{call} {closed}', shell=True, stdout=subprocess.PIPE).returncode == 0
 
@@ -240,14 +240,14 @@ def test_a_package_that_is_missing_is_one_line_and_exit_1(
     assert line.startswith('allan analyze: needs the Python package lz4')
 
 
-def test_a_reader_that_leaves_is_not_an_error_to_shout_about(recording: Path) -> None:
+def test_a_closed_pipe_is_not_reported_as_an_error(recording: Path) -> None:
     for words in (f'analyze "{recording}" --method paper', '--help'):
         shell = f'"{sys.executable}" -m allan_ros.cli.main {words} | true'
         done = subprocess.run(['sh', '-c', shell], capture_output=True, text=True)
         assert done.stderr == ''
 
 
-def test_what_the_terminal_cannot_write_does_no_harm(tmp_path: Path) -> None:
+def test_characters_that_the_terminal_cannot_write_cause_no_error(tmp_path: Path) -> None:
     missing = tmp_path / 'größe \udcff.mcap'
     environment = {**os.environ, 'PYTHONIOENCODING': 'ascii', 'LC_ALL': 'C'}
     done = subprocess.run(

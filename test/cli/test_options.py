@@ -39,21 +39,21 @@ def test_without_options_the_settings_are_their_defaults(settings_type: type) ->
     assert settings_of(settings_type, parsed([], settings_type)) == settings_type()
 
 
-def test_every_kind_of_field_can_be_said() -> None:
+def test_every_type_of_field_has_an_option() -> None:
     words = ['--limit=7', '--count=4', '--no-gate', '--loud', '--names=t,-,gx', '--kind=b']
     assert settings_of(Some, parsed(words)) == Some(7.0, 4, False, True, ('t', '-', 'gx'), 'b')
 
 
-def test_what_is_given_wins() -> None:
+def test_given_values_take_precedence() -> None:
     assert settings_of(Some, parsed([]), count=9).count == 9
 
 
-def test_a_value_out_of_range_is_refused_by_the_settings() -> None:
+def test_a_value_out_of_range_is_rejected_by_the_settings() -> None:
     with pytest.raises(AllanError, match='limit is -1'):
         settings_of(Some, parsed(['--limit', '-1']))
 
 
-def test_help_says_unit_and_default() -> None:
+def test_the_help_states_unit_and_default() -> None:
     parser = argparse.ArgumentParser()
     add_settings(parser, 'some', Some)
     said = ' '.join(parser.format_help().split())

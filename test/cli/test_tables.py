@@ -31,7 +31,7 @@ def test_no_line_is_wider_than_the_terminal(small_results: Results, width: int, 
 
 
 @pytest.mark.parametrize('width', [60, 200])
-def test_every_coefficient_is_there_whatever_the_width(small_results: Results, width: int) -> None:
+def test_every_coefficient_is_printed_at_any_width(small_results: Results, width: int) -> None:
     text = '\n'.join(lines_of(small_results, 'datasheet', width))
     for axis, result in small_results.axes.items():
         for term in TERMS:
@@ -58,7 +58,7 @@ def test_headline_states_how_many_samples_are_left_out(small_results: Results) -
     assert text(60_100).startswith('unit 7: 60,000 samples at 50 Hz, 20 min')
 
 
-def test_a_method_without_intervals_says_so(small_results: Results) -> None:
+def test_a_method_without_intervals_is_reported(small_results: Results) -> None:
     axes = {
         name: replace(axis, fit=replace(axis.fit, noise={term: Coefficient(1.0) for term in TERMS}))
         for name, axis in small_results.axes.items()
@@ -86,7 +86,7 @@ def test_a_record_too_short_is_not_judged_by_its_datasheet(small_results: Result
     assert compared.endswith(': not judged')
 
 
-def test_findings_are_coloured_only_when_asked(small_results: Results) -> None:
+def test_findings_are_coloured_only_on_request(small_results: Results) -> None:
     results = replace(small_results, findings=(LONG,))
     plain, coloured = (
         list(findings_lines(results, 'si', 80, colours, True)) for colours in (False, True)

@@ -70,7 +70,7 @@ def test_an_estimate_at_the_end_of_its_interval_is_not_known_the_better():
     assert d.p > 0.3
 
 
-def test_it_is_the_same_the_other_way():
+def test_the_comparison_is_symmetric():
     a, b = Coefficient(1.0, (0.8, 1.1)), Coefficient(2.0, (1.6, 3.0))
     there, back = compare(a, b), compare(b, a)
     assert there.ratio == pytest.approx(1 / back.ratio)
@@ -110,7 +110,7 @@ def test_curves_are_compared_where_both_have_data():
     assert of_curves(a, nothing) == ()
 
 
-def test_runs_of_equal_noise_seldom_differ():
+def test_runs_of_equal_noise_rarely_differ():
     """400 pairs of 20 deviations: more than 35 false alarms have a probability of 0.1 %."""
     rng = np.random.default_rng(8)
     tau = 4.0 ** np.arange(20)
@@ -136,7 +136,7 @@ def test_all_pairs_are_one_family():
     assert {d.verdict for d in of_curves(a, b, repeats=10.0)} == {'alike'}
 
 
-def test_an_endless_series_of_comparisons_seldom_alarms():
+def test_an_endless_series_of_comparisons_has_few_false_alarms():
     """At most 5 % of 300 series raise an alarm: more than 27 have a probability of 0.1 %."""
     rng = np.random.default_rng(9)
     tau, edf = 4.0 ** np.arange(8), np.geomspace(1e4, 4.0, 8)
@@ -169,5 +169,5 @@ def test_an_earlier_run_is_exceeded_only_significantly_and_by_the_margin(second,
     assert (found.reference, found.term, found.verdict) == ('May', 'N', expected)
 
 
-def test_what_cannot_be_compared_is_no_comparison():
+def test_two_unresolved_terms_are_not_compared():
     assert compare(UNSEEN, UNSEEN).against('May', 0.2) is None

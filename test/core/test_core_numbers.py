@@ -86,7 +86,7 @@ def test_a_size_scales_the_sums_and_nothing_else() -> None:
     assert np.array_equal(tiny.avar, one.avar * 2.0**-200)
 
 
-def test_a_variance_no_imu_has_is_none() -> None:
+def test_a_variance_below_that_of_any_imu_is_zero() -> None:
     y = np.random.default_rng(1).normal(size=(500, 1))
     assert np.all(sums_of(2e-40 * y).avar[0] > LEAST_VARIANCE)
     assert np.all(sums_of(1e-41 * y).avar == 0.0)
@@ -107,7 +107,7 @@ def test_what_no_imu_measures_is_dropped_and_counted(huge: float) -> None:
 
 
 @pytest.mark.parametrize('huge', [np.inf, -np.inf, 10**400])
-def test_a_refusal_tells_of_a_number_without_being_none(huge: float) -> None:
+def test_an_error_message_contains_no_nan_or_inf(huge: float) -> None:
     with pytest.raises(AllanError, match='a text is expected') as error:
         Fields({'name': huge}, 'sums').text('name')
     assert not NO_NUMBER.search(str(error.value))
@@ -213,7 +213,7 @@ def test_the_engine_is_right_to_rounding(noise: list[float], offset: float) -> N
         assert abs(float(exact) - found) <= 1e-15 * number * float(exact) + allowed + 1e-300
 
 
-def test_of_whole_numbers_the_engine_loses_nothing() -> None:
+def test_the_engine_is_exact_for_integers() -> None:
     """A random walk of 2e5 integer steps on a large offset: every running sum is an integer,
     too.
     """

@@ -61,7 +61,7 @@ def test_every_term_has_a_unit_on_both_sensors():
 
 
 @pytest.mark.parametrize('unit', ['deg/hour', 'deg/s', ''])
-def test_a_unit_of_something_else_is_refused_with_those_that_fit(unit):
+def test_a_unit_of_something_else_is_rejected_with_those_that_fit(unit):
     with pytest.raises(AllanError, match=r'use one of .*deg/sqrt\(h\)'):
         to_si(1.0, unit, 'rad/s/sqrt(Hz)')
 

@@ -46,7 +46,7 @@ def test_flicker_steps_have_a_flat_allan_variance_exactly(m):
 
 
 @pytest.mark.parametrize('half', [20, 100, 3000, 100000])
-def test_the_circulant_is_a_covariance_and_holds_the_autocovariance(half):
+def test_the_circulant_is_a_covariance_with_the_autocovariance(half):
     eigenvalues = _flicker_eigenvalues(half)
     assert eigenvalues.min() > 0
     np.testing.assert_allclose(
@@ -83,7 +83,7 @@ def test_axes_are_independent_and_centred_on_the_mean():
     assert np.abs(correlation).max() < 5 / np.sqrt(len(steps)) * np.sqrt(1.5)
 
 
-def test_stamps_start_where_told_and_batches_are_bounded():
+def test_stamps_start_at_the_given_time_and_batches_are_bounded():
     batches = list(simulate_imu(500.0, 100.0, QUIET, QUIET, start_ns=10**18, frame_id='a'))
     assert [len(b) for b in batches] == [BATCH_SAMPLES, 50000 - BATCH_SAMPLES]
     stamps = np.concatenate([b.stamps_ns for b in batches])
@@ -92,6 +92,6 @@ def test_stamps_start_where_told_and_batches_are_bounded():
 
 
 @pytest.mark.parametrize('arguments', [(0.0, 100.0), (1.0, -1.0), (float('nan'), 1.0)])
-def test_nothing_to_simulate_is_refused(arguments):
+def test_nothing_to_simulate_is_rejected(arguments):
     with pytest.raises(AllanError, match='give positive numbers'):
         next(simulate_imu(*arguments, QUIET, QUIET))

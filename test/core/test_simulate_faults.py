@@ -53,7 +53,7 @@ def test_gaps_lose_exactly_their_seconds():
     assert len(t) == SECONDS * RATE - 1250
 
 
-def test_drops_lose_their_share():
+def test_drops_remove_their_share():
     """500 +- 22 of 10,000 samples are lost at 5 %; the bound is 6 sigma (false alarm 2e-9)."""
     t, _ = record(Faults(drop=0.05))
     assert abs(len(t) - 9500) < 6 * 22
@@ -67,7 +67,7 @@ def test_jitter_has_its_standard_deviation():
     assert error.std() == pytest.approx(1e-3, rel=0.036)
 
 
-def test_bursts_are_silences_made_up_for_by_what_follows():
+def test_bursts_are_pauses_that_later_samples_fill():
     t, _ = record(Faults(burst=0.5))
     steps = np.diff(t)
     assert len(t) == SECONDS * RATE
@@ -77,7 +77,7 @@ def test_bursts_are_silences_made_up_for_by_what_follows():
     assert lag.max() - lag.min() < 0.6  # late, but without a drift
 
 
-def test_low_pass_keeps_the_mean_and_takes_the_variance():
+def test_low_pass_keeps_the_mean_and_reduces_the_variance():
     """White noise filtered with the pole p has the variance (1 - p)/(1 + p); bound 5 sigma of
     3e4.
     """
@@ -139,6 +139,6 @@ def test_warm_up_decays():
 @pytest.mark.parametrize(
     'bad', [{'drop': 1.5}, {'jitter': -1.0}, {'gaps': ((1.0, 0.0),)}, {'motion': ((-1.0, 2.0),)}]
 )
-def test_impossible_faults_are_refused(bad):
+def test_impossible_faults_are_rejected(bad):
     with pytest.raises(AllanError, match=next(iter(bad))):
         Faults(**bad)

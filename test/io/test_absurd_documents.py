@@ -81,7 +81,7 @@ def use_results(results: Results) -> None:
 
 
 @pytest.mark.parametrize('seed', range(2))
-def test_results_are_used_or_refused(seed: int, small_results: Results) -> None:
+def test_results_are_used_or_rejected(seed: int, small_results: Results) -> None:
     document = json.loads(to_json(results_to_document(small_results)))
     used = 0
     for changed in changes(document, seed):
@@ -97,7 +97,7 @@ def test_results_are_used_or_refused(seed: int, small_results: Results) -> None:
     assert used
 
 
-def test_sums_are_used_or_refused(small_run: tuple[AllanSums, Provenance]) -> None:
+def test_sums_are_used_or_rejected(small_run: tuple[AllanSums, Provenance]) -> None:
     sums, provenance = small_run
     document = json.loads(to_json(sums_file_to_document([sums], provenance)))
     used = 0

@@ -60,7 +60,7 @@ def save(checkpoint: Checkpoint, sums: Sums) -> bool:
     return checkpoint.save(checkpoint.total(sums, Provenance()))
 
 
-def test_what_was_saved_is_loaded(tmp_path: Path, sums: Sums, opened) -> None:
+def test_saved_sums_are_loaded(tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'folder' / 'sums.json'
     assert save(opened(path), sums)
     loaded = opened(path)
@@ -80,7 +80,7 @@ def test_without_a_path_nothing_is_kept(sums: Sums, opened) -> None:
     assert checkpoint.start_over(total) == '' and checkpoint.findings == ()
 
 
-def test_a_locked_path_is_left_alone(tmp_path: Path, sums: Sums, opened) -> None:
+def test_a_locked_path_is_not_changed(tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
     first, second = opened(path), Checkpoint(path, LOG)
     assert [f.id for f in second.findings] == ['checkpoint_in_use']
@@ -105,7 +105,7 @@ def test_a_broken_file_is_put_aside(tmp_path: Path, sums: Sums, opened, content:
     assert opened(path).earlier[0]
 
 
-def test_a_file_of_another_version_is_left_alone(tmp_path: Path, sums: Sums, opened) -> None:
+def test_a_file_of_another_version_is_not_changed(tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
     content = json.dumps({'schema': 'allan_ros/sums_file/99'})
     path.write_text(content)
@@ -135,7 +135,7 @@ def test_a_file_of_another_imu_is_left_alone_until_its_own_is_back(
 
 
 @pytest.mark.parametrize('other', OTHER_IMUS, ids=NAMES)
-def test_what_this_run_saved_is_left_alone_too(
+def test_the_sums_of_another_imu_never_replace_a_saved_file(
     tmp_path: Path, sums: Sums, other: Sums, opened
 ) -> None:
     path = tmp_path / 'sums.json'
@@ -149,7 +149,7 @@ def test_what_this_run_saved_is_left_alone_too(
     assert checkpoint.total(sums, Provenance())[0][0].samples == 2 * sums[0].samples
 
 
-def test_a_file_that_was_moved_away_is_refused_no_more(tmp_path: Path, sums: Sums, opened) -> None:
+def test_a_file_that_was_moved_away_is_rejected_no_more(tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
     for content in (None, json.dumps({'schema': 'allan_ros/sums_file/99'})):
         save(opened(path), sums_of('other'))
@@ -163,7 +163,9 @@ def test_a_file_that_was_moved_away_is_refused_no_more(tmp_path: Path, sums: Sum
         path.unlink()
 
 
-def test_a_sensor_that_comes_later_is_no_other_imu(tmp_path: Path, sums: Sums, opened) -> None:
+def test_a_sensor_that_starts_later_belongs_to_the_same_imu(
+    tmp_path: Path, sums: Sums, opened
+) -> None:
     checkpoint = opened(tmp_path / 'sums.json')
     assert save(checkpoint, sums_of(axes=slice(0, 3))) and save(checkpoint, sums)
     assert checkpoint.refused is None
@@ -187,7 +189,7 @@ def test_drafts_of_a_killed_process_are_removed(tmp_path: Path, opened) -> None:
     assert sorted(tmp_path.iterdir()) == sorted(others)
 
 
-def test_a_folder_that_cannot_be_made_is_found_at_once(tmp_path: Path, opened) -> None:
+def test_a_folder_that_cannot_be_created_is_reported_at_once(tmp_path: Path, opened) -> None:
     (tmp_path / 'file').write_text('')
     found = [f.id for f in opened(tmp_path / 'file' / 'sums.json').findings]
     assert found == ['checkpoint_unwritable']
@@ -212,9 +214,7 @@ FIFOS = pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this s
 
 @FIFOS
 @pytest.mark.parametrize('kind', SPECIAL)
-def test_what_is_no_regular_file_is_left_alone(
-    kind: str, tmp_path: Path, sums: Sums, opened
-) -> None:
+def test_special_files_are_not_changed(kind: str, tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
     special(kind, path)
     before = os.lstat(path)
@@ -228,9 +228,7 @@ def test_what_is_no_regular_file_is_left_alone(
 
 @FIFOS
 @pytest.mark.parametrize('kind', SPECIAL)
-def test_nothing_is_renamed_onto_what_is_no_regular_file(
-    kind: str, tmp_path: Path, sums: Sums, opened
-) -> None:
+def test_only_regular_files_are_replaced(kind: str, tmp_path: Path, sums: Sums, opened) -> None:
     path = tmp_path / 'sums.json'
     checkpoint = opened(path)
     special(kind, tmp_path / 'sums.json.previous')
@@ -252,7 +250,7 @@ def test_a_path_that_cannot_be_examined_is_a_finding(
     assert loop.is_symlink()
 
 
-def test_a_damaged_file_that_cannot_be_renamed_is_left_alone(
+def test_a_damaged_file_that_cannot_be_renamed_is_not_changed(
     tmp_path: Path, sums: Sums, opened, monkeypatch
 ) -> None:
     path = tmp_path / 'sums.json'

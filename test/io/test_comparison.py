@@ -77,7 +77,7 @@ def test_every_run_is_held_against_the_first_and_every_datasheet(small_results: 
     assert compare_runs(runs[:1], [sheet]).pairs == ()
 
 
-def test_runs_without_a_common_axis_are_refused(small_results: Results) -> None:
+def test_runs_without_a_common_axis_are_rejected(small_results: Results) -> None:
     gyro, accel = (
         replace(small_results, axes={n: a for n, a in small_results.axes.items() if n[0] == first})
         for first in 'ga'
@@ -86,7 +86,7 @@ def test_runs_without_a_common_axis_are_refused(small_results: Results) -> None:
         compare_runs([Subject('a', gyro), Subject('b', accel)])
 
 
-def test_pictures_come_in_any_form_and_a_narrow_one_has_no_ratios(
+def test_plots_have_any_format_and_narrow_ones_no_ratios(
     small_results: Results, tmp_path: Path
 ) -> None:
     runs = [Subject(f'run_$_{i}', small_results) for i in range(3)]
@@ -102,7 +102,7 @@ def test_pictures_come_in_any_form_and_a_narrow_one_has_no_ratios(
         assert '°/h' in figure.axes[0].get_ylabel()
 
 
-def test_the_files_say_the_same(small_results: Results, tmp_path: Path) -> None:
+def test_the_files_agree(small_results: Results, tmp_path: Path) -> None:
     comparison = compare_runs(
         [Subject('a', small_results), Subject('b', scaled(small_results, 1.5))]
     )
@@ -165,7 +165,7 @@ def test_a_table_for_each_datasheet(small_results: Results) -> None:
     assert 'the datasheet of Y has no limit for the axes of a' in lines
 
 
-def test_an_axis_without_noise_says_so(small_results: Results) -> None:
+def test_an_axis_without_noise_is_reported(small_results: Results) -> None:
     curve = small_results.axes['gyro_x'].curve
     assert curve is not None
     zero = replace(curve, **dict.fromkeys(('adev', 'ci_low', 'ci_high'), 0.0 * curve.adev))
@@ -176,7 +176,7 @@ def test_an_axis_without_noise_says_so(small_results: Results) -> None:
     assert [text.get_text() for text in figure.axes[0].texts] == ['no noise']
 
 
-def test_labels_are_short_where_that_tells_them_apart() -> None:
+def test_labels_are_short_if_they_are_unique() -> None:
     assert labels_of(['a/results.json', 'b/sums.json']) == ['a', 'b']
     assert labels_of(['runs/one', 'two.mcap']) == ['one', 'two']
     assert labels_of(['a/x.json', 'b/x.json']) == ['a/x.json', 'b/x.json']

@@ -31,7 +31,7 @@ def test_every_mapping_of_the_package_can_be_read():
         assert load_filter(name).name == name
 
 
-def test_madgwick_gets_what_the_file_for_it_gets():
+def test_madgwick_parameters_equal_the_exported_file():
     n, b, k = 2e-4, 5e-5, 3e-6
     noise = {
         term: Coefficient(value, (value, value))
@@ -68,7 +68,7 @@ def test_a_file_is_read_as_it_is_written(tmp_path: Path):
         ('expression: N * h, ', '', 'expression'),
     ],
 )
-def test_a_bad_file_is_refused_with_its_name(tmp_path: Path, old: str, new: str, reason: str):
+def test_a_bad_file_is_rejected_with_its_name(tmp_path: Path, old: str, new: str, reason: str):
     path = tmp_path / 'bad.yaml'
     path.write_text(GOOD.replace(old, new))
     with pytest.raises(AllanError) as refused:

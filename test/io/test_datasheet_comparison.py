@@ -48,7 +48,7 @@ def test_the_worst_verdict_is_that_of_all(small_results: Results) -> None:
     assert nothing.verdict is None
 
 
-def test_it_survives_the_document(small_results: Results) -> None:
+def test_the_round_trip_of_the_document_is_complete(small_results: Results) -> None:
     against = held(small_results, N=1e-9, B=1.0)
     document = json.loads(json.dumps(results_to_document(against), allow_nan=False))
     assert document['datasheet']['axes']['gyro_x']['N']['verdict'] == 'beyond'

@@ -63,7 +63,7 @@ def test_every_datasheet_that_comes_with_the_package(name):
         assert source.title and source.seen and source.via
 
 
-def test_the_page_says_what_the_files_say(repository):
+def test_the_page_agrees_with_the_files(repository):
     script = repository / 'scripts' / 'sensor_table.py'
     spec = importlib.util.spec_from_file_location('sensor_table', script)
     written = importlib.util.module_from_spec(spec)
@@ -112,7 +112,7 @@ def test_a_minimum_becomes_the_coefficient(load, stated_as, factor):
 
 
 @pytest.mark.parametrize('number', ['3e-1', '0.3', '3.0E-01', '+3e-01'])
-def test_numbers_mean_what_people_mean(load, number):
+def test_numbers_are_parsed_as_users_write_them(load, number):
     text = yaml.safe_dump(arw(value='?')).replace("'?'", number)
     assert load(text).limits['gyro_x']['N'].value == pytest.approx(0.3 * DEGREE / 60)
 
@@ -149,7 +149,7 @@ def arw(**change):
         ('x' * 200_000, 'larger than 100000 bytes'),
     ],
 )
-def test_a_bad_file_is_refused_with_its_place(load, document, said):
+def test_a_bad_file_is_rejected_with_its_place(load, document, said):
     with pytest.raises(AllanError, match=said):
         load(document)
 
@@ -196,13 +196,13 @@ def test_a_product_has_the_figures_of_the_sensor_it_carries(load):
         ({'sources': {}}, 'sources is empty'),
     ],
 )
-def test_a_bad_product_is_refused_with_its_place(load, change, said):
+def test_a_bad_product_is_rejected_with_its_place(load, change, said):
     with pytest.raises(AllanError, match=said) as refused:
         load(PRODUCT | change)
     assert '\n' not in str(refused.value)
 
 
-def test_a_product_that_carries_itself_is_refused(load, tmp_path):
+def test_a_product_that_carries_itself_is_rejected(load, tmp_path):
     with pytest.raises(AllanError, match='is a product, not a sensor'):
         load(PRODUCT | {'carries': str(tmp_path / 'x.yaml')})
 
@@ -213,7 +213,7 @@ def test_case_and_punctuation_of_a_name_do_not_matter(name):
 
 
 @pytest.mark.parametrize('name', ['mpu-6500', 'adis16405', 'bmi161'])
-def test_another_model_is_no_misspelling(name):
+def test_another_model_is_not_a_misspelling(name):
     family = name.rstrip('0123456789')
     with pytest.raises(AllanError, match=rf': choose one of {family}\S+, {family}') as error:
         load_sensor(name)

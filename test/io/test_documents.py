@@ -42,7 +42,7 @@ def through_text(document: dict[str, Any]) -> dict[str, Any]:
     return read
 
 
-def test_results_survive_the_round_trip(small_results: Results) -> None:
+def test_the_round_trip_of_results_is_complete(small_results: Results) -> None:
     finding = Finding('short', 'warning', 'only 3 s', 'record longer', ('gyro_x', 'accel_z'))
     results = replace(
         small_results,
@@ -91,7 +91,7 @@ def test_per_sample_levels_are_those_of_the_rate(small_results: Results) -> None
     )
 
 
-def test_what_is_not_known_is_null(small_results: Results) -> None:
+def test_unknown_values_are_null(small_results: Results) -> None:
     axis = small_results.axes['gyro_x']
     noise = {**axis.fit.noise, 'K': Coefficient(None, None, math.inf, 'not_observable')}
     curve = replace(axis.curve, ci_high=np.full(len(axis.curve.m), math.nan))
@@ -105,7 +105,7 @@ def test_what_is_not_known_is_null(small_results: Results) -> None:
     assert set(document['curve']['ci_high']) == {None}
 
 
-def test_extra_terms_survive(small_results: Results) -> None:
+def test_extra_terms_are_kept(small_results: Results) -> None:
     axis = small_results.axes['accel_y']
     fit = replace(
         axis.fit,
@@ -129,7 +129,7 @@ def test_extra_terms_survive(small_results: Results) -> None:
     assert earlier == Processes(fit.processes.gauss_markov[:1], fit.processes.sinusoid)
 
 
-def test_a_deviation_without_its_fields_is_refused(small_results: Results) -> None:
+def test_a_deviation_without_its_fields_is_rejected(small_results: Results) -> None:
     document = json.loads(to_json(results_to_document(small_results)))
     document['axes']['gyro_x']['deviation'] = {'tau': 3.0}
     with pytest.raises(AllanError, match='relative'):
@@ -148,7 +148,7 @@ def test_of_many_segments_the_longest_are_listed(small_results: Results) -> None
     assert [s['samples'] for s in document['segments']] == list(range(1500, 500, -1))
 
 
-def test_sums_survive_the_round_trip_bit_for_bit(small_run) -> None:
+def test_the_round_trip_of_sums_is_exact(small_run) -> None:
     sums, provenance = small_run
     document = through_text(sums_file_to_document([sums], provenance))
     (again,), its_provenance = sums_file_from_document(document)
@@ -200,7 +200,7 @@ def test_a_wrong_field_is_named(
 
 
 @pytest.mark.parametrize('document', [None, [], 3, 'x', {}, {'schema': 'allan_ros/results/1'}])
-def test_what_is_no_sums_file_is_refused(document: object) -> None:
+def test_a_file_that_is_not_a_sums_file_is_rejected(document: object) -> None:
     with pytest.raises(AllanError):
         sums_file_from_document(document)
 
@@ -218,7 +218,7 @@ def test_what_is_no_sums_file_is_refused(document: object) -> None:
     ],
     ids=lambda text: text[:20],
 )
-def test_a_file_that_is_not_json_is_said(tmp_path: Path, content: str, said: str) -> None:
+def test_a_file_that_is_not_json_is_reported(tmp_path: Path, content: str, said: str) -> None:
     path = tmp_path / 'sums.json'
     path.write_text(content)
     with pytest.raises(AllanError, match=said):
@@ -231,12 +231,12 @@ def test_numbers_that_are_not_finite_are_null() -> None:
     assert plain({'a': (1, np.float64(math.inf), 'x')}) == {'a': [1, None, 'x']}
 
 
-def test_a_missing_file_is_said(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(AllanError, match='no such file'):
         read_json(tmp_path / 'sums.json')
 
 
-def test_a_finding_of_two_runs_is_said_once(small_run) -> None:
+def test_a_finding_of_two_runs_is_reported_once(small_run) -> None:
     _, provenance = small_run
     one = replace(provenance, findings=(Finding('a', 'info', 'm', 'r'),))
     both = one + one

@@ -22,7 +22,7 @@ def test_content_replaces_content(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ['sums.json']
 
 
-def test_a_failed_write_leaves_the_old_file_and_no_draft(
+def test_a_failed_write_keeps_the_old_file_and_leaves_no_temporary_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / 'sums.json'
@@ -38,7 +38,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_draft(
     assert os.listdir(tmp_path) == ['sums.json']
 
 
-def test_a_missing_folder_is_said(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(AllanError, match='cannot be written'):
         write_atomic(tmp_path / 'no' / 'where.json', '')
 

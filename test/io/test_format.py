@@ -43,7 +43,7 @@ def test_digits(value: float, digits: int, text: str) -> None:
 
 
 @given(st.floats(1e-12, 1e12), st.integers(2, 6))
-def test_what_is_shown_is_the_number_to_its_digits(value: float, digits: int) -> None:
+def test_shown_numbers_equal_the_values_to_their_digits(value: float, digits: int) -> None:
     assert float(significant(value, digits)) == pytest.approx(
         value, rel=0.51 * 10.0 ** (1 - digits)
     )
@@ -67,7 +67,7 @@ def test_a_sharp_interval_is_shown_sharply() -> None:
         (Coefficient(None), '-'),
     ],
 )
-def test_what_is_not_observable_is_shown_by_its_limit(coefficient: Coefficient, text: str) -> None:
+def test_an_unresolved_term_is_shown_by_its_limit(coefficient: Coefficient, text: str) -> None:
     assert value_text(coefficient, PLAIN) == text
 
 
@@ -111,7 +111,7 @@ def test_intervals_are_joined_and_equal_numbers_kept():
     assert merged.message == 'N is 2.2 to 2.4 deg (2.1..2.5), above 0.66.'
 
 
-def test_other_words_other_causes_and_findings_without_axes_stay_apart():
+def test_different_findings_are_not_joined():
     kept = [
         finding_of('gyro_x', 'Lost 3.'),
         finding_of('gyro_y', 'Found 3.'),

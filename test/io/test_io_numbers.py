@@ -44,14 +44,14 @@ def test_sums_of_any_size_are_a_document(kind: str) -> None:
 
 
 @pytest.mark.parametrize('curves', [True, False])
-def test_results_and_noise_model_hold_numbers_or_null(results: Results, curves: bool) -> None:
+def test_results_and_noise_model_contain_numbers_or_null(results: Results, curves: bool) -> None:
     text = to_json(results_to_document(results, curves))
     check_numbers(json.loads(text))
     back = results_from_document(parse_json(text, 'results'))
     assert to_json(results_to_document(back, curves)) == text
 
 
-def test_files_for_filters_hold_numbers_or_are_refused(results: Results) -> None:
+def test_files_for_filters_contain_numbers_or_are_rejected(results: Results) -> None:
     written = 0
     for name in TARGETS:
         try:

@@ -52,7 +52,7 @@ def test_it_ends_with_its_process(tmp_path: Path) -> None:
     assert lock.acquire() == ''
 
 
-def test_a_mark_that_goes_while_it_is_opened_is_made_anew(
+def test_a_lock_file_that_is_removed_while_it_is_opened_is_created_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, opened = tmp_path / 'imu.json', []
@@ -82,14 +82,14 @@ def test_a_link_in_its_place_is_not_followed(tmp_path: Path) -> None:
     assert victim.read_text() == 'precious'
 
 
-def test_a_missing_folder_is_said(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(AllanError, match='No such file or directory'):
         PathLock(tmp_path / 'missing' / 'imu.json').acquire()
 
 
 @pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
 @pytest.mark.parametrize('make', [os.mkfifo, os.mkdir])
-def test_a_lock_file_that_is_no_regular_file_is_refused(
+def test_a_lock_file_that_is_not_a_regular_file_is_rejected(
     make: Callable[[Path], None], tmp_path: Path
 ) -> None:
     make(tmp_path / '.imu.json.lock')

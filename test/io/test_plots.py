@@ -71,7 +71,7 @@ def test_a_curve_without_noise_is_drawn_all_the_same(small_results: Results) -> 
     assert render_figure(figure, 'png')
 
 
-def test_every_form_is_written_and_a_pdf_has_its_fonts_whole(small_results: Results) -> None:
+def test_every_format_is_written_and_a_pdf_contains_its_fonts(small_results: Results) -> None:
     figure = sensor_figure(small_results, 'accel', a_summary())
     assert render_figure(figure, 'svg').startswith(b'<?xml')
     pdf = render_figure(figure, 'pdf')
@@ -98,7 +98,7 @@ def test_a_style_sheet_of_the_user_is_kept(small_results: Results, tmp_path: Pat
 @pytest.mark.parametrize(
     'text', ['font.sise: 9\n', 'no colon here\n', 'font.size: large-ish\n', '\0']
 )
-def test_a_sheet_that_is_none_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
+def test_a_sheet_that_is_none_is_rejected_in_one_line(tmp_path: Path, text: str) -> None:
     sheet = tmp_path / 'bad.mplstyle'
     sheet.write_text(text)
     with pytest.raises(AllanError, match=r'bad\.mplstyle: is not a style sheet') as caught:
@@ -106,7 +106,7 @@ def test_a_sheet_that_is_none_is_refused_in_one_line(tmp_path: Path, text: str) 
     assert '\n' not in str(caught.value)
 
 
-def test_unknown_styles_and_forms_are_refused() -> None:
+def test_unknown_styles_and_forms_are_rejected() -> None:
     with pytest.raises(AllanError, match="no plot style 'http"):
         load_style('http://example.org/my.mplstyle')
     with pytest.raises(AllanError, match="plot_format is 'gif': choose one of png, svg, pdf"):

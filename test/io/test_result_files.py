@@ -117,7 +117,7 @@ def test_two_runs_into_one_folder_wait_for_each_other(
     assert without_report(content(folder)) in one_by_one
 
 
-def test_a_folder_that_stays_locked_is_refused(
+def test_a_folder_that_stays_locked_is_rejected(
     runs: list[ar.Results], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr('allan_ros.io.result_files.LONGEST_WAIT_S', 0.0)
@@ -129,7 +129,7 @@ def test_a_folder_that_stays_locked_is_refused(
 
 
 @pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
-def test_what_is_no_regular_file_is_not_replaced(runs: list[ar.Results], tmp_path: Path) -> None:
+def test_special_files_are_not_replaced(runs: list[ar.Results], tmp_path: Path) -> None:
     os.mkfifo(tmp_path / 'report.html')
     with pytest.raises(AllanError, match='regular file'):
         write_result_files(tmp_path, runs[0])

@@ -46,7 +46,7 @@ def test_chunks_change_nothing(chunk: int, n: int) -> None:
     assert np.array_equal(one.time_s, other.time_s)
 
 
-def test_what_is_absent_stays_absent_and_a_hole_is_passed_over() -> None:
+def test_absent_values_stay_absent_and_gaps_are_skipped() -> None:
     samples = np.ones((4 * MAX_BINS, 6))
     samples[:, 3:] = np.nan
     samples[7, 0] = np.nan
@@ -55,7 +55,7 @@ def test_what_is_absent_stays_absent_and_a_hole_is_passed_over() -> None:
     assert np.all(np.isnan(envelope.high[:, 3:]))
 
 
-def test_stamps_that_stand_still_give_way_to_the_time_of_recording() -> None:
+def test_constant_stamps_are_replaced_by_record_times() -> None:
     n = 100
     record = np.arange(n, dtype=np.int64) * 10**9
     envelope = SignalEnvelope()

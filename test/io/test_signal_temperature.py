@@ -56,7 +56,7 @@ def write_bag(path: Path, topics: dict[str, tuple[str, float]], imu_topic: str) 
         ({}, '/imu/data', None),
     ],
 )
-def test_a_bag_tells_which_temperature_is_that_of_the_imu(
+def test_the_temperature_topic_of_the_imu_is_found(
     topics: dict[str, tuple[str, float]], imu_topic: str, expected: str | None, tmp_path: Path
 ) -> None:
     write_bag(tmp_path / 'bag', topics, imu_topic)
@@ -83,13 +83,13 @@ def test_a_table_has_it_in_a_column(name: str, tmp_path: Path) -> None:
     assert trace.header_ns.tolist() == [t * NS for t in range(9)]
 
 
-def test_another_unit_is_not_taken_for_celsius(tmp_path: Path) -> None:
+def test_another_unit_is_not_read_as_celsius(tmp_path: Path) -> None:
     (tmp_path / 'one.csv').write_text('t,gx,gy,gz,ax,ay,az,temp [K]\n0,0,0,0,0,0,9.8,300\n')
     (recording,) = open_recordings([tmp_path / 'one.csv'])
     assert recording.temperature('') is None
 
 
-def test_what_is_no_temperature_is_left_out() -> None:
+def test_invalid_temperatures_are_left_out() -> None:
     readings = [(0, 0, float('nan')), (1, 1, 20.0), (2, 2, -300.0), (3, 3, float('inf'))]
     trace = trace_of('/t', readings)
     assert trace is not None and trace.celsius.tolist() == [20.0]

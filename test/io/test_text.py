@@ -45,7 +45,7 @@ INFORMATION = (
         ('[' * MOST_BRACKETS + ']' * MOST_BRACKETS, None),
     ],
 )
-def test_a_text_holds_what_it_says(text: str, value: Any) -> None:
+def test_yaml_is_parsed_to_its_values(text: str, value: Any) -> None:
     assert value is None or parse_yaml(text) == value
     assert parse_yaml(text) is not None
 
@@ -53,7 +53,7 @@ def test_a_text_holds_what_it_says(text: str, value: Any) -> None:
 @pytest.mark.parametrize(
     'text', ['[' * 5000, '{a: ' * 5000, '- ' * 5000, '? ' * 5000, MERGES, 'a: {<<: {b: 1}}']
 )
-def test_what_would_take_long_is_refused(text: str) -> None:
+def test_what_would_take_long_is_rejected(text: str) -> None:
     with pytest.raises(yaml.YAMLError):
         parse_yaml(text)
 
@@ -69,7 +69,7 @@ def test_what_would_take_long_is_refused(text: str) -> None:
         '[' * 3000,
     ],
 )
-def test_metadata_that_would_fill_the_memory_is_refused(text: str, tmp_path: Path) -> None:
+def test_metadata_that_would_fill_the_memory_is_rejected(text: str, tmp_path: Path) -> None:
     (tmp_path / 'metadata.yaml').write_text(text)
     with pytest.raises(AllanError, match=r'restore metadata\.yaml'):
         open_recordings([tmp_path])

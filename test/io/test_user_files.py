@@ -21,7 +21,7 @@ def read(tmp_path):
     return from_text
 
 
-def test_a_sensor_stands_for_its_axes_and_an_axis_goes_before_it(read):
+def test_a_sensor_sets_its_axes_and_an_axis_takes_precedence(read):
     noise = read('gyro: {N: 0.3, B: {value: 7, unit: deg/h}}\ngyro_z: {N: 0.4, R: -2}\n')
     assert tuple(noise) == AXES
     n, b = (from_datasheet(t, 'gyro', v) for t, v in (('N', 0.3), ('B', 7)))
@@ -31,7 +31,7 @@ def test_a_sensor_stands_for_its_axes_and_an_axis_goes_before_it(read):
     assert noise['accel_x'] == NoiseTerms()
 
 
-def test_truth_comes_back_to_the_last_bit(tmp_path):
+def test_the_truth_file_is_exact(tmp_path):
     noise = {axis: NoiseTerms(Q=1e-7 / 3, N=i + 0.1, R=-i) for i, axis in enumerate(AXES)}
     faults = Faults(drop=0.25, gaps=((1.0, 2.0),))
     path = write_truth(tmp_path / 'a.csv', noise, seconds=9.5, rate=100.0, seed=4, faults=faults)
@@ -55,6 +55,6 @@ def test_truth_comes_back_to_the_last_bit(tmp_path):
         ('schema: other/1\nnoise: {}', "schema is 'other/1'"),
     ],
 )
-def test_a_bad_specification_is_refused_with_its_place(read, text, said):
+def test_a_bad_specification_is_rejected_with_its_place(read, text, said):
     with pytest.raises(AllanError, match=said):
         read(text)

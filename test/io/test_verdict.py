@@ -66,7 +66,7 @@ def test_an_excess_fails_and_is_named(small_results: Results) -> None:
     assert not any('export' in step for step in verdict.next_steps)
 
 
-def test_a_number_that_is_not_settled_leaves_it_unjudged(small_results: Results) -> None:
+def test_a_number_that_is_not_settled_gives_no_verdict(small_results: Results) -> None:
     verdict = verdict_of(calm(small_results), against_itself(small_results, 0.999), 'si')
     assert verdict.level == 'unknown'
     assert 'not settled: N of all axes' in verdict.summary
@@ -106,7 +106,7 @@ def test_the_remedies_of_warnings_come_first(small_results: Results) -> None:
         assert verdict_of(named).next_steps[0] == f'Silence the fan ({words}).'
 
 
-def test_an_error_leaves_it_unjudged_and_a_dead_sensor_fails(small_results: Results) -> None:
+def test_an_error_gives_no_verdict_and_a_dead_sensor_fails(small_results: Results) -> None:
     within = against_itself(small_results, 1.01)
     error = Finding('never_still', 'error', 'Never still.', 'Let it rest.')
     dead = Finding('no_noise', 'error', 'No noise.', 'Check it.', ('gyro_x',))
@@ -147,7 +147,7 @@ def test_no_file_calls_a_record_that_is_too_short_beyond_a_limit(small_results: 
     ]
 
 
-def test_axes_that_differ_are_not_said_to_agree(small_results: Results) -> None:
+def test_different_axes_are_not_reported_as_equal(small_results: Results) -> None:
     axis = small_results.axes['gyro_y']
     for factor, words in ((1.46, 'differ in white noise: gyro y has 4'), (3.0, 'Gyro y has 3')):
         value = factor * small_results.axes['gyro_x'].fit.noise['N'].value

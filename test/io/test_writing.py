@@ -83,7 +83,7 @@ def test_a_recording_that_fails_leaves_nothing_behind(
 
 
 @pytest.mark.parametrize('name', ['run', 'run.bag', 'run.csv', 'run.npz'])
-def test_what_stands_there_is_replaced_only_on_request(
+def test_existing_files_are_replaced_only_on_request(
     name: str, tmp_path: Path, imu_batches: Any, read: Any
 ) -> None:
     write_recording(tmp_path / name, imu_batches(10))
@@ -95,7 +95,7 @@ def test_what_stands_there_is_replaced_only_on_request(
     assert [child.name for child in tmp_path.iterdir()] == [name]
 
 
-def test_a_folder_that_is_no_bag_is_never_replaced(tmp_path: Path, imu_batches: Any) -> None:
+def test_a_folder_that_is_not_a_bag_is_never_replaced(tmp_path: Path, imu_batches: Any) -> None:
     (tmp_path / 'thesis').mkdir()
     with pytest.raises(AllanError, match='not a bag'):
         write_recording(tmp_path / 'thesis', imu_batches(10), overwrite=True)
@@ -108,7 +108,7 @@ def test_a_folder_that_is_no_bag_is_never_replaced(tmp_path: Path, imu_batches: 
         ({'storage': 'sqlite3', 'compression': 'chunk'}, 'choose one of none, message, file'),
     ],
 )
-def test_what_cannot_be_written_is_said(
+def test_a_file_that_cannot_be_written_is_reported(
     how: dict[str, str], says: str, tmp_path: Path, imu_batches: Any
 ) -> None:
     with pytest.raises(AllanError, match=says):

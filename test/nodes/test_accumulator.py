@@ -68,7 +68,7 @@ def test_a_played_bag_gives_the_sums_of_the_bag(graph, still_imu, tmp_path: Path
     assert graph.until(lambda: graph.value('input', 'lost on the way')) == '0'
 
 
-def test_deep_shared_memory_holds_what_comes_at_once(graph, monkeypatch):
+def test_the_shared_memory_profile_holds_a_burst(graph, monkeypatch):
     """A best-effort burst that exceeds the default shared memory of Fast DDS, but not the
     profile.
     """
@@ -123,7 +123,7 @@ def test_a_signal_writes_the_checkpoint(graph, still_imu, tmp_path: Path, signal
     assert json.loads(checkpoint.read_text())['sums'] == offline(batch)
 
 
-def test_a_restarted_node_goes_on_with_its_sums(graph, still_imu, tmp_path: Path):
+def test_a_restarted_node_continues_its_sums(graph, still_imu, tmp_path: Path):
     checkpoint = tmp_path / 'sums.json'
     settings = {**FAST, 'checkpoint.path': str(checkpoint), 'checkpoint.period': 0.5}
     killed = graph.start('accumulator', **settings)
@@ -173,7 +173,9 @@ def test_a_checkpoint_of_another_imu_is_kept(graph, still_imu, tmp_path: Path):
     assert checkpoint.read_bytes() == before
 
 
-def test_problems_of_the_checkpoint_are_reported_and_survived(graph, still_imu, tmp_path: Path):
+def test_problems_of_the_checkpoint_are_reported_and_do_not_stop_the_node(
+    graph, still_imu, tmp_path: Path
+):
     corrupt = tmp_path / 'corrupt.json'
     corrupt.write_text('{"schema": "allan_ros/sums_file/1", "sums": [')
     node = graph.start('accumulator', **FAST, **{'checkpoint.path': str(corrupt)})
@@ -194,7 +196,7 @@ def test_problems_of_the_checkpoint_are_reported_and_survived(graph, still_imu, 
     assert node.stop() == 0, node.output
 
 
-def test_reset_begins_anew_and_keeps_what_was(graph, still_imu, tmp_path: Path):
+def test_reset_starts_from_zero_and_keeps_the_previous_sums(graph, still_imu, tmp_path: Path):
     checkpoint = tmp_path / 'sums.json'
     graph.start('accumulator', **FAST, **{'checkpoint.path': str(checkpoint)})
     documents = graph.latched('/allan_accumulator/sums')
@@ -305,7 +307,7 @@ def test_two_publishers_on_one_topic_are_reported(graph, still_imu):
     assert '2 publishers on /imu/data (/test_client, /test_client)' in status.message
 
 
-def test_bad_parameters_are_refused(graph):
+def test_bad_parameters_are_rejected(graph):
     cases = (
         ({'publish.sums_period': -1.0}, 'sums_period'),
         ({'input.topics': ('a', 'b')}, 'allan_monitor'),

@@ -50,7 +50,7 @@ def test_the_plot_is_drawn_for_who_subscribes_and_not_before(graph, still_imu):
     assert len(pictures) <= len(models)  # nothing new to show: nothing is drawn
 
 
-def test_a_missing_matplotlib_is_reported_once_and_the_rest_goes_on(
+def test_a_missing_matplotlib_is_reported_once_and_all_else_works(
     graph, still_imu, tmp_path, monkeypatch
 ):
     (tmp_path / 'matplotlib.py').write_text('raise ImportError("No module named matplotlib")\n')

@@ -20,7 +20,7 @@ def config_text(repository: Path) -> str:
     return (repository / 'config' / 'allan_ros.yaml').read_text()
 
 
-def test_the_configuration_file_holds_every_default(config_text: str):
+def test_the_configuration_file_contains_every_default(config_text: str):
     parameters = yaml.safe_load(config_text)['/**']['ros__parameters']
     defaults = {
         group: {
@@ -33,7 +33,7 @@ def test_the_configuration_file_holds_every_default(config_text: str):
     assert parameters == defaults
 
 
-def test_the_configuration_file_says_what_each_is(config_text: str):
+def test_the_configuration_file_explains_every_parameter(config_text: str):
     words = ' '.join(config_text.replace('#', ' ').split())
     for settings in GROUPS.values():
         for name, info in describe(settings).items():
@@ -78,7 +78,7 @@ def test_every_launch_argument_has_a_launch_test(repository: Path):
     assert {name for given, _, _ in cases.values() for name in given} == {*arguments, 'config'}
 
 
-def test_several_imus_in_separate_processes_are_refused(repository: Path):
+def test_several_imus_in_separate_processes_are_rejected(repository: Path):
     pytest.importorskip('launch_ros')
     from launch.actions import IncludeLaunchDescription
     from launch.launch_description_sources import PythonLaunchDescriptionSource

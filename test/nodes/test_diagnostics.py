@@ -52,7 +52,7 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
     return {v.key: v.value for v in status.values}
 
 
-def test_the_coefficients_stand_in_both_unit_systems(sums):
+def test_the_coefficients_are_shown_in_both_unit_systems(sums):
     status = status_of(sums)
     told = values(status)
     assert status.level == DiagnosticStatus.OK and status.hardware_id == 'imu'
@@ -66,14 +66,14 @@ def test_the_coefficients_stand_in_both_unit_systems(sums):
     assert told['evidence [s]'] == '24.995' and told['fit age [s]'] == '3'
 
 
-def test_what_is_known_can_be_plotted(sums):
+def test_known_values_can_be_plotted(sums):
     told = values(status_of(sums))
     # plain numbers, since plotters draw neither "0.190..0.210" nor "< 0.206"
     assert [float(told[f'N {end} [deg/sqrt(h)]']) for end in ('low', 'high')] == [0.19, 0.21]
     assert float(told['B high [deg/h]']) == 0.206 and 'B low [deg/h]' not in told
 
 
-def test_before_a_fit_it_says_so(sums):
+def test_the_status_before_a_fit_is_reported(sums):
     assert status_of(sums, result=None).message.startswith('no coefficients yet, from 25 s')
     assert status_of(None, result=None).message.startswith('no coefficients yet: no static data')
 

@@ -58,13 +58,13 @@ def test_two_processes_make_a_noise_model(graph, still_imu):
     assert graph.until(lambda: graph.status('sums')).level == OK
 
 
-def test_an_estimator_without_sums_says_so(graph):
+def test_an_estimator_without_sums_reports_it(graph):
     graph.start('estimator', **{'publish.sums_period': 0.1, 'publish.diagnostics_period': 0.2})
     status = graph.until(lambda: (s := graph.status('sums')) and s.level == ERROR and s)
     assert 'No sums on /sums' in status.message and 'Start allan_accumulator' in status.message
 
 
-def test_sums_that_cannot_be_read_are_survived(graph):
+def test_sums_that_cannot_be_read_do_not_stop_the_node(graph):
     from std_msgs.msg import String
 
     from allan_ros.nodes.shell import LATCHED
@@ -200,7 +200,7 @@ def test_a_halved_rate_and_a_stuck_axis_are_reported(graph, still_imu):
     assert 'An axis repeated one value' in said
 
 
-def test_bad_references_are_refused(graph, tmp_path: Path):
+def test_bad_references_are_rejected(graph, tmp_path: Path):
     started = [
         (graph.start('monitor', **{name: value}), reason)
         for name, value, reason in (

@@ -29,7 +29,7 @@ def receive(graph, imu_input: ImuInput, count: int) -> list[ImuBatch]:
 
 
 @pytest.mark.parametrize('settings', [LEAN, PLAIN], ids=['lean', 'plain'])
-def test_messages_come_whole_and_in_order(graph, still_imu, settings):
+def test_messages_are_complete_and_in_order(graph, still_imu, settings):
     imu_input = ImuInput(graph.node, 'imu/data', settings)
     assert imu_input.polled == (settings is LEAN)
     publisher = graph.publisher()
@@ -68,7 +68,7 @@ def test_the_executor_never_runs_a_drained_subscription(graph, still_imu):
     assert imu_input.statistics().received == 20
 
 
-def test_what_a_full_queue_lost_is_counted(graph, still_imu):
+def test_messages_lost_by_a_full_queue_are_counted(graph, still_imu):
     imu_input = ImuInput(graph.node, 'imu/data', InputSettings(queue_depth=10))
     publisher = graph.publisher()
     graph.send(publisher, still_imu(1))
@@ -83,7 +83,7 @@ def test_what_a_full_queue_lost_is_counted(graph, still_imu):
     assert reception.lost >= 80
 
 
-def test_nothing_of_a_drained_subscription_is_waited_for(graph):
+def test_a_drained_subscription_is_not_in_the_wait_set(graph):
     """Events in the wait set would wake the executor as long as there are unread messages."""
     before = list(graph.node.waitables)
     imu_input = ImuInput(graph.node, 'imu/data', LEAN)

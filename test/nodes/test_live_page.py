@@ -65,7 +65,7 @@ def test_the_report_follows_the_sums(page: LivePage, small_run) -> None:
     assert 'Noise of unit 7' in read(page.address + 'other/sums')
 
 
-def test_other_hosts_and_unknown_paths_are_refused(page: LivePage) -> None:
+def test_other_hosts_and_unknown_paths_are_rejected(page: LivePage) -> None:
     port = int(page.address.rsplit(':', 1)[1].strip('/'))
     for host, path, code in (('evil.example', '/', 403), ('localhost', '/none', 404)):
         connection = http.client.HTTPConnection('127.0.0.1', port, timeout=10.0)
@@ -83,7 +83,7 @@ def test_a_port_in_use_is_one_line(node: Node) -> None:
             LivePage(node, port)
 
 
-def test_a_browser_that_leaves_does_no_harm_and_another_draws(
+def test_a_closed_connection_does_not_stop_the_live_page(
     page: LivePage, small_run, browser: Chromium
 ) -> None:
     sums, provenance = small_run

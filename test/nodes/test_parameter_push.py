@@ -69,7 +69,7 @@ def values(graph: Any, *names: str) -> list[Any]:
     return [parameter_value_to_python(value) for value in response.values]
 
 
-def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, filter_node):
+def test_parameters_are_set_rejected_and_restored(graph, still_imu, tmp_path, filter_node):
     mapping = tmp_path / 'mapping.yaml'
     mapping.write_text(MAPPING)
     monitor = graph.start('monitor', **QUICK, **{'push.filter': str(mapping)})
@@ -127,7 +127,7 @@ def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, fil
         ({'input.topics': ('a', 'b'), 'push.filter': 'noise_densities'}, 'push.node with 2 IMUs'),
     ],
 )
-def test_bad_settings_are_refused_at_start(graph, given, reason):
+def test_bad_settings_are_rejected_at_start(graph, given, reason):
     monitor = graph.start('monitor', **{**QUICK, **given})
     assert monitor.wait() == 1
     assert reason in monitor.output and 'Traceback' not in monitor.output

@@ -58,13 +58,13 @@ def test_every_settings_class_checks_its_values(group: str) -> None:
 
 
 @pytest.mark.parametrize('value', [5, 'abc', [1.0]])
-def test_a_value_of_the_wrong_type_is_one_clear_line(make_node: Any, value: Any) -> None:
+def test_a_value_of_the_wrong_type_gives_one_line(make_node: Any, value: Any) -> None:
     parameters = Parameters(make_node(publish__sums_period=value))
     with pytest.raises(AllanError, match=r'publish.sums_period is .*: give a value such as'):
         parameters.group('publish', PublishSettings)
 
 
-def test_an_unknown_method_is_refused_at_start_and_at_run_time(make_node: Any) -> None:
+def test_an_unknown_method_is_rejected_at_start_and_at_run_time(make_node: Any) -> None:
     with pytest.raises(AllanError, match="method is 'guess': choose one of gls"):
         Parameters(make_node(estimator__method='guess')).group('estimator', EstimatorSettings)
     node = make_node()

@@ -67,7 +67,7 @@ def test_it_keeps_the_stamps_of_the_recording(graph, still_imu, bag):
     assert 'played 200 messages' in player.output and 'does not answer' not in player.output
 
 
-def test_a_loop_with_rebased_stamps_goes_on_evenly_from_now(graph, bag):
+def test_a_loop_with_current_stamps_continues_evenly(graph, bag):
     ear = Ear(graph)
     player = graph.start('player', str(bag), '--rate', '0', '--loop', '--stamps', 'rebase')
     stamps = ear.hear(600)
@@ -76,7 +76,7 @@ def test_a_loop_with_rebased_stamps_goes_on_evenly_from_now(graph, bag):
     assert player.stop(signal.SIGINT, signal.SIGTERM) == 0, player.output
 
 
-def test_the_end_is_answered_for_anew(graph):
+def test_the_end_needs_a_new_answer(graph):
     """An earlier answer does not prove that the last messages arrived, since a frozen node gives
     none.
     """
@@ -97,7 +97,7 @@ def test_the_end_is_answered_for_anew(graph):
     handshake.close()
 
 
-def test_it_tells_the_time(graph, bag):
+def test_the_clock_is_published(graph, bag):
     from rosgraph_msgs.msg import Clock
 
     times: list[int] = []
@@ -117,7 +117,7 @@ def test_it_simulates_an_imu(graph):
     assert np.array_equal(np.diff(ear.hear(200)), np.full(199, 10_000_000))
 
 
-def test_it_says_what_it_cannot_play(graph, tmp_path: Path):
+def test_a_recording_that_cannot_be_played_is_reported(graph, tmp_path: Path):
     ear = Ear(graph)  # the player needs a subscriber
     (tmp_path / 'no.mcap').write_bytes(b'')
     nothing = graph.start('player')

@@ -170,7 +170,7 @@ def test_two_relays_to_one_topic_are_reported(graph):
     assert graph.until(found).level == WARN
 
 
-def test_it_holds_back_until_there_is_a_model(graph, still_imu, results: Results):
+def test_messages_wait_for_a_model_if_configured(graph, still_imu, results: Results):
     graph.start('relay', **QUICK, **{'relay.until_model': 'hold'})
     received = raw(graph)
     publisher = graph.publisher()
@@ -185,7 +185,9 @@ def test_it_holds_back_until_there_is_a_model(graph, still_imu, results: Results
     assert received == [patch.patch(p) for p in payloads(batch)]
 
 
-def test_what_is_not_to_be_filled_is_passed_on_as_it_is(graph, still_imu, results: Results):
+def test_messages_that_must_not_be_filled_are_passed_on_unchanged(
+    graph, still_imu, results: Results
+):
     graph.start('relay', **QUICK)
     received = raw(graph)
     publisher = graph.publisher()
@@ -264,7 +266,7 @@ def test_parameters_act_while_it_runs(graph, still_imu, results: Results):
     assert not refused.successful and 'choose one of white, sample' in refused.reason
 
 
-def test_a_model_that_cannot_be_read_is_survived(graph, still_imu, results: Results):
+def test_a_model_that_cannot_be_read_is_reported(graph, still_imu, results: Results):
     graph.start('relay', **QUICK)
     publisher = publish_model(graph, results)
     filled(graph)
@@ -278,7 +280,7 @@ def test_a_model_that_cannot_be_read_is_survived(graph, still_imu, results: Resu
         filled(graph)
 
 
-def test_a_relay_to_itself_is_refused(graph):
+def test_a_relay_to_itself_is_rejected(graph):
     relay = graph.start('relay', remap={OUT: 'imu/data'})
     assert relay.wait() == 1
     assert 'would be relayed to itself' in relay.output and 'Traceback' not in relay.output

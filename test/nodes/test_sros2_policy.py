@@ -55,7 +55,7 @@ def test_the_policy_is_of_the_documented_form() -> None:
     assert len(paths) == 6 == len(set(paths))
 
 
-def test_the_tables_of_the_docs_are_what_the_policy_says() -> None:
+def test_the_tables_of_the_docs_agree_with_the_policy() -> None:
     """Another test compares the policy with running nodes, so the tables agree with these, too."""
     text = (ROOT / 'docs' / 'online.md').read_text()
     told: dict[str, set[tuple[str, str]]] = {}
@@ -88,7 +88,7 @@ def allowed(node: str) -> set[tuple[str, str]]:
     }
 
 
-def test_the_policy_is_what_the_nodes_use(ros_domain: int) -> None:
+def test_the_policy_contains_what_the_nodes_use(ros_domain: int) -> None:
     script = ROOT / 'scripts' / 'sros2_policy.py'
     nodes = ['allan_accumulator', 'allan_estimator']
     command = [sys.executable, str(script), '--check', *nodes]
@@ -96,7 +96,7 @@ def test_the_policy_is_what_the_nodes_use(ros_domain: int) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_without_its_enclave_a_node_says_which_and_ends(ros_domain: int, tmp_path: Path) -> None:
+def test_without_its_enclave_a_node_reports_it_and_ends(ros_domain: int, tmp_path: Path) -> None:
     secured = {
         'ROS_SECURITY_ENABLE': 'true',
         'ROS_SECURITY_STRATEGY': 'Enforce',

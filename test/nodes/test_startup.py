@@ -26,7 +26,7 @@ RELIABLE = {
 @pytest.mark.parametrize(
     'executable', ['accumulator', 'estimator', 'monitor', 'relay', 'player', 'watch']
 )
-def test_help_is_printed_and_unknown_arguments_are_refused(graph, executable: str) -> None:
+def test_help_is_printed_and_unknown_arguments_are_rejected(graph, executable: str) -> None:
     shown, refused = graph.start(executable, '--help'), graph.start(executable, '--typo')
     assert shown.wait() == 0 and 'usage: allan_' in shown.output
     assert refused.wait() == 2 and 'unrecognized arguments: --typo' in refused.output
@@ -38,7 +38,7 @@ def test_a_missing_parameter_file_is_one_line(graph) -> None:
     assert 'allan_monitor stops: ' in node.output and 'Traceback' not in node.output
 
 
-def test_one_line_tells_what_a_node_does(graph, tmp_path: Path) -> None:
+def test_one_line_states_what_a_node_does(graph, tmp_path: Path) -> None:
     checkpoint = tmp_path / 'new' / 'folder' / 'sums.json'
     node = graph.start(
         'monitor',
@@ -83,7 +83,7 @@ def test_a_qos_that_does_not_fit_is_named_first(graph) -> None:
     assert 'Best effort publisher and reliable subscription' in status.message
 
 
-def test_a_leap_of_the_stamps_is_no_loss_of_messages(graph, still_imu) -> None:
+def test_a_jump_of_the_stamps_is_not_a_loss_of_messages(graph, still_imu) -> None:
     graph.start('monitor', **QUICK, **RELIABLE)
     publisher = graph.publisher()
     graph.send(publisher, still_imu(2000))
@@ -96,7 +96,7 @@ def test_a_leap_of_the_stamps_is_no_loss_of_messages(graph, still_imu) -> None:
     assert not [v for v in status.values if 'queue' in v.value]
 
 
-def test_a_start_without_a_driver_is_no_error_at_once(graph) -> None:
+def test_a_start_without_a_driver_is_not_an_error_at_once(graph) -> None:
     graph.start('monitor', **QUICK, **{'relay.enabled': True})
     status = graph.until(lambda: graph.status('input'))
     assert status.level == OK and status.message == 'waiting for the first message'
@@ -122,7 +122,7 @@ def test_units_of_the_driver_are_converted(graph, still_imu, tmp_path: Path) -> 
     assert variance == pytest.approx([1e-6] * 3 + [1e-4] * 3, rel=0.5)
 
 
-def test_the_relay_of_other_units_is_refused(graph) -> None:
+def test_the_relay_of_other_units_is_rejected(graph) -> None:
     node = graph.start('monitor', **{'relay.enabled': True, 'input.accel_unit': 'g'})
     assert node.wait() == 1 and 'relay.enabled with input.gyro_unit' in node.output
 

@@ -102,7 +102,7 @@ def test_the_layouts_name_what_the_monitor_publishes(graph, still_imu, viewers: 
         assert ('accel' in name) == (path == 'Accelerometers')
 
 
-def test_plotjuggler_can_lay_out_what_the_file_says(viewers: Path) -> None:
+def test_the_layout_follows_the_rules_of_plotjuggler(viewers: Path) -> None:
     root = ElementTree.parse(viewers / 'plotjuggler.xml').getroot()
     tabs = root.findall('tabbed_widget/Tab')
     assert len(tabs) == 3 and {len(tab.findall('Container/DockSplitter')) for tab in tabs} == {1}

@@ -121,7 +121,7 @@ def test_any_chunking_gives_the_same_history(n, chunks):
     assert sums_of(y, cuts=[n // 3]) == sums_of(y, chunks, cuts=[n // 3])
 
 
-def test_the_settled_part_equals_sums_of_the_samples_alone():
+def test_the_settled_part_equals_the_sums_of_its_samples():
     y = noise(60_000) + np.cumsum(noise(60_000, seed=1) - 9.8, axis=0) * 0.01
     sums = recording(y)
     step = sums.segments[0].phase_step

@@ -141,7 +141,7 @@ def test_steps_of_the_bias_are_found_where_they_are():
     assert len(named) == 3 and 'deg/h' in named[0].message
 
 
-def test_a_change_of_the_bias_between_segments_is_no_random_walk():
+def test_a_change_of_the_bias_between_segments_does_not_affect_k():
     """No coefficient includes a change between segments, such as a restart, so K does not
     include it.
     """

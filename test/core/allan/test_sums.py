@@ -154,6 +154,6 @@ def test_an_invalid_document_is_rejected_with_one_line(name):
 
 
 @pytest.mark.parametrize('thing', [None, 3, 'sums', [], {}])
-def test_a_value_that_is_no_document_is_rejected(thing):
+def test_a_value_that_is_not_a_document_is_rejected(thing):
     with pytest.raises(AllanError):
         sums_from_document(thing)

@@ -88,7 +88,7 @@ def test_a_reduction_to_all_processes_is_exact():
     assert reduction.ratio == pytest.approx((1.0, 1.0))
 
 
-def test_vibration_is_no_drift():
+def test_vibration_is_not_reported_as_drift():
     shaken = ProcessModel(NoiseTerms(N=1e-3), sinusoids=((0.1, 20.0),))
     assert not has_drift(shaken)
     assert reduce_model(shaken).walk == 0.0

@@ -70,7 +70,7 @@ def test_covariance_of_long_records_is_positive():
             assert np.linalg.eigvalsh(c / np.outer(d, d)).min() > -2e-4
 
 
-def test_what_is_forgotten_is_made_anew():
+def test_cleared_values_are_computed_again():
     import allan_ros.core.fit.table  # noqa: F401  (which remembers; a method loads it)
 
     before = pair_sums(1000)
@@ -103,7 +103,7 @@ def test_the_longest_record_does_not_change_shorter_ones_and_a_longer_one_is_an_
     clear_cache()
 
 
-def test_the_model_of_stretches_is_cleared_too():
+def test_cached_likelihood_models_are_cleared():
     likelihood._model((0.0, 1.0, 2.0, 3.0), (1.0, 2.0, 3.0, 4.0))
     clear_cache()
     assert likelihood._model.cache_info().currsize == 0

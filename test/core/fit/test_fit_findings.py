@@ -21,7 +21,7 @@ from allan_ros.core.fit.model import Sinusoid
         (864000.0, '10 days'),
     ],
 )
-def test_times_are_said_as_one_would(seconds, words):
+def test_durations_are_formatted_for_people(seconds, words):
     assert duration_text(seconds) == words
 
 
@@ -80,13 +80,13 @@ def sums_of(*segments):
         (np.random.default_rng(0).normal(size=8), 'record_too_short'),
     ],
 )
-def test_an_axis_without_numbers_says_why(samples, id):
+def test_an_axis_without_numbers_states_the_reason(samples, id):
     (found,) = fit_gls(sums_of(samples)).findings
     assert found.id == id
     assert found.axes == ('gyro_x',)
 
 
-def test_segments_that_drift_apart_are_said_so():
+def test_segments_with_different_ramps_are_reported():
     rng = np.random.default_rng(1)
     spans = [rng.normal(size=50000) + s * 1e-4 * np.arange(50000) for s in (1.0, -1.0)]
     assert 'ramps_differ' in {f.id for f in fit_gls(sums_of(*spans)).findings}

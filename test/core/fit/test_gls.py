@@ -60,7 +60,7 @@ def same(noise, other, factor=1.0):
     ],
     ids=['none', 'one', 'two', 'constant', 'ramp', 'ten', 'many short', 'step'],
 )
-def test_poor_records_are_answered_without_numbers_that_are_none(samples):
+def test_poor_records_give_finite_numbers_or_null(samples):
     for coefficient in noise_of(sums_of(*samples)).values():
         assert all(x is None or (np.isfinite(x) and x >= 0.0) for x in numbers(coefficient))
         assert coefficient.status == 'estimated' or coefficient.ci95 is None
@@ -98,7 +98,7 @@ def test_an_offset_and_a_ramp_change_only_the_ramp():
     assert low <= 0.02 <= high
 
 
-def test_opposite_ramps_of_two_spans_are_no_walk():
+def test_opposite_ramps_of_two_segments_are_not_a_random_walk():
     rng = np.random.default_rng(6)
     truth = NoiseTerms(N=from_datasheet('N', 'gyro', 0.242), B=from_datasheet('B', 'gyro', 5.2))
     rate = from_datasheet('R', 'gyro', 76.0)
@@ -109,7 +109,7 @@ def test_opposite_ramps_of_two_spans_are_no_walk():
     assert noise_of(sums_of(*spans))['K'].status == 'not_observable'
 
 
-def test_no_value_stands_at_the_end_of_its_interval():
+def test_no_value_is_at_the_end_of_its_interval():
     """In this record (one of a hundred) q is far below zero by chance, so N is low if q is left
     out.
     """
@@ -134,7 +134,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     assert sum(missed.values()) < 15
 
 
-def test_white_noise_shows_nothing_else():
+def test_white_noise_resolves_no_other_term():
     """60 absent terms with 1 % false alarms each: 5 or more have a probability of 1/2,500."""
     rng = np.random.default_rng(8)
     seen = 0

@@ -46,7 +46,7 @@ def test_noise_of_the_model_is_as_far_off_as_expected():
 
 
 @pytest.mark.parametrize('error', [0.03, 0.2])
-def test_misfit_is_the_error_that_was_made(error):
+def test_the_misfit_equals_the_simulated_error(error):
     fit = fit_of(1, 400000)
     rng = np.random.default_rng(2)
     wrong = 1.0 + error * rng.standard_normal(len(fit.table.m))

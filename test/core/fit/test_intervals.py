@@ -73,7 +73,7 @@ def test_where_z_jumps_over_its_target_the_end_is_at_the_jump():
     assert find_crossing(lambda c: -1.0, -2.0, [(0.0, -1.0)], 0.0, np.inf) == 0.0
 
 
-def test_what_is_never_reached_is_the_limit():
+def test_a_bound_that_is_never_reached_is_the_limit():
     assert find_crossing(lambda c: -np.arctan(c), -5.0, [(0.0, 0.0)], 1.0, np.inf) == np.inf
     assert find_crossing(lambda c: -c, -5.0, [(0.0, 0.0)], 1.0, 2.0) == 2.0
 
@@ -88,7 +88,7 @@ def test_ends_are_where_the_score_says(fit, term):
     assert score(interval.low) == pytest.approx(1.96, abs=3e-3)
 
 
-def test_an_interval_surrounds_the_value_and_not_what_a_zero_would_make_of_it():
+def test_an_interval_contains_the_value_also_at_zero():
     # Two hours of the paper's z gyro: held at zero, K is estimated at 2.3 times its value.
     axis_seed = np.random.SeedSequence(0).spawn(2)[0].spawn(6)[2]
     terms = NoiseTerms(Q=1e-7, N=7.13e-5, B=2.94e-5, K=4.09e-6, R=8.92e-8)
@@ -137,6 +137,6 @@ def test_a_term_held_further_off_is_further_off(fit):
 
 
 @pytest.mark.parametrize('wrong', [np.nan, np.inf, 1e30])
-def test_what_is_no_covariance_is_refused(wrong):
+def test_an_invalid_covariance_is_rejected(wrong):
     with np.errstate(all='ignore'), pytest.raises(AllanError, match='accumulate them again'):
         Whitening.of(np.array([[1.0, wrong, 0.0], [wrong, 1.0, 0.0], [0.0, 0.0, 1.0]]))

@@ -38,7 +38,7 @@ def test_the_ramp_counts_at_every_factor_of_a_long_record():
 
 
 @pytest.mark.parametrize('terms', [NoiseTerms(N=1e-3), NoiseTerms(N=1e-3, B=3e-4)])
-def test_long_averages_are_seldom_low_without_a_walk(terms):
+def test_long_averages_are_rarely_low_without_a_walk(terms):
     """120 records with 0.1 % false alarms each: more than two have a probability of 1/450."""
     low = 0
     for seed in range(20):

@@ -84,7 +84,7 @@ def test_first_order_filter_costs_q_but_not_n(noise):
     assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
 
 
-def test_a_slow_filter_is_not_called_a_vibration_alone(noise):
+def test_a_slow_filter_is_not_reported_only_as_vibration(noise):
     keep = np.exp(-2.0 * np.pi * 5.0 / RATE)
     axis, findings = fit_of(lfilter([1.0 - keep], [1.0, -keep], noise))
     assert axis.m_min > 1
@@ -201,7 +201,7 @@ def test_what_cannot_be_named_is_a_misfit(noise):
 
 
 @pytest.mark.parametrize('time', [0.1, 10.0])
-def test_a_gauss_markov_process_leaves_n_alone(noise, time):
+def test_a_gauss_markov_process_does_not_change_n(noise, time):
     """The process dominates the curve near its hump."""
     rng = np.random.default_rng(8)
     keep = np.exp(-1.0 / (time * RATE))
@@ -218,7 +218,7 @@ def test_a_gauss_markov_process_leaves_n_alone(noise, time):
     assert not {'low_pass', 'short_averages', 'vibration', 'misfit'} & set(findings)
 
 
-def test_rounding_is_told_from_quantization(noise):
+def test_rounding_is_distinguished_from_quantization(noise):
     step = 2.0 * WHITE
     axis, findings = fit_of(step * np.round((9.8 + noise) / step))
     assert 'rounding' in findings
@@ -228,7 +228,7 @@ def test_rounding_is_told_from_quantization(noise):
     assert axis.noise['N'].value == pytest.approx(want, rel=0.05)
 
 
-def test_a_drift_that_is_neither_is_said():
+def test_a_drift_that_is_not_separable_is_reported():
     truth = NoiseTerms(N=1e-3, K=1.5e-5)
     told = 0
     for seed in range(6):

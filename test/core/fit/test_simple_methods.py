@@ -59,7 +59,7 @@ def test_paper_finds_the_coefficients_of_its_polynomial(white):
         assert all(fit.axes[axis].noise[term].ci95 is None for term in TERMS)
 
 
-def test_paper_gives_no_value_to_a_negative_coefficient_and_says_so(white):
+def test_paper_reports_a_negative_coefficient_without_a_value(white):
     k2 = TRUTH.K**2 / 3
     bent = with_curve(white, lambda tau: polynomial(TRUTH, tau) - 2 * k2 * tau)
     fit = fit_noise(bent, 'paper')
@@ -78,7 +78,7 @@ def test_paper_stops_at_1300_s_and_needs_a_whole_group(white):
     assert short.m[fitted_factors(short)][-1] * short.tau0 <= 15.0
 
 
-def test_paper_says_what_overlapping_gains(white):
+def test_paper_reports_the_gain_of_overlapping(white):
     groups, overlapped = fit_polynomials(white)
     gain = groups.error / overlapped.error
     assert (gain > 1.0).all() and (gain < 3.0).all()
@@ -132,7 +132,7 @@ def test_a_ramp_keeps_its_sign(method, sign):
 
 
 @pytest.mark.parametrize('method', ['paper', 'relative'])
-def test_too_short_a_record_gives_no_values_and_says_so(method):
+def test_a_record_that_is_too_short_gives_no_values_and_is_reported(method):
     fit = fit_noise(sums_of(np.random.default_rng(0).standard_normal((6, 2))), method)
     assert all(c.value is None for axis in AXES for c in fit.axes[axis].noise.values())
     assert {f.id for f in fit.findings} == {'too_few_points'}
@@ -144,7 +144,7 @@ def test_constant_values_have_no_noise_to_name(method):
     assert all(c.value is None for axis in AXES for c in fit.axes[axis].noise.values())
 
 
-def test_what_cannot_be_fitted_is_refused(white):
+def test_what_cannot_be_fitted_is_rejected(white):
     with pytest.raises(AllanError, match='choose one of gls, relative, paper'):
         fit_noise(white, 'magic')
     with pytest.raises(AllanError, match='at least two samples'):

@@ -114,7 +114,7 @@ def test_any_chunking_of_any_stream_gives_the_same(fault, n, chunks, seed, gated
     assert np.isfinite([v for s in whole.sums for v in s.sum_sq.ravel()]).all()
 
 
-def test_a_clean_stream_gives_the_sums_of_the_engine_alone():
+def test_a_clean_stream_gives_the_same_sums_as_the_engine():
     t, x = still(20_000)
     engine = RunningAllan(ImuIdentity(), AXES)
     engine.update(x, int(t[0]), int(t[-1]))
@@ -126,7 +126,7 @@ def test_a_clean_stream_gives_the_sums_of_the_engine_alone():
     assert [(s.start_ns, s.samples) for s in result.segments] == [(START, 20_000)]
 
 
-def test_every_segment_says_why_it_does_not_follow_on_the_one_before():
+def test_every_segment_states_why_it_begins():
     t, x = still(30_000)
     t[10_000:] += 5 * 10**9
     x[20_000:20_400] += 50.0 * np.random.default_rng(0).normal(size=(400, 6))
@@ -183,14 +183,14 @@ def test_the_outlook_is_the_health_of_the_result_but_for_buffered_samples(fault)
         ('no stamps', {'stamps_missing', 'nothing_left'}),
     ],
 )
-def test_what_was_done_is_named(fault, expected):
+def test_each_fault_is_reported_by_its_finding(fault, expected):
     t, x = FAULTS[fault](*still(9000), np.random.default_rng(1))
     found = ids(accumulate(t, x))
     assert expected <= found
     assert not found - expected - {'bridged', 'gaps', 'motion', 'saturated', 'not_finite'}
 
 
-def test_sensors_that_tick_apart_have_sums_apart_at_their_own_rates():
+def test_sensors_with_different_rates_have_separate_sums():
     """A 125 Hz accelerometer is repeated at 200 Hz; its white noise is measured at its own rate."""
     n = 120_000
     t, x = still(n)
@@ -203,7 +203,7 @@ def test_sensors_that_tick_apart_have_sums_apart_at_their_own_rates():
     assert accel.avar[0] == pytest.approx([4e-4] * 3, rel=0.03)
 
 
-def test_messages_with_zero_filled_halves_are_told_apart():
+def test_zero_filled_sensors_are_separated():
     t, x = still(8000)
     x[::2, 3:] = 0.0
     x[1::2, :3] = 0.0
@@ -212,7 +212,7 @@ def test_messages_with_zero_filled_halves_are_told_apart():
     assert [s.samples for s in result.sums] == [4000, 4000]
 
 
-def test_messages_that_repeat_as_a_whole_are_one_lane_at_their_own_rate():
+def test_completely_repeated_messages_form_one_stream_at_their_own_rate():
     t, x = still(8000)
     result = accumulate(t, x[np.arange(8000) // 2])
     (sums,) = result.sums
@@ -227,7 +227,7 @@ def test_a_coarse_gyro_that_reads_zero_at_rest_is_not_zero_filled():
     assert sums.axes == AXES and sums.samples == 8000
 
 
-def test_record_time_takes_the_place_of_stamps_that_stand_still():
+def test_record_times_replace_constant_stamps():
     t, x = still(5000)
     result = accumulate(t * 0 + 7, x, record=t)
     assert_identical(result.sums[0], accumulate(t, x).sums[0])
@@ -266,7 +266,7 @@ def test_another_frame_is_another_imu():
     assert 'frame_changed' in ids(result)
 
 
-def test_two_imus_that_alternate_on_one_topic_are_kept_apart():
+def test_two_imus_that_alternate_on_one_topic_are_separated():
     t, x = still(3000)
     accumulator = ImuStream()
     for i in range(3000):
@@ -291,13 +291,13 @@ def test_frames_without_end_take_no_memory_without_end():
     assert_accounted(accumulator.result())
 
 
-def test_a_frame_that_comes_back_goes_on_with_its_data():
+def test_a_returning_frame_id_continues_with_its_data():
     t, x = still(9000)
     result = accumulate(t, x, frames=['imu_a'] * 4000 + ['imu_b'] * 1500 + ['imu_a'] * 3500)
     assert result.sums[0].identity.frame_id == 'imu_a' and result.sums[0].samples == 7500
 
 
-def test_a_rate_that_comes_back_goes_on_with_its_data():
+def test_a_returning_rate_continues_with_its_data():
     t, x = still(12000)
     slow = np.clip(np.arange(12000) - 5000, 0, 2000)
     result = accumulate(t + slow * PERIOD, x)
@@ -337,7 +337,7 @@ def test_real_bursty_stamps_are_one_segment_at_the_true_rate(shared_data):
     assert result.health.counts.bridged == 0 and result.health.bursty
 
 
-def test_a_real_static_recording_is_taken_whole_and_equals_a_reference(shared_data):
+def test_a_real_static_recording_is_used_completely_and_equals_a_reference(shared_data):
     """ADIS16405, 1,000,000 samples at 100 Hz, compared with allantools' overlapping deviations."""
     counts = np.load(shared_data / 'adis16405' / 'imu2_counts.npz')
     gyro = counts['gyro'] * np.radians(0.05)
@@ -428,7 +428,7 @@ def test_louder_noise_at_rest_is_a_warning_with_its_size_and_no_motion():
     assert result.sums[0].samples == pytest.approx(20_000, abs=400)
 
 
-def test_sums_taken_in_motion_are_discarded_and_the_health_says_so():
+def test_sums_of_motion_are_discarded_and_this_is_reported():
     t, x = still(12_000)
     x[:6000] += np.random.default_rng(0).normal(size=(6000, 6)) * 0.1  # vibration only
     stream = ImuStream()

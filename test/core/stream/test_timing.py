@@ -61,7 +61,7 @@ def test_rate_is_found_from_the_stamps(stamps, rate, bursty):
 
 
 @pytest.mark.parametrize('stamps', [[], [5], [7, 7, 7]])
-def test_stamps_that_stand_still_have_no_rate(stamps):
+def test_constant_stamps_have_no_rate(stamps):
     assert learn_clock(np.array(stamps, np.int64)) is None
 
 
@@ -76,7 +76,7 @@ def test_isolated_losses_are_bridged_on_the_line_between_their_neighbours():
 
 
 @pytest.mark.parametrize('day', [0, 1])
-def test_losses_with_jitter_are_no_change_of_the_rate(day):
+def test_losses_with_jitter_are_not_a_change_of_the_rate(day):
     """Normal jitter of 30 % of the period and 3 % random losses, also with a gap of a day.
 
     With such jitter some losses are missed, and nearly as many are detected where there is none.
@@ -97,7 +97,7 @@ def test_random_losses_of_a_fifth_do_not_split_the_data():
     assert len(runs) == 1 and counts.bridged == counts.lost
 
 
-def test_a_longer_gap_cuts_and_no_sample_is_made_up():
+def test_a_longer_gap_splits_the_data_without_interpolation():
     keep = np.delete(np.arange(3000), slice(1000, 1004))
     (a, b), counts, _ = run(even(3000)[keep], keep[None, :] * 1.0)
     assert (a.cut, b.cut) == ('', 'gap')
@@ -120,7 +120,7 @@ def test_a_late_sample_is_not_a_lost_one():
 
 
 @pytest.mark.parametrize('silence_ms', [300, 500, 1500])
-def test_a_silence_that_a_burst_makes_up_for_is_no_gap(silence_ms):
+def test_a_pause_followed_by_a_burst_is_not_a_gap(silence_ms):
     stamps = bursts(6000)
     late = stamps[3000] + silence_ms * MS
     held = (stamps >= stamps[3000]) & (stamps < late)
@@ -148,7 +148,7 @@ def test_slow_wander_of_the_period_is_followed():
 
 
 @pytest.mark.parametrize('factor', [0.5, 0.8, 0.97, 1.04, 1.3, 1.6, 2.0, 3.0])
-def test_another_rate_is_told(factor):
+def test_another_rate_is_reported(factor):
     stamps = np.concatenate([even(3000), even(3000)[-1] + even(2000, round(10 * MS * factor), 0)])
     runs, _, stage = run(np.unique(stamps))
     assert stage.rate_changed
@@ -156,7 +156,7 @@ def test_another_rate_is_told(factor):
     assert len(stage.pending[0]) > 1700
 
 
-def test_a_clock_gets_on_whatever_it_learned():
+def test_learning_the_rate_always_ends():
     """Samples from which the rate was learned never count as a new rate, so learning ends."""
     stamps = np.concatenate([even(512), even(512)[-1] + even(3000, 13 * MS, 0)[1:]])
     _, _, stage = run(stamps, clock=Clock(10.0 * MS, 10.0 * MS, bursty=False))

@@ -59,7 +59,7 @@ def test_a_good_input_has_no_findings():
     assert [source.second() for _ in range(100)] == [[]] * 100
 
 
-def test_silence_is_said_by_its_cause():
+def test_silence_is_reported_with_its_cause():
     source = Input()
     # discovery takes some seconds at the start
     assert [source.second((), messages=0) for _ in range(4)] == [[]] * 4
@@ -116,7 +116,7 @@ def test_counts_of_a_new_run_begin_at_zero():
     assert source.second(stuck=5) == ['stuck']
 
 
-def test_samples_that_the_driver_never_sent_are_told_apart():
+def test_samples_that_the_driver_never_sent_are_counted_separately():
     source = Input()
     source.second()
     assert source.second(messages=190, lost=10) == []
@@ -141,7 +141,7 @@ def test_samples_that_the_driver_never_sent_are_told_apart():
     assert source.second() == ['samples_missing']
 
 
-def test_a_clock_that_is_set_is_told_by_its_direction():
+def test_a_clock_step_is_reported_with_its_direction():
     source = Input()
     source.second()
     assert source.second(lost=720_000) == ['stamps_leapt']
@@ -151,7 +151,7 @@ def test_a_clock_that_is_set_is_told_by_its_direction():
     assert source.second(backward=2) == ['clock_jumps', 'backward_stamps']
 
 
-def test_another_frame_is_said_until_its_data_are_shown():
+def test_another_frame_id_is_reported_until_its_data_are_shown():
     source = Input()
     source.second()
     source.frames = ['other', 'imu', 1]
@@ -173,7 +173,7 @@ def test_a_malformed_message_before_a_silence_hides_nothing():
     assert source.second(messages=0) == ['stuck']
 
 
-def test_the_gravest_comes_first():
+def test_present_problems_precede_past_events():
     source = Input()
     for _ in range(3):
         source.second()
@@ -184,7 +184,7 @@ def test_the_gravest_comes_first():
     assert found == ['several_publishers', 'rate_differs']
 
 
-def test_the_graph_explains_silence_before_the_driver_is_blamed():
+def test_silence_is_first_explained_by_the_graph():
     source = Input()
     source.second()
     wrong = finding('wrong_type', topic='/imu', types='std_msgs/msg/String', candidates='')
@@ -194,7 +194,7 @@ def test_the_graph_explains_silence_before_the_driver_is_blamed():
     assert source.second(messages=0) == ['input_silent']
 
 
-def test_a_changed_rate_is_not_blamed_on_the_bus():
+def test_a_changed_rate_is_not_reported_as_missing_samples():
     source = Input()
     source.second()
     assert source.second(messages=100, lost=100, rate_changes=1) == ['rate_changed']

@@ -79,12 +79,12 @@ def test_keys_are_found_under_another_node_name() -> None:
     }
 
 
-def test_a_key_in_two_places_is_refused() -> None:
+def test_a_key_in_two_places_is_rejected() -> None:
     with pytest.raises(AllanError, match='imu0, imu1'):
         merged('imu0:\n  n: 1\nimu1:\n  n: 2\n', entry('imu2_.n'), entry('n'))
 
 
-def test_the_path_itself_comes_before_any_namesake() -> None:
+def test_a_path_takes_precedence_over_a_name() -> None:
     mine = 'imu0:\n  n: 1\nimu1:\n  n: 2\n'
     assert merged(mine, entry('imu1.n')) == f'{BLOCK}imu0:\n  n: 1\nimu1:\n  n: 0.5\n'
 
@@ -122,7 +122,7 @@ def test_windows_line_ends_and_a_byte_order_mark_stay() -> None:
     assert merged('\ufeffa: 1\n', entry('a')) == f'\ufeff{BLOCK}a: 0.5\n'
 
 
-def test_a_value_where_keys_belong_is_refused() -> None:
+def test_a_value_where_keys_belong_is_rejected() -> None:
     for mine in ('p: 1\n', 'p: [1]\n', 'p: {q: 1}\n', 'p:\n'):
         with pytest.raises(AllanError, match='is a value, not a mapping'):
             merged(mine, entry('p.q.r'))
@@ -140,7 +140,7 @@ def test_a_value_where_keys_belong_is_refused() -> None:
         ('a:\n  b: 1\n', 'is a mapping, not a number'),
     ],
 )
-def test_an_unsafe_merge_is_refused(mine: str, said: str) -> None:
+def test_an_unsafe_merge_is_rejected(mine: str, said: str) -> None:
     with pytest.raises(AllanError, match=said) as refusal:
         merged(mine, entry('a'))
     assert '\n' not in str(refusal.value)
@@ -169,7 +169,7 @@ documents = st.dictionaries(
     flow=st.sampled_from([None, False, True]),
     path=st.lists(keys, min_size=1, max_size=3),
 )
-def test_any_document_takes_a_number_and_loses_nothing(
+def test_a_number_can_be_merged_into_any_document(
     document: dict, flow: bool | None, path: list[str]
 ) -> None:
     mine = yaml.safe_dump(document, default_flow_style=flow, sort_keys=False)
@@ -247,7 +247,7 @@ trees = st.recursive(
     value0=st.dictionaries(st.text(max_size=4), trees, max_size=3),
     again=st.integers(1, 3),
 )
-def test_all_else_stays(cameras: object, value0: dict, again: int) -> None:
+def test_all_other_bytes_stay(cameras: object, value0: dict, again: int) -> None:
     text = json.dumps({'value0': value0, 'cameras': cameras})
     for _ in range(again):
         text = JsonForm().merge(text, ENTRIES, ['first', 'second'])
@@ -274,6 +274,6 @@ def test_json_keeps_values_that_are_not_measured() -> None:
         ('[' * 100_000, 'not JSON'),
     ],
 )
-def test_a_file_that_is_no_json_object_is_refused(mine: str, said: str) -> None:
+def test_a_file_that_is_not_a_json_object_is_rejected(mine: str, said: str) -> None:
     with pytest.raises(AllanError, match=said):
         JsonForm().merge(mine, ENTRIES, [])

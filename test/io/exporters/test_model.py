@@ -122,7 +122,7 @@ def test_a_value_without_interval_is_stated_and_strict_refuses_it(
         make_export(unsure, target, ExportOptions(strict=True))
 
 
-def test_strict_accepts_intervals_and_what_a_reduction_raises(results: Results) -> None:
+def test_strict_accepts_intervals_and_values_raised_by_a_reduction(results: Results) -> None:
     for options in (BARE, ExportOptions()):
         made = make_export(results, 'kalibr', replace(options, strict=True))
         assert 'values without' not in made.text and 'no 95 % interval' not in made.text
@@ -156,13 +156,13 @@ def test_an_unknown_target_is_answered_with_the_known(results: Results, tmp_path
         export(results, 'klibr', tmp_path)
 
 
-def test_options_out_of_range_are_refused() -> None:
+def test_options_out_of_range_are_rejected() -> None:
     with pytest.raises(AllanError, match='inflate'):
         ExportOptions(inflate=0.5)
 
 
 @pytest.mark.parametrize('tau0', [0.0, -1.0, math.nan, math.inf])
-def test_results_without_a_rate_are_refused(results: Results, tmp_path: Path, tau0: float) -> None:
+def test_results_without_a_rate_are_rejected(results: Results, tmp_path: Path, tau0: float) -> None:
     with pytest.raises(AllanError, match='no sample rate'):
         export(replace(results, tau0=tau0), 'kalibr', tmp_path)
 

@@ -159,7 +159,7 @@ WHOLE = {'state_space', 'state_space_python', 'isaac_sim', 'webots', 'gazebo'}
 
 
 @pytest.mark.parametrize('name', EXPECTED)
-def test_three_numbers_are_given_where_the_file_takes_them(
+def test_three_numbers_are_written_if_the_file_accepts_them(
     known_results: Results, name: str
 ) -> None:
     if target_of(name).three and name not in WHOLE:
@@ -191,7 +191,7 @@ def test_the_manual_lists_every_target(repository: Path) -> None:
     assert [name for name in TARGETS if f'| `{name}` |' not in manual] == []
 
 
-def test_the_filter_rate_takes_the_place_of_the_recordings(known_results: Results) -> None:
+def test_the_filter_rate_replaces_the_rate_of_the_recording(known_results: Results) -> None:
     assert numbers(known_results, 'vins_fusion', filter_rate=400.0)['gyr_n'] == near(0.02)
     assert numbers(known_results, 'px4', filter_rate=400.0)['EKF2_GYR_NOISE'] == near(0.02)
     assert numbers(known_results, 'kalibr', filter_rate=400.0)['update_rate'] == 400.0
@@ -237,7 +237,7 @@ def test_numbers_are_clamped_to_the_ranges_of_the_autopilot(
     assert tuple(loud.values()) == high
 
 
-def test_madgwick_takes_the_ramp_where_every_axis_shows_one(known_results: Results) -> None:
+def test_the_madgwick_gain_includes_a_ramp_of_all_axes(known_results: Results) -> None:
     ramp = Coefficient(4e-7, (3e-7, 5e-7), sign=-1)
     known = replace(
         known_results,

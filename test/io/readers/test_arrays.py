@@ -102,7 +102,7 @@ def with_time(value: float) -> np.ndarray:
         ({'imu': with_time(1e18)}, 'the time of row 700 is not a stamp'),
     ],
 )
-def test_what_is_wrong_is_said(
+def test_errors_are_reported(
     content: dict[str, np.ndarray], says: str, tmp_path: Path, refused: Any
 ) -> None:
     np.savez(tmp_path / 'imu.npz', **content)
@@ -110,7 +110,7 @@ def test_what_is_wrong_is_said(
 
 
 @pytest.mark.parametrize('name', ['imu.npz', 'imu.npy'])
-def test_damaged_files_are_said(name: str, tmp_path: Path, refused: Any, outcome: Any) -> None:
+def test_damaged_files_are_reported(name: str, tmp_path: Path, refused: Any, outcome: Any) -> None:
     path = tmp_path / name
     if name == 'imu.npz':
         np.savez_compressed(path, imu=IMU)

@@ -85,7 +85,7 @@ def imu_message(store: Any, covariance: float) -> Any:
 @pytest.mark.parametrize(
     'covariance, absent', [(-1.0, True), (np.nan, True), (0.0, False), (2.0, False)]
 )
-def test_covariance_tells_an_absent_sensor(covariance: float, absent: bool) -> None:
+def test_the_covariance_marks_an_absent_sensor(covariance: float, absent: bool) -> None:
     payload = ROS2.serialize_cdr(imu_message(ROS2, covariance), IMU_TYPE)
     decoded = decode_imus([bytes(payload)], 'cdr', trust_covariance=True)
     gyro = [np.nan] * 3 if absent else [1.0, 2.0, 3.0]
@@ -98,9 +98,7 @@ def test_covariance_tells_an_absent_sensor(covariance: float, absent: bool) -> N
 @pytest.mark.parametrize(
     'x, kept', [(1.0, True), (0.0, False), (np.nan, False), (np.inf, False), (5e-324, True)]
 )
-def test_valid_data_are_kept_whatever_the_covariance(
-    covariance: float, x: float, kept: bool
-) -> None:
+def test_valid_data_are_kept_with_any_covariance(covariance: float, x: float, kept: bool) -> None:
     message = imu_message(ROS2, covariance)
     good = bytes(ROS2.serialize_cdr(message, IMU_TYPE))
     message.angular_velocity = type(message.angular_velocity)(x, 0.0, 0.0)
@@ -111,7 +109,7 @@ def test_valid_data_are_kept_whatever_the_covariance(
     np.testing.assert_array_equal(decoded.samples[:, 3:], [[1.0, 2.0, 3.0]] * 2)
 
 
-def test_an_absent_sensor_survives_the_wire() -> None:
+def test_an_absent_sensor_is_decoded_as_absent() -> None:
     samples = np.array([[np.nan, np.nan, np.nan, 1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 4.0, np.nan, 6.0]])
     batch = ImuBatch(np.array([1, 2]), samples, None, '')
     for encoding in ('cdr', 'ros1'):
@@ -134,7 +132,7 @@ def test_padding_behind_a_message_is_ignored() -> None:
         (lambda good: good[:12] + b'\xff\xff\xff\x7f' + good[16:], 'too few for an Imu with'),
     ],
 )
-def test_what_is_no_imu_is_named_by_its_place(spoil: Any, says: str) -> None:
+def test_invalid_imu_messages_are_named_by_their_position(spoil: Any, says: str) -> None:
     batch = ImuBatch(np.arange(3), np.ones((3, 6)), None, 'imu')
     payloads = [bytes(payload) for payload in encode_imus(batch, 'cdr')]
     payloads[1] = spoil(payloads[1])

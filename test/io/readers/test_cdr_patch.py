@@ -101,7 +101,7 @@ def test_one_sensor_can_be_left_as_it_is():
     assert not after['gyro_covariance'].any() and after['accel_covariance'][0, 8] == 6e-4
 
 
-def test_what_is_no_imu_is_refused():
+def test_invalid_imu_messages_are_rejected():
     whole = message()
     endless = bytearray(whole)
     struct.pack_into('<I', endless, 12, 0xFFFFFFF0)
@@ -116,7 +116,7 @@ def test_what_is_no_imu_is_refused():
 
 
 @given(st.binary(max_size=400))
-def test_any_bytes_are_patched_or_refused(payload):
+def test_any_bytes_are_patched_or_rejected(payload):
     with contextlib.suppress(MalformedMessage):
         assert len(CovariancePatch(BOTH).patch(payload)) == len(payload)
 

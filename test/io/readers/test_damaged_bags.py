@@ -221,7 +221,7 @@ def test_reading_a_database_with_a_log_leaves_nothing_behind(
 
 
 @pytest.mark.parametrize('count', ['.inf', '.nan', '-1', 'true', '1e3', '"12"', '9' * 400])
-def test_a_count_that_is_no_number_of_messages_is_refused(
+def test_an_invalid_number_of_messages_is_rejected(
     count: str, tmp_path: Path, imu_batches: Any, refused: Any
 ) -> None:
     write_recording(tmp_path / 'run', imu_batches(9))
@@ -231,7 +231,7 @@ def test_a_count_that_is_no_number_of_messages_is_refused(
     assert 'metadata.yaml: cannot be read' in said and 'remove it to read' in said
 
 
-def test_escapes_in_metadata_are_refused(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+def test_escapes_in_metadata_are_rejected(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
     write_recording(tmp_path / 'run', imu_batches(9))
     path = tmp_path / 'run/metadata.yaml'
     text = path.read_text()
@@ -400,7 +400,7 @@ SPECIAL: dict[str, Callable[[Path], None]] = {
 @pytest.mark.parametrize(
     'name', ['run/metadata.yaml', 'run/run.mcap', 'x.csv', 'x.npz', 'x.db3', 'x.bag', 'x.ulg']
 )
-def test_special_files_are_refused_without_waiting(
+def test_special_files_are_rejected_without_waiting(
     kind: str, name: str, tmp_path: Path, imu_batches: Any, outcome: Any
 ) -> None:
     write_recording(tmp_path / 'run', imu_batches(5))
@@ -412,7 +412,7 @@ def test_special_files_are_refused_without_waiting(
     assert said.startswith(str(tmp_path))
 
 
-def test_a_log_that_is_no_file_is_ignored(tmp_path: Path, imu_batches: Any, read: Any) -> None:
+def test_a_log_that_is_not_a_file_is_ignored(tmp_path: Path, imu_batches: Any, read: Any) -> None:
     path = database(tmp_path, imu_batches(40))
     os.mkfifo(f'{path}-wal')
     assert len(read(path).stamps_ns) == 40

@@ -93,7 +93,7 @@ def test_real_bags_read_as_rosbags_reads_them(name: str, shared_data: Path, read
 
 
 @pytest.mark.parametrize('name', ODD)
-def test_odd_files_are_refused_in_one_line(name: str, shared_data: Path, refused: Any) -> None:
+def test_odd_files_are_rejected_in_one_line(name: str, shared_data: Path, refused: Any) -> None:
     assert ODD[name] in refused(shared_data / 'odd' / name)
 
 
@@ -121,7 +121,7 @@ def test_units_are_applied_to_bags(
     assert (back.recording.options.gyro_unit, back.recording.options.accel_unit) == ('deg/s', 'g')
 
 
-def test_bad_options_are_refused() -> None:
+def test_bad_options_are_rejected() -> None:
     with pytest.raises(AllanError, match='gyro_unit is'):
         ReadOptions(gyro_unit='furlong')
     with pytest.raises(AllanError, match='rate_hz is -1'):

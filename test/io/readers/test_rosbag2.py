@@ -89,7 +89,7 @@ def test_a_recording_can_be_read_twice(tmp_path: Path, imu_batches: Any) -> None
 
 @pytest.mark.parametrize('storage, suffix', [('mcap', ''), ('ros1', '.bag')])
 @pytest.mark.parametrize('compression', ['none', 'best'])
-def test_a_cut_file_yields_its_whole_chunks(
+def test_a_truncated_file_yields_its_complete_chunks(
     storage: str, suffix: str, compression: str, tmp_path: Path, imu_batches: Any, joined: Any,
     read: Any,
 ) -> None:  # fmt: skip
@@ -112,7 +112,7 @@ def test_a_cut_file_yields_its_whole_chunks(
 
 
 @pytest.mark.parametrize('storage, suffix', [('mcap', ''), ('ros1', '.bag')])
-def test_wherever_a_file_is_cut_it_reads_or_says_one_line(
+def test_a_file_truncated_anywhere_is_read_or_reported_in_one_line(
     storage: str, suffix: str, tmp_path: Path, imu_batches: Any, outcome: Any
 ) -> None:
     write_recording(tmp_path / f'run{suffix}', imu_batches(40), storage=storage)
@@ -176,7 +176,7 @@ def mcap_records(data: bytes) -> list[tuple[int, bytes]]:
 
 @pytest.mark.parametrize('chunked', [True, False])
 @pytest.mark.parametrize('ended', [True, False])
-def test_an_mcap_without_summary_is_whole(
+def test_an_mcap_without_summary_is_complete(
     chunked: bool, ended: bool, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
 ) -> None:
     """The summary and the chunks are optional in the format; the end record is not."""
@@ -200,7 +200,7 @@ def test_an_mcap_without_summary_is_whole(
     assert [finding.id for finding in back.findings] == ([] if ended else ['bag_cut'])
 
 
-def test_an_unclosed_database_gives_its_log_too(
+def test_the_write_ahead_log_of_an_unclosed_database_is_read(
     tmp_path: Path, imu_batches: Any, read: Any
 ) -> None:
     """A killed recorder leaves its last messages in a write-ahead log."""
@@ -242,9 +242,7 @@ def test_an_mcap_can_hold_ros1_messages(
     np.testing.assert_array_equal(read(tmp_path / 'old').samples, batch.samples)
 
 
-def test_a_topic_that_turns_out_empty_is_said(
-    tmp_path: Path, imu_batches: Any, refused: Any
-) -> None:
+def test_an_empty_topic_is_reported(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
     write_recording(tmp_path / 'bag', imu_batches(20), storage='sqlite3')
     with sqlite3.connect(tmp_path / 'bag/bag.db3') as database:
         database.execute('DELETE FROM messages')  # metadata.yaml still states 20
@@ -275,7 +273,7 @@ def test_several_imu_topics_are_listed(
     assert 'has no topic /up; it has /left' in refused(path, topic='/up')
 
 
-def test_the_only_imu_topic_that_holds_anything_is_taken(
+def test_the_only_imu_topic_with_messages_is_read(
     tmp_path: Path, imu_batches: Any, read: Any, refused: Any
 ) -> None:
     [batch] = imu_batches(20, parts=1)
@@ -286,7 +284,9 @@ def test_the_only_imu_topic_that_holds_anything_is_taken(
     assert 'std_msgs/msg/String, which contains no sensor_msgs/Imu' in said
 
 
-def test_payloads_that_are_no_imu_are_named(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+def test_payloads_that_are_not_an_imu_are_named(
+    tmp_path: Path, imu_batches: Any, refused: Any
+) -> None:
     [batch] = imu_batches(20, parts=1)
     with rosbag2.Writer(tmp_path / 'bag', version=8) as writer:
         connection = writer.add_connection('/imu', IMU_TYPE, typestore=STORE)
@@ -357,7 +357,7 @@ def test_two_imus_in_one_message_are_to_choose_from(
     assert len(read(tmp_path / 'rig', topic='/rig:right').stamps_ns) == 30
 
 
-def test_an_unknown_type_without_schema_is_said(tmp_path: Path, refused: Any) -> None:
+def test_an_unknown_type_without_schema_is_reported(tmp_path: Path, refused: Any) -> None:
     write_custom(tmp_path / 'rig', CUSTOM_DEFINITION, rosbag2.StoragePlugin.SQLITE3)
     with sqlite3.connect(tmp_path / 'rig/rig.db3') as database:
         database.execute('DELETE FROM message_definitions')
@@ -395,7 +395,7 @@ def test_a_changed_frame_begins_a_batch(tmp_path: Path, imu_batches: Any, read: 
         ),
     ],
 )
-def test_what_is_no_bag_is_said_in_one_line(
+def test_a_file_that_is_not_a_bag_is_reported_in_one_line(
     name: str, spoil: Any, says: str, tmp_path: Path, refused: Any
 ) -> None:
     spoil(tmp_path / name)
@@ -417,7 +417,7 @@ def test_what_is_no_bag_is_said_in_one_line(
         ),
     ],
 )
-def test_a_broken_bag_folder_is_said_in_one_line(
+def test_a_broken_bag_folder_is_reported_in_one_line(
     spoil: Any, says: str, tmp_path: Path, imu_batches: Any, refused: Any
 ) -> None:
     write_recording(tmp_path / 'bag', imu_batches(10))

@@ -158,7 +158,7 @@ def taken_ways(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_usual_bags_go_the_fast_way(storage: str, tmp_path: Path) -> None:
+def test_usual_bags_are_read_on_the_fast_path(storage: str, tmp_path: Path) -> None:
     """With alternating topics and one frame_id, no message is decoded separately."""
     stretches = [Stretch('/imu', 500, 'imu', '<', 0, 0), Stretch('/text', 40, '', '<', 0, 0)]
     write_bag(tmp_path / 'bag', stretches, storage, 'none', seed=1)

@@ -91,7 +91,7 @@ def test_a_header_gives_way_to_named_columns(tmp_path: Path, read: Any) -> None:
     np.testing.assert_array_equal(back.samples, [[1, 2, 3, np.nan, np.nan, np.nan]] * 2)
 
 
-def test_a_rate_serves_where_there_is_no_time(
+def test_a_rate_replaces_missing_times(
     tmp_path: Path, read: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tables, 'BATCH', 7)  # stamps must continue across batches
@@ -137,7 +137,7 @@ def test_a_quoted_cell_may_contain_line_breaks(tmp_path: Path, read: Any) -> Non
     assert back.findings == ()
 
 
-def test_a_line_without_end_is_refused(tmp_path: Path, refused: Any) -> None:
+def test_a_line_without_end_is_rejected(tmp_path: Path, refused: Any) -> None:
     path = tmp_path / 'imu.csv'
     path.write_text('t,gx,gy,gz\n1,1,2,3\n' + '1' * (tables.MAX_LINE + 5))
     assert 'line 3 has more than' in refused(path)
@@ -203,7 +203,7 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
         (f'{HEADER}1,\0,2,3,4,5,6\n', {}, 'line 2'),
     ],
 )
-def test_what_is_wrong_is_said_with_line_and_column(
+def test_errors_are_reported_with_line_and_column(
     text: str, options: Any, says: str, tmp_path: Path, refused: Any
 ) -> None:
     path = tmp_path / 'imu.csv'
@@ -211,7 +211,7 @@ def test_what_is_wrong_is_said_with_line_and_column(
     assert says in refused(path, **options)
 
 
-def test_bytes_that_are_no_text_are_refused(tmp_path: Path, refused: Any) -> None:
+def test_bytes_that_are_not_text_are_rejected(tmp_path: Path, refused: Any) -> None:
     path = tmp_path / 'imu.csv'
     path.write_bytes(np.random.default_rng(1).bytes(5000))
     refused(path)
@@ -227,7 +227,7 @@ def test_bytes_that_are_no_text_are_refused(tmp_path: Path, refused: Any) -> Non
         )
     )
 )
-def test_any_batch_comes_back_bit_for_bit(
+def test_any_batch_is_read_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, drawn: Any
 ) -> None:
     from allan_ros.io.readers.recording import open_recordings

@@ -105,7 +105,7 @@ def test_dropouts_and_decimated_topics_are_reported(tmp_path: Path, read: Any) -
     assert 'at 20 Hz, but sampled at 200 Hz' in str(back.findings[1])
 
 
-def test_damaged_logs_are_refused_or_read(tmp_path: Path, outcome: Any) -> None:
+def test_damaged_logs_are_rejected_or_read(tmp_path: Path, outcome: Any) -> None:
     good = log([(COMBINED_FORMAT, 'sensor_combined', 0, [combined(i) for i in range(30)])])
     path, rng = tmp_path / 'a.ulg', np.random.default_rng(3)
     for _ in range(150):

@@ -72,7 +72,7 @@ def test_five_terms_do_not_deviate(hours: float, gyro: dict[str, float]) -> None
     assert all(abs(relative) < 0.1 for relative, _ in stated)
 
 
-def test_a_filter_is_no_deviation() -> None:
+def test_a_filter_is_not_a_deviation() -> None:
     """The line begins where the effect of the filter ends: at shorter times Q would be negative."""
     white = np.random.default_rng(1).normal(size=100_000)
     results = ar.analyze(np.convolve(white, np.ones(4) / 4.0, 'valid'), rate=100.0, axes='gyro_z')

@@ -96,7 +96,7 @@ def data_of(page: Page) -> dict[str, Any]:
     return found
 
 
-def test_the_page_stands_alone_and_runs_only_its_own_scripts(small_results: Results) -> None:
+def test_the_page_is_self_contained_and_runs_only_its_own_scripts(small_results: Results) -> None:
     page = Page(render_report(small_results, everything(small_results), 'datasheet'))
     assert "default-src 'none'" in page.policy
     script_rule = re.search(r'script-src ([^;]*)', page.policy)
@@ -110,7 +110,7 @@ def test_the_page_stands_alone_and_runs_only_its_own_scripts(small_results: Resu
     assert len(page.ids) == len(set(page.ids))
 
 
-def test_whatever_a_recording_says_stays_text(small_results: Results) -> None:
+def test_texts_of_a_recording_stay_text(small_results: Results) -> None:
     finding = Finding('x', 'warning', HOSTILE, HOSTILE, ('gyro_x',))
     source = SourceInfo(HOSTILE, HOSTILE, HOSTILE, HOSTILE)
     provenance = replace(small_results.provenance, sources=(source,), settings={HOSTILE: HOSTILE})
@@ -138,7 +138,7 @@ def test_a_script_element_cannot_be_ended_by_its_data() -> None:
 
 
 @pytest.mark.parametrize('units', ['datasheet', 'si'])
-def test_the_page_says_what_the_results_say(small_results: Results, units: str) -> None:
+def test_the_page_agrees_with_the_results(small_results: Results, units: str) -> None:
     extras = everything(small_results)
     text = render_report(small_results, extras, units)
     page = Page(text)
@@ -150,7 +150,9 @@ def test_the_page_says_what_the_results_say(small_results: Results, units: str) 
     assert f'{noise * 60.0 * 180.0 / np.pi:.4f}' in page.text
 
 
-def test_an_absent_sensor_and_an_empty_curve_leave_the_page_whole(small_results: Results) -> None:
+def test_the_page_is_complete_with_an_absent_sensor_and_an_empty_curve(
+    small_results: Results,
+) -> None:
     gyro = {name: axis for name, axis in small_results.axes.items() if name != 'accel_z'}
     x = gyro['gyro_x']
     assert x.curve is not None
@@ -186,7 +188,7 @@ def test_copied_numbers_are_those_of_the_fit(small_results: Results) -> None:
     assert {line.count('|') for line in made['Markdown'].splitlines()} == {5}
 
 
-def test_what_is_left_out_and_missing_is_told_from_the_data() -> None:
+def test_excluded_and_missing_times_are_marked_in_the_plot() -> None:
     n, period = 10_000, 20_000_000
     stamps = 10**18 + np.arange(n, dtype=np.int64) * period
     stamps[5000:] += 50 * 10**9  # 50 s are missing, after 100 s
@@ -205,7 +207,7 @@ def test_what_is_left_out_and_missing_is_told_from_the_data() -> None:
     assert np.isnan(summary.low).any(axis=1).sum() == 1
 
 
-def test_the_outline_says_why_and_knows_the_data() -> None:
+def test_the_signal_summary_states_why_data_are_excluded() -> None:
     n, second = 10_000, 10**9
     stamps = np.arange(n, dtype=np.int64) * 20_000_000  # 200 s
     samples = np.random.default_rng(4).normal(size=(n, 6))

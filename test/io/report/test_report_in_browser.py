@@ -100,7 +100,7 @@ def test_hovering_and_keys_tell_the_numbers(browser: Chromium, page: Path) -> No
     assert 'τ 0.02000 s' in browser.evaluate('document.querySelector(".allan .spoken").textContent')
 
 
-def test_what_is_left_out_is_told_with_its_temperature(browser: Chromium, page: Path) -> None:
+def test_the_part_left_out_is_reported_with_its_temperature(browser: Chromium, page: Path) -> None:
     browser.open(page, 1280)
     said = browser.evaluate('document.querySelector(".chart.signal .note").textContent')
     assert 'left out because the IMU moved' in said
