@@ -72,8 +72,9 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
 def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
     """Return the correlation of two second differences at the averaging factor m, (lags,).
 
-    ``lags`` are the distances of their starts in samples. The covariance is the fourth difference,
-    with step m, of the generalized autocovariance of the phase.
+    ``noise_type`` is the exponent alpha of the spectrum ~ f^alpha of the samples, and ``lags`` are
+    the distances of the starts of the differences in samples. The covariance is the fourth
+    difference, with step m, of the generalized autocovariance of the phase.
     """
     steps = np.arange(-2, 3) * m
     weights = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -237,7 +238,7 @@ class AllanCurve(AxisCurve):
     noise_type: NDArray[np.int64]
 
     def axis(self, i: int) -> AxisCurve:
-        """Return the curve of one axis."""
+        """Return the curve of the axis in column ``i``."""
         columns = (column[:, i] for column in (self.adev, self.ci_low, self.ci_high))
         return AxisCurve(self.m, self.tau, self.n, *columns)
 

@@ -259,7 +259,7 @@ def _table(
 
 
 def _filled(fields: Fields, axes: int) -> NDArray[np.int64]:
-    """Return `AllanSums.filled`, (lengths, axes)."""
+    """Return the number of interpolated gaps of each length, (lengths, axes)."""
     rows = len(fields.sequence('filled', LONGEST_FILLED))
     values = fields.table('filled', rows, axes, least=0.0)
     if np.any(values >= MAX_INTEGER) or np.any(values % 1.0):

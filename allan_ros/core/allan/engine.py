@@ -163,7 +163,7 @@ class _Level:
                 by_period.merge(length)
 
     def _split_by_bin(self, first: int, number: int) -> list[tuple[int, int, int]]:
-        """Return (age bin, low, high): differences first + low to first + high start in it."""
+        """Return (bin, low, high) of each age bin in which some of ``number`` differences start."""
         begin, end = self.bin_starts
         if begin <= first and first + number <= end:
             return [(self.bin, 0, number)]
@@ -188,7 +188,7 @@ def _squares(d: Floats) -> Floats:
 
 
 def _squares_by_part(d: Floats, split: int, size: int) -> Floats:
-    """Return `_squares` of the columns before ``split`` and of each ``size`` columns after it."""
+    """Return sums of squares of the columns before ``split`` and of each ``size`` columns after."""
     end = split + max(0, d.shape[1] - split) // size * size
     inner = d[:, split:end].reshape(len(d), -1, size)
     parts = [_squares(d[:, :split])[None]]

@@ -66,7 +66,7 @@ PooledCount = tuple[int, int, int]
 
 
 def age_bin(age: int) -> int:
-    """Return the index of the bin that contains an age in samples."""
+    """Return the index of the age bin that contains an age (samples since the recording began)."""
     if age < FIRST_EDGE:
         return 0
     octave = age.bit_length() - 1
@@ -74,7 +74,7 @@ def age_bin(age: int) -> int:
 
 
 def edge_age(index: int) -> int:
-    """Return the age in samples at which a bin begins."""
+    """Return the age in samples at which an age bin begins."""
     if index == 0:
         return 0
     octave, upper = divmod(index - 1, 2)
@@ -82,14 +82,15 @@ def edge_age(index: int) -> int:
 
 
 def cell_step(length: int, cells: int) -> int:
-    """Return the length of a cell: the smallest power of two with fewer than ``cells`` complete
-    cells in ``length`` samples.
+    """Return the length in samples of the cells (equal intervals) of a recording.
+
+    It is the smallest power of two for which ``length`` samples have fewer than ``cells`` cells.
     """
     return 1 << (length // cells).bit_length()
 
 
 def shortest_period(length: int) -> int:
-    """Return the length in samples of the shortest, last periods of a recording: a power of two."""
+    """Return the length in samples of the shortest periods, at the end of a recording."""
     shortest, longest = SHORTEST_PERIODS
     return min(max(shortest, cell_step(length, longest)), longest)
 
@@ -98,8 +99,8 @@ def period_begins(length: int, begin: int = 0) -> Ints:
     """Return the ages in samples at which the periods of a recording begin, (periods,).
 
     The first period returned contains the age ``begin``. The length of a period is a power of two,
-    and it begins at a multiple of its length. It is as long as `LONGEST_PERIOD` and
-    `PERIOD_DISTANCE` allow. As the recording grows, periods are merged but never split.
+    and it begins at a multiple of its length. It is at most 1/32 of the recording, and at most 1/4
+    of the time to its end. As the recording grows, periods are merged but never split.
     """
     begins = []
     shortest = shortest_period(length)
@@ -125,7 +126,7 @@ def starts_before(ages: Ints, m: Ints | int, stride: Ints | int, offset: int, sa
 
 
 def round_to_stored(values: Floats) -> Floats:
-    """Return values rounded to the 16 significant bits that a document of the history stores."""
+    """Return values rounded to 16 significant bits, the precision of stored histories."""
     bits = np.ascontiguousarray(values, '<f8').view('<u8')
     even = bits + ((bits >> 37) & 1) + ((1 << 36) - 1)
     return np.asarray((even >> 37 << 37).view('<f8'))
@@ -140,7 +141,7 @@ class PeriodSums:
     sums: list[Floats]  # (axes,) of each period
 
     def shortest(self, length: int) -> int:
-        """Return the length of the shortest period with sums at this factor, in samples."""
+        """Return the length in samples of the shortest period with sums at the factor ``m``."""
         return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
 
     def add(self, begins: range, sums: Floats) -> None:
@@ -238,9 +239,7 @@ class Recording(ByValue):
         return 4 ** np.arange(self.level_count.shape[1])
 
     def cells(self, first: int, last: int | None = None) -> Recording:
-        """Return a copy with the cells ``first`` to ``last`` only (``last`` excluded; None: to the
-        end); periods and length are unchanged.
-        """
+        """Return a copy with only the cells ``first`` to ``last`` - 1; periods are unchanged."""
         number, means = self.cell_samples[first:last], self.cell_means[first:last]
         return replace(self, cell_samples=number, cell_means=means)
 
@@ -361,9 +360,10 @@ class History(ByValue):
         )
 
     def with_pooled(self, pooled: Iterable[tuple[int, PooledCount, Floats]]) -> History:
-        """Return a copy that records which segments were pooled in length classes, by age.
+        """Return a copy that counts pooled segments in the age bins in which they begin.
 
-        Each segment is given as (age of its first sample, its `PooledCount`, its ramp correction).
+        Pooled segments have no record of their own, only a share in their length class. Each is
+        given as (age of its first sample, its `PooledCount`, its ramp correction).
         """
         more = [
             AgeBin(
@@ -378,7 +378,7 @@ class History(ByValue):
         return replace(self, bins=_add_bins(self.bins, more))
 
     def _from(self, first: int) -> History:
-        """Return a copy in which all bins with a smaller index than ``first`` are merged."""
+        """Return a copy with all bins of a smaller index than ``first`` merged into one."""
         if first <= self.first:
             return self
         early = [b for b in self.bins if b.index < first]

@@ -97,18 +97,18 @@ class VarianceModel:
         self.units = tuple(self._of_contrasts(v) for v in self._covariances())
 
     def exponential(self, decay: float) -> Floats:
-        """Return the contrasts of a mean exp(-age/decay), with age and decay in cells."""
+        """Return the contrasts of a bias exp(-age/decay), with age and decay in cells."""
         low, high = (np.exp(-age / decay) for age in (self.begin, self.end))
         return np.asarray(self.contrasts @ (decay * (low - high) / (self.end - self.begin)))
 
     def linear(self, duration: float) -> Floats:
-        """Return the contrasts of a mean 1 - age/duration that is 0 after ``duration`` (cells)."""
+        """Return the contrasts of a bias 1 - age/duration that is 0 after ``duration`` (cells)."""
         low, high = (np.minimum(age, duration) for age in (self.begin, self.end))
         area = (high - low) - (high**2 - low**2) / (2.0 * duration)
         return np.asarray(self.contrasts @ (area / (self.end - self.begin)))
 
     def steps(self, ages: Floats, samples: NDArray[np.int64]) -> Floats:
-        """Return the contrasts of unit steps of the mean at ``ages`` in cells, (contrasts, steps).
+        """Return the contrasts of unit steps of the bias at ``ages`` in cells, (contrasts, steps).
 
         ``samples`` is the number of samples in each cell, which determines the share of an interval
         after a step.
@@ -281,7 +281,7 @@ records, this lowers twice the log likelihood by at most 0.005 compared with con
 
 
 def null_model(values: Floats, model: VarianceModel) -> Likelihood | None:
-    """Return the maximum likelihood of the contrasts of one axis under the null model.
+    """Return the maximum likelihood of the contrasts ``values`` of one axis without any effect.
 
     It is None if all contrasts are 0. The last 12 results are cached.
     """

@@ -136,9 +136,10 @@ def _recompute_long_factors(
     sum_sq: Floats,
     number: Ints,
 ) -> None:
-    """Replace, in place, the sums of a shortened segment at factors whose stride is a phase step.
+    """Correct ``sum_sq`` and ``number``, in place, for the new beginning of a shortened segment.
 
-    The starts of differences are counted from the beginning of a segment, so they are different.
+    Differences start at multiples of the stride from this beginning. At strides that are multiples
+    of the phase step, the phase record contains the old and the new differences.
     """
     step = segment.phase_step
     for i in np.flatnonzero(stride % step == 0):

@@ -74,7 +74,7 @@ class _Candidate:
 
 
 def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple[EarlyPart, ...]:
-    """Return the early parts of a recording that differ significantly from its later part.
+    """Return the early parts of a recording with a significant warm-up or larger drift.
 
     After an early part is found, the data after it are tested in the same way. The tests end when
     nothing is significant or half of the recording is left out.

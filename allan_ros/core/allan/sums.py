@@ -33,7 +33,7 @@ the lags of a covariance would not fit into 64-bit search keys."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return all averaging factors m and strides of the given number of levels.
+    """Return the averaging factors m and strides of a cascade with a number of levels.
 
     Both arrays have 5 + 4 ``levels`` elements. The stride is the number of samples between the
     starts of two second differences.

@@ -99,9 +99,10 @@ class BiasModel(NamedTuple):
     def of_fit(cls, fit: AxisFit) -> BiasModel:
         """Return the model from the fit of an axis.
 
-        The processes are those of `expected_model`. The standard deviation of the slope is the root
-        mean square of the ramps R that the fit allows, even if R is not resolved. Without a slope,
-        the 95 % interval of the bias 10 min ahead covers only 89 to 93 % for simulated sensors.
+        The processes are the selected model of the fit, with an expected K if K is not resolved.
+        The standard deviation of the slope is the root mean square of the ramps R that the fit
+        allows, even if R is not resolved. Without a slope, the 95 % interval of the bias 10 min
+        ahead covers only 89 to 93 % for simulated sensors.
         """
         ramp = fit.noise['R']
         value, limit = abs(ramp.value or 0.0), ramp.upper95 or 0.0
@@ -201,7 +202,7 @@ class BiasFilter:
 
 @dataclass(frozen=True)
 class AxisBias:
-    """The current bias of one axis, and how to average and trust it."""
+    """The current bias of one axis, its best averaging time and how long it is valid."""
 
     estimate: BiasEstimate  # mean over the 10 s after the latest input
     end_ns: int  # end of the latest mean in ns

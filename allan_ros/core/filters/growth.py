@@ -131,7 +131,7 @@ def growth_interval(
 
 
 def drift_model(model: ProcessModel) -> ProcessModel:
-    """Return the model without quantization and without sinusoids above `SLOW_SINUSOID_HZ`.
+    """Return the model without quantization and without sinusoids above 0.1 Hz.
 
     The integrals of both are bounded, so they do not contribute to the growth of the error.
     """
@@ -140,7 +140,7 @@ def drift_model(model: ProcessModel) -> ProcessModel:
 
 
 def has_drift(model: ProcessModel) -> bool:
-    """Return whether `drift_model` has any process except white noise."""
+    """Return whether B, K, R, a Gauss-Markov process or a slow sinusoid is in the model."""
     one = drift_model(model)
     return bool(one.terms.B or one.terms.K or one.terms.R or one.gauss_markov or one.sinusoids)
 
@@ -154,8 +154,9 @@ the values 0, 15, 30, 50 and 100 %, it has the smallest worst-case error of pred
 def expected_model(fit: AxisFit) -> ProcessModel:
     """Return the selected model of an axis, with an expected K if K is not resolved.
 
-    The expected K^2 is `UNRESOLVED_SHARE` times `expected_variance`. Predictions and filters with
-    all processes as states use this model, because without K they would neglect slow drift.
+    The expected K^2 is its expected value if K exists, times the probability that K exists (15 %).
+    Predictions and filters with all processes as states use this model, because without K they
+    would neglect slow drift.
     """
     if fit.selected.terms.K:
         return fit.selected
@@ -203,7 +204,7 @@ class Growth:
 
 
 def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
-    """Return the predicted error at the horizons `GROWTH_S`, with 95 % intervals.
+    """Return the predicted error 1, 10, 30, 100 and 300 s after the last correction.
 
     ``integrals`` is 1 for the angle of a gyro or the velocity of an accelerometer, 2 for its
     position. B and R are included only if they are in the selected model. A K that is not resolved
@@ -251,10 +252,10 @@ def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
 
 
 def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
-    """Return the selected model with all coefficients at the lower, and at the upper interval ends.
+    """Return the selected model with all coefficients at the lower, and with all at the upper ends.
 
-    The intervals are 95 % intervals. A coefficient without an interval keeps its value. The ramp R
-    is replaced by its magnitude, and correlation times and sinusoids are unchanged.
+    These are the ends of the 95 % intervals. A coefficient without an interval keeps its value. The
+    ramp R is replaced by its magnitude. Correlation times and sinusoids are unchanged.
     """
     terms = fit.selected.terms
     intervals = {t: _interval(fit, t) or (abs(getattr(terms, t)),) * 2 for t in 'NBKR'}

@@ -229,9 +229,10 @@ def reduced_ends(axis: str, fit: AxisFit, horizons: Horizons) -> dict[str, Ends]
 
 
 def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> SensorLevel:
-    """Return the values for a sensor from the levels of x, y and z, multiplied by ``inflation``.
+    """Return the values of a coefficient for a sensor from those of x, y and z (``levels``).
 
-    ``rule`` is one of `RULES`; 'mean' is the root mean square.
+    They are multiplied by ``inflation``. ``rule`` is 'worst' (the largest), 'mean' (the root mean
+    square) or 'each' (one value per axis).
     """
     x, y, z = (level.value * inflation for level in levels)
     if rule == 'each':
