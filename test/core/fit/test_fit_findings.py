@@ -39,7 +39,7 @@ def test_findings_that_read_alike_are_one():
     [
         (0.57, 'vibration', 'Vibration at 0.57 Hz'),
         (0.024, 'slow_disturbance', 'Periodic disturbance with a period of 42 s'),
-        (1 / 1200, 'slow_cycle', 'A cycle of 20 min'),
+        (1 / 1200, 'slow_cycle', 'A cycle with a period of 20 min'),
     ],
 )
 def test_a_sinusoid_is_named_by_its_frequency(hertz, id, words):
