@@ -21,6 +21,7 @@ from .intervals import (
     CoefficientInterval,
     RampInterval,
     coefficient_interval,
+    limit_of_averages,
     processes_of,
     ramp_interval,
 )
@@ -91,6 +92,14 @@ def _fit_axis(
     sizes = range(table.noises + table.lines)
     terms = range(len(RANDOM_TERMS))
     intervals = [coefficient_interval(table, t, variances, options.misfit) for t in terms]
+    longest = pooled.segments[0].samples
+    # Next to processes of free shape, the test may reject no value of a coefficient.
+    intervals = [
+        each
+        if math.isfinite(each.high)
+        else replace(each, high=limit_of_averages(selected.fit.table, t, longest))
+        for t, each in enumerate(intervals)
+    ]
     values = _consistent(table, variances, intervals, options.misfit)
     noise = {
         name: _coefficient(name, float(values[t]), intervals[t], tau0)

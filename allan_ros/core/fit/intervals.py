@@ -183,6 +183,38 @@ def coefficient_interval(
     return CoefficientInterval(z_zero, 0.0, upper)
 
 
+LONGEST_IN_LIMIT = 10
+"""Length of the longest segment divided by the longest averaging time of `limit_of_averages`. The
+ramp that is subtracted from the averages affects longer ones."""
+
+
+def limit_of_averages(table: Table, term: int, samples: int) -> float:
+    """Return a 95 % upper limit of one variance coefficient, without an assumption on other terms.
+
+    Each Allan variance exceeds that of the term alone, which is V chi^2_nu / nu with nu = 2 V^2 /
+    Var V (NIST SP 1065 eq. 45). The limit is the smallest one of all averages, with 2.5 % divided
+    by their number (Bonferroni). It is infinite without averages.
+
+    Parameters
+    ----------
+    table : Table
+    term : int
+        Column of the term in the table.
+    samples : int
+        Length of the longest segment.
+    """
+    used = (table.m <= samples / LONGEST_IN_LIMIT) & (table.avar > 0.0)
+    if not used.any():
+        return np.inf
+    unit = table.terms[:, term]
+    alone = np.zeros(table.terms.shape[1])
+    alone[term] = float(np.min(table.avar[used] / unit[used]))
+    half = (unit * alone[term]) ** 2 / np.diag(covariance_at(table, alone))
+    probability = special.ndtr(-Z_95) / np.count_nonzero(used)
+    smallest = special.gammaincinv(half[used], probability) / half[used]
+    return float(np.min(table.avar[used] / (unit[used] * smallest)))
+
+
 def find_crossing(
     z: Callable[[float], float],
     target: float,

@@ -323,8 +323,9 @@ class ProcessSearch:
         known = np.column_stack([self._terms, self._white(extras)])
         least = np.full(candidates.shape[1], np.inf)
         # A small white noise coefficient could become negative next to another process.
-        white = float(np.max(self.table.terms[:, N] * variances[N] / self.table.avar))
-        optional = (Q, N, B, K) if white < NEGLIGIBLE_WHITE else (Q, B, K)
+        white = self.table.terms[:, N] * variances[N]
+        is_small = bool(np.all(white < NEGLIGIBLE_WHITE * self.table.avar))
+        optional = (Q, N, B, K) if is_small else (Q, B, K)
         certain = [c for c in range(known.shape[1]) if c not in optional]
         if self.signed or variances[Q] != 0.0:
             certain.append(Q)

@@ -6,11 +6,14 @@ from scipy import special
 
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.errors import AllanError
+from allan_ros.core.fit import gls
 from allan_ros.core.fit.gls_solver import JITTER, NO_MISFIT, Whitening, covariance_at, point_fit
 from allan_ros.core.fit.intervals import (
+    CoefficientInterval,
     ScoreTest,
     coefficient_interval,
     find_crossing,
+    limit_of_averages,
     normal_deviate,
 )
 from allan_ros.core.fit.model import B, K, N
@@ -110,6 +113,35 @@ def test_an_absent_term_has_a_limit_and_no_interval(fit):
     assert not interval.observable
     assert interval.low == 0.0
     assert 0.0 < interval.high < np.inf
+
+
+@pytest.mark.parametrize(
+    ('truth', 'term'), [(NoiseTerms(N=1e-3, K=1e-3), K), (NoiseTerms(N=1e-3, B=1e-3), B)]
+)
+def test_the_limit_of_the_averages_is_above_the_truth(truth, term):
+    """At most one of 40 records may have a lower limit; none of these 20 at fixed seeds."""
+    size = truth.K if term == K else truth.B
+    for seed in range(20):
+        engine = RunningAllan(axes=('gyro_x',))
+        y = simulate_axis(4000, 1.0, truth, np.random.default_rng(seed))
+        engine.update(y[:, None], 0, 3999 * 10**9)
+        engine.end_segment()
+        limit = limit_of_averages(PooledTable(engine.sums).table(0), term, 4000)
+        assert size < np.sqrt(limit) < 2.0 * size
+
+
+def test_a_term_whose_test_rejects_no_value_has_a_limit(monkeypatch):
+    """Regression: K had neither a value nor a limit next to two Gauss-Markov processes."""
+    monkeypatch.setattr(
+        gls, 'coefficient_interval', lambda *_: CoefficientInterval(0.0, 0.0, np.inf)
+    )
+    engine = RunningAllan(axes=('gyro_x',))
+    y = simulate_axis(4000, 1.0, NoiseTerms(N=1e-3, K=1e-4), np.random.default_rng(0))
+    engine.update(y[:, None], 0, 3999 * 10**9)
+    engine.end_segment()
+    noise = gls.fit_gls(engine.sums).axes['gyro_x'].noise
+    assert all(noise[term].upper95 for term in 'NBK')
+    assert 1e-4 < noise['K'].upper95 < 1e-3
 
 
 @pytest.mark.parametrize('factor', [30.0, 1e4])

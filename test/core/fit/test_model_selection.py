@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Selection of a model for noise that the five terms do not describe; fixed seeds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
@@ -248,6 +250,19 @@ def test_a_process_is_kept_or_dropped_where_no_other_correlation_time_can_be_tri
     covariance = covariance_at(table, initial_variances(table))
     search = ProcessSearch(table, covariance, 400, signed=False, walk=True)
     assert search.search([GaussMarkovTerm(30.0)]).extras in ((), (GaussMarkovTerm(30.0),))
+
+
+@pytest.mark.filterwarnings('error')
+def test_an_average_of_zero_is_not_divided_by():
+    """The correction for the ramp of a short record can make an Allan variance 0."""
+    engine = RunningAllan(axes=('gyro_x',))
+    engine.update(np.random.default_rng(1).standard_normal((400, 1)), 0, 399 * 10**7)
+    engine.end_segment()
+    table = PooledTable(engine.sums).table(0)
+    covariance = covariance_at(table, initial_variances(table))
+    avar = np.where(np.arange(len(table.m)) < len(table.m) - 1, table.avar, 0.0)
+    search = ProcessSearch(replace(table, avar=avar), covariance, 400, signed=False, walk=True)
+    assert np.isfinite(search.search().chi_squared)
 
 
 @pytest.mark.parametrize('size', [10.0, 30.0])
