@@ -366,17 +366,18 @@ class Results:
         return results.against_datasheet(sheet, margin)
 
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
-        """Return a copy that is compared with a datasheet.
+        """Return a copy that is compared with a datasheet, instead of any earlier one.
 
         Each coefficient that exceeds its limit by more than the fraction ``margin`` adds a finding.
         """
+        others = (f for f in self.findings if f.id != 'beyond_limit')
         comparison = against_datasheet(self.noise, datasheet, margin)
         found = (
             beyond_limit(c, self.noise[c.axis][c.term], margin, (c.axis,))
             for c in self._judged(comparison.comparisons)
             if c.verdict == 'beyond'
         )
-        return replace(self, datasheet=comparison, margin=margin, findings=(*self.findings, *found))
+        return replace(self, datasheet=comparison, margin=margin, findings=(*others, *found))
 
 
 def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:

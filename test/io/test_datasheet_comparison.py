@@ -48,6 +48,12 @@ def test_the_worst_verdict_is_that_of_all(small_results: Results) -> None:
     assert nothing.verdict is None
 
 
+def test_a_second_datasheet_replaces_the_findings_of_the_first(small_results: Results) -> None:
+    beyond = held(small_results, N=1e-9)
+    assert held(beyond, N=1e-9).findings == beyond.findings
+    assert held(beyond, N=1.0).findings == small_results.findings
+
+
 def test_the_round_trip_of_the_document_is_complete(small_results: Results) -> None:
     against = held(small_results, N=1e-9, B=1.0)
     document = json.loads(json.dumps(results_to_document(against), allow_nan=False))
