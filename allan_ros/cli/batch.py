@@ -62,8 +62,7 @@ class Outcome:
 def recordings_in(path: str) -> list[str]:
     """Return the paths of the separate recordings in a folder, or the path itself if it is one.
 
-    A folder is one recording if it has a metadata.yaml, fewer than two recordings, or only the
-    numbered parts of one bag.
+    A folder is one recording if it has a metadata.yaml, or only a single bag or its numbered parts.
     """
     folder = Path(path)
     if not folder.is_dir() or (folder / METADATA).exists():
@@ -72,10 +71,10 @@ def recordings_in(path: str) -> list[str]:
     files = [child for child in children if child.suffix.lower() in RECORDINGS and child.is_file()]
     bags = [child for child in children if child.is_dir() and (child / METADATA).is_file()]
     splits = {match[1] for file in files if (match := SPLIT.match(file.stem))}
-    one_bag = len(splits) == 1 and all(
-        file.suffix in STORAGES and SPLIT.match(file.stem) for file in files
+    one_bag = len(splits) < 2 and all(
+        file.suffix in STORAGES and (len(files) == 1 or SPLIT.match(file.stem)) for file in files
     )
-    if not bags and (one_bag or len(files) < 2):
+    if one_bag and not bags:
         return [path]
     return [str(each) for each in (*bags, *files)]
 

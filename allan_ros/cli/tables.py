@@ -236,8 +236,8 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
         labels = [sensor, *_run_labels(comparison, sensor, units)]
         cells = [[a[-1], *_run_cells(comparison, a, units)] for a in axes]
         yield from table_lines(labels, cells, columns)
-    yield ''
     if comparison.pairs:
+        yield ''
         yield from wrapped(
             f'ratios to {comparison.runs[0].label} with 95 % intervals; "higher" and "lower" are '
             f'significant (at most {100.0 * comparison.family_error:g} % false alarms overall)',

@@ -14,7 +14,15 @@ from ..core.findings import Finding, duration_text
 from ..core.fit import TERMS
 from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
-from .format import grouped, interval_text, pretty_unit, shown_unit, significant, value_text
+from .format import (
+    grouped,
+    interval_text,
+    pretty_unit,
+    shown_unit,
+    significant,
+    text_in_units,
+    value_text,
+)
 
 if TYPE_CHECKING:
     from .axis_result import AxisResult
@@ -340,7 +348,7 @@ def summary_lines(results: Results) -> Iterator[str]:
             cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
         yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
     for each in _warnings_and_errors(results):
-        yield f'  {each.severity}: {each}'
+        yield f'  {each.severity}: {text_in_units(str(each), "datasheet")}'
 
 
 def html_summary(results: Results) -> str:
@@ -348,7 +356,8 @@ def html_summary(results: Results) -> str:
     head = ''.join(f'<th>{term}</th>' for term in TERMS)
     rows = ''.join(_html_row(name, axis) for name, axis in results.axes.items())
     notes = ''.join(
-        f'<li><b>{escape(each.severity)}</b> {escape(str(each))}</li>'
+        f'<li><b>{escape(each.severity)}</b> '
+        f'{escape(text_in_units(str(each), "datasheet", typeset=True))}</li>'
         for each in _warnings_and_errors(results)
     )
     verdict = results.verdict

@@ -40,6 +40,8 @@ def test_a_folder_is_one_recording_or_a_batch(tmp_path: Path) -> None:
         assert recordings_in(one) == [one]
     tables = folder('tables', 'a.npz', 'b.csv', 'notes.txt')
     assert [Path(p).name for p in recordings_in(tables)] == ['a.npz', 'b.csv']
+    table = folder('table', 'a.csv', 'notes.txt')
+    assert [Path(p).name for p in recordings_in(table)] == ['a.csv']
     named = folder('named', 'monday.mcap', 'tuesday.mcap')
     assert len(recordings_in(named)) == 2
     bags = folder('bags', 'one/metadata.yaml', 'two/metadata.yaml')

@@ -48,6 +48,15 @@ def test_a_datasheet_decides(
     assert out.startswith(f'{word}: {recording}: ')
 
 
+def test_reasons_follow_the_units(
+    accepted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sensor = sheet(tmp_path / 'test.yaml', 0.05)
+    assert main(['check', str(accepted), '--sensor', str(sensor), '--units', 'si', '-v']) == 3
+    reasons = capsys.readouterr().out.partition('\n')[2]
+    assert 'rad/s/sqrt(Hz)' in reasons and 'deg' not in reasons
+
+
 def test_the_accepted_run_is_healthy_against_itself_and_results_are_read(
     recording: Path, accepted: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,15 +5,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
-from allan_ros.cli.tables import findings_lines, results_lines
+from allan_ros.cli.tables import comparison_lines, findings_lines, results_lines
 from allan_ros.core.findings import Finding, finding
 from allan_ros.core.fit import TERMS, Coefficient, Deviation
+from allan_ros.io.comparison import Subject, compare_runs
+from allan_ros.io.datasheets import load_sensor
 from allan_ros.io.format import interval_text, shown_unit, value_text
 from allan_ros.io.results import Results
-from allan_ros.io.verdict import headline, verdict_of
+from allan_ros.io.verdict import headline, summary_lines, verdict_of
 
 LONG = Finding('x', 'warning', 'word ' * 40 + 'end', 'do this', ('gyro_x',))
 
@@ -135,3 +138,12 @@ def test_findings_follow_the_units(small_results: Results) -> None:
         lines_of(results, 'si', 200)
     )
     assert 'amplitude 999.3 ug' in '\n'.join(lines_of(results, 'datasheet', 200))
+    assert 'amplitude 999.3 ug' in '\n'.join(summary_lines(results))
+
+
+def test_a_comparison_with_a_datasheet_has_no_two_empty_lines_in_a_row(
+    small_results: Results,
+) -> None:
+    comparison = compare_runs([Subject('a', small_results)], [load_sensor('mpu-6050')])
+    lines = list(comparison_lines(comparison, 'datasheet', 100))
+    assert '' in lines and ('', '') not in pairwise(lines)
