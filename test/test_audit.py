@@ -48,7 +48,9 @@ def test_each_package_is_listed_with_version_and_licence(
     assert 'BSD' in ' '.join(rows['numpy'])
 
 
-def test_nothing_known_is_good(audit: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_known_vulnerability_is_exit_code_0(
+    audit: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
     answer(audit, monkeypatch)
     assert audit.main() == 0
 

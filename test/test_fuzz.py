@@ -57,7 +57,9 @@ def test_damaged_inputs_are_rejected_in_a_line_or_valid(
 
 
 @pytest.mark.parametrize('name', WHOLE)
-def test_a_bag_cut_at_any_record_reads_or_is_rejected_in_a_line(name: str, tmp_path: Path) -> None:
+def test_a_bag_truncated_at_any_record_is_read_or_rejected_in_one_line(
+    name: str, tmp_path: Path
+) -> None:
     data, boundaries = WHOLE[name]
     places = sorted(set(boundaries(data)))
     assert len(places) > MESSAGES  # at least one per message

@@ -74,7 +74,7 @@ def test_a_link_in_place_of_the_checkpoint_is_replaced_not_followed(tmp_path: Pa
     assert not link.is_symlink() and link.read_text() == 'sums'
 
 
-def test_a_link_laid_where_the_folder_is_tried_is_not_followed(tmp_path: Path) -> None:
+def test_a_link_in_place_of_the_test_file_is_not_followed(tmp_path: Path) -> None:
     victim = tmp_path / 'victim'
     victim.write_text('precious')
     (tmp_path / 'imu.json.trial').symlink_to(victim)

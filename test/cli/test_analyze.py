@@ -67,7 +67,7 @@ def test_plots_have_the_requested_formats_and_show_the_earlier_run(
     assert '"spectrum":{"frequency"' in page
 
 
-def test_what_cannot_be_drawn_is_rejected_before_anything_is_read(
+def test_invalid_plot_options_are_rejected_before_reading(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for how in (['--plot-format', 'gif'], ['--plot-style', 'odd'], ['--baseline', 'none.json']):

@@ -40,7 +40,9 @@ def test_an_unknown_datasheet_is_rejected_before_anything_is_read(capsys) -> Non
     assert "no datasheet 'adis1647-3': did you mean adis16475-3" in capsys.readouterr().err
 
 
-def test_a_recording_and_its_results_are_alike(analysed: Path, recording: Path, capsys) -> None:
+def test_a_recording_and_its_results_compare_equally(
+    analysed: Path, recording: Path, capsys
+) -> None:
     words = ['compare', str(analysed), str(recording), '--label', 'kept', '--label', 'again']
     assert main([*words, '--fail-on-difference']) == 0
     said = capsys.readouterr().out
@@ -82,7 +84,7 @@ def test_a_difference_fails_only_with_the_option(analysed: Path, tmp_path: Path,
         (['{run}', '{run}', '--margin', '-1'], 'margin is -1.0: it must lie between 0 and 100'),
     ],
 )
-def test_what_cannot_be_compared_is_one_line(
+def test_incomparable_inputs_give_one_line(
     analysed: Path, capsys, words: list[str], said: str
 ) -> None:
     assert main(['compare', *(word.format(run=analysed) for word in words)]) == 1

@@ -53,7 +53,7 @@ def shown(paths: list[str], capsys: pytest.CaptureFixture[str], *how: str) -> st
     return capsys.readouterr().out
 
 
-def test_processes_give_what_one_gives(
+def test_several_processes_give_the_result_of_one(
     recordings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     jobs = jobs_of(recordings)
@@ -92,7 +92,7 @@ def cluster() -> Iterator[Any]:
         yield local
 
 
-def test_a_cluster_gives_what_one_process_gives(
+def test_a_cluster_gives_the_sums_of_one_process(
     cluster: Any, recordings: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     jobs, address = jobs_of(recordings), cluster.scheduler_address

@@ -29,7 +29,7 @@ def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_json_is_the_results_document_and_nothing_else(
+def test_json_output_is_only_the_results_document(
     recording: Path, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['analyze', str(recording), '--json']) == 0
@@ -120,7 +120,7 @@ def test_colours_follow_the_terminal_and_the_environment(
     assert coloured(Terminal() if terminal else io.StringIO()) == colours
 
 
-def test_the_width_is_what_columns_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_width_is_set_by_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('COLUMNS', '77')
     assert width() == 77
     monkeypatch.setenv('COLUMNS', '7')

@@ -63,7 +63,7 @@ def test_the_factor_is_measured_with_vibration_included(
     assert 'gyro_x, motors on' in report
 
 
-def test_a_horizon_of_nothing_is_one_line(
+def test_a_horizon_of_zero_gives_one_line(
     recordings: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['inflate', *recordings, '--horizon', '0']) == 1

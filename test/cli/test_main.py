@@ -64,7 +64,7 @@ def test_help_keeps_to_the_width(
     assert max(len(line) for line in lines if line[:2] != '  ' or line[2] == ' ') <= columns
 
 
-def test_the_bare_word_is_answered_with_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_bare_command_lists_the_verbs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     said = capsys.readouterr()
     assert not said.out
@@ -105,7 +105,7 @@ def test_a_misspelling_is_answered_with_a_suggestion(
     assert f'; did you mean {meant}?' in capsys.readouterr().err
 
 
-def test_a_word_like_no_other_is_answered_with_where_to_look(
+def test_an_unknown_word_is_answered_with_a_reference_to_the_help(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert exit_code(['analyze', 'x', '--zzz']) == 2
@@ -128,7 +128,7 @@ def fails(error: BaseException) -> Any:
         (KeyboardInterrupt(), 130, 'interrupted'),
     ],
 )
-def test_what_goes_wrong_is_one_line_and_no_traceback(
+def test_errors_give_one_line_and_no_traceback(
     error: BaseException,
     code: int,
     said: str,

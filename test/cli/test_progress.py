@@ -37,7 +37,7 @@ def test_a_terminal_is_left_clean(monkeypatch: pytest.MonkeyPatch, total: int | 
     assert stream.getvalue().endswith('\x1b[2K')
 
 
-def test_quiet_draws_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_quiet_shows_no_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = Terminal()
     monkeypatch.setattr(sys, 'stderr', stream)
     with Progress('bag', 10, shown=False) as bar:

@@ -80,7 +80,7 @@ def test_samples_of_any_size_give_numbers(
             assert all(v is None or 0.0 <= v < np.inf for v in known)
 
 
-def test_a_size_scales_the_sums_and_nothing_else() -> None:
+def test_tiny_samples_give_exactly_scaled_variances() -> None:
     y = np.random.default_rng(1).normal(size=(500, 1))
     one, tiny = sums_of(y), sums_of(y * 2.0**-100)
     assert np.array_equal(tiny.avar, one.avar * 2.0**-200)
@@ -93,7 +93,7 @@ def test_a_variance_below_that_of_any_imu_is_zero() -> None:
 
 
 @pytest.mark.parametrize('huge', [1.1 * LARGEST, -1e300, np.inf])
-def test_what_no_imu_measures_is_dropped_and_counted(huge: float) -> None:
+def test_impossible_samples_are_dropped_and_counted(huge: float) -> None:
     samples = np.random.default_rng(2).normal(size=(3000, 6))
     samples[100::7, 4] = huge
     accumulator = ImuStream()

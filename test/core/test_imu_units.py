@@ -66,5 +66,5 @@ def test_a_unit_of_something_else_is_rejected_with_those_that_fit(unit):
         to_si(1.0, unit, 'rad/s/sqrt(Hz)')
 
 
-def test_axis_names_tell_the_sensor():
+def test_axis_names_determine_the_sensor():
     assert [sensor_of(a) for a in ('gyro_x', 'accel_z')] == ['gyro', 'accel']

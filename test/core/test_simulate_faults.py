@@ -18,7 +18,7 @@ def record(faults=Faults(), noise=SILENT, seconds=SECONDS, rate=RATE):
     )
 
 
-def test_a_fault_changes_nothing_but_itself():
+def test_a_simulated_fault_changes_only_its_own_effect():
     _, clean = record(noise=QUIET)
     _, dropped = record(Faults(drop=0.1, jitter=1e-3), noise=QUIET)
     assert set(dropped[:, 0]) < set(clean[:, 0])

@@ -136,7 +136,7 @@ def without_numbers(results: Results) -> Results:
     return replace(results, axes=axes)
 
 
-def test_runs_without_numbers_have_nothing_to_compare(small_results: Results) -> None:
+def test_runs_without_numbers_cannot_be_compared(small_results: Results) -> None:
     empty = without_numbers(small_results)
     comparison = compare_runs([Subject('a', empty), Subject('b', empty)])
     assert repr(comparison) == 'b and a have nothing that can be compared'

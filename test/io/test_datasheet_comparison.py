@@ -25,7 +25,7 @@ def held(results: Results, **limits: float) -> Results:
 
 
 @pytest.mark.parametrize('share, verdict', [(1.0, 'within'), (0.9, 'within'), (0.5, 'beyond')])
-def test_the_whole_interval_decides(small_results: Results, share: float, verdict: str) -> None:
+def test_the_complete_interval_decides(small_results: Results, share: float, verdict: str) -> None:
     n: Coefficient = small_results.axes['gyro_x'].fit.noise['N']
     assert n.value is not None
     against = held(small_results, N=n.value * share)

@@ -154,7 +154,7 @@ def test_a_bad_file_is_rejected_with_its_place(load, document, said):
         load(document)
 
 
-def test_a_single_axis_goes_before_its_sensor(load):
+def test_a_single_axis_takes_precedence_over_its_sensor(load):
     quantity = {'value': 160, 'unit': 'ug/sqrt(Hz)', 'sided': 'two', 'condition': 'typical'}
     imu = load(
         sheet(

@@ -50,7 +50,7 @@ def test_others_may_read_what_the_umask_allows(tmp_path: Path) -> None:
     assert path.stat().st_mode == reference.stat().st_mode
 
 
-def test_only_a_draft_that_nobody_writes_any_more_is_removed(tmp_path: Path) -> None:
+def test_only_abandoned_temporary_files_are_removed(tmp_path: Path) -> None:
     abandoned, fresh = (tmp_path / f'.sums.json.{digit * 32}.part' for digit in 'ab')
     for draft in (abandoned, fresh):
         draft.write_text('{"sums": [')

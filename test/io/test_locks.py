@@ -42,7 +42,7 @@ def test_the_second_learns_who_has_it(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_it_ends_with_its_process(tmp_path: Path) -> None:
+def test_the_lock_ends_with_its_process(tmp_path: Path) -> None:
     lock = PathLock(tmp_path / 'imu.json')
     command = [sys.executable, '-c', HOLD, str(tmp_path / 'imu.json')]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:

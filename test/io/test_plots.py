@@ -37,7 +37,7 @@ def test_each_axis_has_a_row_with_its_signal(small_results: Results) -> None:
     assert len(sensor_figure(small_results, 'accel').axes) == 3
 
 
-def test_the_curve_is_drawn_in_the_unit_it_says(small_results: Results) -> None:
+def test_the_curve_is_drawn_in_the_stated_unit(small_results: Results) -> None:
     panel = sensor_figure(small_results, 'gyro').axes[0]
     (measured,) = [line for line in panel.lines if line.get_label() == 'measured']
     adev = small_results.axes['gyro_x'].curve.adev

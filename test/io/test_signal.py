@@ -38,7 +38,7 @@ def test_each_span_holds_the_extremes_of_its_samples(n: int) -> None:
 
 
 @given(chunk=st.integers(1, 6000), n=st.integers(1, 12_000))
-def test_chunks_change_nothing(chunk: int, n: int) -> None:
+def test_chunking_does_not_change_the_result(chunk: int, n: int) -> None:
     batch = batch_of(np.random.default_rng(n).normal(size=(n, 6)))
     one, other = envelope_of(batch, n), envelope_of(batch, chunk)
     assert np.array_equal(one.low, other.low)

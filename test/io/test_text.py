@@ -53,7 +53,7 @@ def test_yaml_is_parsed_to_its_values(text: str, value: Any) -> None:
 @pytest.mark.parametrize(
     'text', ['[' * 5000, '{a: ' * 5000, '- ' * 5000, '? ' * 5000, MERGES, 'a: {<<: {b: 1}}']
 )
-def test_what_would_take_long_is_rejected(text: str) -> None:
+def test_slow_documents_are_rejected(text: str) -> None:
     with pytest.raises(yaml.YAMLError):
         parse_yaml(text)
 

@@ -256,7 +256,7 @@ def test_a_restart_of_a_replay_counts_no_sample_twice(graph, still_imu, tmp_path
     assert previous['sums'] == first['sums']
 
 
-def test_a_clock_that_is_set_back_only_cuts(graph, still_imu, tmp_path: Path):
+def test_a_clock_that_is_set_back_only_splits_the_data(graph, still_imu, tmp_path: Path):
     """Without simulated time the same IMU continues, so the data before and after the step are
     added.
     """
@@ -273,7 +273,7 @@ def test_a_clock_that_is_set_back_only_cuts(graph, still_imu, tmp_path: Path):
     assert not (tmp_path / 'sums.json.previous').exists()
 
 
-def test_no_input_ends_it(graph, still_imu):
+def test_no_input_stops_the_accumulator(graph, still_imu):
     """NaN, inf, zero and backward stamps, absent sensors, garbage, a burst, another frame."""
     node = graph.start('accumulator', **FAST)
     publisher = graph.publisher()

@@ -49,7 +49,7 @@ def test_every_parameter_has_a_meaning():
             assert info.doc.endswith('.') and info.doc[0].isupper(), name
 
 
-def test_the_launch_file_names_what_there_is(repository: Path):
+def test_the_launch_file_names_existing_executables_and_parameters(repository: Path):
     tree = ast.parse((repository / 'launch' / 'allan_ros.launch.py').read_text())
     words = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)}
     setup = (repository / 'setup.py').read_text()

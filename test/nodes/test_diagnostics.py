@@ -91,7 +91,7 @@ def test_foreign_text_is_escaped(sums):
     assert all(v.value.isprintable() for v in status.values)
 
 
-def test_it_advises_for_what_matters_only(sums):
+def test_only_relevant_terms_are_recommended(sums):
     large, small = (Coefficient(2e-5, None, size, 'not_observable') for size in (1e-3, 1e-9))
     status = status_of(sums, result=fit(B=large, K=small))
     assert 'B needs 4 h at rest' in status.message

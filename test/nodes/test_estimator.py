@@ -135,7 +135,7 @@ def test_a_change_of_the_noise_is_found_and_dated(graph, still_imu):
     assert graph.status('gyro x').level == OK
 
 
-def test_reset_forgets_the_coefficients_and_fit_brings_them_back(graph, still_imu):
+def test_reset_removes_the_coefficients_and_fit_restores_them(graph, still_imu):
     graph.start('monitor', **QUICK)
     models = graph.latched('/allan_monitor/noise_model')
     publisher = graph.publisher()

@@ -112,7 +112,7 @@ def test_the_relay_subtracts_a_fresh_bias_at_rest_only(
     np.testing.assert_array_equal(stale, samples[2, :3])
 
 
-def test_the_relay_leaves_the_bias_by_default(
+def test_the_relay_keeps_the_bias_by_default(
     graph: Any, still_imu: Callable[..., ImuBatch]
 ) -> None:
     batch = biased(still_imu(1))

@@ -143,7 +143,7 @@ def test_it_passes_on_until_there_is_a_model(graph, still_imu, results: Results)
     assert relay.stop() == 0, relay.output
 
 
-def test_a_withdrawn_model_ends_the_filling_at_once(graph, still_imu, results: Results):
+def test_after_a_withdrawal_no_covariance_is_filled(graph, still_imu, results: Results):
     graph.start('relay', **QUICK)
     received = raw(graph)
     publisher = graph.publisher()

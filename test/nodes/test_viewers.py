@@ -139,5 +139,5 @@ def test_foxglove_names_its_panels(viewers: Path) -> None:
         ('battery: relay voltage', None),
     ],
 )
-def test_every_status_goes_to_one_analyzer(viewers: Path, name: str, path: str | None) -> None:
+def test_every_status_matches_one_analyzer(viewers: Path, name: str, path: str | None) -> None:
     assert matching(analyzers(viewers), name) == ([path] if path else [])

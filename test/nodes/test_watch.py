@@ -89,7 +89,7 @@ def test_scripts_get_one_document(graph):
     assert 0.0 <= told['age_s'] < 60.0
 
 
-def test_without_a_status_it_reports_what_to_check(graph):
+def test_without_a_status_the_watch_prints_what_to_check(graph):
     watch = graph.start('watch', '--once', '--seconds', '1')
     assert watch.wait() == 1
     said = ' '.join(watch.output.split())

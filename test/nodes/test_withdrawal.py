@@ -111,7 +111,7 @@ HOSTILE = {
 }
 
 
-def test_no_sums_document_ends_the_estimator(graph, still_imu) -> None:
+def test_no_sums_document_stops_the_estimator(graph, still_imu) -> None:
     """The topic is latched: a document that stops a node once would stop it at every start."""
     process, publisher, models = estimator(graph)
     good = sums_text(still_imu(4000))

@@ -33,7 +33,7 @@ def test_q_and_r_are_never_advised_for():
     assert recommended_duration(fit_of(B=seen(1e-5), K=seen(1e-7)), 60.0) is None
 
 
-def test_a_limit_that_cannot_matter_asks_for_nothing():
+def test_a_limit_that_cannot_matter_needs_no_longer_recording():
     # at 100 s white noise is N/10 = 1e-5; a B of 1e-6 and a K of 1e-7 are far below it
     assert recommended_duration(fit_of(B=unseen(1e-6), K=unseen(1e-7)), 60.0) is None
 
@@ -60,13 +60,13 @@ def test_a_datasheet_sets_what_must_be_resolved():
     )  # longer than any recommended duration
 
 
-def test_without_n_a_minute_comes_first():
+def test_without_n_a_minute_is_recommended_first():
     fit = fit_of(N=unseen(1.0))
     assert recommended_duration(fit, 5.0) == (SECONDS_FOR_N, ('N',))
     assert recommended_duration(fit, 90.0) is None
 
 
-def test_one_line_serves_all_axes():
+def test_the_longest_recommendation_contains_all_terms():
     advice = [None, (60.0, ('N',)), (HOUR, ('K', 'B'))]
     assert longest_recommended(advice) == (HOUR, ('N', 'B', 'K'))
     assert longest_recommended([None]) is None

@@ -25,7 +25,7 @@ def test_durations_are_formatted_for_people(seconds, words):
     assert duration_text(seconds) == words
 
 
-def test_findings_that_read_alike_are_one():
+def test_findings_with_equal_texts_are_joined():
     one = finding('ramps_differ', ('gyro_x',))
     other = finding('ramps_differ', ('gyro_z',))
     third = finding('misfit', ('gyro_y',), deviation=0.1, tau='3 s')

@@ -121,7 +121,7 @@ def test_no_value_is_at_the_end_of_its_interval():
     assert 0.8 < (noise['N'].value - low) / (high - noise['N'].value) < 1.2
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say():
+def test_intervals_have_their_stated_coverage():
     """20 records of 10 min: 7 or more misses of 95 % intervals have a probability of 1/30,000."""
     truth = NoiseTerms(N=1e-3, B=4e-4, K=1.5e-4)
     rng = np.random.default_rng(7)

@@ -29,7 +29,7 @@ def fit_of(seed, samples=20000, terms=NoiseTerms(N=1e-3, B=3e-4)):
     return point_fit(PooledTable(engine.sums), 0)
 
 
-def test_the_model_itself_fits_to_nothing():
+def test_the_exact_model_has_no_residual():
     fit = fit_of(0)
     table = replace(fit.table, avar=fit.table.terms @ fit.variances)
     assert goodness(table, fit.variances).chi_squared < 1e-6

@@ -88,7 +88,7 @@ def test_regions_touch_and_cover_the_curve():
             assert a.tau_high == b.tau_low and a.term != b.term
 
 
-def test_narrow_stretches_are_read_together():
+def test_narrow_regions_are_joined():
     # K dominates only over a factor of two, so K and R form one range.
     late = regions_of('gyro_x', 0, 0.1, 0, 40.0, 350.0, longest_tau=60.0)
     assert late[-1].term == 'K+R'
@@ -108,7 +108,7 @@ def test_pure_noise_is_one_region_of_its_slope(k, term, slope):
     assert region.slope == pytest.approx(slope, abs=0.06 if term == 'K' else 0.02)
 
 
-def test_unknown_terms_rule_nothing():
+def test_unknown_terms_dominate_nowhere():
     curve, _ = exact(**PAPER)
     unknown = AxisFit({t: Coefficient(None, status='not_observable') for t in TERMS})
     assert dominant_regions(curve, 'gyro_x', unknown) == []

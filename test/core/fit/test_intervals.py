@@ -68,7 +68,7 @@ def test_the_end_of_a_deviation_that_is_linear_takes_two_evaluations():
     assert len(asked) == 2
 
 
-def test_where_z_jumps_over_its_target_the_end_is_at_the_jump():
+def test_the_end_is_at_a_jump_of_z_over_its_target():
     end = find_crossing(lambda c: 1.0 - c - (c > 2.5), -2.0, [(0.0, 1.0)], 1.0, np.inf)
     assert end == pytest.approx(2.5, rel=1e-3)
     end = find_crossing(lambda c: -1.0 - 5.0 * (c > 0.0), -2.0, [(0.0, -1.0)], 1.0, np.inf)
@@ -82,7 +82,7 @@ def test_a_bound_that_is_never_reached_is_the_limit():
 
 
 @pytest.mark.parametrize('term', [N, K])
-def test_ends_are_where_the_score_says(fit, term):
+def test_interval_ends_are_roots_of_the_score(fit, term):
     interval = coefficient_interval(fit.table, term, fit.variances)
     assert interval.observable
     assert interval.low < fit.variances[term] < interval.high

@@ -24,7 +24,7 @@ def sums_of_noise(samples, tau0, terms, seed):
     return engine.sums
 
 
-def test_the_ramp_counts_at_every_factor_of_a_long_record():
+def test_the_ramp_is_included_at_every_factor_of_a_long_record():
     """The random walk dominates far below a thousandth of the record; chi^2 rejects one axis in
     700.
     """

@@ -38,7 +38,7 @@ def noise():
     return simulate_axis(SAMPLES, 1.0 / RATE, TRUTH, np.random.default_rng(20))
 
 
-def test_five_terms_ask_for_nothing_else(noise):
+def test_five_terms_need_no_process(noise):
     axis, findings = fit_of(noise)
     assert axis.m_min == 1
     assert axis.misfit == 0.0
@@ -191,7 +191,7 @@ def test_three_lines_are_found(noise):
     assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
 
 
-def test_what_cannot_be_named_is_a_misfit(noise):
+def test_noise_without_a_matching_process_is_a_misfit(noise):
     """A sinusoid of changing frequency makes a broad hump, which no process describes."""
     t = np.arange(SAMPLES) / RATE
     phase = 2.0 * np.pi * np.cumsum(0.5 + 0.4 * np.sin(2.0 * np.pi * t / 50.0)) / RATE

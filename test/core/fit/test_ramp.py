@@ -32,7 +32,7 @@ def test_points_are_those_the_engine_keeps(samples):
 
 
 @pytest.mark.parametrize('variances', POWERS)
-def test_best_weights_find_a_ramp_and_nothing_else(variances):
+def test_best_weights_estimate_only_the_ramp(variances):
     geometry = ramp_geometry(SAMPLES)
     weights = geometry.best_weights(Noise(variances))
     t = np.arange(geometry.points) * float(geometry.step)

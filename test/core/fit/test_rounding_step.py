@@ -29,7 +29,7 @@ def test_constant_samples_have_none():
     assert common_step(np.zeros(100), 1.0) is None
 
 
-def test_few_points_of_real_noise_have_no_step_and_divide_nothing_by_zero():
+def test_few_points_of_real_noise_have_no_step_and_cause_no_warning():
     """Records of a few seconds; a warning of numpy is an error here."""
     rng = np.random.default_rng(0)
     with np.errstate(all='raise'):

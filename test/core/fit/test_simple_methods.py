@@ -112,7 +112,7 @@ def test_relative_finds_the_terms_of_an_exact_curve(white):
         np.testing.assert_allclose(found, astuple(TRUTH), rtol=1e-6)
 
 
-def test_relative_never_goes_negative_and_leaves_out_what_is_not_there(white):
+def test_relative_has_no_negative_or_absent_terms(white):
     noise = fit_noise(white, 'relative').axes['gyro_x'].noise
     assert noise['N'].value == pytest.approx(1e-3, rel=0.02)
     absent = [term for term in TERMS if noise[term].value is None]
@@ -144,7 +144,7 @@ def test_constant_values_have_no_noise_to_name(method):
     assert all(c.value is None for axis in AXES for c in fit.axes[axis].noise.values())
 
 
-def test_what_cannot_be_fitted_is_rejected(white):
+def test_unknown_methods_and_empty_sums_are_rejected(white):
     with pytest.raises(AllanError, match='choose one of gls, relative, paper'):
         fit_noise(white, 'magic')
     with pytest.raises(AllanError, match='at least two samples'):

@@ -61,7 +61,7 @@ def one_by_one(lengths, m, stride):
         ('of no use', 1e-9),
     ],
 )
-def test_pooled_segments_expect_what_each_of_them_does(kind, allowed):
+def test_the_expectation_of_pooled_segments_is_that_of_single_ones(kind, allowed):
     lengths = draw(kind)
     m, stride = grid_for(int(lengths.max()))
     want, number = one_by_one(lengths, m, stride)

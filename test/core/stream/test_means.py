@@ -31,7 +31,7 @@ def test_the_means_do_not_depend_on_the_chunks(chunk: int) -> None:
     assert means.end_ns.tolist() == [10**9 * (i + 1) for i in range(9)]
 
 
-def test_a_cut_drops_the_mean_in_progress() -> None:
+def test_a_gap_drops_the_mean_in_progress() -> None:
     stamps, rows = samples(150)
     running = RunningMeans(('gyro_x', 'gyro_y'))
     running.update(stamps, rows)

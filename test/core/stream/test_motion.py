@@ -223,7 +223,7 @@ def test_a_stuck_axis_is_not_used():
     assert counts.stuck >= 11_900 and counts.cuts == {'stuck': 1}
 
 
-def test_a_gap_ends_a_stretch_but_keeps_the_data():
+def test_a_gap_ends_a_block_but_keeps_the_data():
     out, _, passed = gate(white(60), cut_at=(3_333, 9_001))
     assert passed.all()
     assert [(r.cut, int(r.stamps[0])) for r in out if r.cut] == [('gap', 3_333), ('gap', 9_001)]

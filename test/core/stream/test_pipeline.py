@@ -133,7 +133,7 @@ def test_every_segment_states_why_it_begins():
     assert [s.cut for s in accumulate(t, x).segments] == ['', 'gap', 'motion']
 
 
-def test_looking_at_the_result_disturbs_nothing():
+def test_reading_the_result_changes_nothing():
     t, x = FAULTS['motion'](*still(12_000), np.random.default_rng(0))
     accumulator = ImuStream()
     for at in range(0, len(t), 700):
@@ -237,7 +237,7 @@ def test_record_times_replace_constant_stamps():
     assert 'stamps_unusable' not in ids(meant)
 
 
-def test_without_any_stamps_the_declared_rate_serves():
+def test_without_stamps_the_declared_rate_is_used():
     t, x = still(5000)
     result = accumulate(t * 0, x, declared_rate=200.0)
     assert result.sums[0].tau0 == pytest.approx(0.005) and 'stamps_from_rate' in ids(result)
@@ -306,7 +306,7 @@ def test_a_returning_rate_continues_with_its_data():
     assert_accounted(result)
 
 
-def test_of_two_rates_the_longest_time_counts_and_the_present_one_is_at_hand():
+def test_sums_are_for_the_longest_rate_and_health_shows_the_present_one():
     t, x = still(9000)
     t = t + np.maximum(0, np.arange(9000) - 7000) * PERIOD
     result = accumulate(t, x)
@@ -320,7 +320,7 @@ def test_constant_values_have_no_noise():
     assert [f.axes for f in result.findings if f.id == 'no_noise'] == [AXES]
 
 
-def test_nothing_in_nothing_out():
+def test_an_empty_stream_gives_empty_results():
     empty = ImuStream().result()
     assert empty.sums == () and empty.findings == () and empty.health.state == 'waiting'
     one = accumulate(*still(1))

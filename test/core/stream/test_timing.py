@@ -105,7 +105,7 @@ def test_a_longer_gap_splits_the_data_without_interpolation():
     assert (counts.lost, counts.bridged) == (4, 0) and counts.cuts == {'gap': 1}
 
 
-def test_without_bridging_every_loss_cuts():
+def test_without_interpolation_every_loss_splits_the_data():
     keep = np.delete(np.arange(2000), [400, 900])
     runs, counts, _ = run(even(2000)[keep], max_bridge=0)
     assert len(runs) == 3 and counts.cuts == {'gap': 2}
@@ -129,7 +129,7 @@ def test_a_pause_followed_by_a_burst_is_not_a_gap(silence_ms):
     assert len(runs) == 1 and counts.lost == 0 and not stage.rate_changed
 
 
-def test_a_silence_in_bursty_stamps_that_stays_is_a_gap():
+def test_a_pause_in_bursty_stamps_without_a_burst_is_a_gap():
     stamps = bursts(6000)
     stamps[3000:] += 1000 * MS
     runs, counts, _ = run(stamps)

@@ -87,7 +87,7 @@ def test_messages_without_data_of_any_sensor_are_an_error():
     assert ['input_unusable'] in [source.second() for _ in range(20)]
 
 
-def test_a_trouble_is_forgotten_after_a_while():
+def test_a_problem_is_reported_for_a_limited_time():
     names = ('stuck', 'not_finite', 'duplicate', 'backward', 'rate_changes', 'reported_lost')
     for name in (*names, 'jumps'):
         source = Input()

@@ -95,7 +95,7 @@ def test_values_that_are_not_measured_stay() -> None:
     assert merged('a: 1\n', entry('topic', '/ours', keep=True)) == f'{BLOCK}a: 1\ntopic: /ours\n'
 
 
-def test_lists_in_any_style_give_way_to_a_list() -> None:
+def test_lists_of_any_style_are_replaced_by_a_list() -> None:
     lists = ('v: [1, 2, 3]', 'v:\n- 1\n- 2 # two\n- 3', 'v: 7', 'v:', 'v: # none yet')
     for mine in (f'{one}\nw: 1\n' for one in lists):
         text = merged(mine, entry('v', [0.1, 0.2, 0.3]))
@@ -115,14 +115,14 @@ def test_opencv_files_keep_their_first_line_and_their_matrices() -> None:
     assert merged('acc_n: 1\n', entry('acc_n'), opencv=True) == f'%YAML:1.0\n{BLOCK}acc_n: 0.5\n'
 
 
-def test_windows_line_ends_and_a_byte_order_mark_stay() -> None:
+def test_windows_line_ends_and_a_byte_order_mark_are_kept() -> None:
     assert merged('a: 1\r\nb: 2\r\n', entry('a')) == (BLOCK + 'a: 0.5\nb: 2\n').replace(
         '\n', '\r\n'
     )
     assert merged('\ufeffa: 1\n', entry('a')) == f'\ufeff{BLOCK}a: 0.5\n'
 
 
-def test_a_value_where_keys_belong_is_rejected() -> None:
+def test_a_value_in_place_of_keys_is_rejected() -> None:
     for mine in ('p: 1\n', 'p: [1]\n', 'p: {q: 1}\n', 'p:\n'):
         with pytest.raises(AllanError, match='is a value, not a mapping'):
             merged(mine, entry('p.q.r'))

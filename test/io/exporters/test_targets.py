@@ -174,7 +174,7 @@ def test_three_numbers_are_written_if_the_file_accepts_them(
 
 
 @pytest.mark.parametrize('name', EXPECTED)
-def test_no_character_of_a_path_leaves_the_comment(known_results: Results, name: str) -> None:
+def test_no_character_of_a_path_ends_the_comment(known_results: Results, name: str) -> None:
     (source,) = known_results.provenance.sources
     odd = replace(source, path='a\nacc_n: 7\rb\u2028c"""\x00', topic='')
     known = replace(known_results, provenance=replace(known_results.provenance, sources=(odd,)))

@@ -86,7 +86,7 @@ def test_negative_zeros_are_zeros():
     assert view(CovariancePatch(BOTH).patch(payload))['gyro_covariance'][0, 0] == 1e-6
 
 
-def test_what_has_nothing_to_fill_is_handed_on_as_it_is():
+def test_messages_with_nothing_to_fill_are_returned_unchanged():
     payload = message()
     assert CovariancePatch({}).patch(payload) is payload
     assert CovariancePatch(BOTH, frame_id='other').patch(payload) is payload

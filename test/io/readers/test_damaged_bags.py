@@ -166,7 +166,7 @@ def database(tmp_path: Path, batches: list[Any], how: str = 'none') -> Path:
     return next((tmp_path / 'run').glob('*.db3*'))
 
 
-def test_a_database_cut_inside_its_last_page_is_reported(
+def test_a_database_truncated_inside_its_last_page_is_reported(
     tmp_path: Path, imu_batches: Any, outcome: Any, read: Any
 ) -> None:
     data = database(tmp_path, imu_batches(3_600)).read_bytes()
@@ -200,7 +200,7 @@ def test_a_damaged_pointer_to_the_last_page_is_reported(
     assert not silent
 
 
-def test_reading_a_database_with_a_log_leaves_nothing_behind(
+def test_reading_a_database_with_a_log_creates_no_file(
     tmp_path: Path, imu_batches: Any, read: Any
 ) -> None:
     source = database(tmp_path, imu_batches(40))
@@ -361,7 +361,7 @@ def test_a_table_of_one_long_line(tmp_path: Path) -> None:
     assert 'line 2 has more than' in limited(path)
 
 
-def test_a_record_that_claims_the_whole_file(tmp_path: Path, imu_batches: Any) -> None:
+def test_a_record_with_the_length_of_the_file_is_rejected(tmp_path: Path, imu_batches: Any) -> None:
     data = mcap_file(tmp_path, imu_batches(100))
     at = next(start for opcode, start, _ in records(data) if opcode == CHUNK)
     path = tmp_path / 'sparse.mcap'

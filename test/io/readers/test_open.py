@@ -97,7 +97,7 @@ def test_odd_files_are_rejected_in_one_line(name: str, shared_data: Path, refuse
     assert ODD[name] in refused(shared_data / 'odd' / name)
 
 
-def test_no_odd_file_is_forgotten(shared_data: Path) -> None:
+def test_every_shared_file_is_tested(shared_data: Path) -> None:
     assert {path.name for path in (shared_data / 'odd').iterdir()} == set(ODD)
     assert {path.name for path in (shared_data / 'bags').iterdir()} == set(BAGS)
 

@@ -125,7 +125,7 @@ def our_way(path: Path) -> list[tuple[int, int, str, bytes]]:
 
 @settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 @given(STRETCHES, st.sampled_from(WAYS), st.integers(0, 999), st.sampled_from([1, 3, 256]))
-def test_the_fast_ways_give_the_messages_of_the_plain_one(
+def test_the_fast_paths_give_the_messages_of_the_plain_one(
     stretches: list[Stretch], way: tuple[str, str], seed: int, pages: int
 ) -> None:
     if not any(stretch.topic == '/imu' for stretch in stretches):

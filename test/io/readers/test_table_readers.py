@@ -84,7 +84,7 @@ def test_columns_can_be_named_and_left_out(tmp_path: Path, read: Any) -> None:
     np.testing.assert_array_equal(back.samples, [VALUES, VALUES])
 
 
-def test_a_header_gives_way_to_named_columns(tmp_path: Path, read: Any) -> None:
+def test_named_columns_override_the_header(tmp_path: Path, read: Any) -> None:
     path = tmp_path / 'imu.csv'
     path.write_text('a,b,c,d\n1,1,2,3\n2,1,2,3\n')
     back = read(path, columns=('t', 'gx', 'gy', 'gz'))
@@ -165,7 +165,7 @@ def test_columns_can_be_picked_by_their_names(tmp_path: Path, read: Any, refused
         ('t,angular_velocity.x,angular_velocity.y,angular_velocity.z', {}, [], 'rad/s'),
     ],
 )
-def test_a_unit_that_nothing_states_is_a_warning(
+def test_an_unstated_unit_is_a_warning(
     header: str, options: Any, assumed: list[str], gyro_unit: str, tmp_path: Path, read: Any
 ) -> None:
     path = tmp_path / 'imu.csv'

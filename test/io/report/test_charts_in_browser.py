@@ -65,7 +65,7 @@ def opened(browser: Chromium, page: Path, width: int) -> None:
 
 @pytest.mark.parametrize('width', [390, 1280])
 @pytest.mark.parametrize('name', RECORDINGS)
-def test_every_axis_has_three_labels_and_nothing_sticks_out(
+def test_every_axis_has_three_labels_within_the_figure(
     browser: Chromium, pages: dict[str, Path], name: str, width: int
 ) -> None:
     opened(browser, pages[name], width)
@@ -75,7 +75,7 @@ def test_every_axis_has_three_labels_and_nothing_sticks_out(
 
 
 @pytest.mark.parametrize('name', RECORDINGS)
-def test_labels_are_round_and_drawn_where_they_belong(
+def test_labels_are_round_numbers_at_their_positions(
     browser: Chromium, pages: dict[str, Path], name: str
 ) -> None:
     opened(browser, pages[name], 1280)

@@ -56,7 +56,7 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 @pytest.mark.parametrize(('width', 'dark'), [(1280, False), (390, True)])
-def test_the_page_draws_and_nothing_leaves_it(
+def test_the_page_draws_and_sends_no_request(
     browser: Chromium, page: Path, width: int, dark: bool
 ) -> None:
     assert page.stat().st_size < MAX_BYTES
@@ -79,7 +79,7 @@ def test_the_page_draws_and_nothing_leaves_it(
     assert (ground == 'rgb(255, 255, 255)') is not dark
 
 
-def test_hovering_and_keys_tell_the_numbers(browser: Chromium, page: Path) -> None:
+def test_hovering_and_keys_show_the_numbers(browser: Chromium, page: Path) -> None:
     browser.open(page, 1280)
     browser.evaluate('document.querySelector(".allan .u-over").scrollIntoView({block: "center"})')
     x, y = browser.evaluate(
