@@ -222,6 +222,10 @@ def analyze(
     if axes is not None:
         expect((str, Sequence), 'a text or a list', axes=axes)
     if paths := _paths(source):
+        if axes is not None:
+            raise AllanError(
+                'axes are for arrays, not files: name the columns of a table by columns'
+            )
         jobs = [ReadJob(path, reading, segmenter, hardware_id, True) for path in paths]
         several = min(processes, len(jobs)) > 1
         read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)

@@ -54,6 +54,7 @@ CALLS = [
     (lambda r: ar.analyze('x', topik='/imu'), "option 'topik' is unknown: use topic$"),
     (lambda r: ar.analyze('x', foo=1), "option 'foo' is unknown: use stamps, .*, topic, columns"),
     (lambda r: ar.analyze('x', rate_hz=9.0), "option 'rate_hz' is unknown"),
+    (lambda r: ar.analyze('x', axes='gyro'), 'axes are for arrays, not files: name the columns'),
     (lambda r: ar.analyze('x', rate=-1), 'rate_hz is -1: it must be at least 0 Hz'),
     (lambda r: ar.adev([1.0, 2.0], rate='x'), "rate is 'x': a number is expected"),
     (lambda r: ar.merge(5), SOURCE.format(5)),
