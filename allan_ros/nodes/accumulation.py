@@ -163,7 +163,7 @@ class ImuWatch(Part):
         """
         quiet, self._received = self._input.received == self._received, self._input.received
         if self._outdated:
-            health, findings = self._stream.outlook(self._result.sums)
+            health, findings = self._stream.present_health(self._result.sums)
             before, self._events = self._events, _events(health)
             if not quiet and self._events == before:
                 return health, findings

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ..allan.spectrum import SpectrumSums
 from ..allan.sums import LONGEST_FILLED, AllanSums
-from ..errors import AllanError
 from ..findings import Finding, finding
 from ..imu import NANOSECONDS, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, sensor_of
 from ..settings import SegmenterSettings
@@ -200,22 +199,6 @@ class StreamSums(NamedTuple):
         return StreamSums(self.sums + other.sums, both, tuple(sorted(segments[:LISTED_SEGMENTS])))
 
 
-def joined_by_rate(former: list[StreamSums], present: StreamSums) -> list[StreamSums]:
-    """Return the sums at each sample rate, from those at earlier rates and the present ones.
-
-    If the present rate equals an earlier one, the two are added.
-    """
-    if not present.sums.samples:
-        return former
-    for i, each in enumerate(former):
-        try:
-            joined = each.joined(present)
-        except AllanError:  # another rate
-            continue
-        return [*former[:i], joined, *former[i + 1 :]]
-    return [*former, present]
-
-
 @dataclass(frozen=True)
 class Accumulation:
     """The results of a stream.
@@ -385,21 +368,10 @@ def _unit_findings(sums: AllanSums) -> list[Finding]:
                 found.append(finding('gyro_unit', axes, n=n, rate=rate))
         elif len(own) == place.stop - place.start:
             norm = float(np.linalg.norm(mean[own]))
-            unit = gravity_unit(norm)
-            if unit is None:
+            factors = {unit: UNITS[unit].factor for unit in SAMPLE_UNITS['accel']}
+            units = [u for u, f in factors.items() if abs(norm * f / STANDARD_GRAVITY - 1) < G_BAND]
+            if units and units[0] != 'm/s^2':
+                found.append(finding('accel_unit', axes, norm=norm, unit=units[0]))
+            elif not units and norm >= WEIGHTLESS:
                 found.append(finding('accel_scale', axes, norm=norm))
-            elif unit != 'm/s^2':
-                found.append(finding('accel_unit', axes, norm=norm, unit=unit))
     return found
-
-
-def gravity_unit(norm: float) -> str | None:
-    """Return the unit in which ``norm``, the magnitude of a mean acceleration, equals gravity.
-
-    The result is 'm/s^2' if ``norm`` is close to 0, because gravity was subtracted, and None if
-    ``norm`` equals gravity in no known unit.
-    """
-    for unit in SAMPLE_UNITS['accel']:
-        if abs(norm * UNITS[unit].factor / STANDARD_GRAVITY - 1.0) < G_BAND:
-            return unit
-    return 'm/s^2' if norm < WEIGHTLESS else None

@@ -387,16 +387,13 @@ def _contiguous(blocks: list[Block]) -> list[list[Block]]:
 
 def _split(blocks: list[Block], samples: int) -> tuple[list[Block], list[Block]]:
     """Split consecutive blocks after a number of samples."""
-    first: list[Block] = []
     for i, block in enumerate(blocks):
         if len(block) > samples:
-            return (
-                [*first, block.part(slice(samples), block.cut)] if samples else first,
-                [block.part(slice(samples, None), '' if samples else block.cut), *blocks[i + 1 :]],
-            )
-        first.append(block)
+            before = [block.part(slice(samples), block.cut)] if samples else []
+            after = block.part(slice(samples, None), '' if samples else block.cut)
+            return [*blocks[:i], *before], [after, *blocks[i + 1 :]]
         samples -= len(block)
-    return first, []
+    return blocks, []
 
 
 def classify_windows(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 from bisect import insort
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from ..allan.engine import RunningAllan
 from ..allan.spectrum import RunningSpectrum
 from ..allan.sums import AllanSums
+from ..errors import AllanError
 from ..findings import Finding
 from ..imu import AXES, ImuBatch, ImuIdentity, joined
 from ..settings import SegmenterSettings
@@ -34,7 +36,6 @@ from .health import (
     State,
     StreamHealth,
     StreamSums,
-    joined_by_rate,
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
@@ -116,7 +117,9 @@ class ImuStream:
             tuple(each.spectrum for each in longest if each.spectrum is not None),
         )
 
-    def outlook(self, sums: tuple[AllanSums, ...]) -> tuple[StreamHealth, tuple[Finding, ...]]:
+    def present_health(
+        self, sums: tuple[AllanSums, ...]
+    ) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return state and findings without computing new sums, which is faster than `result`.
 
         ``sums`` are those of an earlier `result`. Samples that are not classified yet are missing
@@ -223,7 +226,7 @@ class FrameStream:
         return [each for sensor in self.sensors for each in sensor.by_rate()]
 
     def update(self, batch: ImuBatch) -> None:
-        """Process the next samples."""
+        """Process the next samples with this frame_id."""
         if self.sensors:
             self._feed(batch)
             return
@@ -310,7 +313,7 @@ class SensorStream:
 
     @property
     def state(self) -> State:
-        """State of this sensor stream."""
+        """'waiting' or 'learning' until the period is known, then the state of `MotionGate`."""
         if self._clock is None:
             return 'learning' if self._buffered else 'waiting'
         return 'still' if self._gate is None else self._gate.state
@@ -331,13 +334,19 @@ class SensorStream:
         return None if self._clock is None else self._clock.clock
 
     def by_rate(self) -> list[StreamSums]:
-        """Return the sums at each sample rate; an earlier rate that returns is continued."""
+        """Return the sums at each sample rate; those at an earlier rate are continued."""
         spectrum = None if self._spectrum is None else self._spectrum.sums
         segments = tuple(sorted(segment for _, segment in self._segments))
         sums = self._engine.sums
         if len(self._filled.count):
             sums = replace(sums, filled=self._filled.count.copy())
-        return joined_by_rate(self._former, StreamSums(sums, spectrum, segments))
+        if not sums.samples:
+            return self._former
+        present = StreamSums(sums, spectrum, segments)
+        for i, each in enumerate(self._former):
+            with suppress(AllanError):  # another rate
+                return [*self._former[:i], each.joined(present), *self._former[i + 1 :]]
+        return [*self._former, present]
 
     @property
     def means(self) -> Means | None:

@@ -375,7 +375,7 @@ class SampleClock:
         return len(step)
 
     def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:
-        """Return how many samples were lost before a sample, from the smallest delays.
+        """Return how many samples were lost before a sample, by the increase of the delay.
 
         The sample has position ``at`` in the buffer and ``j`` among the samples being processed,
         whose steps of the index are ``advance``.

@@ -10,7 +10,7 @@ precedence over the unit in the options.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -140,7 +140,7 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
     return tuple(renamed)
 
 
-def listed(names: tuple[str, ...], most: int = 10) -> str:
+def listed(names: Sequence[str], most: int = 10) -> str:
     """Return the first ``most`` names and the number of further ones, as text for messages."""
     text = ', '.join(names[:most])
     return f'{text} and {len(names) - most} more' if len(names) > most else text

@@ -22,6 +22,7 @@ from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch, joined
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
+from .columns import listed
 from .recording import (
     BATCH,
     METADATA,
@@ -49,9 +50,6 @@ from .storage import (
 ENCODINGS = ('cdr', 'ros1')
 """Supported serializations."""
 
-LISTED = 10
-"""Largest number of topics that a message lists."""
-
 Key = tuple[str, str]
 """Topic name and type, which identify a topic in all files of a bag."""
 
@@ -72,8 +70,7 @@ class Survey:
             encoding = self.topics[key].encoding
             unsupported = '' if encoding in ENCODINGS else f', serialized as {encoding}'
             shown.append(f'{key[0]} ({key[1]}, {self.counts[key]}{unsupported})')
-        more = f' and {len(shown) - LISTED} more' if len(shown) > LISTED else ''
-        return ', '.join(shown[:LISTED]) + more
+        return listed(shown)
 
     def imus(self, keys: Iterable[Key] | None = None) -> list[ImuSource]:
         """Return the Imu topics among ``keys`` (None: all topics).
@@ -238,7 +235,7 @@ def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
                 if kind == kind.NAME:
                     yield from search(inner, (*above, inside))
 
-    return list(search(topic.type, ())) if definitions else []
+    return list(search(topic.type, ()))
 
 
 def _is_unknown(topic: Topic) -> bool:

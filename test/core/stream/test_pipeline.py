@@ -146,20 +146,20 @@ def test_reading_the_result_changes_nothing():
 
 
 @pytest.mark.parametrize('fault', FAULTS)
-def test_the_outlook_is_the_health_of_the_result_but_for_buffered_samples(fault):
+def test_the_present_health_is_that_of_the_result_but_for_buffered_samples(fault):
     t, x = FAULTS[fault](*still(12_000), np.random.default_rng(0))
     stream = ImuStream(with_means=True, with_spectra=True)
     for at in range(0, len(t), 1500):
         stream.update(ImuBatch(t[at : at + 1500], x[at : at + 1500]))
         known = stream.result()
-        health, _ = stream.outlook(known.sums)
+        health, _ = stream.present_health(known.sums)
         assert (health.state, health.frame_id) == (known.health.state, known.health.frame_id)
         assert health.counts.received == known.health.counts.received
         assert 0 <= known.health.counts.used - health.counts.used < 2000
     stream.update(ImuBatch(t, x, frame_id='another'))
     stream.end()
     known = stream.result()
-    assert stream.outlook(known.sums) == (known.health, known.findings)
+    assert stream.present_health(known.sums) == (known.health, known.findings)
 
 
 @pytest.mark.parametrize(
