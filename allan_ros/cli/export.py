@@ -115,8 +115,8 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
         row = [name]
         for header in HEADERS[1:]:
             sensor, term, unit = header.split()
-            of_axes = (of for axis, of in sheet.limits.items() if axis.startswith(sensor))
-            limits = [of[term].value for of in of_axes if term in of]
+            by_axis = (terms for axis, terms in sheet.limits.items() if axis.startswith(sensor))
+            limits = [terms[term].value for terms in by_axis if term in terms]
             row.append(significant(max(limits) / UNITS[unit].factor, DIGITS) if limits else '-')
         rows.append(row)
     widths = [max(map(len, column)) + GAP for column in zip(*rows)]

@@ -148,8 +148,8 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
             for pair in comparison.pairs
         ],
         'datasheets': [
-            {'run': label, **comparison_to_document(of_run)}
-            for label, of_run in comparison.datasheets
+            {'run': label, **comparison_to_document(checked)}
+            for label, checked in comparison.datasheets
         ],
     }
 
@@ -162,8 +162,8 @@ def comparison_headline(comparison: RunComparison) -> Iterator[str]:
     """Yield a sentence for each pair and each datasheet: the largest difference, if any."""
     for pair in comparison.pairs:
         yield _pair_sentence(pair, comparison.family_error)
-    for label, of_run in comparison.datasheets:
-        yield _datasheet_sentence(label, of_run)
+    for label, checked in comparison.datasheets:
+        yield _datasheet_sentence(label, checked)
 
 
 def ratio_text(difference: Difference) -> str:
@@ -206,14 +206,16 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
     # Coefficients take precedence; deviations are named if no coefficient differs.
     named = [d for d in found if d.tau is None] or found
     # a ratio of two measured values comes before a bound: "10x" before "at least 156x"
-    most = max(named, key=lambda d: (d.ratio is not None, _ratio_above_one(d)[1]))
-    ratio, low, high = (r and significant(r, RATIO_DIGITS) for r in _ratio_above_one(most))
+    largest = max(named, key=lambda d: (d.ratio is not None, _ratio_above_one(d)[1]))
+    ratio, low, high = (r and significant(r, RATIO_DIGITS) for r in _ratio_above_one(largest))
     times = f'{ratio}x ' if ratio else ''
-    word = 'noisier' if most.verdict == 'higher' else 'quieter'
+    word = 'noisier' if largest.verdict == 'higher' else 'quieter'
     interval = f'at least {low}x' if high == 'inf' else f'{low}..{high}'
-    text = f'{pair.second} is {times}{word} than {pair.first} in {quantity_text(most)} ({interval})'
+    text = (
+        f'{pair.second} is {times}{word} than {pair.first} in {quantity_text(largest)} ({interval})'
+    )
     others = len(found) - 1
-    opposite = sum(d.verdict != most.verdict for d in found)
+    opposite = sum(d.verdict != largest.verdict for d in found)
     if others:
         text += f', and differs in {others} more of {len(pair.differences)} comparisons'
     if opposite:
@@ -300,15 +302,15 @@ def markdown(comparison: RunComparison, units: str = 'datasheet') -> str:
                 what = [d.quantity, unit.name, *values]
             rows.append([d.axis, *what, ratio_text(d), verdict_text(d)])
         parts += _section(f'{second} against {first}', rows)
-    for label, of_run in comparison.datasheets:
+    for label, checked in comparison.datasheets:
         rows = [['axis', 'term', 'limit', 'stated', '']]
-        for c in of_run.comparisons:
+        for c in checked.comparisons:
             unit = shown_unit(c.axis, c.term, units)
             limit = f'{c.limit * unit.factor:.3g} {unit.name}'
-            stated = _safe(of_run.limit(c).stated)
+            stated = _safe(checked.limit(c).stated)
             rows.append([c.axis, c.term, limit, stated, VERDICT_TEXT[c.verdict]])
         parts += _section(
-            f'{_safe(label)} and the datasheet of {_safe(of_run.datasheet.name)}', rows
+            f'{_safe(label)} and the datasheet of {_safe(checked.datasheet.name)}', rows
         )
     return '\n'.join(parts)
 

@@ -112,15 +112,15 @@ def new_figure(
     unit = (width - LEFT_IN - right - between * (len(ratios) - 1)) / sum(ratios)
     panels: list[list[Axes]] = []
     for i in reversed(range(rows)):
-        left, of_row = LEFT_IN, []
+        left, in_row = LEFT_IN, []
         for ratio in ratios:
             box = (left, FOOT_IN + row * i, unit * ratio, row - gap)
             sizes = (width, height, width, height)
             panel = figure.add_axes(tuple(inches / size for inches, size in zip(box, sizes)))
             panel.xaxis.set_visible(i == 0)
-            of_row.append(panel)
+            in_row.append(panel)
             left += unit * ratio + between
-        panels.append(of_row)
+        panels.append(in_row)
     panels[-1][0].set_xlabel(TAU_LABEL)
     return figure, panels
 

@@ -136,11 +136,11 @@ def sensor_figure(
             figure, panels = new_figure(len(axes), head, right=MARGIN_IN + KEY_RIGHT_IN)
         else:
             figure, panels = new_figure(len(axes), head, gap=KEY_ABOVE_IN)
-        for of_axis, (name, axis) in zip(panels, axes.items()):
-            _draw_axis(of_axis[0], name, axis, units, wide)
-            if len(of_axis) > 1 and summary is not None:
-                _draw_signal(of_axis[1], name, summary, units)
-                of_axis[1].set_xlabel(f'time [{_clock(summary)[1]}]' * (of_axis is panels[-1]))
+        for row, (name, axis) in zip(panels, axes.items()):
+            _draw_axis(row[0], name, axis, units, wide)
+            if len(row) > 1 and summary is not None:
+                _draw_signal(row[1], name, summary, units)
+                row[1].set_xlabel(f'time [{_clock(summary)[1]}]' * (row is panels[-1]))
         ink = rcParams['text.color']
         points = {'ls': '', 'marker': 'o', 'ms': 3, 'mfc': 'none', 'mec': ink, 'mew': 0.7}
         entries = [
@@ -184,13 +184,13 @@ def comparison_figure(
         figure, panels = new_figure(
             len(curves), head, between=0.52, ratios=(1.0, 1.0) if ratios else (1.0,)
         )
-        for of_axis, (name, of_runs) in zip(panels, curves.items()):
-            panel = of_axis[0]
-            if _set_up(panel, name, of_runs.values(), units):
-                for i, curve in of_runs.items():
+        for row, (name, by_run) in zip(panels, curves.items()):
+            panel = row[0]
+            if _set_up(panel, name, by_run.values(), units):
+                for i, curve in by_run.items():
                     _draw_run(panel, i, curve)
             if ratios:
-                _draw_ratios(of_axis[1], name, comparison)
+                _draw_ratios(row[1], name, comparison)
         if ratios:
             panels[-1][1].set_xlabel(TAU_LABEL)
         styles = [_run_style(i) for i in range(len(comparison.runs))]

@@ -9,7 +9,7 @@ const AllanChart = (() => {
   const DASHES = { Q: [1, 3], N: [8, 3], B: [9, 3, 2, 3], K: [14, 4], R: [4, 3, 1, 3, 1, 3] };
   const PROCESS = [2, 4];
   const LIMIT = [1, 5];
-  const BESIDE = [[2, 2], [6, 2], [1, 4]];
+  const REFERENCE = [[2, 2], [6, 2], [1, 4]];
   const STRIP = 15;
   // The flat part of the curve is at 0.664 B: the label states this, because the table contains B.
   const caption = (term, likely = []) => (term === 'B' ? '0.664 B' : term) + (likely.includes(term) ? '?' : '');
@@ -30,10 +30,10 @@ const AllanChart = (() => {
 
   function create(host, sensor, units) {
     const axes = sensor.axes.filter((a) => a.adev);
-    const shown = new Set([...axes.map((a) => a.label), 'fit', 'limits', 'upper', 'Q', 'N', 'B', 'K', 'R', 'other', 'beside']);
+    const shown = new Set([...axes.map((a) => a.label), 'fit', 'limits', 'upper', 'Q', 'N', 'B', 'K', 'R', 'other', 'references']);
     let system = units;
     let near = axes[0];
-    let taken = [];
+    let occupied = [];
     const unit = () => sensor.units[system].curve;
     const scaled = (values) => values.map((v) => (v === null ? null : v * unit()[1]));
     const columns = () => [sensor.tau, ...axes.flatMap((a) => [scaled(a.low), scaled(a.high), scaled(a.fit), scaled(a.adev), scaled(a.most)])];
@@ -138,8 +138,8 @@ const AllanChart = (() => {
         const centre = align === 'right' ? px - wide / 2 : px;
         const x = Math.min(Math.max(centre, bbox.left + wide / 2 + 3 * ratio), bbox.left + bbox.width - wide / 2 - 3 * ratio);
         if (y < bbox.top + 8 * ratio || y > bbox.top + bbox.height - 8 * ratio) continue;
-        if (taken.some(([ox, oy, ow]) => Math.abs(ox - x) < (ow + wide) / 2 + 4 * ratio && Math.abs(oy - y) < 15 * ratio)) continue;
-        taken.push([x, y, wide]);
+        if (occupied.some(([ox, oy, ow]) => Math.abs(ox - x) < (ow + wide) / 2 + 4 * ratio && Math.abs(oy - y) < 15 * ratio)) continue;
+        occupied.push([x, y, wide]);
         text(u, words, x, y, ink);
         return;
       }
@@ -169,12 +169,12 @@ const AllanChart = (() => {
     function above(u) {
       const { ctx } = u;
       const ratio = devicePixelRatio;
-      taken = [];
-      const beside = sensor.references.filter((r) => r.axis === near.name && shown.has('beside'));
+      occupied = [];
+      const references = sensor.references.filter((r) => r.axis === near.name && shown.has('references'));
       const drawn = shown.has(near.label) ? Object.entries(near.parts).filter(([name]) => shown.has(isTerm(name) ? name : 'other')) : [];
       if (shown.has(near.label)) {
         if (shown.has('upper')) for (const values of Object.values(near.upper)) line(u, values, LIMIT, 1, colour(near.label));
-        beside.forEach((other, i) => line(u, other.adev, BESIDE[i % BESIDE.length], 1.4, colour('ink-2')));
+        references.forEach((other, i) => line(u, other.adev, REFERENCE[i % REFERENCE.length], 1.4, colour('ink-2')));
         for (const [term, values] of drawn) line(u, values, DASHES[term] || PROCESS, 1.2, colour(near.label));
       }
       for (const a of visible()) {
@@ -193,7 +193,7 @@ const AllanChart = (() => {
       }
       for (const [term, values] of drawn) letter(u, term, values, colour(near.label));
       if (shown.has(near.label) && shown.has('upper')) for (const [term, values] of Object.entries(near.upper)) name(u, `${term} limit`, values, [14, 34, 60], 30);
-      if (shown.has(near.label)) beside.forEach((other) => name(u, other.name, other.adev, [-14, 14], 50));
+      if (shown.has(near.label)) references.forEach((other) => name(u, other.name, other.adev, [-14, 14], 50));
       visible().forEach((a, row) => strip(u, a, row));
     }
 
@@ -236,7 +236,7 @@ const AllanChart = (() => {
       }
       if (found !== near) {
         near = found;
-        tell();
+        showAxis();
         u.redraw(false, false);
       }
     }
@@ -263,7 +263,7 @@ const AllanChart = (() => {
     const heading = element('h3', {}, 'Allan deviation');
     const parts = element('span', {});
     const axisName = () => `Allan deviation σ(τ) [${unit()[0]}]`;
-    const tell = () => { parts.textContent = `Parts of the model are drawn for ${near.label}`; };
+    const showAxis = () => { parts.textContent = `Parts of the model are drawn for ${near.label}`; };
     const controls = element('div', { class: 'controls' });
     host.append(heading, controls);
     const u = Chart.create(host, {
@@ -286,14 +286,14 @@ const AllanChart = (() => {
         [limits, limits, model, there, model && shown.has('upper')].forEach((state, j) => u.setSeries(5 * i + 1 + j, { show: state }));
       });
       if (!shown.has(near.label) && visible().length) [near] = visible();
-      tell();
+      showAxis();
       u.setData(columns());
     }
     const terms = [...new Set(axes.flatMap((a) => Object.keys(a.parts)))];
     const others = [{ key: 'fit', text: 'model' }, { key: 'limits', text: '68 % limits' }];
     if (axes.some((a) => Object.keys(a.upper).length)) others.push({ key: 'upper', text: 'limits of unresolved terms', dash: LIMIT });
     if (terms.some((t) => !isTerm(t))) others.push({ key: 'other', text: 'processes', dash: PROCESS });
-    if (sensor.references.length) others.push({ key: 'beside', text: [...new Set(sensor.references.map((r) => r.name))].join(', '), dash: BESIDE[0] });
+    if (sensor.references.length) others.push({ key: 'references', text: [...new Set(sensor.references.map((r) => r.name))].join(', '), dash: REFERENCE[0] });
     const title = () => `${heading.dataset.sensor}: Allan deviation`;
     heading.dataset.sensor = sensor.title;
     heading.append(Chart.element('span', { class: 'grow' }), Picture.buttons(u, title, `allan_${sensor.sensor}`));
@@ -303,16 +303,16 @@ const AllanChart = (() => {
       Chart.toggles('parts', Object.keys(DASHES).filter((t) => terms.includes(t)).map((t) => ({ key: t, text: caption(t), dash: DASHES[t] })), change),
       Chart.toggles('also', others, change),
     );
-    const said = ['The strips above the chart show which part of the model dominates; crosses mark where coefficients are read. '];
-    if (axes.some((a) => a.likely.length)) said.push('"?": likely but not resolved. ');
-    if (axes.some((a) => Object.keys(a.upper).length)) said.push('Shaded: possible contribution of unresolved terms, up to the 95\u00a0% upper limits (dotted). ');
-    host.append(element('p', { class: 'note' }, ...said, parts, element('span', { class: 'hint' }, ', the curve nearest to the cursor. Drag to zoom, double-click to go back'), '.'));
-    tell();
+    const note = ['The strips above the chart show which part of the model dominates; crosses mark where coefficients are read. '];
+    if (axes.some((a) => a.likely.length)) note.push('"?": likely but not resolved. ');
+    if (axes.some((a) => Object.keys(a.upper).length)) note.push('Shaded: possible contribution of unresolved terms, up to the 95\u00a0% upper limits (dotted). ');
+    host.append(element('p', { class: 'note' }, ...note, parts, element('span', { class: 'hint' }, ', the curve nearest to the cursor. Drag to zoom, double-click to go back'), '.'));
+    showAxis();
     return {
       units(next) {
         system = next;
         u.axes[1].label = axisName();
-        tell();
+        showAxis();
         u.setData(columns());
       },
     };

@@ -108,7 +108,7 @@ const OtherCharts = (() => {
       const unit = () => sensor.units[system].signal;
       const columns = () => [shownTime, a.low, a.high].map((c, i) => (i ? c.map((v) => (v === null ? null : v * unit()[1])) : c));
       const heading = element('p', { class: 'row' });
-      const tell = () => { heading.textContent = `${label} about ${number(a.middle * unit()[1])} ${unit()[0]}`; };
+      const showMiddle = () => { heading.textContent = `${label} about ${number(a.middle * unit()[1])} ${unit()[0]}`; };
       inner.append(heading);
       const u = Chart.create(inner, {
         label: `Raw signal of ${a.name}`,
@@ -146,17 +146,17 @@ const OtherCharts = (() => {
           ];
         },
       }, columns());
-      tell();
-      made.push((next) => { system = next; tell(); u.setData(columns()); });
+      showMiddle();
+      made.push((next) => { system = next; showMiddle(); u.setData(columns()); });
     });
-    const said = ['Lowest and highest sample of each short interval.'];
+    const note = ['Lowest and highest sample of each short interval.'];
     const reasons = new Set(leftOut.map(([, , why]) => why));
-    if (reasons.has('motion')) said.push('Hatched to the upper right: left out because the IMU moved.');
-    if (reasons.has('stuck')) said.push('Hatched to the lower right, red: left out because an axis repeated one value.');
-    if (reasons.has('')) said.push('Hatched to the lower right, grey: left out (warm-up, or another rate).');
-    if (gaps.length) said.push('Grey: no samples.');
-    if (starts.length > 1) said.push('Vertical lines: start of the next recording.');
-    inner.append(element('p', { class: 'note' }, said.join(' ')));
+    if (reasons.has('motion')) note.push('Hatched to the upper right: left out because the IMU moved.');
+    if (reasons.has('stuck')) note.push('Hatched to the lower right, red: left out because an axis repeated one value.');
+    if (reasons.has('')) note.push('Hatched to the lower right, grey: left out (warm-up, or another rate).');
+    if (gaps.length) note.push('Grey: no samples.');
+    if (starts.length > 1) note.push('Vertical lines: start of the next recording.');
+    inner.append(element('p', { class: 'note' }, note.join(' ')));
     return { units(next) { made.forEach((update) => update(next)); } };
   }
 
@@ -223,10 +223,10 @@ const OtherCharts = (() => {
     };
     const notes = () => {
       if (data.kind === 'noise') return `Allan deviation at ${number(data.span, 2)} s in each period; it is constant if the noise does not change.`;
-      const said = `Averages over ${number(data.span, 3)} s at rest, minus their mean.`;
-      if (data.kind === 'temperature') return `${said} Slope of a straight line, per °C: ${listed(data.slopes)}.`;
-      if (data.white.every((v) => v === null)) return said;
-      return `${said} With white noise alone, 95 % of them lie within ± ${listed(data.white)}.`;
+      const note = `Averages over ${number(data.span, 3)} s at rest, minus their mean.`;
+      if (data.kind === 'temperature') return `${note} Slope of a straight line, per °C: ${listed(data.slopes)}.`;
+      if (data.white.every((v) => v === null)) return note;
+      return `${note} With white noise alone, 95 % of them would lie within ± ${listed(data.white)}.`;
     };
     const heading = element('h3', {}, title);
     host.append(heading);

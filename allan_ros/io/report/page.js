@@ -36,19 +36,19 @@
   }
 
   function copyButtons(host, sensor) {
-    const said = element('span', { role: 'status' });
+    const status = element('span', { role: 'status' });
     host.append(element('span', {}, 'copy as'));
     const offers = { ...Object.fromEntries(Object.keys(sensor.copy[data.units]).map((form) => [form, () => sensor.copy[chosen()][form]])), 'curve (TSV)': () => curve(sensor) };
     for (const [form, text] of Object.entries(offers)) {
       const button = element('button', { type: 'button' }, form);
       button.addEventListener('click', async () => {
-        said.textContent = (await copy(text())) ? `${form} copied` : 'the browser does not allow it';
+        status.textContent = (await copy(text())) ? `${form} copied` : 'the browser does not allow it';
       });
       host.append(button);
     }
     const file = element('button', { type: 'button', 'data-form': 'CSV' }, 'CSV');
     file.addEventListener('click', () => Picture.save(new Blob([csv(sensor)], { type: 'text/csv' }), `coefficients_${sensor.sensor}.csv`));
-    host.append(element('span', { class: 'grow' }), element('span', { class: 'save' }, 'save as', file), said);
+    host.append(element('span', { class: 'grow' }), element('span', { class: 'save' }, 'save as', file), status);
     host.hidden = false;
   }
 

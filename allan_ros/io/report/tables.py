@@ -113,9 +113,9 @@ def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
     """Yield HTML of the predicted error of angle or velocity over time without correction, and of
     the scatter of the bias between recordings."""
     rows: list[Row] = []
-    for of_time in zip(*(axis.growth for axis in axes.values())):
-        cells = (f'<td>{_size(g.std, g.ci95, ERRORS[sensor], below=True)}</td>' for g in of_time)
-        rows.append((f'after {of_time[0].horizon:g}&nbsp;s', cells))
+    for growth in zip(*(axis.growth for axis in axes.values())):
+        cells = (f'<td>{_size(g.std, g.ci95, ERRORS[sensor], below=True)}</td>' for g in growth)
+        rows.append((f'after {growth[0].horizon:g}&nbsp;s', cells))
     if rows:
         unit = in_units(
             lambda system: f'Predicted {WALKS[sensor][0]} error [{ERRORS[sensor][system].name}]'

@@ -119,7 +119,7 @@ def test_the_part_left_out_is_reported_with_its_temperature(browser: Chromium, p
 def test_axes_and_parts_are_switched(browser: Chromium, page: Path) -> None:
     browser.open(page, 1280)
     canvas = 'document.querySelector(".allan canvas").toDataURL()'
-    for key in ('y', 'N', 'fit', 'limits', 'beside'):
+    for key in ('y', 'N', 'fit', 'limits', 'references'):
         before = browser.evaluate(canvas)
         browser.evaluate(f'document.querySelector(".allan button[data-key={key}]").click()')
         pressed = f'document.querySelector(".allan button[data-key={key}]").ariaPressed'
