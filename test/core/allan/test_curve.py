@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.allan.curve import allan_curve, edf
+from allan_ros.core.allan.curve import allan_curve, edf, noise_types_of_avar
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
+from allan_ros.core.noise import term_avar
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
 AXES = ('gyro_x', 'gyro_y')
+FACTORS = 2 ** np.arange(11)
 
 
 def sums_of(*segments, rate=100.0):
@@ -80,3 +82,16 @@ def test_constant_values_have_a_curve_of_zeros():
 def test_sums_without_samples_have_no_curve():
     with pytest.raises(AllanError, match='at least two samples'):
         allan_curve(AllanSums.empty())
+
+
+@pytest.mark.parametrize('term, alpha', [('Q', 2), ('N', 0), ('B', -1), ('K', -2), ('R', -2)])
+def test_the_slope_determines_the_type_of_pure_noise(term, alpha):
+    avar = term_avar(FACTORS, 0.01, NoiseTerms(**{term: 1e-3})).sum(axis=1)[:, None]
+    types = noise_types_of_avar(FACTORS, avar, 10**6)
+    assert (types[4:] == alpha).all()  # below, a random walk steps once a sample
+
+
+def test_the_last_noise_type_is_kept_near_the_end_of_the_record():
+    avar = np.stack([1.0 / FACTORS, np.full(len(FACTORS), np.nan), np.zeros(len(FACTORS))], axis=1)
+    avar[-2:, 0] = 10.0, 100.0  # two outliers of a record of 2048 samples
+    assert (noise_types_of_avar(FACTORS, avar, 2048) == 0).all()

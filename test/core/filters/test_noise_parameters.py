@@ -25,6 +25,7 @@ from allan_ros.core.filters.noise_parameters import (
     Level,
     axis_level,
     madgwick_gain,
+    measure_inflation,
     midpoint_white_std,
     reduce_axis,
     reduced_ends,
@@ -239,3 +240,25 @@ def test_white_noise_alone_can_bound_the_growth() -> None:
     # h = W = 60 s: the growth of flicker alone is h B sqrt(4 ln2/pi), that of N is N sqrt(2 h)
     drift = 2.0 * math.log(2.0) / math.pi * 1e-8 * 60.0
     assert wide[0] == pytest.approx(100.0 * (1e-6 + drift), rel=0.02)
+
+
+def fit_of_n_and_k(n: float, k: float) -> AxisFit:
+    noise = {term: Coefficient(None, None, 1e-9, 'not_observable') for term in 'QBR'}
+    return AxisFit({**noise, 'N': Coefficient(n), 'K': Coefficient(k)})
+
+
+def test_the_larger_value_is_used_and_divided_by_the_value_at_rest() -> None:
+    rest = {'gyro_x': fit_of_n_and_k(1e-3, 2e-5), 'gyro_y': fit_of_n_and_k(1e-3, 1e-5)}
+    running = {'gyro_x': fit_of_n_and_k(3e-3, 1e-5)}
+    ((axis, one),) = measure_inflation(rest, running).items()
+    assert axis == 'gyro_x'
+    assert (one.white.use, one.white.factor) == pytest.approx((3e-3, 3.0))
+    # a smaller K with motors on is due to chance: the value at rest is used
+    assert (one.walk.use, one.walk.factor) == pytest.approx((2e-5, 1.0))
+
+
+def test_fits_without_a_common_axis_are_rejected() -> None:
+    with pytest.raises(AllanError, match='no axis in common'):
+        measure_inflation(
+            {'gyro_x': fit_of_n_and_k(1.0, 1.0)}, {'accel_x': fit_of_n_and_k(1.0, 1.0)}
+        )
