@@ -11,6 +11,8 @@ Terms used in this package:
 - *variance coefficients* q, w, b, k: the squares of Q, N, B, K with tau0 as the unit of time. The
   expected Allan variance is linear in them.
 - *ramp*: constant rate of change of the samples of one segment (term R), per sample.
+- *kept segment*: one of the longest segments, which are stored separately. Shorter segments are
+  *pooled* by length.
 - *process*: a Gauss-Markov process or a sinusoid that is added to the model if the five terms do
   not describe the measured curve. Its *shape* is its correlation time or its frequency.
 - *table*: Allan variances of one axis with the ramps removed, their expectation per unit

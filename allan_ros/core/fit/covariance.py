@@ -66,7 +66,10 @@ PRODUCTS = len(_SMOOTH_PAIRS) + 3
 
 @dataclass(frozen=True)
 class PairSums:
-    """Sums over all pairs of differences of one record, with the sample period as unit of time.
+    """Sums over lags from which the covariance of the Allan variances of one record follows.
+
+    C_k(s) is the covariance of two differences at lag s for a unit variance coefficient k, and
+    cnt(s) is the number of pairs of differences at this lag. The sample period is the unit of time.
 
     Attributes
     ----------
@@ -109,13 +112,17 @@ def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
 
 
 def _products(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return the six products and the three covariances of differences at lags s, (9, ...)."""
+    """Return the products and values of the covariances of differences at lags s, (9, ...).
+
+    The first six rows are products of two of white, flicker and cubic part; the last three are the
+    covariances.
+    """
     c = lag_covariance(s, mi, mj)
     return np.stack([*(c[a] * c[b] for a, b in _SMOOTH_PAIRS), *c])
 
 
 def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
-    """Return sums over the lags a..b of `_products`, and of these times the lag, (2, 9, n).
+    """Return sums over the lags a..b of covariance products, and of these times the lag, (2, 9, n).
 
     All arguments are (n,) arrays of whole numbers, a <= b. The first and the last lag count half.
     Up to `EXACT_POINTS` lags are summed, more are integrated by Gauss-Legendre quadrature.
@@ -147,7 +154,11 @@ def _edges(mi: int, mj: int) -> Ints:
 
 
 class _LagTable:
-    """Cumulative sums over lags for every pair of factors whose smaller one is on level 0."""
+    """Cumulative sums over lags of products of covariances, which serve records of any length.
+
+    They are stored for pairs of averaging factors whose smaller one is in the first octave of the
+    grid (level 0). Other pairs follow by scaling.
+    """
 
     def __init__(self, factors: int) -> None:
         first = len(FIRST_FACTORS) + len(LEVEL_FACTORS)
@@ -208,9 +219,9 @@ def _lag_table(octaves: int) -> _LagTable:
 
 @lru_cache(maxsize=80)
 def pair_sums(samples: int) -> PairSums:
-    """Return the sums over pairs of a record of ``samples`` samples; the last 80 are cached.
+    """Return the sums that give the covariance of the Allan variances of a record of some length.
 
-    Raises AllanError for more than `MOST_SAMPLES` samples.
+    The last 80 results are cached. Raises AllanError for more than `MOST_SAMPLES` samples.
     """
     if samples > MOST_SAMPLES:
         raise AllanError(
@@ -237,12 +248,13 @@ def clear_pair_sums() -> None:
 def _smooth_sums(
     table: _LagTable, i: Ints, j: Ints, stride: Ints, count: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the sums of cnt C_k C_l (10, pairs) and of cnt C_k (4, pairs), without q.
+    """Return the sums of cnt C_k C_l (10, pairs) and of cnt C_k (4, pairs) of the terms without q.
 
-    With increasing lag, cnt increases from 1 by one every s_j samples to M_j at lag 0, remains
-    constant, and decreases to 1 at the last lag. The sum over the steps is the sum over a straight
-    line half a step below the edges, plus Euler-Maclaurin terms at both ends of the line: for steps
-    of ``ratio`` = s_j/s_i points, ``fall`` = (1 - 1/ratio)/2 and ``bend`` = (ratio - 1/ratio)/12.
+    With increasing lag, the number of pairs cnt increases from 1 by one every s_j samples to M_j at
+    lag 0, remains constant, and decreases to 1 at the last lag. The sum over the steps is the sum
+    over a straight line half a step below the edges, plus Euler-Maclaurin terms at both ends of the
+    line: for steps of ``ratio`` = s_j/s_i points, ``fall`` = (1 - 1/ratio)/2 and ``bend`` = (ratio
+    - 1/ratio)/12.
     """
     level = np.maximum(i - len(FIRST_FACTORS), 0) // len(LEVEL_FACTORS)
     row = table.row[i - len(LEVEL_FACTORS) * level, j - len(LEVEL_FACTORS) * level]
@@ -268,10 +280,10 @@ def _smooth_sums(
 
 
 def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Return the sums over C_k C_l and C_k of the four terms from the sums of the smooth parts.
+    """Return the sums of the four terms, given those of the smooth parts on level 0.
 
-    On level a, lags and factors are 2^a times those of the table. The white C is multiplied by 2^-a
-    (``scale``), the flicker C by 1 and the cubic C by 2^a.
+    On level a, lags and factors are 2^a times those of level 0. The white covariance is multiplied
+    by 2^-a (``scale``), that of flicker by 1 and that of the cubic part by 2^a.
     """
     nn, nb, nc, bb, bc, cc = f[:6] * np.stack(
         [scale**2, scale, np.ones_like(scale), np.ones_like(scale), 1 / scale, scale**-2]
@@ -315,7 +327,7 @@ def _add_quantization(
 
 
 def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
-    """Return how many starts of j have a start of i ``lag`` samples later (a multiple of s_i)."""
+    """Return the number of pairs of differences at a lag (a multiple of the stride of i)."""
     first = np.maximum(0, -lag)
     last = np.minimum(end_j, end_i - lag)
     number = last // stride_j + (-first) // stride_j + 1
@@ -325,10 +337,10 @@ def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
 def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     """Return the increase of the Allan variance of unit white noise due to interpolated samples.
 
-    Linear interpolation replaces samples by weighted means of the two samples next to a gap. The
-    variance of a second difference is the sum of the squared weights of independent samples, and
-    changes to that of the recorded samples only. At averaging factors m >= k, the sum over all
-    starts of a gap of k samples grows by 2 (k + k^2/2) for each step of m.
+    Linear interpolation replaces the samples of a gap by weighted means of its two neighbours.
+    These neighbours get a larger weight in a second difference, which increases its variance.
+    Summed over all starts, the squared weights grow by 2 (k + k^2/2) for each step of m if m >= k,
+    the length of the gap.
 
     A recorded sample between two gaps has a larger weight because of both. Only the numbers of gaps
     are known, so gaps are assumed to be independent, as random losses are.

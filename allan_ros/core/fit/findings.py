@@ -123,7 +123,7 @@ def rounding_step(phase: Floats, white: float) -> float | None:
 
 
 def findings_without_estimates(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
-    """Return the finding that explains why an axis has no estimates."""
+    """Return the finding that explains why an axis has no estimates: no noise, or too few data."""
     name = (pooled.sums.axes[axis],)
     longest = max((s.samples for s in pooled.segments), default=0)
     if constant and len(pooled.m):
@@ -158,7 +158,7 @@ def axis_findings(
 
 
 def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
-    """Return the model with the largest deviation of each axis from the measured curve.
+    """Return the model with the largest deviation of the measured curve from it, for each axis.
 
     If a model fails the test of fit, a finding reports this deviation.
     """

@@ -139,13 +139,13 @@ def degrees_of_freedom(covariance: Floats) -> float:
 
 
 def long_tau_deficit(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> float:
-    """Return the normal deviate of the long average that is lowest relative to the model.
+    """Test whether Allan variances at long averaging times are lower than the model.
 
-    Only averages of few degrees of freedom are tested. An Allan variance of nu degrees of freedom
-    is V chi^2_nu / nu (NIST SP 1065 eq. 45), where nu = 2 V^2 / Var V of the model. The smallest
-    probability is multiplied by the number of independent tests (Bonferroni) and converted to a
-    normal deviate. Values below `DEFICIT_LIMIT` are significant for any length of the record. 0 if
-    there are no such averages.
+    Return the normal deviate of the most unlikely one, or 0 if none is tested; values below
+    `DEFICIT_LIMIT` are significant. Only values of few degrees of freedom are tested. An Allan
+    variance of nu degrees of freedom is V chi^2_nu / nu (NIST SP 1065 eq. 45), where nu = 2 V^2 /
+    Var V of the model. The smallest probability is multiplied by the number of independent tests
+    (Bonferroni).
     """
     model = table.terms @ variances
     few = few_averages(table, variances, misfit) & (model > 0.0)
@@ -188,9 +188,9 @@ def misfit_of_long_averages(
 ) -> Misfit:
     """Return the smallest relative model error for which no long average is significantly low.
 
-    If ``misfit`` is 0, only averages of few degrees of freedom get the error, so that the terms
-    that the precise part of the curve determines keep their values and intervals. ``signed`` allows
-    a negative q.
+    Without an error ``misfit`` of all averages, only averages of few degrees of freedom get the
+    error, so that the terms that the precise part of the curve determines keep their values and
+    intervals. ``variances`` are initial coefficients, and ``signed`` allows a negative q.
     """
     m_min = int(table.m[few_averages(table, variances)].min())
     if misfit.size > 0.0:
@@ -255,7 +255,7 @@ def _misfit_from(table: Table, variances: Floats, signed: bool, m_min: int) -> M
 
 
 def passes(fit: PointFit) -> bool:
-    """Return whether a model passes the chi^2 test and no long average is significantly low."""
+    """Return whether a model passes the chi^2 test and the test of long averaging times."""
     if goodness_z(fit) >= Z_FAIL:
         return False
     return long_tau_deficit(fit.table, fit.variances) > DEFICIT_LIMIT

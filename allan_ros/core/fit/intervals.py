@@ -84,7 +84,10 @@ class CoefficientInterval:
 
 
 class ScoreTest:
-    """Score test of one variance coefficient; a call with a value c returns z(c).
+    """Score test of one variance coefficient.
+
+    A call with a value c returns (estimate - c)/(standard error) as a normal deviate. The other
+    coefficients and the standard error are those of a fit with the coefficient fixed at c.
 
     Attributes
     ----------
@@ -103,10 +106,7 @@ class ScoreTest:
         self._start = variances
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
-        """Return z(c) as a normal deviate.
-
-        An estimate below ``at_least`` is replaced by ``at_least``.
-        """
+        """Test the value c; an estimate below ``at_least`` is replaced by ``at_least``."""
         variances, whitening, white = solve(
             self.table,
             self._start,
@@ -288,8 +288,8 @@ MAX_SHAPE_RATIO = 100.0
 def processes_of(fit: PointFit, table: Table, tau0: float) -> Processes:
     """Return the processes of a fit with 95 % intervals, in SI units.
 
-    ``table`` is the table of the fit with the derivatives of the columns by the shapes (tangents),
-    and ``tau0`` is the sample period in s.
+    ``table`` contains the derivatives of the columns by correlation times and frequencies
+    (tangents), and ``tau0`` is the sample period in s.
     """
     number = len(fit.options.extras)
     if not number:

@@ -35,24 +35,28 @@ DIFFERENCE = (1.0, -2.0, 1.0)
 
 
 def avar_terms(m: NDArray[np.int64]) -> Floats:
-    """Return the Allan variance at averaging factors m for q, w, b, k = 1, shape (factors, 4)."""
+    """Return the Allan variance of each random term with unit variance coefficient, (factors, 4).
+
+    ``m`` are averaging factors. The order of the terms is Q, N, B, K.
+    """
     return term_avar(m, 1.0, NoiseTerms(1.0, 1.0, 1.0, 1.0))[:, : len(RANDOM_TERMS)]
 
 
 def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
-    """Return the covariance function of a sampled random walk, per unit k.
+    """Return the covariance function (|t|^3 - |t|)/12 of a random walk that is sampled.
 
-    It is (|t|^3 - |t|)/12: the sum of the ``cubic`` part |t|^3/12 of a continuous random walk and
-    of 1/6 of the part ``white`` = -|t|/2 of white noise. Any linear function of both may be given.
+    It is the sum of the part ``cubic`` = |t|^3/12 of a continuous random walk and of 1/6 of the
+    part ``white`` = -|t|/2 of white noise. The arguments may be any linear function of these parts.
     """
     return cubic + white / 6.0
 
 
 def phase_covariance(t: Floats) -> Floats:
-    """Return the generalised covariance of the phase at lag t for q, w, b, k = 1, shape (4, ...).
+    """Return the generalised covariance of the phase of each random term at lags t, (4, ...).
 
-    The four functions are delta(t), -|t|/2, t^2 ln|t|/(2 pi) and (|t|^3 - |t|)/12. They give the
-    covariance of differences that are not changed by a straight line in the phase (Matheron 1973).
+    For unit variance coefficients q, w, b, k: delta(t), -|t|/2, t^2 ln|t|/(2 pi) and (|t|^3 -
+    |t|)/12. They give the covariance of differences that are not changed by a straight line in the
+    phase (Matheron 1973).
     """
     a = np.abs(t)
     white = -a / 2

@@ -124,11 +124,6 @@ class Selection:
     hint: float | None = None
     levels_off: bool = False
 
-    @property
-    def passes(self) -> bool:
-        """Whether the model passes the test of fit and the test of the long averages."""
-        return passes(self.fit)
-
 
 def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None) -> Selection:
     """Fit one axis with the simplest model that describes its Allan variances.
@@ -147,8 +142,8 @@ def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None
     if known is not None:
         fit = point_fit(pooled, axis, known, selected.fit.variances)
         selected = replace(selected, fit=fit, filtered=known.signed)
-        return selected if selected.passes else _with_needed_misfit(pooled, axis, selected)
-    if first.fails or not selected.passes:
+        return selected if passes(selected.fit) else _with_needed_misfit(pooled, axis, selected)
+    if first.fails or not passes(selected.fit):
         selected = _with_processes(pooled, axis, selected)
     if selected.fit.options.misfit.size == 0.0:
         selected = replace(selected, fit=_with_likely_processes(pooled, axis, selected.fit))
@@ -173,7 +168,10 @@ def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> Poi
 def _one_more(
     pooled: PooledTable, axis: int, fit: PointFit, kind: type[Process]
 ) -> PointFit | None:
-    """Return the fit with one more process of a kind; None if the likelihood ratio is too small."""
+    """Return the fit with one more process of a kind, or None.
+
+    It is None if chi^2 or the likelihood ratio improve too little.
+    """
     is_line = kind is SinusoidTerm
     search = _search_with_covariance_of(pooled, axis, fit)
     found = search.fitted(fit.options.extras)
@@ -395,10 +393,9 @@ def _fits_excluding_short(
         fit = point_fit(pooled, axis, options, start.variances[: len(RANDOM_TERMS)])
         if not (passes(fit) or any(passes_unfiltered(each) for each in out)):
             kept = tuple(e for e in start.options.extras if e.scale > KEPT_SCALE * m_min)
-            known = replace(fit, options=replace(options, extras=kept))
-            fit = _with_searched_processes(
-                pooled, axis, _with_initial_variances(known), Z_STOP_SEARCH
-            )
+            variances = np.append(fit.variances, np.zeros(len(kept)))
+            known = PointFit(variances, fit.table, replace(options, extras=kept))
+            fit = _with_searched_processes(pooled, axis, known, Z_STOP_SEARCH)
         out.append(fit)
         if passes_unfiltered(fit) and goodness_z(fit) < Z_GOOD and not _filter_like_processes(fit):
             break
@@ -408,10 +405,3 @@ def _fits_excluding_short(
 def _filter_like_processes(fit: PointFit) -> int:
     """Return the number of processes that may describe a filter."""
     return sum(e.scale < FILTER_LIKE_SCALE * fit.options.m_min for e in fit.options.extras)
-
-
-def _with_initial_variances(fit: PointFit) -> PointFit:
-    """Return the fit with variance 0 for each process in its options."""
-    variances = np.zeros(len(RANDOM_TERMS) + len(fit.options.extras))
-    variances[: len(RANDOM_TERMS)] = fit.variances[: len(RANDOM_TERMS)]
-    return replace(fit, variances=variances)

@@ -38,7 +38,7 @@ SINUSOID_PEAK = 0.371
 
 @dataclass(frozen=True)
 class GaussMarkovTerm:
-    """First-order Gauss-Markov process; its shape is the correlation time in samples."""
+    """First-order Gauss-Markov process; ``shape`` is its correlation time in samples."""
 
     shape: float
 
@@ -54,7 +54,7 @@ class GaussMarkovTerm:
 
 @dataclass(frozen=True)
 class SinusoidTerm:
-    """Sinusoid of random phase; its shape is the frequency in cycles per sample."""
+    """Sinusoid of random phase; ``shape`` is its frequency in cycles per sample."""
 
     shape: float
 
@@ -162,9 +162,10 @@ _AT = (2.0 * np.arange(NODES) + 1.0)[:, None] * _POLYNOMIALS
 
 
 def process_pairs(processes: int) -> list[tuple[int, int]]:
-    """Return the products (a, b) of processes with the four terms and with each other.
+    """Return the pairs of coefficients (a, b) in a covariance that include a process.
 
-    Index 4 is the first process: (0, 4), (1, 4) .. (4, 4), (0, 5) .. (5, 5) and so on.
+    Indices 0..3 are the four random terms, index 4 is the first process: (0, 4), (1, 4) .. (4, 4),
+    (0, 5) .. (5, 5) and so on.
     """
     four = len(RANDOM_TERMS)
     return [(a, b) for b in range(four, four + processes) for a in range(b + 1)]
@@ -239,7 +240,10 @@ class _Segments:
 
 
 class _Lags:
-    """Sums over lags of products of covariances, for given pairs of averaging factors."""
+    """Sums over lags of products of covariances, for given pairs of averaging factors.
+
+    The covariance of two differences is smooth between certain lags, called corners.
+    """
 
     def __init__(self, mi: Ints, mj: Ints, si: Ints, sj: Ints, segments: _Segments) -> None:
         self.mi, self.mj = mi.astype(float), mj.astype(float)
@@ -396,5 +400,8 @@ class _Lags:
 
 
 def _square_log(t: Floats, scale: Floats) -> Floats:
-    """Return t^2 ln(t/scale); the scale adds a multiple of t^2, which has no second difference."""
+    """Return t^2 ln(t/scale).
+
+    The scale has no effect on a second difference of the result.
+    """
     return np.asarray(t * t * np.log(np.maximum(t, 1e-9) / scale))

@@ -187,7 +187,10 @@ class RampGeometry:
         return np.asarray(np.concatenate(rows) @ lags)
 
     def _decay_differences(self, times: Sequence[float] | Floats) -> Floats:
-        """Return `second_differences` of Gauss-Markov processes, (processes, points - 2)."""
+        """Return the covariance of second differences of the phase of Gauss-Markov processes.
+
+        At lag 0, 1, .. for unit variance, shape (processes, points - 2).
+        """
         slope, size = gauss_markov_sums(times)
         lags = np.abs(np.arange(-2, max(self.points, 3))) * float(self.step)
         decay = np.exp(-lags / np.reshape(times, (-1, 1)))
@@ -268,11 +271,11 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
 
 
 def _slope_correction(time: Floats, stride: Ints) -> Floats:
-    """Return the correction for a discontinuous slope of a process, relative to white noise.
+    """Return the correction of integrals over starts, relative to that of white noise.
 
-    Sums over starts at a distance of s samples differ from integrals where the slope of the
-    covariance is discontinuous. The sum of exp(-|t|/T) is coth(s/2T), its integral 2T/s. For white
-    noise, -|t|/2, sum and integral differ by s/12.
+    The covariance of a Gauss-Markov process has a discontinuous slope at lag 0, where a sum over
+    starts at a distance of s samples differs from an integral. The sum of exp(-|t|/T) is
+    coth(s/2T), its integral 2T/s. For white noise, -|t|/2, sum and integral differ by s/12.
     """
     slope, size = (x.reshape(np.shape(time)) for x in gauss_markov_sums(np.ravel(time)))
     half = stride / (2.0 * time)
@@ -282,13 +285,13 @@ def _slope_correction(time: Floats, stride: Ints) -> Floats:
 
 
 def _sum_over_integral(time: Floats, stride: Ints) -> Floats:
-    """Return the sum of exp(-t/T) over starts at t > 0, relative to its integral."""
+    """Return the sum of exp(-t/T) at steps of ``stride``, relative to its integral."""
     half = np.minimum(stride / (2.0 * time), 300.0)
     return np.asarray(half / np.sinh(half))
 
 
 def _ends(samples: int) -> tuple[Floats, Floats]:
-    """Return `RampGeometry.ends` and `RampGeometry.shares` of a segment.
+    """Return limits and weights of the integral for a mean over starts, (factors, 6) each.
 
     The sum over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x) is replaced by the integral
     from -s/2 to (M - 1/2) s.
@@ -304,9 +307,9 @@ def _ends(samples: int) -> tuple[Floats, Floats]:
 def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
     """Return the integrals from 0 to t of the generalised covariances of w, b and k, (3, ...).
 
-    They are reduced by s^2/24 times their second derivative, which converts the integral to the sum
-    over starts (Euler-Maclaurin). ``unit`` scales the lags in the logarithm: it adds a multiple of
-    t^2, which has no effect on the result.
+    They are reduced by s^2/24 times the second derivative of the integral, which converts it to the
+    sum over starts (Euler-Maclaurin). ``unit`` scales the lags in the logarithm, which has no
+    effect on the result.
     """
     size, end = np.abs(t), stride**2 / 24.0
     white = -t * size / 4.0 + end * np.where(t < 0.0, -0.5, 0.5)
@@ -439,7 +442,10 @@ class ProcessShift:
         return np.asarray(self._compute(times) / gauss_markov_sums(times)[0])
 
     def __call__(self, times: Floats) -> Floats:
-        """Return the change for processes of unit variance, (factors, processes)."""
+        """Return the change for processes of unit variance and these correlation times.
+
+        Shape (factors, processes).
+        """
         u = SHIFTS_PER_OCTAVE * np.log2(times / SHORTEST_SHIFT)
         at = np.clip(np.floor(u).astype(np.int64), 0, self._values.shape[1] - 4)
         x = np.maximum(u - at, 0.0)

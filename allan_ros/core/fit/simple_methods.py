@@ -174,7 +174,7 @@ def _too_few(axes: tuple[str, ...], points: int) -> Finding:
 def _overlap_finding(
     axis: str, error: Floats, a: Floats, error_overlapped: Floats
 ) -> list[Finding]:
-    """Return the finding about the fit with overlapping groups, if it has any value."""
+    """Return the finding about the fit with overlapping groups, if a coefficient is positive."""
     values, gains = [], []
     for k, term in enumerate(TERMS):
         if a[k] > 0.0:

@@ -94,7 +94,7 @@ class _Change:
 
     def text(self, after: str) -> str:
         """Return a sentence with both values; ``after`` is the duration that is left out."""
-        values, unit = _shown(self.axis, self.term, *self._sizes)
+        values, unit = _converted(self.axis, self.term, *self._sizes)
         a, b = (
             f'{"" if c.status == "estimated" else "< "}{value:.3g}'
             for c, value in zip((self.complete, self.settled), values)
@@ -102,8 +102,8 @@ class _Change:
         return f'{self.axis} {self.term} is {a} {unit} in all data, {b} after {after}'
 
 
-def _shown(axis: str, term: str, *values: float) -> tuple[list[float], str]:
-    """Return values of a term in its datasheet unit, and this unit."""
+def _converted(axis: str, term: str, *values: float) -> tuple[list[float], str]:
+    """Return SI values of a term converted to its datasheet unit, and this unit."""
     shown = [to_datasheet(term, sensor_of(axis), value) for value in values]
     return [value for value, _ in shown], shown[0][1]
 
@@ -111,7 +111,7 @@ def _shown(axis: str, term: str, *values: float) -> tuple[list[float], str]:
 def fit_stationary(
     sums: AllanSums, method: str = 'gls', settle: bool = True
 ) -> tuple[AllanSums, NoiseModel]:
-    """Fit all data or, if an early part differs, the part after it.
+    """Fit all data or, if an early part differs (warm-up or larger drift), the part after it.
 
     Parameters
     ----------
@@ -155,7 +155,9 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
         axis = sums.axes[i]
         n = model.axes[axis].noise['N']
         if n.status == 'estimated' and n.value:
-            values, unit = _shown(axis, 'N', *(n.value * r for r in (change.low, change.high, 1.0)))
+            values, unit = _converted(
+                axis, 'N', *(n.value * r for r in (change.low, change.high, 1.0))
+            )
             numbers = dict(zip(('low', 'high', 'value'), values))
             found.append(finding('level_changes', (axis,), which=which, unit=unit, **numbers))
     tested = _tested(sums, len(recordings))
@@ -238,13 +240,13 @@ def _steps_finding(sums: AllanSums, steps: BiasSteps, model: NoiseModel) -> Find
     Steps between two segments affect no coefficient, and have their own finding.
     """
     axis, tau0 = sums.axes[steps.axis], sums.tau0 or 1.0
-    (size,), size_unit = _shown(axis, 'B', float(np.abs(steps.sizes).max()))
+    (size,), size_unit = _converted(axis, 'B', float(np.abs(steps.sizes).max()))
     walks = [math.sqrt(walk / tau0) for walk in (steps.walk_before, steps.walk_after)]
     known = model.axes[axis].noise['K']
     most = known.ci95[1] if known.ci95 is not None else known.upper95
     if sum(each.samples > 0 for each in sums.segments) > 1 and most and most < walks[0]:
         return finding('bias_differs', (axis,), size=size, unit=size_unit)
-    (before, after), unit = _shown(axis, 'K', *walks)
+    (before, after), unit = _converted(axis, 'K', *walks)
     return finding(
         'bias_steps',
         (axis,),
@@ -318,5 +320,5 @@ def _early_part_text(sums: AllanSums, parts: list[EarlyPart]) -> str:
         return 'larger drift'
     strongest = max(warm_ups, key=lambda part: part.excess)
     axis = max(strongest.axes, key=lambda i: abs(strongest.amplitudes[i]))
-    (value,), unit = _shown(sums.axes[axis], 'B', float(abs(strongest.amplitudes[axis])))
+    (value,), unit = _converted(sums.axes[axis], 'B', float(abs(strongest.amplitudes[axis])))
     return f'warm-up by up to {value:.3g} {unit}'

@@ -124,7 +124,7 @@ class Table:
         return out
 
     def tangents(self, extras: Sequence[Process]) -> Floats:
-        """Return the derivatives of `columns` by the logarithms of the process shapes."""
+        """Return the derivatives of `columns` by the logarithms of times and frequencies."""
         half = SHAPE_STEP**0.5
         above, below = (
             self.columns([replace(e, shape=e.shape * factor) for e in extras])
@@ -169,7 +169,7 @@ class Table:
 
 @lru_cache(maxsize=8)
 def _packing(size: int) -> Ints:
-    """Return the index of each element of a symmetric matrix in the list of its pairs i <= j."""
+    """Return the position of each element of a symmetric matrix in its list of pairs i <= j."""
     at = np.empty((size, size), np.int64)
     i, j = np.triu_indices(size)
     at[i, j] = at[j, i] = np.arange(len(i))
@@ -179,7 +179,7 @@ def _packing(size: int) -> Ints:
 
 @lru_cache(maxsize=8)
 def _products(processes: int) -> tuple[Ints, Ints]:
-    """Return the pairs of coefficients in the covariance: of the terms, then with processes."""
+    """Return the pairs of coefficients in a covariance: of the terms, then with processes."""
     a, b = np.array((*TERM_PAIRS, *process_pairs(processes))).T
     return a, b
 
@@ -422,10 +422,10 @@ class PooledTable:
         return out
 
     def _process_squares(self, times: tuple[float, ...]) -> Floats:
-        """Return the sums over pairs for the products of terms and processes, (products, pairs).
+        """Return the covariance of Allan sums per product of two coefficients, (products, pairs).
 
-        The ramps of the kept segments are not removed. The sums for the last few sets of
-        correlation times (in samples) are cached.
+        ``times`` are correlation times in samples; the results for the last few sets are cached.
+        The ramps of separately stored segments are not removed.
         """
         if times not in self._squares:
             while len(self._squares) > KEPT_PROCESS_SQUARES:

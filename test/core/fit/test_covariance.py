@@ -79,7 +79,7 @@ def test_cleared_values_are_computed_again():
     assert np.array_equal(pair_sums(1000).squares, before.squares)
 
 
-def test_the_sums_of_a_record_do_not_depend_on_longer_ones_before():
+def test_sums_do_not_depend_on_earlier_longer_records():
     clear_cache()
     before = pair_sums(1000)
     clear_cache()

@@ -40,7 +40,7 @@ def test_at_long_times_a_gap_adds_its_length_and_half_its_square():
     assert interpolation_excess(m, filled, 10**6)[0, 0] * 10**7 == pytest.approx(10 / 10**6 * 4.0)
 
 
-def test_samples_between_two_gaps_have_a_part_of_both():
+def test_samples_between_two_gaps_have_the_weights_of_both():
     """Random losses of 30 %: the Allan variance of a million samples scatters by 0.5 % at m = 8.
 
     Without the samples between two gaps it would be 4 % too small. False alarm probability 6e-5.

@@ -29,7 +29,7 @@ def fit_of(**noise):
     return AxisFit({**{t: unseen(1.0) for t in 'QBKR'}, 'N': seen(N), **noise})
 
 
-def test_q_and_r_are_never_advised_for():
+def test_no_longer_record_is_recommended_for_q_and_r():
     assert recommended_duration(fit_of(B=seen(1e-5), K=seen(1e-7)), 60.0) is None
 
 
@@ -38,19 +38,19 @@ def test_a_limit_that_cannot_matter_needs_no_longer_recording():
     assert recommended_duration(fit_of(B=unseen(1e-6), K=unseen(1e-7)), 60.0) is None
 
 
-def test_a_limit_that_may_matter_asks_for_a_fixed_length():
+def test_a_relevant_limit_gives_a_fixed_length():
     lengths = {recommended_duration(fit_of(), seconds) for seconds in (60.0, 600.0, HOUR)}
     assert lengths == {(4 * HOUR, ('B', 'K'))}
     assert recommended_duration(fit_of(), 5 * HOUR) is None
 
 
-def test_the_estimate_of_a_hidden_term_does_not_move_the_advice():
+def test_the_length_does_not_depend_on_an_unresolved_estimate():
     assert recommended_duration(fit_of(K=unseen(1.0, 1e-9)), 60.0) == recommended_duration(
         fit_of(K=unseen(1.0, 1e-5)), 60.0
     )
 
 
-def test_a_datasheet_sets_what_must_be_resolved():
+def test_datasheet_limits_set_the_length():
     fit = fit_of(B=unseen(5e-5), K=unseen(1e-9))
     # 8.5 N/sqrt(T) = 2e-5 at 30 min 6 s
     assert recommended_duration(fit, 60.0, {'B': 2e-5}) == (HOUR, ('B',))
@@ -73,7 +73,7 @@ def test_the_longest_recommendation_contains_all_terms():
 
 
 @pytest.mark.parametrize('seconds', [200.0, 2000.0, 20000.0])
-def test_white_noise_is_never_advised_more_than_four_hours(seconds):
+def test_at_most_four_hours_are_recommended_for_white_noise(seconds):
     samples = np.random.default_rng(1).normal(size=(int(10 * seconds), 1))
     engine = RunningAllan(axes=('gyro_x',))
     engine.update(samples, 0, (len(samples) - 1) * 10**8)

@@ -42,7 +42,7 @@ def test_findings_with_equal_texts_are_joined():
         (1 / 1200, 'slow_cycle', 'A cycle with a period of 20 min'),
     ],
 )
-def test_a_sinusoid_is_named_by_its_frequency(hertz, id, words):
+def test_the_finding_of_a_sinusoid_depends_on_its_frequency(hertz, id, words):
     line = Sinusoid(0.01, (0.009, 0.011), hertz, (hertz, hertz))
     found = line_finding(('accel_x',), 'm/s^2', [line], 0.01)
     assert found.id == id and found.message.startswith(words)

@@ -44,7 +44,7 @@ def test_the_selected_model_has_no_unresolved_term_beyond_its_own_limit():
 
 
 @pytest.mark.parametrize('signed', [False, True])
-def test_q_without_value_and_limit_makes_no_fit_signed(signed):
+def test_a_missing_q_does_not_imply_a_filter(signed):
     """A model error can leave Q without a limit, as a low-pass filter does."""
     nothing = Coefficient(None, status='not_observable')
     fit = AxisFit({**dict.fromkeys('QBKR', nothing), 'N': Coefficient(1e-3)}, 0.3, signed=signed)

@@ -17,5 +17,5 @@ def test_agrees_with_lawson_and_hanson():
         np.testing.assert_allclose(found * scale, expected * scale, atol=1e-9)
 
 
-def test_a_target_no_column_points_at_gives_zeros():
+def test_a_negative_target_gives_zeros():
     assert not nonnegative_least_squares(np.eye(4)[:, :2], -np.ones(4)).any()

@@ -35,7 +35,7 @@ def test_the_exact_model_has_no_residual():
     assert goodness(table, fit.variances).chi_squared < 1e-6
 
 
-def test_noise_of_the_model_is_as_far_off_as_expected():
+def test_chi_squared_of_simulated_noise_is_as_expected():
     """40 records: the mean of z is 0 within 4 standard errors (false alarm 6e-5)."""
     z = []
     for seed in range(40):
@@ -59,13 +59,13 @@ def test_the_misfit_equals_the_simulated_error(error):
 
 
 @pytest.mark.parametrize('terms', [NoiseTerms(N=1e-3, B=3e-4), NoiseTerms(N=1e-3, K=2e-3)])
-def test_long_averages_of_the_models_own_noise_do_not_sag(terms):
+def test_long_averages_of_simulated_noise_have_no_deficit(terms):
     """40 records each. The fit follows their long averages, so none comes near the limit."""
     fits = [fit_of(seed, terms=terms) for seed in range(40)]
     assert min(long_tau_deficit(f.table, f.variances) for f in fits) > DEFICIT_LIMIT
 
 
-def test_a_curve_that_levels_off_sags_until_the_misfit_allows_for_it():
+def test_a_curve_that_levels_off_has_a_deficit_without_a_model_error():
     fit = fit_of(3, samples=200_000, terms=NoiseTerms(N=1e-3, K=2e-3))
     model = fit.table.terms @ fit.variances
     bend = len(model) - 32

@@ -71,7 +71,7 @@ def test_axis_y_of_the_paper():
     assert b.tau_high == pytest.approx(1300, rel=0.15)
 
 
-def test_axis_z_of_the_paper_begins_as_it_was_read():
+def test_axis_z_of_the_paper():
     """The paper reads .01-20 s N, then K and R from 20 to 180 s."""
     regions = regions_of('gyro_z', *PAPER['gyro_z'])
     assert [r.term for r in regions] == ['N', 'B', 'K']
@@ -99,7 +99,7 @@ def test_narrow_regions_are_joined():
 @pytest.mark.parametrize(
     'k, term, slope', [(0, 'Q', -1), (1, 'N', -0.5), (2, 'B', 0), (3, 'K', 0.5), (4, 'R', 1)]
 )
-def test_pure_noise_is_one_region_of_its_slope(k, term, slope):
+def test_pure_noise_is_one_region_with_its_slope(k, term, slope):
     values = [0.0] * 5
     values[k] = 1.0
     (region,) = regions_of('gyro_x', *values)

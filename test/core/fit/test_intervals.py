@@ -45,7 +45,7 @@ def test_without_skewness_nothing_changes():
 
 
 @pytest.mark.parametrize('outer', [1.1, 2.0, 50.0])
-def test_ends_are_found_from_any_start(outer):
+def test_the_end_is_found_from_any_first_guess(outer):
     up, down = [(1.0, -1.0)], [(-1.0, 1.0)]
     assert find_crossing(lambda c: -(c**3), -27.0, up, outer, np.inf) == pytest.approx(
         3.0, abs=1e-3
@@ -55,7 +55,7 @@ def test_ends_are_found_from_any_start(outer):
     )
 
 
-def test_the_end_of_a_deviation_that_is_linear_takes_two_evaluations():
+def test_two_evaluations_suffice_for_a_linear_standard_error():
     asked = []
 
     def z(c):
@@ -108,7 +108,7 @@ def test_an_interval_contains_the_value_also_at_zero():
     assert interval.high < at_zero.estimate
 
 
-def test_an_absent_term_has_a_limit_and_no_interval(fit):
+def test_an_absent_term_has_an_upper_limit(fit):
     interval = coefficient_interval(fit.table, B, fit.variances)
     assert not interval.observable
     assert interval.low == 0.0
@@ -145,7 +145,7 @@ def test_a_term_whose_test_rejects_no_value_has_a_limit(monkeypatch):
 
 
 @pytest.mark.parametrize('factor', [30.0, 1e4])
-def test_a_walk_held_far_off_still_has_a_covariance(fit, factor):
+def test_the_covariance_of_a_distant_random_walk_is_valid(fit, factor):
     """The weights of the ramps were computed for another random walk."""
     variances = fit.variances * np.array([1.0, 1.0, 1.0, factor])
     covariance = covariance_at(fit.table, variances, NO_MISFIT)
@@ -162,7 +162,7 @@ def test_an_indefinite_matrix_is_replaced_by_the_nearest_covariance():
     assert change == pytest.approx(JITTER - least, rel=1e-6)
 
 
-def test_a_term_held_further_off_is_further_off(fit):
+def test_z_decreases_with_the_tested_value(fit):
     score = ScoreTest(fit.table, K, fit.variances)
     z = [score(fit.variances[K] * factor) for factor in (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 1e3)]
     assert np.all(np.diff(z) < 0.0)

@@ -17,7 +17,7 @@ def model_of(samples):
     return fit_noise(engine.sums)
 
 
-def test_terms_that_are_not_resolved_are_named_with_how_long_to_record():
+def test_a_longer_record_is_recommended_for_unresolved_terms():
     model = model_of(np.random.default_rng(0).normal(size=3000))
     (found,) = [f for f in model.findings if f.id == 'record_longer']
     assert model.axes['gyro_x'].noise['K'].status == 'not_observable'
@@ -25,7 +25,7 @@ def test_terms_that_are_not_resolved_are_named_with_how_long_to_record():
     assert any(unit in found.remedy for unit in (' min', ' h', ' days', ' s'))
 
 
-def test_drift_that_a_driver_removes_is_reported_as_bounded():
+def test_high_pass_filtered_drift_is_reported_as_bounded():
     """White noise behind a high-pass filter of 2500 s; 0.4 % of clean records are false alarms."""
     rng = np.random.default_rng(0)
     white = rng.normal(size=60_000)

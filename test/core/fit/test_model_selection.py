@@ -48,7 +48,7 @@ def test_five_terms_need_no_process(noise):
 
 
 @pytest.mark.parametrize('width', [4, 8])
-def test_boxcar_filter_costs_q_but_not_n(noise, width):
+def test_a_boxcar_filter_affects_q_but_not_n(noise, width):
     axis, findings = fit_of(np.convolve(noise, np.ones(width) / width, 'valid'))
     assert 'low_pass' in findings or 'short_averages' in findings
     assert axis.noise['Q'].status == 'not_observable'
@@ -77,7 +77,7 @@ def test_processes_that_imitate_a_filter_are_not_preferred():
         assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.015)
 
 
-def test_first_order_filter_costs_q_but_not_n(noise):
+def test_a_first_order_filter_affects_q_but_not_n(noise):
     keep = np.exp(-2.0 * np.pi * 41.0 / RATE)
     axis, findings = fit_of(lfilter([1.0 - keep], [1.0, -keep], noise))
     assert 'low_pass' in findings or 'short_averages' in findings
@@ -96,7 +96,7 @@ def test_a_slow_filter_is_not_reported_only_as_vibration(noise):
 @pytest.mark.parametrize(
     'hertz, name', [(0.02, 'slow_disturbance'), (0.1, 'slow_disturbance'), (2.0, 'vibration')]
 )
-def test_line_is_found_with_its_frequency_and_amplitude(noise, hertz, name):
+def test_a_sinusoid_is_found_with_frequency_and_amplitude(noise, hertz, name):
     line = 0.08 * WHITE * np.sin(2.0 * np.pi * hertz / RATE * np.arange(SAMPLES))
     axis, findings = fit_of(noise + line)
     assert {'vibration', 'slow_disturbance', 'slow_cycle'} & set(findings) == {name}
@@ -108,7 +108,7 @@ def test_line_is_found_with_its_frequency_and_amplitude(noise, hertz, name):
     assert axis.noise['N'].value == pytest.approx(TRUTH.N, rel=0.01)
 
 
-def test_a_line_far_above_the_noise_ends_in_a_fit():
+def test_a_sinusoid_without_noise_is_fitted():
     """The sinusoid describes the complete curve, so the noise of the fit is 0."""
     short = 360 * 50
     rng = np.random.default_rng(4)
@@ -134,7 +134,7 @@ def test_a_line_far_above_the_noise_ends_in_a_fit():
         (3e-3, 11.96, 0.7),
     ],
 )
-def test_a_strong_line_is_found_at_its_frequency(amplitude, hertz, phase):
+def test_a_strong_sinusoid_is_found_at_its_frequency(amplitude, hertz, phase):
     """At 3 to 30 times the noise, the residual is noise only if the frequency is exact."""
     rate, n = 50.0, 18_000
     truth = NoiseTerms(N=5e-5, B=2e-5, K=2e-6)
@@ -151,7 +151,7 @@ def test_a_strong_line_is_found_at_its_frequency(amplitude, hertz, phase):
     assert (axis.m_min, axis.misfit) == (1, 0.0)
 
 
-def test_gauss_markov_noise_is_found_with_its_time(noise):
+def test_gauss_markov_noise_is_found_with_its_correlation_time(noise):
     keep = np.exp(-1.0 / (RATE * 1.0))
     rng = np.random.default_rng(22)
     steps = rng.standard_normal(SAMPLES) * 0.1 * WHITE * (1.0 - keep**2) ** 0.5
@@ -163,7 +163,7 @@ def test_gauss_markov_noise_is_found_with_its_time(noise):
     assert low < 0.1 * WHITE < high
 
 
-def test_a_process_that_flicker_imitates_is_found():
+def test_a_process_similar_to_flicker_is_found():
     """The five terms pass the test of fit, but the process is much likelier."""
     rate, n = 20.0, 144_000
     truth = NoiseTerms(N=7e-5, B=2.5e-5, K=2.6e-6)
@@ -181,7 +181,7 @@ def test_a_process_that_flicker_imitates_is_found():
     assert not without.processes.gauss_markov  # chosen by mistake in less than 1 % of axes
 
 
-def test_three_lines_are_found(noise):
+def test_three_sinusoids_are_found(noise):
     t = np.arange(SAMPLES) / RATE
     hertz = (0.05, 0.7, 9.0)
     axis, _ = fit_of(noise + sum(0.1 * WHITE * np.sin(2.0 * np.pi * f * t + f) for f in hertz))
@@ -266,7 +266,7 @@ def test_an_average_of_zero_is_not_divided_by():
 
 
 @pytest.mark.parametrize('size', [10.0, 30.0])
-def test_a_slow_cycle_does_not_widen_n(size):
+def test_a_slow_cycle_does_not_widen_the_interval_of_n(size):
     """Regression: the interval of N was 30 % wide. It misses N one time in 20 by design; seed
     fixed.
     """
@@ -294,7 +294,7 @@ def test_n_next_to_a_strong_sinusoid_is_right_or_a_limit(size):
         assert 'noise_hidden' in findings
 
 
-def test_a_drift_that_levels_off_is_bounded_though_short_averages_need_a_model_error(shared_data):
+def test_drift_is_bounded_if_short_averages_need_a_model_error(shared_data):
     """Regression: the random walk fitted to this accelerometer was 7 times the long averages."""
     counts = np.load(shared_data / 'adis16405' / 'imu4_counts.npz')
     y = np.asarray(counts['accel'])[12_000:, 1] * 0.00333 * 9.80665  # m/s^2

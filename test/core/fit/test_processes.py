@@ -52,7 +52,7 @@ def direct(samples, variances, times):
         ((0.0, 1.0, 0.0, 1e-5, 0.1, 0.3), (100.0, 7.0)),
     ],
 )
-def test_it_is_the_sum_over_all_lags(variances, times):
+def test_the_covariance_is_the_sum_over_all_lags(variances, times):
     variances = np.array(variances)
     m, expected = direct(SAMPLES, variances, times)
     stride = grid_for(SAMPLES)[1]

@@ -25,7 +25,7 @@ def one_segment(y):
 
 
 @pytest.mark.parametrize('samples', [2, 7, 127, 128, 129, 5000])
-def test_points_are_those_the_engine_keeps(samples):
+def test_phase_points_are_those_of_the_engine(samples):
     record = one_segment(np.zeros(samples)).segments[0]
     geometry = ramp_geometry(samples)
     assert (geometry.points, geometry.step) == (len(record.phase), record.phase_step)
@@ -42,7 +42,7 @@ def test_best_weights_estimate_only_the_ramp(variances):
 
 
 @pytest.mark.parametrize('variances', POWERS)
-def test_no_other_weights_are_better(variances):
+def test_best_weights_have_the_smallest_variance(variances):
     geometry = ramp_geometry(SAMPLES)
     best = geometry.best_weights(Noise(variances))
     variance = geometry.effect(best).variance @ variances
@@ -53,7 +53,7 @@ def test_no_other_weights_are_better(variances):
 
 
 @pytest.mark.parametrize('variances', POWERS)
-def test_expectation_less_the_ramp_is_exact(variances):
+def test_the_expectation_without_the_ramp_is_exact(variances):
     """The reference sums E (d - r m^2)^2 over all starts, with d and r as weights on the phase."""
     sums = one_segment(np.random.default_rng(0).normal(size=SAMPLES))
     table = PooledTable(sums).table(0, Noise(variances))
@@ -114,7 +114,7 @@ def test_effect_on_a_process_is_exact(samples, time):
 
 
 @pytest.mark.parametrize('time', [2.0**1.5, 2.0**4.25, 2.0**5.625, 2.0**6.625])
-def test_moments_less_the_ramp_with_a_process(time):
+def test_moments_without_the_ramp_with_a_process(time):
     """The reference computes expectation and covariance from all differences as weights on the
     phase.
     """

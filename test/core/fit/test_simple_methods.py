@@ -89,7 +89,7 @@ def test_paper_reports_the_gain_of_overlapping(white):
     assert f'N {gain[1, 0]:.2f}' in said[0].message
 
 
-def test_stated_errors_of_the_paper_are_those_of_draws():
+def test_standard_errors_of_the_paper_agree_with_simulation():
     """The stated error of A_-1 ignores correlations, so it is right only within a factor of two
     (60 draws).
     """
@@ -139,7 +139,7 @@ def test_a_record_that_is_too_short_gives_no_values_and_is_reported(method):
 
 
 @pytest.mark.parametrize('method', ['paper', 'relative'])
-def test_constant_values_have_no_noise_to_name(method):
+def test_constant_values_have_no_coefficients(method):
     fit = fit_noise(sums_of(np.full((1000, 2), 9.81)), method)
     assert all(c.value is None for axis in AXES for c in fit.axes[axis].noise.values())
 
