@@ -129,7 +129,7 @@ class Windows:
 
 
 def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
-    """Return the von Neumann ratio of each axis, (axes,): 1 for white noise, 0 for slow motion.
+    """Return the von Neumann ratio per axis, (axes,): 1 for white noise, near 0 for slow motion.
 
     It is half the mean square of the differences between neighboring samples, divided by the
     variance. Each part, (axes, n), is a sequence of samples without a gap. The ratio is NaN if the
@@ -217,7 +217,7 @@ class NoiseFloor:
         quiet = _quantile(block.variance, QUANTILE)
         quiet = np.where(quiet > 0.0, quiet, self.variance)
         if (quiet > self.variance / RELEARN_RATIO**2).all():
-            return None  # the common case; `scale` is not lower, either
+            return None  # the common case
         new = replace(self, variance=quiet)
         if not (RELEARN_RATIO**2 * new.scale < self.scale).any():
             return None

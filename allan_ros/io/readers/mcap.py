@@ -197,7 +197,8 @@ class McapStorage(ChunkStorage):
         listed, end = self._read_summary()
         at = len(MAGIC)
         for chunk in listed:
-            at = max(self._scan(at, chunk.offset - RECORD.size), chunk.end)
+            end_of_index = chunk.offset + chunk.length + chunk.index_length
+            at = max(self._scan(at, chunk.offset - RECORD.size), end_of_index)
             self._chunks.append(chunk)
         at = self._scan(at, end)
         if listed:

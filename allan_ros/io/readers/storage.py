@@ -268,11 +268,6 @@ class Chunk:
     index_length: int = 0
     loose: bool = False
 
-    @property
-    def end(self) -> int:
-        """Offset of the first byte after the chunk and its index."""
-        return self.offset + self.length + self.index_length
-
 
 class ChunkStorage(ABC):
     """An open bag file that consists of chunks; subclasses implement the format.
