@@ -200,8 +200,8 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
         if not terms + deviations:
             return f'{pair.second} and {pair.first} have nothing that can be compared'
         return (
-            f'{pair.second} and {pair.first} do not differ significantly: {terms} coefficients '
-            f'and {deviations} deviations compared at a total level of {family_error:.0%}'
+            f'{pair.second} and {pair.first} do not differ significantly in {terms} coefficients '
+            f'and {deviations} deviations ({100.0 * family_error:g} % false alarms overall)'
         )
     # Coefficients take precedence; deviations are named if no coefficient differs.
     named = [d for d in found if d.tau is None] or found

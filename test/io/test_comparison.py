@@ -47,7 +47,7 @@ def test_a_run_does_not_differ_from_itself(small_results: Results) -> None:
     assert not comparison.differs
     assert {d.verdict for d in comparison.pairs[0].differences} <= {'alike', 'open'}
     [said] = comparison_headline(comparison)
-    assert said.startswith('b and a do not differ significantly: ')
+    assert said.startswith('b and a do not differ significantly in ')
 
 
 @pytest.mark.parametrize('factor, word', [(1.5, '1.50x noisier'), (1 / 1.5, '1.50x quieter')])
