@@ -203,19 +203,12 @@ def analyze(
     >>> round(results['gyro_z'].N.to('deg/sqrt(h)').value, 1)
     3.4
     """
-    of_reading, of_processing = describe(ReadOptions), describe(SegmenterSettings)
-    rates = 'rate_hz', 'declared_rate'  # both are set by ``rate``
-    check_names(options, [name for name in (*of_processing, *of_reading) if name not in rates])
-    reading = ReadOptions(
-        rate_hz=rate,
-        gyro_unit=gyro_unit,
-        accel_unit=accel_unit,
-        **{name: value for name, value in options.items() if name in of_reading},
-    )
-    segmenter = SegmenterSettings(
-        declared_rate=rate,
-        **{name: value for name, value in options.items() if name in of_processing},
-    )
+    names = *describe(SegmenterSettings), *describe(ReadOptions)
+    # ``rate`` sets both rates
+    check_names(options, [name for name in names if name not in ('rate_hz', 'declared_rate')])
+    of_reading = {name: options.pop(name) for name in describe(ReadOptions) if name in options}
+    reading = ReadOptions(rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, **of_reading)
+    segmenter = SegmenterSettings(declared_rate=rate, **options)
     ResultSettings(method=method, margin=margin)  # checks them before recordings are read
     expect(str, hardware_id=hardware_id)
     expect(Integral, processes=processes)

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -64,6 +65,9 @@ Change = Literal['higher', 'lower', 'alike', 'open']
 or the test is impossible or inconclusive."""
 
 Floats = NDArray[np.float64]
+
+Estimate = tuple[float, float, float]
+"""(value, low, high): an estimate and the ends of its 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -225,27 +229,19 @@ def differences(
     ``repeats`` is 1 for a single comparison. For the k-th comparison of an endless series it is
     k (k + 1). The probability of any false detection in the series is then below `FAMILY_ERROR`.
     """
-    found = [
-        [
-            d
-            for axis in first
-            if axis in second
-            for d in _axis_differences(axis, first[axis], second[axis])
-        ]
-        for first, second in pairs
-    ]
-    settled = iter(
-        _with_verdicts([d for of_pair in found for d in of_pair], FAMILY_ERROR / repeats)
-    )
-    return [tuple(next(settled) for _ in of_pair) for of_pair in found]
+    found = [list(_run_differences(*pair)) for pair in pairs]
+    decided = iter(_with_verdicts(list(chain(*found)), FAMILY_ERROR / repeats))
+    return [tuple(islice(decided, len(of_pair))) for of_pair in found]
 
 
-def _axis_differences(axis: str, first: Measured, second: Measured) -> Iterator[Difference]:
-    if first.noise is not None and second.noise is not None:
-        for term in TERMS:
-            yield _coefficient_difference(axis, term, first.noise[term], second.noise[term])
-    if first.curve is not None and second.curve is not None:
-        yield from _curve_differences(axis, first.curve, second.curve)
+def _run_differences(first: Run, second: Run) -> Iterator[Difference]:
+    for axis in (axis for axis in first if axis in second):
+        a, b = first[axis], second[axis]
+        if a.noise is not None and b.noise is not None:
+            for term in TERMS:
+                yield _term_difference(axis, term, a.noise[term], b.noise[term])
+        if a.curve is not None and b.curve is not None:
+            yield from _curve_differences(axis, a.curve, b.curve)
 
 
 def _curve_differences(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Difference]:
@@ -296,9 +292,7 @@ def _change(difference: Difference, beyond: bool) -> Change:
     return 'higher' if difference.ci95[0] > 1.0 else 'lower'
 
 
-def _coefficient_difference(
-    axis: str, term: str, first: Coefficient, second: Coefficient
-) -> Difference:
+def _term_difference(axis: str, term: str, first: Coefficient, second: Coefficient) -> Difference:
     a, b = _estimate(first), _estimate(second)
     before = _limit(first) if a is None else a[0]
     unknown = Difference(axis, term, None, before, None, None, None)
@@ -312,8 +306,8 @@ def _coefficient_difference(
     return unknown
 
 
-def _estimate(c: Coefficient) -> tuple[float, float, float] | None:
-    """Return (value, low, high) of an estimate whose interval lies above 0; None for any other."""
+def _estimate(c: Coefficient) -> Estimate | None:
+    """Return an estimate whose interval lies above 0; None for any other coefficient."""
     if c.status != 'estimated' or not c.value or c.ci95 is None:
         return None
     low, high = c.ci95
@@ -328,13 +322,10 @@ def _limit(c: Coefficient) -> float | None:
     return c.upper95 if known else None
 
 
-def _ratio_of_estimates(
-    a: tuple[float, float, float], b: tuple[float, float, float]
-) -> tuple[float, tuple[float, float], float]:
+def _ratio_of_estimates(a: Estimate, b: Estimate) -> tuple[float, tuple[float, float], float]:
     """Return the ratio b / a, its 95 % interval and the p value.
 
-    ``a`` and ``b`` are (value, low, high). The p value uses the upper width of the smaller estimate
-    and the lower width of the larger one.
+    The p value uses the upper width of the smaller estimate and the lower width of the larger one.
     """
     log_ratio = math.log(b[0]) - math.log(a[0])
     down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
@@ -349,18 +340,16 @@ def _exp(x: float) -> float:
     return math.exp(x) if x < LARGEST_EXPONENT else math.inf
 
 
-def _width(upper: float, lower: float, interval: tuple[float, float, float]) -> float:
-    """Return ln(upper / lower), but at least half the logarithmic width of an interval.
+def _width(upper: float, lower: float, x: Estimate) -> float:
+    """Return ln(upper / lower), but at least half the logarithmic width of the interval of ``x``.
 
-    ``interval`` is (value, low, high). The value may coincide with one end of its interval, and its
-    distance to that end is then too small for a standard error.
+    The value may coincide with one end of its interval, and its distance to that end is then too
+    small for a standard error.
     """
-    return max(
-        math.log(upper) - math.log(lower), (math.log(interval[2]) - math.log(interval[1])) / 2.0
-    )
+    return max(math.log(upper) - math.log(lower), (math.log(x[2]) - math.log(x[1])) / 2.0)
 
 
-def _p_value_of_limit(a: tuple[float, float, float], limit: float) -> float:
+def _p_value_of_limit(a: Estimate, limit: float) -> float:
     """Return the p value if one recording has an estimate and the other only a limit.
 
     At the quantile z, the lower limit of the estimate, exp(-z s) times the estimate, meets the
