@@ -166,8 +166,8 @@ def read_recording(
 
 def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
     causes = [f for f in findings if f.id not in ('nothing_left', 'unit_assumed')]
-    causes.sort(key=lambda f: SEVERITIES.index(f.severity))
-    why = '; '.join(map(str, causes))
+    worst = min((SEVERITIES.index(f.severity) for f in causes), default=0)
+    why = ' '.join(str(f) for f in causes if SEVERITIES.index(f.severity) == worst)
     if counts.skipped and counts.skipped == counts.received:
         why = f'--skip {job.segmenter.skip:g} (s) excludes the complete recording: reduce it'
     why = why or ('it is too short' if counts.received else 'it has no samples')

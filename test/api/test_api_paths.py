@@ -77,3 +77,17 @@ class _Deadly(str):
 
     def __reduce__(self) -> tuple[object, tuple[int]]:
         return os._exit, (1,)
+
+
+def test_a_recording_without_static_data_is_explained_by_its_most_severe_finding(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(1)
+    t = np.delete(np.arange(6000), np.arange(2000, 5000, 200)) * 0.01
+    moving = 0.5 * np.sin(0.3 * 2.0 * np.pi * t)[:, None] + 1e-3 * rng.normal(size=(len(t), 3))
+    accel = [0.0, 0.0, 9.8] + 1e-2 * rng.normal(size=(len(t), 3))
+    rows, header = np.column_stack([t, moving, accel]), 't,gx,gy,gz,ax,ay,az'
+    np.savetxt(tmp_path / 'imu.csv', rows, delimiter=',', header=header, comments='')
+    with pytest.raises(AllanError, match='The IMU was never at rest') as error:
+        ar.analyze(tmp_path / 'imu.csv')
+    assert 'interpolated' not in str(error.value) and ';' not in str(error.value)
