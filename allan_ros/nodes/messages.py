@@ -282,8 +282,8 @@ class AllanPlot:
         except Exception as error:  # a plot that fails must not end the node
             self._enabled = False
             self._node.get_logger().warning(
-                f'allan_plot is off, because it cannot be drawn ({error!r}): if matplotlib is '
-                'missing, install python3-matplotlib and restart the node'
+                f'no allan_plot is published, because drawing failed ({error!r}): if matplotlib '
+                'is missing, install python3-matplotlib and restart the node'
             )
             return
         for sensor, picture in pictures.items():
