@@ -301,11 +301,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
             found = folder / f'{name.lower()}.yaml'
             if found.is_file():
                 return found
-        same = [
-            known
-            for known in config_names(kind)
-            if _letters_and_digits(known) == _letters_and_digits(name)
-        ]
+        same = [known for known in config_names(kind) if _simplified(known) == _simplified(name)]
         if len(same) == 1:  # mpu6050 for mpu-6050
             return config_file(kind, same[0], called)
     raise AllanError(
@@ -329,9 +325,9 @@ def config_folders(kind: str) -> list[Path]:
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
     """Return the part of a message that suggests known names instead of an unknown one."""
-    word = _letters_and_digits(name)
+    word = _simplified(name)
     digits = '.*'.join(re.findall(r'\d', name))
-    plain = {_letters_and_digits(known): known for known in names}
+    plain = {_simplified(known): known for known in names}
     close = difflib.get_close_matches(word, plain, NEAREST, CLOSE)
     near = [known for key, known in plain.items() if word and key.startswith(word)]
     # a name with other digits is another model; digits may be missing
@@ -346,7 +342,7 @@ def _suggestion(name: str, names: Sequence[str]) -> str:
     return f'choose one of {", ".join(listed[:LISTED])}{more}'
 
 
-def _letters_and_digits(name: str) -> str:
+def _simplified(name: str) -> str:
     """Return a name without case, spaces and punctuation."""
     return re.sub(r'[\W_]', '', name.lower())
 

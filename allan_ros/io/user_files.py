@@ -225,9 +225,7 @@ def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
     ``gyro_unit`` is 'rad/s' or 'deg/s'. By default it is rad/s with a header and deg/s without.
     Raises AllanError if the columns are missing or not numeric.
     """
-    rows = [
-        _split_line(line) for line in read_text(path, LARGEST_FILE).splitlines() if line.strip()
-    ]
+    rows = [_cells_of(line) for line in read_text(path, LARGEST_FILE).splitlines() if line.strip()]
     names = ['tau', *COLUMNS_WITHOUT_HEADER]
     has_header = bool(rows) and not is_number(rows[0][0])
     if has_header:
@@ -302,7 +300,7 @@ def contradictions(
     return out
 
 
-def _split_line(line: str) -> list[str]:
+def _cells_of(line: str) -> list[str]:
     line = line.strip().rstrip(',;')
     cells = re.split('[,;]', line) if ',' in line or ';' in line else line.split()
     return [cell.strip() for cell in cells]
