@@ -13,7 +13,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import lru_cache, partial
 from itertools import chain
 from typing import Any
 
@@ -151,10 +151,16 @@ def _payloads(data: bytes, start: NDArray[np.int64], length: NDArray[np.uint64])
     """Return the content of messages whose records begin at these offsets."""
     head = HEAD.itemsize
     if len(length) and (length == length[0]).all() and length[0] > MESSAGE_HEAD.size:
-        payload = ('payload', np.void, int(length[0]) - MESSAGE_HEAD.size)
-        return _records_at(data, start, np.dtype([*HEAD.descr, payload]))['payload']
+        dtype = _message_dtype(int(length[0]))
+        return _records_at(data, start, dtype)['payload']
     view, end = memoryview(data), start + (RECORD.size + length.astype(np.int64))
     return [view[a + head : b] for a, b in zip(start.tolist(), end.tolist())]
+
+
+@lru_cache(maxsize=64)
+def _message_dtype(length: int) -> np.dtype[np.void]:
+    """Return the layout of a message record whose content has ``length`` bytes."""
+    return np.dtype([*HEAD.descr, ('payload', np.void, length - MESSAGE_HEAD.size)])
 
 
 MAGIC = b'\x89MCAP0\r\n'
