@@ -128,3 +128,14 @@ def test_the_most_severe_comes_first():
         'warning',
         'info',
     ]
+
+
+def test_every_value_of_a_finding_follows_the_units() -> None:
+    sizes = {'size': 5.0, 'size_unit': 'deg/h', 'before': 3.0, 'after': 2.0}
+    levels = {'which': 'within the recording', 'value': 0.2, 'low': 0.1, 'high': 0.3}
+    for found in (
+        finding('bias_steps', ('gyro_x',), unit='deg/h^1.5', **sizes),
+        finding('level_changes', ('gyro_x',), unit='deg/sqrt(h)', **levels),
+    ):
+        shown = text_in_units(found.message, 'si')
+        assert 'deg' not in shown and shown.count('rad/s') == 3

@@ -99,7 +99,7 @@ class _Change:
             f'{"" if c.status == "estimated" else "< "}{value:.3g}'
             for c, value in zip((self.complete, self.settled), values)
         )
-        return f'{self.axis} {self.term} is {a} {unit} in all data, {b} after {after}'
+        return f'{self.axis} {self.term} is {a} {unit} in all data, {b} {unit} after {after}'
 
 
 def _converted(axis: str, term: str, *values: float) -> tuple[list[float], str]:

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stationarity tests: a warm-up is found and left out, noise of any kind is not."""
 
+import re
+
 import numpy as np
 import pytest
 from support.drift import AXES, DEG_H, NOISE, SECONDS, SENSORS, sums_of_noise
@@ -68,6 +70,7 @@ def test_the_settled_part_is_fitted_and_both_values_are_stated():
     assert 0.5 * sums.samples <= used.samples < sums.samples
     (found,) = (f for f in model.findings if f.id == 'settled_part')
     assert 'in all data' in found.message and 'warm-up' in found.message
+    assert not re.search(r' [0-9.e+-]+ after', found.message)  # each value has its unit
     assert model.axes['gyro_x'].noise['K'].status == 'not_observable'
     everything, _ = fit_stationary(sums, settle=False)
     assert everything is sums
