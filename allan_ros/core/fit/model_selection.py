@@ -262,13 +262,19 @@ def _with_bounded_drift(pooled: PooledTable, axis: int, fit: PointFit) -> PointF
     z = goodness_z(fit)
     # A model that fails the test gets a model error anyway, so z is less important.
     most = max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z
-    if goodness_z(other) <= most and aic(other) + BOUNDED_MARGIN < aic(fit):
+    # Slow sinusoids can imitate a random walk.
+    more = _sinusoids(other) > _sinusoids(fit)
+    if not more and goodness_z(other) <= most and aic(other) + BOUNDED_MARGIN < aic(fit):
         return other
     # The search also fits errors of the short averages, which the model error should cover.
     others = _with_process_for_walk(pooled, axis, fit) if fit.options.misfit.size > 0.0 else []
     other = min([fit, *others], key=lambda each: aic(each, fit.options.misfit))
     gain = aic(fit, fit.options.misfit) - aic(other, fit.options.misfit)
     return other if gain > BOUNDED_MARGIN else fit
+
+
+def _sinusoids(fit: PointFit) -> int:
+    return sum(isinstance(extra, SinusoidTerm) for extra in fit.options.extras)
 
 
 def _with_process_for_walk(pooled: PooledTable, axis: int, fit: PointFit) -> list[PointFit]:

@@ -39,8 +39,9 @@ FASTEST_SINUSOID = 0.5
 """Highest frequency of a sinusoid, in cycles per smallest averaging time. A lower limit would
 replace a strong sinusoid near 0.5 by others that do not exist."""
 
-SINUSOID_PERIODS = 10
-"""Smallest number of periods of a sinusoid in the longest segment."""
+SINUSOID_PERIODS = 2.5
+"""Smallest number of periods of a sinusoid in the longest segment. A cycle of fewer periods cannot
+be distinguished from a random walk."""
 
 MAX_PROCESSES = {GaussMarkovTerm: 3, SinusoidTerm: 3}
 """Largest number of processes of each kind."""

@@ -252,6 +252,18 @@ def test_a_process_is_kept_or_dropped_where_no_other_correlation_time_can_be_tri
     assert search.search([GaussMarkovTerm(30.0)]).extras in ((), (GaussMarkovTerm(30.0),))
 
 
+@pytest.mark.parametrize(('periods', 'size'), [(9, 3.0), (9, 10.0), (3, 10.0)])
+def test_a_cycle_of_a_few_periods_has_its_period_and_no_further_process(noise, periods, size):
+    """Regression: the period was at most a tenth of the record, and K contained the rest."""
+    angle = 2.0 * np.pi * periods * np.arange(SAMPLES) / SAMPLES
+    axis, findings = fit_of(noise + size * TRUTH.B * np.sin(angle + 1.0))
+    assert {'slow_cycle', 'slow_disturbance'} & set(findings)
+    assert len(axis.processes.sinusoid) == 1 and not axis.processes.gauss_markov
+    assert axis.sinusoid.frequency == pytest.approx(periods / SECONDS, rel=0.05)
+    assert axis.sinusoid.amplitude == pytest.approx(size * TRUTH.B, rel=0.1)
+    assert axis.noise['K'].status == 'not_observable'
+
+
 @pytest.mark.filterwarnings('error')
 def test_an_average_of_zero_is_not_divided_by():
     """The correction for the ramp of a short record can make an Allan variance 0."""
