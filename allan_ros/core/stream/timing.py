@@ -278,7 +278,7 @@ class SampleClock:
                 break
             if self._are_even(count * CLOCK_BLOCK):
                 self._other_period = False
-                self._advance(np.ones(count * CLOCK_BLOCK, np.int64))
+                self._advance(count * CLOCK_BLOCK)
                 continue
             done += self._view(first)
             done += self._process(count * CLOCK_BLOCK)
@@ -345,7 +345,7 @@ class SampleClock:
         gaps = int(np.count_nonzero(advance == 0)) - jumps
         self._counts.cuts += Counter({'clock jump': jumps, 'gap': gaps})
         blocks = self._blocks_of(begin, advance)
-        self._advance(advance)
+        self._advance(same, advance)
         return blocks
 
     def _count_same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
@@ -432,14 +432,15 @@ class SampleClock:
             blocks.append(Block.joined(parts))
         return blocks
 
-    def _advance(self, advance: NDArray[np.int64]) -> None:
-        """Mark the next n samples as processed; ``advance``, (n,), are the steps of the index."""
-        end = self._past + len(advance)
-        index = (int(self._index[-1]) if len(self._index) else -1) + np.cumsum(advance)
-        gaps = np.flatnonzero(advance == 0)
-        since_gap = len(advance) - int(gaps[-1]) if len(gaps) else self._since_gap + len(advance)
+    def _advance(self, n: int, advance: NDArray[np.int64] | None = None) -> None:
+        """Mark n samples as processed; ``advance``, (n,), are the steps of the index (None: 1)."""
+        end = self._past + n
+        last = int(self._index[-1]) if len(self._index) else -1
+        index = last + (np.arange(1, n + 1) if advance is None else np.cumsum(advance))
+        gaps = [] if advance is None else np.flatnonzero(advance == 0).tolist()
+        since_gap = n - gaps[-1] if gaps else self._since_gap + n
         self._since_gap = min(since_gap, self._reach)
-        self._track(self._stamps[self._past : end], index, bool(len(gaps)))
+        self._track(self._stamps[self._past : end], index, bool(gaps))
         self._index = np.concatenate([self._index, index[-self._reach :]])[-self._reach :]
         self._past = end
 
