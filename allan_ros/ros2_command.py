@@ -35,7 +35,7 @@ class AllanCommand(Base):  # type: ignore[misc]
     """Measure and watch the noise of IMUs."""
 
     def add_arguments(self, parser: argparse.ArgumentParser, cli_name: str) -> None:
-        """Declare the verb and its arguments, which the verb itself parses."""
+        """Declare the verb and the remaining arguments, and list all verbs in the help."""
         from .cli.main import VERBS
 
         width = max(map(len, (*VERBS, *NODE_VERBS)))
@@ -66,7 +66,7 @@ class AllanCommand(Base):  # type: ignore[misc]
 
 
 def _is_for_files(verb: str, words: list[str]) -> bool:
-    """Return whether these arguments select the verb of `allan`: a file, or ``--help``."""
+    """Return whether `allan` has this verb, and the arguments contain a file or ``--help``."""
     from .cli.main import VERBS
 
     files = [w for last, w in zip(['', *words], words) if w[:1] != '-' and last not in WITH_VALUE]

@@ -35,8 +35,8 @@ PARAMETERS_HEAD = """# Parameters of the nodes
 
 Every parameter with its default, range and unit. `config/allan_ros.yaml` is a template with the
 same parameters; `ros2 param describe NODE NAME` shows them for a running node. A parameter marked ●
-can be set while the node runs; the others are read once, at the start. A value out of range is
-rejected with the reason.
+can be set while the node runs; the others are read once, at the start. A value outside
+its range is rejected, and the reason is reported.
 
 Topics, services and diagnostics are in [online.md](online.md).
 """

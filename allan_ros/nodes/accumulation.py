@@ -35,7 +35,7 @@ from .shell import LATCHED
 
 
 class AccumulatorParameters:
-    """The parameter groups of a node that accumulates."""
+    """The ROS parameters of a node that accumulates Imu messages, by group."""
 
     def __init__(self, node: AllanNode) -> None:
         self.input = node.parameters.group('input', InputSettings)
@@ -156,10 +156,11 @@ class ImuWatch(Part):
         self._checkpoint.close()
 
     def _health_and_findings(self) -> tuple[StreamHealth, tuple[Finding, ...]]:
-        """Return the health and the findings of the stream; publish sums that have lost samples.
+        """Return the health and the findings of the stream.
 
-        Computing the sums takes tens of milliseconds. It is done only if no message arrived since
-        the last call, or if anything except the addition of data at rest happened since then.
+        Computing the sums takes tens of milliseconds. They are computed only if no message arrived
+        since the last call, or if one of `_events` changed, such as the start of a motion. If they
+        lack more than `REPLACED_SHARE` of the published samples, they are published at once.
         """
         quiet, self._received = self._input.received == self._received, self._input.received
         if self._outdated:
@@ -184,15 +185,15 @@ class ImuWatch(Part):
     def _begin(self, latest_ns: int | None = None) -> None:
         """Start new sums.
 
-        ``latest_ns`` is the latest stamp of earlier sums: with simulated time, samples up to it
-        repeat a recording.
+        ``latest_ns`` is the latest stamp in the checkpoint. With simulated time, samples with
+        earlier stamps mean that the recording is played again.
         """
         segmenter, hardware_id = self._settings.segmenter.value, self._imu.hardware_id
         self._stream = ImuStream(segmenter, hardware_id, with_means=True)
         self._splitter = PassSplitter(latest_ns)
         self._latest_ns: int | None = None
         self._result = self._stream.result()
-        self._sums: tuple[AllanSums, ...] = ()  # with the sums of earlier runs
+        self._sums: tuple[AllanSums, ...] = ()  # including earlier runs of the node
         self._outdated = True  # whether samples were added since `_result` was computed
         self._events = ()
 
@@ -221,7 +222,7 @@ class ImuWatch(Part):
         self._latest_ns = max(self._latest_ns or 0, int(batch.stamps_ns.max()))
 
     def _begin_pass(self) -> None:
-        """Keep the sums of the recording that starts again, and start new ones."""
+        """Save the sums of a recording that is played again, and start new ones."""
         where = self._checkpoint.start_over(self._total())
         splitter = self._splitter
         self._begin()
@@ -290,7 +291,7 @@ class ImuWatch(Part):
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:
-    """Return values that change when anything except data at rest is added to a stream."""
+    """Return the state and the counts that stay the same while the IMU is at rest."""
     c = health.counts
     started, splits = c.used > 0, sum(c.cuts.values())
     return health.state, health.discarded, health.frame_id, health.frame_changes, splits, started

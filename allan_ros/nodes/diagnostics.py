@@ -48,7 +48,7 @@ class InputView:
     Ages are in s, and None before the first message or save. ``received_age_s`` is the time since
     the last message, ``stamp_age_s`` the ROS time since its header stamp. ``static_s`` is the time
     at rest in s. ``noted`` are findings that do not change the level. ``declared_rate`` is in Hz,
-    0 if none. ``receiver`` names what receives the messages: a timer or a callback.
+    0 if none. ``receiver`` is 'a timer' or 'a callback', whichever receives the messages.
     """
 
     topic: str
@@ -168,7 +168,7 @@ RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
 """Averaging times in s at which the recent Allan deviation is compared with the earlier one."""
 
 NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes', 'drift_changes')
-"""Findings of the fit that the status of an axis shows without a change of its level."""
+"""Findings of the fit that are listed in the status of an axis but do not change its level."""
 
 
 @dataclass(frozen=True)
@@ -176,10 +176,10 @@ class AxisView:
     """Content of the status of one axis.
 
     ``sums`` is None before there are sums; ``result`` and ``fit_age_s`` are None before the first
-    fit. ``problems`` are a failed fit or a withdrawn model. ``comparisons`` are those with the
-    datasheet and earlier results, within ``margin`` (a fraction of the limit). ``recent`` is the
-    noise of the recent window, and ``changes`` its differences from the earlier noise. ``noted``
-    are findings of the fit that do not change the level.
+    fit. ``problems`` report a failed fit or a withdrawn model. ``comparisons`` are those with the
+    datasheet and earlier results; ``margin`` is the tolerated excess, as a fraction of the limit.
+    ``recent`` contains the noise of the recent window and the noise before it, and ``changes`` the
+    differences between the two. ``noted`` are findings of the fit that do not change the level.
     """
 
     axis: str
@@ -264,7 +264,7 @@ def _recent_pairs(view: AxisView) -> list[tuple[str, object]]:
 
 
 def _nearest(changes: tuple[Difference, ...], tau: float) -> Difference | None:
-    """Return the change of the Allan deviation at the averaging time nearest to ``tau`` (s)."""
+    """Return the change at the averaging time nearest to ``tau`` (s); None if there is none."""
     known = [d for d in changes if d.tau and d.ratio]
     return min(known, key=lambda d: abs(math.log((d.tau or tau) / tau)), default=None)
 
@@ -331,7 +331,7 @@ def _summary(view: AxisView, static_s: float, next_term: str) -> str:
 
 
 def _next_term(view: AxisView) -> str:
-    """Return the time at rest that resolves the next terms; '' if no relevant term is missing."""
+    """Return text such as 'B and K need 2 h at rest'; '' if all relevant terms are resolved."""
     if view.result is None or view.method != 'gls':
         return ''  # the prediction is valid only for that fit
     limits = {c.term: c.limit for c in view.comparisons if c.tau is None}

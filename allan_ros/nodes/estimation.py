@@ -49,7 +49,7 @@ ALONE_S = 5.0
 
 @dataclass(frozen=True)
 class References:
-    """What coefficients are compared with: a datasheet, and earlier results by name."""
+    """A datasheet and earlier results (by path) to compare coefficients with."""
 
     datasheet: Datasheet | None
     baselines: Mapping[str, Results]
@@ -100,14 +100,14 @@ class ImuEstimate(Part):
         self._plot = AllanPlot(node, home, lambda: settings.value.plot_period, worker)
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
-    def take(self, snapshot: Snapshot) -> None:
+    def process(self, snapshot: Snapshot) -> None:
         """Process new sums, and fit them if they have grown enough or were replaced."""
         self._snapshot = snapshot
         lost = replaced_share(self._fitted, snapshot.sums)
         if lost > REPLACED_SHARE:
             self._withdraw(lost)
         self._compare_recent(snapshot.sums)
-        self._bias.take(snapshot)
+        self._bias.update(snapshot)
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
@@ -204,7 +204,7 @@ class ImuEstimate(Part):
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
     def _withdraw(self, lost: float) -> None:
-        """Withdraw the model because the share ``lost`` of its samples is gone; fit again soon."""
+        """Withdraw the model because the share ``lost`` of its samples was removed."""
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None
@@ -216,18 +216,18 @@ class ImuEstimate(Part):
         self._publish(replace(empty, findings=(self._withdrawn,)))
 
     def _publish(self, results: Results) -> None:
-        self._bias.use(results if results.axes else None)
+        self._bias.set_results(results if results.axes else None)
         document = results_to_document(results, curves=False)
         if bias := self._bias.document():
             document['bias'] = bias
         text = json.dumps(document, separators=(',', ':'), allow_nan=False)
         self._publisher.publish(String(data=text))
-        self._plot.take(results if results.axes else None)
+        self._plot.set_results(results if results.axes else None)
         if self._listener is not None:
             self._listener(results)
 
     def _compare_recent(self, sums: tuple[AllanSums, ...]) -> None:
-        """Compare the noise of the recent window with the noise before it."""
+        """Store the comparison of the recent window with earlier data, for each axis."""
         window = self._settings.value.recent_window
         self._recent = {axis: one for s in sums for axis, one in recent_noise(s, window).items()}
         before, recent = (

@@ -129,9 +129,9 @@ def subscribe_raw(
 ) -> tuple[Subscription, bool]:
     """Subscribe to an Imu topic as raw bytes.
 
-    Returns the subscription, and whether the caller must empty its queue. This is False if
-    ``plain`` is True or this version of rclpy cannot do it: then the executor calls ``callback``
-    with the bytes of each message. ``depth`` is the depth of the queue.
+    Returns the subscription, and whether the caller must fetch the messages from its queue. If
+    ``plain`` is True, or if this version of rclpy cannot fetch messages, the executor calls
+    ``callback`` with the bytes of each message instead. ``depth`` is the depth of the queue.
     """
     # Best effort connects to every publisher; reliable publishers still deliver in order.
     qos = QoSProfile(
@@ -180,7 +180,7 @@ class ImuInput:
         self._events = _event_handles(self._subscription)
 
     def drain(self) -> None:
-        """Fetch the queued messages; without effect unless the input is ``polled``."""
+        """Fetch the queued messages; do nothing unless the input is ``polled``."""
         if not self.polled:
             return
         # The queue may still contain messages of a publisher that has left since the last call.
@@ -215,10 +215,10 @@ class ImuInput:
             yield replace(batch, samples=batch.samples * self._scale)
 
     def publishers(self) -> tuple[tuple[str, ...], tuple[Finding, ...]]:
-        """Return the publishers on the topic, as node names and as findings.
+        """Return the node names of all publishers on the topic, and findings.
 
-        A finding is returned for publishers that cannot reach this subscription: the topic has
-        another type, or their QoS is incompatible.
+        The findings report publishers whose messages cannot be received, because their message type
+        differs or their QoS is incompatible.
         """
         known = self._node.get_publishers_info_by_topic(self.topic)
         return tuple(map(full_name, known)), self._mismatches(known)

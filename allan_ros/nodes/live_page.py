@@ -27,7 +27,7 @@ REFRESH_S = 10
 """Time in s after which the browser reloads the page."""
 
 SUMS = '/sums', ['std_msgs/msg/String']
-"""End of the name, and types, of topics with sums."""
+"""Suffix of the names of topics with sums, and their types."""
 
 CACHED_PAGES = 8
 """Number of rendered pages that are kept."""

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes publish for each IMU: the document of its sums, its bias, and Allan plots."""
+"""Messages that the nodes publish for each IMU: sums, bias and Allan plots."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class Snapshot:
 
     ``total`` contains the sums and their provenance. ``frame_id``, ``hardware_id`` and ``axes``
     describe the messages that are received, which may come from another IMU than the sums. ``axes``
-    are known before there are sums. ``means`` are the latest means of the samples at rest over 1 s
-    each, one `Means` per group of axes with a common rate.
+    are known before there are sums. ``means`` are means over 1 s of the latest samples at rest;
+    each `Means` contains the axes of one sample rate.
     """
 
     total: Total
@@ -115,8 +115,8 @@ def _means(documents: Any) -> tuple[Means, ...]:
 def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> float:
     """Return the largest share of samples of the earlier sums that are missing in the later sums.
 
-    The share is 0 while sums only grow, and 1 if the sums of an IMU are gone. It is computed from
-    the start and length of the segments. Sums list at most 32 segments, the longest.
+    The share is 0 while sums only grow, and 1 if the sums of an IMU are missing. It is computed
+    from the start and length of the segments. Sums list only their 32 longest segments.
     """
     shares = [0.0]
     for old in before:
@@ -140,7 +140,7 @@ def _lost(old: AllanSums, new: AllanSums) -> int:
 
 
 def _samples_by_start(sums: AllanSums) -> Counter[int]:
-    """Return first stamp -> number of samples, of the listed segments."""
+    """Return the number of samples of each listed segment, by the stamp of its start in ns."""
     found: Counter[int] = Counter()
     for segment in sums.segments:
         found[segment.start_ns] += segment.samples
@@ -160,7 +160,7 @@ class BiasPublisher:
         self._last_ns = 0
         self._turn_on: dict[str, TurnOnBias] = {}
 
-    def take(self, snapshot: Snapshot) -> None:
+    def update(self, snapshot: Snapshot) -> None:
         """Update the bias with new means of samples at rest, and publish it if there are any."""
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
@@ -171,7 +171,7 @@ class BiasPublisher:
             self._last_ns = latest
             self._publisher.publish(bias_message(known, snapshot.frame_id))
 
-    def use(self, results: Results | None) -> None:
+    def set_results(self, results: Results | None) -> None:
         """Estimate the bias with the noise models of these results; None removes the models."""
         axes = results.axes if results is not None else {}
         self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
@@ -213,7 +213,7 @@ class BiasPublisher:
 
 
 def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarianceStamped:
-    """Return the message: gyro biases are its angular, accelerometer biases its linear part."""
+    """Return the biases as a twist: gyro in the angular, accelerometer in the linear part."""
     message = TwistWithCovarianceStamped()
     message.header.frame_id = frame_id
     latest = max(bias.end_ns for bias in known.values())
@@ -252,8 +252,8 @@ class AllanPlot:
         self._next = 0.0
         self._enabled = True
 
-    def take(self, results: Results | None) -> None:
-        """Set the results that the next plot shows; None: no plot."""
+    def set_results(self, results: Results | None) -> None:
+        """Set the results that the next plot shows; with None, no plot is drawn."""
         self._results = results
 
     def tick(self, now: float) -> None:
@@ -294,7 +294,7 @@ class AllanPlot:
 
 
 def _draw(results: Results, sensors: list[str]) -> Pictures:
-    """Return sensor -> PNG, for the sensors in the results."""
+    """Return the plot of each sensor that has results, as PNG."""
     from ..io.plot_layout import render_figure
     from ..io.plots import sensor_figure
 

@@ -46,7 +46,7 @@ class Estimator(AllanNode):
         references = load_references(settings.value)
         push = ParameterPush(self)
         estimate = ImuEstimate(self, '', settings, references, Worker(), push.offer)
-        source = SumsInput(self, estimate.take)
+        source = SumsInput(self, estimate.process)
         self.begin([source, estimate, push], f'estimates from the sums on {source.topic}')
 
 
@@ -86,7 +86,7 @@ class Monitor(AllanNode):
         described: list[str] = []
         for imu in imus:
             estimate = ImuEstimate(self, imu.label, estimator, references, worker, push.offer)
-            watch = ImuWatch(self, imu, settings, estimate.take)
+            watch = ImuWatch(self, imu, settings, estimate.process)
             parts += [watch, estimate]
             described.append(watch.description)
             if relay.value.enabled:

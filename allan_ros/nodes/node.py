@@ -80,12 +80,8 @@ class Parameters:
     def group(self, prefix: str, settings_type: type[T]) -> ParameterGroup[T]:
         """Declare a parameter ``<prefix>.<field>`` for each field of the settings.
 
-        Raises
-        ------
-        AllanError
-            When the values given at start are not valid settings, or have the wrong type.
-        rclpy.exceptions.ParameterException
-            When a value lies outside its range.
+        Raises AllanError if a value given at start is invalid or has the wrong type, and
+        ParameterException (rclpy) if it is outside its range.
         """
         defaults, given = settings_type(), {}
         for name, info in describe(settings_type).items():
@@ -185,7 +181,7 @@ class Periodic:
         """Return whether the task is due at the time ``now`` of the monotonic clock, in s."""
         if now - self._last < self._period():
             return False
-        # Up to one period late: keep the original times. Later: count from now.
+        # If the call is more than one period late, skip the missed times.
         self._last = max(self._last + self._period(), now - self._period())
         return True
 

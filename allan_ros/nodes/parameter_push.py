@@ -35,7 +35,7 @@ ANSWER_S = 5.0
 """Time in s to wait for an answer of the node; without one, the next update tries again."""
 
 RETRY_S = 1.0
-"""Period in s at which an update is tried until values and node are available."""
+"""Period in s at which an update is retried until values and node are available."""
 
 
 class ParameterPush(Part):
@@ -127,7 +127,7 @@ class ParameterPush(Part):
     def _proposals(
         self, mapping: FilterMapping, results: Results, settings: PushSettings
     ) -> list[Proposal]:
-        """Return the values that can be set; note the reasons why the others cannot."""
+        """Return the values that can be set; for each other value, store the reason as a note."""
         fits = {name: axis.fit for name, axis in results.axes.items()}
         known = fits, results.rate_hz, mapping.constants, mapping.horizon
         made = []
@@ -143,7 +143,7 @@ class ParameterPush(Part):
         return [p for p, r in refused if r is None or p.differs(r.values, settings.change)]
 
     def _call(self, client: Client, requests: list[Any], then: Callable[[list[Any]], None]) -> None:
-        """Send the requests; `tick` passes all answers to ``then``, or gives up after a while."""
+        """Send the requests; `tick` passes all answers to ``then``, or stops after `ANSWER_S`."""
         self._calls = [client.call_async(request) for request in requests]
         self._on_answers, self._called_at = then, time.monotonic()
 
@@ -168,7 +168,7 @@ class ParameterPush(Part):
             self._call(self._set, [request], partial(self._on_set, wanted))
 
     def _has_right_type(self, proposal: Proposal, value: ParameterValue) -> bool:
-        """Return whether the parameter has the type of the proposal; note the reason if not."""
+        """Return whether the parameter has the type of the proposal; if not, store a note."""
         kind, wanted = 'a double', ParameterType.PARAMETER_DOUBLE
         if len(proposal.values) > 1:
             kind, wanted = 'an array of doubles', ParameterType.PARAMETER_DOUBLE_ARRAY

@@ -41,7 +41,7 @@ POLL_S = 0.05
 """Period in s at which a thread that waits checks whether the node should stop."""
 
 LINGER_S = 0.5
-"""Time in s for which the publisher stays at the end: subscribers still empty their queues."""
+"""Time in s for which the publisher stays after the end, while subscribers empty their queues."""
 
 SIMULATED = (
     NoiseTerms(Q=0.0, N=5e-5, B=2e-5, K=2e-6, R=0.0),
@@ -53,12 +53,12 @@ CALL_PERIOD_S = 1.0
 """Period in s at which a call is repeated: an answer to an undiscovered client is lost."""
 
 PATIENCE_S = 10.0
-"""Time in s for which a subscriber that does not answer is waited for."""
+"""Longest time in s to wait for the answer of a subscriber."""
 
 
 @dataclass
 class _Subscriber:
-    """A subscriber, and the calls to its node (times of the monotonic clock in s)."""
+    """A subscriber and its answer to a service call; times of the monotonic clock in s."""
 
     first_call: float
     name: str = ''
@@ -104,7 +104,7 @@ class Handshake:
     def again(self) -> None:
         """Start again: each remaining subscriber must answer another call.
 
-        A subscriber that did not answer before is called, but not waited for.
+        The player does not wait again for a subscriber that did not answer before.
         """
         self._wanted, now = 0, time.monotonic()
         # new objects, because an answer to an earlier call may still arrive
@@ -259,7 +259,7 @@ class Player(Node):
             self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
 
     def _wait_for_answers(self, event: str) -> None:
-        """Wait for the answers of all subscribers; warn if it is unknown whether one ``event``."""
+        """Wait until all subscribers have answered or timed out; log those without an answer."""
         self._answered.clear()
         self._asking = True
         while not (self._stop.is_set() or self._answered.wait(POLL_S)):

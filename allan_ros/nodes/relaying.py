@@ -67,7 +67,7 @@ RECEIVED, FILLED, PASSED, HELD, MALFORMED, UNPUBLISHED, UNBIASED = COUNTS = (
 
 
 class RelayTopics(NamedTuple):
-    """Topics of a relay: input, noise model, output and bias; and its IMU in diagnostics."""
+    """Topic names of a relay; ``label`` and ``hardware_id`` identify its IMU in diagnostics."""
 
     source: str
     model: str
@@ -78,7 +78,7 @@ class RelayTopics(NamedTuple):
 
 
 def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
-    """Return sensor -> variances of its axes, in (rad/s)^2 or (m/s^2)^2, for the covariances."""
+    """Return the variances of the axes of each sensor, in (rad/s)^2 or (m/s^2)^2."""
     if settings.variance == 'sample':
         stds = {name: axis.sample_std for name, axis in results.axes.items()}
         return measured_variances(stds, settings.inflate)
@@ -189,7 +189,7 @@ class ImuRelay(Part):
             counts[HELD] += 1
             return
         try:
-            unbiased = self._without_bias(payload)
+            unbiased = self._subtract_bias(payload)
             patched = self._patch.patch(unbiased)
         except MalformedMessage as error:
             counts[MALFORMED] += 1
@@ -205,8 +205,8 @@ class ImuRelay(Part):
         except rclpy_implementation.RCLError:  # the queue of a reliable subscriber stayed full
             counts[UNPUBLISHED] += 1
 
-    def _without_bias(self, payload: bytes) -> bytes:
-        """Return the message without the gyro bias, or unchanged if it must not be subtracted."""
+    def _subtract_bias(self, payload: bytes) -> bytes:
+        """Return the message without the gyro bias, or unchanged if the bias does not apply."""
         settings, bias = self._settings.value, self._bias
         if not settings.subtract_bias or bias is None or bias.twist.covariance[21] < 0.0:
             return payload
@@ -278,8 +278,8 @@ class ImuRelay(Part):
         self._results, self._problem = (results if results.axes else None), ()
         self.tick(time.monotonic())
 
-    def _without_model(self, now: float) -> Finding:
-        """Return the finding that states why there is no noise model."""
+    def _missing_model(self, now: float) -> Finding:
+        """Return a finding with the reason why there is no noise model."""
         topic, seconds = self._model.topic_name, now - self._began
         passed = self._settings.value.until_model == 'pass'
         done = 'passed on unchanged' if passed else 'held back'
@@ -305,7 +305,7 @@ class ImuRelay(Part):
         several = len(publishers) if len(publishers) > 1 else 0
         add('relay_several_publishers', several, topic=sink, names=names)
         if results is None:
-            found.append(self._without_model(now))
+            found.append(self._missing_model(now))
         else:
             known = {sensor_of(axis) for axis in results.axes}
             for sensor in SENSORS:

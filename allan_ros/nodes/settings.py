@@ -33,7 +33,8 @@ class InputSettings(CheckedSettings):
     topics: tuple[str, ...] = fixed_parameter(('imu/data',), 'Imu topics to watch.')
     labels: tuple[str, ...] = fixed_parameter(
         ('',),
-        'One short name per topic, for topics, files and diagnostics; may be empty for one IMU.',
+        'One short name per IMU, used in topics, files and diagnostics; empty: made from the '
+        'topics if there are several IMUs.',
     )
     hardware_ids: tuple[str, ...] = fixed_parameter(
         ('',), 'One serial number per topic; empty: the frame_id is used.'
@@ -48,7 +49,7 @@ class InputSettings(CheckedSettings):
         0.5, 'Period at which fetched messages are decoded and accumulated.', 's', 0.005, 10.0
     )
     stale_after: float = parameter(
-        2.0, 'Time without a message after which the input is in error.', 's', 0.1, 3600.0
+        2.0, 'Time without a message after which an error is reported.', 's', 0.1, 3600.0
     )
     gyro_unit: str = fixed_parameter(
         'rad/s',
@@ -130,7 +131,7 @@ class CheckpointSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class EstimatorSettings(CheckedSettings):
-    """How often the sums are fitted, and references of the results (group ``estimator``)."""
+    """How sums are fitted and results are compared (group ``estimator``)."""
 
     method: str = parameter(
         'gls', 'Method that fits the five terms.', choices=('gls', 'relative', 'paper')
@@ -141,9 +142,7 @@ class EstimatorSettings(CheckedSettings):
     sensor: str = fixed_parameter(
         '', 'Datasheet to compare with: a name in config/sensors or a file; empty: none.'
     )
-    baseline: str = fixed_parameter(
-        '', 'Earlier results to compare with, a results.json; empty: none.'
-    )
+    baseline: str = fixed_parameter('', 'Earlier results.json to compare with; empty: none.')
     margin: float = parameter(
         MARGIN,
         'Warn when the entire 95 % interval is above the limit by more than this fraction.',
@@ -151,21 +150,33 @@ class EstimatorSettings(CheckedSettings):
         high=100.0,
     )
     recent_window: float = fixed_parameter(
-        3600.0, 'Length of the recent window, compared with all earlier data.', 's', 1.0, 604800.0
+        3600.0,
+        'Length of the recent window: its noise is compared with that of all earlier data.',
+        's',
+        1.0,
+        604800.0,
     )
     bias_tolerance_gyro: float = fixed_parameter(
         0.0,
-        'Tolerance of the gyro bias: diagnostics show how long the bias stays within it; 0: twice '
-        'its 95 % interval.',
+        'Tolerance of the gyro bias: diagnostics show how long the bias stays within it; 0: the '
+        'width of its 95 % interval.',
         unit='rad/s',
         low=0.0,
         high=10.0,
     )
     bias_tolerance_accel: float = fixed_parameter(
-        0.0, 'Tolerance of the accelerometer bias; 0: twice its 95 % interval.', 'm/s^2', 0.0, 100.0
+        0.0,
+        'Tolerance of the accelerometer bias; 0: the width of its 95 % interval.',
+        unit='m/s^2',
+        low=0.0,
+        high=100.0,
     )
     plot_period: float = parameter(
-        10.0, 'Shortest time between two Allan plots; none without a subscriber.', 's', 1.0, 86400.0
+        10.0,
+        'Shortest time between two Allan plots, drawn only for subscribers.',
+        's',
+        1.0,
+        86400.0,
     )
 
 
@@ -214,7 +225,7 @@ class RelaySettings(CheckedSettings):
     )
     bias_rate_limit: float = parameter(
         0.05,
-        'Largest difference of angular velocity and bias at which the bias is subtracted.',
+        'Largest difference between angular velocity and bias at which the bias is subtracted.',
         unit='rad/s',
         low=1e-4,
         high=10.0,
@@ -234,7 +245,9 @@ class PushSettings(CheckedSettings):
     """How parameters of another node are set from the noise model (group ``push``)."""
 
     node: str = fixed_parameter('', 'Full name of the node whose parameters are set; empty: none.')
-    filter: str = fixed_parameter('', 'Mapping: a name in config/filters, or a file.')
+    filter: str = fixed_parameter(
+        '', 'Mapping from noise terms to parameters: a name in config/filters, or a file.'
+    )
     enabled: bool = parameter(
         True, 'Whether parameters are set; ~/restore undoes all changes and sets this to false.'
     )

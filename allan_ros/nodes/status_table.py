@@ -63,12 +63,12 @@ class Row:
 
     @property
     def title(self) -> str:
-        """Name of the status, with the node unless it is allan_monitor."""
+        """Name of the status, preceded by the name of the node unless it is allan_monitor."""
         return self.name if self.node == 'allan_monitor' else f'{self.node}: {self.name}'
 
     @property
     def remark(self) -> str:
-        """The message without the part that the term columns show."""
+        """The message, without the coefficients if the term columns show them."""
         if self.level == 'ok' and self.terms:
             return self.message.partition(' from ')[2]
         return self.message

@@ -46,7 +46,7 @@ HINT_S = 8.0
 """Time in s without a status after which the hint is shown. Nodes need some seconds to start."""
 
 DISCOVERY_S = 5.0
-"""Time in s for which a service and its answer are waited for."""
+"""Longest time in s to wait for a service, and then for its answer."""
 
 EXIT_LEVEL = {'ok': 0, 'WARN': 3, 'STALE': 4, 'ERROR': 4}
 """Exit code of ``--check`` by the most severe level."""
