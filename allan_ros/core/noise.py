@@ -106,18 +106,8 @@ def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
     """Return the Allan variance of first-order Gauss-Markov noise of unit variance.
 
     The noise is continuous in time: (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std
-    952-2020 annex C (exponentially correlated noise).
-
-    Parameters
-    ----------
-    m : (factors,) array
-        Averaging times in any unit.
-    correlation : float
-        Correlation time T in the same unit.
-
-    Returns
-    -------
-    (factors,) float64 array
+    952-2020 annex C (exponentially correlated noise). The averaging times ``m`` and the
+    ``correlation`` time T have the same unit.
     """
     x = np.asarray(m, float) / correlation
     return np.asarray(_gauss_markov_growth(x) / x**2)
@@ -129,16 +119,8 @@ def sampled_gauss_markov_avar(m: ArrayLike, correlation: ArrayLike) -> NDArray[n
     It is (4 D(m) - D(2m)) / (2 m^2), where D(n) is the variance of the sum of n samples from
     `gauss_markov_sums`. For T and m of many samples, it approaches `gauss_markov_avar`.
 
-    Parameters
-    ----------
-    m : (factors,) array
-        Averaging factors in samples.
-    correlation : float or (processes,) array
-        Correlation times T in samples.
-
-    Returns
-    -------
-    (factors,) or (factors, processes) float64 array
+    The averaging factors ``m`` and the ``correlation`` times T are in samples. The result is
+    (factors,) for a single T, and (factors, processes) for an array.
     """
     correlation = np.asarray(correlation, float)
     x = np.asarray(m, float).reshape(-1, *(1,) * correlation.ndim) / correlation
@@ -160,15 +142,7 @@ def gauss_markov_sums(
 
     The samples are those of a first-order Gauss-Markov process of unit variance, with the
     autocovariance exp(-k/T) at a lag of k samples: A = coth(1/(2T)), B = 1 / (2 sinh(1/(2T))^2).
-
-    Parameters
-    ----------
-    correlation : (processes,) array
-        Correlation times T in samples.
-
-    Returns
-    -------
-    A, B : (processes,) float64 arrays
+    The ``correlation`` times T are in samples; A and B are (processes,).
     """
     half = np.atleast_1d(0.5 / np.asarray(correlation, float))
     # A and B/T are much larger than their difference of about 1/2: a series avoids rounding errors
@@ -182,19 +156,8 @@ def sinusoid_avar(m: ArrayLike, frequency: ArrayLike) -> NDArray[np.float64]:
     """Return the Allan variance of a sampled sinusoid of unit amplitude, averaged over its phase.
 
     It is sin^4(pi f m) / (m sin(pi f))^2, which is the formula of IEEE Std 952-2020 annex C
-    (sinusoidal noise) with sums of samples instead of integrals.
-
-    Parameters
-    ----------
-    m : (factors,) array
-        Averaging factors in samples.
-    frequency : float or array that broadcasts with m
-        Frequency f in cycles per sample.
-
-    Returns
-    -------
-    float64 array
-        In the broadcast shape of both.
+    (sinusoidal noise) with sums of samples instead of integrals. The ``frequency`` f is in cycles
+    per sample; it broadcasts with the averaging factors ``m``.
     """
     m, turn = np.asarray(m, float), np.pi * np.asarray(frequency, float)
     return np.asarray(np.sin(turn * m) ** 4 / (m * np.sin(turn)) ** 2)

@@ -117,8 +117,9 @@ def chi_squared_limits(
 ) -> tuple[Floats, Floats]:
     """Return the lower and upper confidence limits of the deviation sqrt(avar).
 
-    ``degrees`` are its degrees of freedom (NaN gives NaN) and ``level`` is the confidence level.
-    The limits are sqrt(avar edf / chi^2) at two quantiles of chi^2, NIST SP 1065 section 5.3.1.
+    ``degrees`` are the equivalent degrees of freedom of ``avar`` (NaN gives NaN), and ``level`` is
+    the confidence level. The limits are sqrt(avar degrees / chi^2) at two quantiles of chi^2, NIST
+    SP 1065 section 5.3.1.
     """
     avar, degrees = np.asarray(avar, float), np.asarray(degrees, float)
     tail = (1.0 - level) / 2.0
@@ -145,18 +146,8 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
     IMU is quantization. If the record is shorter than 16 averaging times, the type of the previous
     factor is used, or white noise (0) if there is none.
 
-    Parameters
-    ----------
-    m : (factors,) int64 array
-        Averaging factors, ascending.
-    avar : (factors, axes) float64 array
-        Allan variance; NaN or 0 without data.
-    samples : int
-        Number of samples in the record.
-
-    Returns
-    -------
-    (factors, axes) int64 array
+    The averaging factors ``m`` are ascending. ``avar`` and the result are (factors, axes); ``avar``
+    is NaN or 0 without data. ``samples`` is the number of samples in the record.
     """
     slopes = _local_slopes(m, avar, np.where(MIN_AVERAGES * m <= samples, samples / m, 0.0))
     out = np.empty(avar.shape, np.int64)
@@ -220,12 +211,12 @@ class AxisCurve:
 
 @dataclass(frozen=True)
 class AllanCurve(AxisCurve):
-    """Overlapping Allan deviation of all axes, with chi-squared limits of level `CI_LEVEL`.
+    """Overlapping Allan deviation of all axes: an `AxisCurve` with one column for each axis.
 
     Attributes
     ----------
     axes : tuple of str
-        Names of the columns of the arrays.
+        Names of the columns.
     edf : (factors, axes) float64 array
         Equivalent degrees of freedom.
     noise_type : (factors, axes) int64 array
@@ -244,15 +235,9 @@ class AllanCurve(AxisCurve):
 
 
 def sample_period(sums: AllanSums) -> float:
-    """Return the sample period of the sums in s.
-
-    Raises
-    ------
-    AllanError
-        If there are fewer than two samples.
-    """
+    """Return the sample period of the sums in s; raise `AllanError` with fewer than two samples."""
     if sums.tau0 is None:
-        raise AllanError('an Allan curve needs at least two samples: record some minutes')
+        raise AllanError('an Allan curve needs at least two samples: record for some minutes')
     return sums.tau0
 
 
@@ -280,18 +265,12 @@ def degrees_of_freedom(
 ) -> Floats:
     """Return the equivalent degrees of freedom of the Allan variances of the sums, (factors, axes).
 
-    It is NaN at factors for which no segment is long enough. For pooled segments, the mean length
-    of their class is used.
+    They are NaN at factors for which no segment is long enough. Segments that are stored only as a
+    `LengthClass` are assumed to have its mean length.
 
-    Parameters
-    ----------
-    sums : AllanSums
-        Sums whose segments are used.
-    m, stride : (factors,) int64 arrays
-        Averaging factors, and number of samples between the starts of two second differences (m
-        itself for the non-overlapping Allan variance).
-    types : (factors, axes) int64 array
-        Noise types, as from `noise_types_of_avar`.
+    ``m`` are averaging factors, and ``stride`` are the numbers of samples between the starts of two
+    second differences (m itself for the non-overlapping Allan variance). ``types`` are the noise
+    types, (factors, axes), as from `noise_types_of_avar`.
     """
     lengths = [round(samples) for samples, _ in sums.length_histogram]
     number = [how_many for _, how_many in sums.length_histogram]

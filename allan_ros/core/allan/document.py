@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Conversion of `AllanSums` to a plain document (dicts, lists, numbers, strings) and back.
 
-The same document is used in checkpoints, in ``sums.json`` and on the topic ``~/sums``. The reader
-does not trust it: it checks every length and bound, and that the fields are consistent.
+The same document is used in checkpoints, in ``sums.json`` and on the topic ``~/sums``. Because it
+may be damaged, the reader checks all lengths and bounds, and that the fields are consistent.
 """
 
 from __future__ import annotations
@@ -135,11 +135,11 @@ def _packed(values: NDArray[Any]) -> str:
 
 
 def _unpacked(fields: Fields, key: str, kind: str, most: int) -> NDArray[Any]:
-    """Return the at most ``most`` numbers of a text written by `_packed`; kind: 'z4' or 'z8'."""
+    """Return the numbers, at most ``most``, of a text from `_packed`; ``kind`` is 'z4' or 'z8'."""
     where, size = f'{fields.where}.{key}', int(kind[1])
     text = fields.text(key, longest=12 * most + 100)
     if not text.startswith(f'{kind}:'):
-        raise AllanError(f'{where} begins with {text[:3]!r}: {kind}: is expected')
+        raise AllanError(f'{where} begins with {text[:3]!r}: {kind!r} is expected')
     try:
         data = base64.b64decode(text[3:], validate=True)
         stream = zlib.decompressobj()
@@ -149,7 +149,7 @@ def _unpacked(fields: Fields, key: str, kind: str, most: int) -> NDArray[Any]:
     except (ValueError, zlib.error) as error:
         raise AllanError(f'{where} cannot be unpacked: {error!r}') from error
     if not stream.eof:
-        raise AllanError(f'{where} is cut off, or has more than {most} numbers')
+        raise AllanError(f'{where} is truncated, or has more than {most} numbers')
     return full.view('<f8' if kind == 'z4' else '<i8').ravel()
 
 
@@ -160,7 +160,9 @@ def _packed_floats(
     if values.size != math.prod(shape):
         raise AllanError(f'{fields.where}.{key} has {values.size} numbers: {shape} are expected')
     if not np.all((least <= values) & (values <= MAX_SUM)):  # this also excludes NaN
-        raise AllanError(f'{fields.where}.{key} is not from {least:g} to {MAX_SUM:g}')
+        raise AllanError(
+            f'{fields.where}.{key}: numbers from {least:g} to {MAX_SUM:g} are expected'
+        )
     return round_to_stored(values).reshape(shape)
 
 

@@ -163,7 +163,7 @@ class _Level:
                 by_period.merge(length)
 
     def _split_by_bin(self, first: int, number: int) -> list[tuple[int, int, int]]:
-        """Return (bin, low, high) of each age bin in which some of ``number`` differences start."""
+        """Return (bin, low, high) of each age bin in which differences low to high - 1 start."""
         begin, end = self.bin_starts
         if begin <= first and first + number <= end:
             return [(self.bin, 0, number)]
@@ -178,7 +178,7 @@ class _Level:
         return found
 
     def _first_start(self, age: int) -> int:
-        """Return the index of the first difference that starts at an age in samples or later."""
+        """Return the index of the first difference that starts at ``age`` samples or later."""
         return -((self.offset - age) >> self.level)
 
 
@@ -188,7 +188,7 @@ def _squares(d: Floats) -> Floats:
 
 
 def _squares_by_part(d: Floats, split: int, size: int) -> Floats:
-    """Return sums of squares of the columns before ``split`` and of each ``size`` columns after."""
+    """Return sums of squares of the columns before ``split``, then of groups of ``size``."""
     end = split + max(0, d.shape[1] - split) // size * size
     inner = d[:, split:end].reshape(len(d), -1, size)
     parts = [_squares(d[:, :split])[None]]
@@ -199,7 +199,7 @@ def _squares_by_part(d: Floats, split: int, size: int) -> Floats:
 
 
 def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
-    """Return the sum of the second differences d at a lag, from the first and last 2 lag points.
+    """Return the sum of all second differences d at a lag, from 2 * lag points at each end.
 
     The sum telescopes: d(u) = g(u + lag) - g(u) with g(u) = theta(u + lag) - theta(u).
     """
@@ -343,7 +343,7 @@ class _OpenSegment:
                 yield AgeBin(index, count, squares[index][: len(count)], (), squares[index][:0])
 
     def _recording(self, by_period: list[PeriodSums]) -> Recording:
-        """Return the means by cell and the sums of squares by period of the segment."""
+        """Return the `Recording` of the segment: means by cell, and sums of squares by period."""
         offset, bottom, axes = self.offset, self.levels[0], len(self.theta)
         phase, step = self.cells.extended(bottom.block(), self.base, bottom.summed)
         first = -(-offset // step)
@@ -392,7 +392,7 @@ class RunningAllan:
     def update(self, samples: ArrayLike, first_ns: int, last_ns: int) -> None:
         """Add finite samples, (n, axes), that directly follow the previous ones.
 
-        ``first_ns`` and ``last_ns`` are the stamps of the first and the last sample, in ns.
+        ``first_ns`` and ``last_ns`` are the stamps of the first and the last of them, in ns.
         """
         values = np.asarray(samples, float)
         if not len(values):
@@ -412,7 +412,7 @@ class RunningAllan:
         self._open = None
 
     def _age(self, first_ns: int) -> int:
-        """Return the age in samples at which a new segment begins."""
+        """Return the age in samples of a segment that begins at ``first_ns``; the first has 0."""
         closed = self._closed
         if not closed.samples:
             self._start_ns = first_ns

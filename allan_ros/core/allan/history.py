@@ -8,9 +8,10 @@ The age of a sample is the number of sample periods since the first sample of it
   up to the sums of the recording, at all averaging factors. Edges lie at 2^k and 1.5 * 2^k samples,
   which gives about 13 bins at any length. The early part of a recording (its warm-up) can be
   removed from the sums by leaving out the first bins.
-- `Recording`: the means of up to 512 cells (time intervals of equal length), and the sums of
-  squares at every second octave of about 100 periods (time intervals that are shorter towards the
-  end). The stationarity tests and the comparison of recent with earlier noise use them.
+- `Recording`: the means over fewer than 512 cells (time intervals of equal length), and the sums of
+  squares over about 100 periods (time intervals that are shorter towards the end) at the averaging
+  factors 1, 4, 16 ... The stationarity tests and the comparison of recent with earlier noise use
+  them.
 
 All values depend only on the samples and their number, so they are the same for any chunking.
 Values of several recordings can be added.
@@ -134,7 +135,7 @@ def round_to_stored(values: Floats) -> Floats:
 
 @dataclass
 class PeriodSums:
-    """Sums of squared second differences by period, at one averaging factor of an open segment."""
+    """Sums of squared second differences by period (time interval), at one averaging factor."""
 
     m: int  # averaging factor in samples
     begins: list[int]  # ages at which the periods begin
@@ -185,7 +186,7 @@ class ByValue:
 
 @dataclass(frozen=True, eq=False)
 class AgeBin(ByValue):
-    """Allan sums of the second differences that start in one range of ages."""
+    """Allan sums of the second differences that start in one range of ages (in samples)."""
 
     index: int  # begins at the age ``edge_age(index)``, ends where the next bin of a history begins
     count: Ints  # (factors,) number of second differences
@@ -210,7 +211,7 @@ class Recording(ByValue):
     """Means and short-term variances of one recording by age."""
 
     start_ns: int  # stamp of the first sample
-    length: int  # number of sample periods from the first to the last sample
+    length: int  # length in sample periods, including gaps
     samples: int  # number of samples, without those missing in gaps
     step: int  # length of a cell in samples, a power of two
     cell_samples: Ints  # (cells,) number of samples in each cell, 0 in gaps
@@ -244,9 +245,7 @@ class Recording(ByValue):
         return replace(self, cell_samples=number, cell_means=means)
 
     def coarser(self, cells: int, begins: Ints) -> Recording:
-        """Return a copy with fewer than ``cells`` cells, and with longer periods that begin at the
-        ages ``begins``.
-        """
+        """Return a copy with fewer than ``cells`` cells, and periods that begin at ``begins``."""
         step = max(cell_step(self.length, cells), self.step)
         number, means = self.cell_samples, self.cell_means
         if step > self.step:
@@ -265,7 +264,7 @@ class Recording(ByValue):
         )
 
     def summary(self) -> Recording:
-        """Return a copy with fewer than 64 cells and 16 periods, for a history of several."""
+        """Return a copy with fewer than 64 cells and 16 periods, for a sum of recordings."""
         period = cell_step(self.length, MERGED_PERIODS)
         return self.coarser(MERGED_CELLS, np.unique(self.period_begin // period * period))
 
@@ -312,11 +311,11 @@ class History(ByValue):
     @classmethod
     def of_segment(cls, bins: Iterable[AgeBin], recording: Recording) -> History:
         """Return the history of a recording with a single segment."""
-        return cls(1, tuple(bins), (recording,), 1)._from(_first_edge(recording.length))
+        return cls(1, tuple(bins), (recording,), 1)._merged_below(_first_edge(recording.length))
 
     @property
     def ages(self) -> tuple[int, ...]:
-        """Ages in samples at which the bins begin, without the first bin."""
+        """Ages in samples at which the bins begin, except the first bin."""
         return tuple(edge_age(b.index) for b in self.bins[1:])
 
     @property
@@ -330,7 +329,7 @@ class History(ByValue):
             return self if self.recordings else later
         one = self.recordings[0].continued(later.recordings[0])
         first = _first_edge(one.length)
-        bins = _add_bins(self._from(first).bins, later._from(first).bins)
+        bins = _add_bins(self._merged_below(first).bins, later._merged_below(first).bins)
         return History(first, bins, (one,), 1)
 
     def __add__(self, other: History) -> History:
@@ -346,7 +345,7 @@ class History(ByValue):
         others = [r.summary() for r in recordings if r is not latest][: KEPT_RECORDINGS - 1]
         return History(
             first,
-            _add_bins(self._from(first).bins, other._from(first).bins),
+            _add_bins(self._merged_below(first).bins, other._merged_below(first).bins),
             tuple(sorted((*others, latest), key=lambda r: r.order)),
             self.recording_count + other.recording_count,
         ).rounded()
@@ -360,10 +359,10 @@ class History(ByValue):
         )
 
     def with_pooled(self, pooled: Iterable[tuple[int, PooledCount, Floats]]) -> History:
-        """Return a copy that counts pooled segments in the age bins in which they begin.
+        """Return a copy with pooled segments added to the age bins in which they begin.
 
-        Pooled segments have no record of their own, only a share in their length class. Each is
-        given as (age of its first sample, its `PooledCount`, its ramp correction).
+        These are segments whose `SegmentRecord` is not kept. ``pooled`` contains the age of the
+        first sample, the `PooledCount` and the ramp correction of each.
         """
         more = [
             AgeBin(
@@ -377,8 +376,8 @@ class History(ByValue):
         ]
         return replace(self, bins=_add_bins(self.bins, more))
 
-    def _from(self, first: int) -> History:
-        """Return a copy with all bins of a smaller index than ``first`` merged into one."""
+    def _merged_below(self, first: int) -> History:
+        """Return a copy with all bins below the index ``first`` merged into one."""
         if first <= self.first:
             return self
         early = [b for b in self.bins if b.index < first]
@@ -399,7 +398,7 @@ def add_padded(a: NDArray, b: NDArray, axis: int = 0) -> NDArray:  # type: ignor
 
 
 def _first_edge(length: int) -> int:
-    """Return the index of the first bin that begins at 1/`EARLIEST_PART` of a length or later."""
+    """Return the index of the first bin that begins at ``length``/64 or later, at least 1."""
     index = max(1, age_bin(max(length // EARLIEST_PART, 1)))
     return index if edge_age(index) * EARLIEST_PART >= length else index + 1
 

@@ -50,18 +50,18 @@ SCATTER_PROBABILITY = 1e-3
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of the white noise of one axis between parts."""
+    """Scatter of the white noise of one axis between parts of a recording, or recordings."""
 
     parts: int  # number of parts
-    low: float  # smallest deviation of a part, relative to the deviation of all data
-    high: float  # largest deviation of a part, relative to the deviation of all data
-    # standard deviation of ln(deviation) of the parts, without the scatter due to estimation errors
+    low: float  # smallest Allan deviation of a part, relative to that of all data
+    high: float  # largest Allan deviation of a part, relative to that of all data
+    # standard deviation of ln(Allan deviation) of the parts, without that due to estimation errors
     scatter: float
-    probability: float  # p-value of Bartlett's test that the deviations are equal
+    probability: float  # p-value of Bartlett's test for equal variances
 
 
 def level_changes(recordings: Sequence[Recording], age: int = 0) -> dict[int, Scatter]:
-    """Return the positions of the axes whose white noise changed significantly, with its scatter.
+    """Return the scatter of each axis whose white noise changed significantly, by axis position.
 
     A single recording is divided into sixths; several recordings are compared with each other. The
     first ``age`` samples of each recording are left out.
@@ -83,8 +83,8 @@ def level_scatter(recordings: Sequence[Recording], axes: int, age: int = 0) -> F
 
     It has two parts, which are 0 if they are not significant: the scatter between the sixths of a
     recording or between recordings, and the scatter between periods divided by the root of their
-    number. The latter arises from heavy tails or bursts, with which the variances of periods
-    scatter more than chi-squared. The first ``age`` samples of each recording are left out.
+    number. The latter is significant if heavy tails or bursts make the variances of periods vary
+    more than chi-squared. The first ``age`` samples of each recording are left out.
     """
     variance = np.zeros(axes)
     for parts in (_parts_of_each(recordings), 0):
@@ -115,7 +115,7 @@ def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict
     for axis in range(sum_sq.shape[2]):
         with np.errstate(divide='ignore', invalid='ignore'):
             pooled = sum_sq[:, :, axis].sum(axis=0) / (scale * count.sum(axis=0))
-        i = _white_level(pooled, np.median(count, axis=0))
+        i = _white_factor(pooled, np.median(count, axis=0))
         if i is not None:
             variance = sum_sq[:, i, axis] / (scale[i] * np.maximum(count[:, i], 1))
             found[axis] = int(m[i]), variance, count[:, i]
@@ -123,7 +123,7 @@ def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict
 
 
 def _level_parts(recording: Recording, age: int, parts: int) -> tuple[Ints, Floats]:
-    """Return counts, (parts, levels), and sums of squares, (parts, levels, axes)."""
+    """Return counts (parts, levels) and sums of squares (parts, levels, axes) of differences."""
     late = recording.period_begin >= age
     begins = recording.period_begin[late]
     count, sum_sq = recording.level_count[late], recording.level_sum_sq[late]
@@ -136,8 +136,8 @@ def _level_parts(recording: Recording, age: int, parts: int) -> tuple[Ints, Floa
     return np.add.reduceat(count, rows), np.add.reduceat(sum_sq, rows)
 
 
-def _white_level(variance: Floats, count: Floats) -> int | None:
-    """Return the index of the first factor at which the variance falls as for white noise."""
+def _white_factor(variance: Floats, count: Floats) -> int | None:
+    """Return the index of the first factor with the slope of white noise, or None."""
     with np.errstate(divide='ignore', invalid='ignore'):
         slopes = np.diff(np.log(variance)) / math.log(4.0)
     for i, slope in enumerate(slopes):
@@ -152,7 +152,7 @@ def _white_scatters(levels: dict[int, WhiteLevel]) -> dict[int, Scatter]:
 
 
 def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
-    """Return the scatter of the variances of parts, or None for fewer than two long parts."""
+    """Return the scatter of the variances, or None if fewer than two parts are long enough."""
     some = (count >= LEAST_DIFFERENCES) & (variance > 0.0)
     variance, count = variance[some], count[some]
     if len(count) < 2:
@@ -198,19 +198,13 @@ def drift_scatter(
     variances of a part are those of all data times an unknown factor. The result is 0 for the axes
     of a sensor whose drift does not change significantly.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings of one IMU, the longest first.
-    sensors : sequence of sequences of int
-        Positions of the axes of each sensor.
-    age : int
-        Number of samples that are left out at the start of each recording.
+    The longest of the ``recordings`` is the first. ``sensors`` contains the positions of the axes
+    of each sensor. The first ``age`` samples of each recording are left out.
     """
     axes = sum(len(s) for s in sensors)
     scatter = np.zeros(axes)
     of_each = _parts_of_each(recordings)
-    parts = [part for one in recordings for part in _parts(one, age, of_each)]
+    parts = [part for one in recordings for part in _part_means(one, age, of_each)]
     if len(parts) < 2:
         return scatter
     step = recordings[0].step
@@ -242,8 +236,8 @@ def drift_scatter(
     return scatter
 
 
-def _parts(recording: Recording, age: int, parts: int) -> list[tuple[CellMeans, int]]:
-    """Return the means of each of the ``parts`` of a recording, and the length of a cell."""
+def _part_means(recording: Recording, age: int, parts: int) -> list[tuple[CellMeans, int]]:
+    """Return (means, length of a cell in samples) of the parts that are long enough."""
     first = math.ceil(age / recording.step)
     edges = np.linspace(first, max(len(recording.cell_samples), first), parts + 1)
     edges = edges.round().astype(int)
@@ -259,9 +253,9 @@ def _factor_likelihoods(
 ) -> Floats:
     """Return twice the log likelihood of each of `LOG_FACTORS` for one axis of a part.
 
-    ``means`` are the means of the axis over the intervals of ``part``, whose cells have the length
-    ``width``. ``variances`` are the variances of the noise of all data for cells of length 1, and
-    ``white_ratio`` is the white noise of the part relative to all data.
+    ``means`` are the means of the axis over the intervals of ``part``. ``variances`` are those of
+    white noise, bias instability and random walk in all data. ``white_ratio`` and ``width`` are the
+    white noise variance and the cell length of the part, relative to all data.
     """
     model = variance_model(part)
     values = model.contrasts @ means

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Restricted maximum likelihood of the cell means of a recording, for tests of stationarity.
+"""Restricted maximum likelihood of the means over time intervals, for tests of stationarity.
 
 The null model of the means is white noise, bias instability and random walk, plus a constant and a
 ramp. The three noise variances maximize the likelihood of the contrasts: linear combinations of the
@@ -110,8 +110,8 @@ class VarianceModel:
     def steps(self, ages: Floats, samples: NDArray[np.int64]) -> Floats:
         """Return the contrasts of unit steps of the bias at ``ages`` in cells, (contrasts, steps).
 
-        ``samples`` is the number of samples in each cell, which determines the share of an interval
-        after a step.
+        ``samples`` is the number of samples in each cell. It determines which fraction of an
+        interval is after a step.
         """
         total = np.concatenate([[0], np.cumsum(samples)])
         begin, end = (edge.astype(int)[:, None] for edge in (self.begin, self.end))
@@ -245,7 +245,7 @@ def maximum(
 
 
 def _score(at: Likelihood, units: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Return the derivatives of the log likelihood by the variances, and the Fisher information."""
+    """Return the gradient of the log likelihood in the variances, and the Fisher information."""
     inverse = at.whitening.T @ at.whitening
     weighted = at.whitening.T @ at.residual
     products = [inverse @ unit for unit in units]
@@ -257,7 +257,7 @@ def _score(at: Likelihood, units: Sequence[Floats]) -> tuple[Floats, Floats]:
 def _line_search(
     at: Likelihood, values: Floats, units: Sequence[Floats], change: Floats, effects: Floats | None
 ) -> Likelihood | None:
-    """Return the likelihood after the largest of ten halved steps that improves it, or None."""
+    """Return the likelihood after a step that does not decrease it, or None after ten halvings."""
     for halvings in range(10):
         new = np.maximum(at.variances + change * 0.5**halvings, 0.0)
         if not new.any():

@@ -33,10 +33,10 @@ LEAST_STEPS = 8
 def settled_sums(sums: AllanSums, age: int) -> AllanSums:
     """Return the sums without the second differences that start before an age in samples.
 
-    Segments that begin earlier are shortened to begin at the next point of their phase record.
-    At some averaging factors this point is not the start of a difference, and pooled segments
-    cannot be shortened exactly. The sum of squares then contains nearly the same differences and is
-    scaled to their exact number. The result has no non-overlapping sums and no history.
+    Segments that begin earlier are shortened, so that they begin at the next stored phase point.
+    At short averaging factors and for pooled segments, the phase is not stored at every start of a
+    difference. The sum of squares is then that of nearly the same differences, scaled to their
+    exact number. The result has no non-overlapping sums and no history.
 
     Raises
     ------
@@ -108,11 +108,10 @@ def _shortened(segment: SegmentRecord, age: int, tau0: float) -> SegmentRecord |
 
 
 def _signed_sums(phase: Floats, step: int, m: Ints, stride: Ints, count: Ints) -> Floats:
-    """Return the sums of the second differences of a segment, (factors, axes), from its record.
+    """Return the sums of the second differences of a segment, (factors, axes), from its phase.
 
-    The phase record has one point every ``step`` samples. A sum of differences telescopes to sums
-    of the phase near both ends. Between two points of the record, the phase is interpolated
-    linearly, which is its expected value for white noise.
+    The phase is stored every ``step`` samples and interpolated linearly, which gives its expected
+    value for white noise. A sum of differences telescopes to sums of the phase near both ends.
     """
     out = np.empty((len(m), phase.shape[1]))
     for i, (lag, gap, number) in enumerate(zip(m, stride, count)):
@@ -136,10 +135,10 @@ def _recompute_long_factors(
     sum_sq: Floats,
     number: Ints,
 ) -> None:
-    """Correct ``sum_sq`` and ``number``, in place, for the new beginning of a shortened segment.
+    """Replace the differences of ``segment`` by those of ``shorter`` in ``sum_sq`` and ``number``.
 
-    Differences start at multiples of the stride from this beginning. At strides that are multiples
-    of the phase step, the phase record contains the old and the new differences.
+    Only factors with a stride that is a multiple of the phase step are changed, because the phase
+    is stored at all points that their differences need.
     """
     step = segment.phase_step
     for i in np.flatnonzero(stride % step == 0):
@@ -219,7 +218,7 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
     latest = max(recordings, key=lambda r: (r.start_ns, r.length))
     start = latest.length - window_s / sums.tau0
     levels = int(np.count_nonzero(latest.level_m * sums.tau0 <= LONGEST_TAU_SHARE * window_s))
-    count, sum_sq, begins = _rows(recordings, latest, start, levels)
+    count, sum_sq, begins = _earlier_and_recent(recordings, latest, start, levels)
     if len(begins) < 2 or not levels:
         return {}
     m = latest.level_m[:levels]
@@ -229,7 +228,7 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
     found = {}
     for i, axis in enumerate(sums.axes):
         share = _edf_per_difference(types[:, i], m, total)
-        first, last, level = _steps(count * share, sum_sq[:, :, i])
+        first, last, level = _noise_steps(count * share, sum_sq[:, :, i])
         sides = (slice(0, first), slice(last, None))
         before, recent = (
             _curve(axis, m, sums.tau0, count[rows], sum_sq[rows, :, i], share, types[:, i])
@@ -243,13 +242,14 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
     return found
 
 
-def _rows(
+def _earlier_and_recent(
     recordings: tuple[Recording, ...], latest: Recording, start: float, levels: int
 ) -> tuple[Ints, Floats, Ints]:
-    """Return counts, sums of squares and ages of all earlier data (row 0) and of recent periods.
+    """Return number of differences, sum of squares and age of the earlier data and recent periods.
 
-    The recent periods are those of ``latest`` that begin at the age ``start`` or later. Without
-    earlier data, row 0 is the first period. Only the first ``levels`` are used.
+    Row 0 contains all earlier data, or the first period if there are none. The other rows are the
+    periods of ``latest`` that begin at the age ``start`` or later. ``levels`` is the number of
+    averaging factors.
     """
     begins, count, sum_sq = latest.period_begin, latest.level_count, latest.level_sum_sq
     first = int(np.searchsorted(begins, start))
@@ -278,12 +278,12 @@ def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
     )
 
 
-def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int | None]:
-    """Return the row after the first step of the noise level, the row after the last, and a factor.
+def _noise_steps(degrees: Floats, squares: Floats) -> tuple[int, int, int | None]:
+    """Return the row after the first and after the last step of the noise level, and a factor.
 
-    ``degrees`` (of freedom) and ``squares`` (sums of squares) are (rows, factors). The third value
-    is the index of the factor at which the first step is most significant. Without a significant
-    step, the result is (1, 1, None), which separates row 0 (the earlier data) from the window.
+    The degrees of freedom and the sums of squares are (rows, factors). The first step is the most
+    significant one, and the third value is the index of its factor. Later steps are searched for at
+    the same factor. Without a significant step, the result is (1, 1, None).
     """
     degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)
     ratio = _step_ratios(degrees, squares)
@@ -316,7 +316,7 @@ def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
 def _curve(
     axis: str, m: Ints, tau0: float, count: Ints, sum_sq: Floats, share: Floats, types: Ints
 ) -> AllanCurve:
-    """Return the curve of an axis; ``share`` is the edf per second difference at each factor."""
+    """Return the curve of an axis; ``share`` is the degrees of freedom per second difference."""
     number = count.sum(axis=0)
     with np.errstate(invalid='ignore', divide='ignore'):
         avar = sum_sq.sum(axis=0) / (2.0 * m.astype(float) ** 2 * number)

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Likelihood-ratio tests for a warm-up, for larger drift at the start, and for steps of the bias.
 
-Each test compares two models of the cell means of a recording (Neyman & Pearson, 1933). The null
-model is white noise, bias instability and random walk, plus a constant and a ramp. The alternative
-has an additional mean or variance component. The three noise variances are fitted under each model
-by restricted maximum likelihood (Patterson & Thompson, Biometrika 58, 1971). Twice the log
-likelihood ratio is summed over the axes of a sensor, because temperature acts on all of them.
+Each test compares two models of the means of a recording over time intervals (Neyman & Pearson,
+1933). The null model is white noise, bias instability and random walk, plus a constant and a ramp.
+The alternative has an additional mean or variance component. The three noise variances are fitted
+under each model by restricted maximum likelihood (Patterson & Thompson, Biometrika 58, 1971). Twice
+the log likelihood ratio is summed over the axes of a sensor, because temperature acts on all of
+them.
 
 The thresholds were determined by simulation, see docs/engineering/stationarity.md.
 """
@@ -38,10 +39,10 @@ LEAST_CELLS = 24
 """Smallest number of cells (intervals with a mean) in a recording that is tested."""
 
 DECAYS, LONGEST_DECAY = 8, 1 / 12
-"""Number of correlation times tried for an exponential warm-up; the longest, as a fraction of the
+"""Number of time constants tried for an exponential warm-up; the longest, as a fraction of the
 recording."""
 
-LINES, LONGEST_LINE = 5, 1 / 3
+DURATIONS, LONGEST_DURATION = 5, 1 / 3
 """Number of durations tried for a linear warm-up; the longest, as a fraction of the recording."""
 
 EARLY_AGES, LONGEST_EARLY = 7, 1 / 2
@@ -60,7 +61,7 @@ class EarlyPart:
     kind: str  # 'warm_up' (the mean settles) or 'early_drift' (the random walk is larger)
     axes: Axes  # positions of the axes with a significant difference
     amplitudes: Floats  # (axes,) change of the mean due to warm-up, for all axes; 0 for early drift
-    # correlation time or duration of the warm-up, or end of the larger drift, in samples
+    # time constant or duration of the warm-up, or end of the larger drift, in samples
     decay: float
     excess: float  # twice the log likelihood ratio minus its threshold
     age: int  # age in samples after which the effect is negligible
@@ -69,7 +70,7 @@ class EarlyPart:
 @dataclass(frozen=True)
 class _Candidate:
     kind: str  # 'exponential' or 'linear' (warm-up), 'walk' (early drift)
-    parameter: float  # correlation time, duration or end, in cells
+    parameter: float  # time constant, duration or end, in cells
     shape: Floats  # contrasts of the mean, (contrasts,), or their covariance for 'walk'
 
 
@@ -139,9 +140,9 @@ def _candidates(model: VarianceModel, cells: int, kind: str) -> list[_Candidate]
         ages = np.geomspace(4.0, cells * LONGEST_EARLY, EARLY_AGES)
         return [_Candidate('walk', a, model.early_walk(a)) for a in ages.tolist()]
     decays = np.geomspace(0.7, cells * LONGEST_DECAY, DECAYS).tolist()
-    lines = np.geomspace(2.0, cells * LONGEST_LINE, LINES).tolist()
+    durations = np.geomspace(2.0, cells * LONGEST_DURATION, DURATIONS).tolist()
     return [_Candidate('exponential', d, model.exponential(d)) for d in decays] + [
-        _Candidate('linear', d, model.linear(d)) for d in lines
+        _Candidate('linear', d, model.linear(d)) for d in durations
     ]
 
 
@@ -247,7 +248,7 @@ intervals for both, steps were found in 5 instead of 1 of 320 simulated records 
 
 
 def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
-    """Return the steps of the bias of each axis whose means a random walk does not explain.
+    """Return the bias steps of each axis for which a random walk alone does not fit the means.
 
     Steps are added one by one at the largest score statistic, and the variances are fitted again.
     The first ``age`` samples are left out.

@@ -33,7 +33,7 @@ the lags of a covariance would not fit into 64-bit search keys."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors m and strides of a cascade with a number of levels.
+    """Return the averaging factors m and the strides of a cascade of decimations.
 
     Both arrays have 5 + 4 ``levels`` elements. The stride is the number of samples between the
     starts of two second differences.
@@ -275,7 +275,7 @@ class AllanSums(ByValue):
         Raises
         ------
         AllanError
-            If the axes differ, or as in `check_addable`.
+            If the axes, the identities or the sample periods differ (see `check_addable`).
         """
         self.check_addable(other)
         if self.axes != other.axes:
@@ -286,15 +286,10 @@ class AllanSums(ByValue):
         return self.extended(other)
 
     def extended(self, other: AllanSums, continues: bool = False) -> AllanSums:
-        """Return the sums of both without the checks of ``+``.
+        """Return the sums of both, which must have equal axes, without the checks of ``+``.
 
-        Parameters
-        ----------
-        other : AllanSums
-            Sums with the same axes.
-        continues : bool
-            Whether ``other`` contains a later segment of the same recording, whose ages count from
-            the first sample of this recording.
+        ``continues`` states that ``other`` is a later segment of the same recording. Its ages then
+        count from the first sample of this recording.
         """
         segments = sorted((*self.segments, *other.segments), key=lambda s: s.order)
         pooled = [(s, LengthClass.of(s)) for s in segments[KEPT_SEGMENTS:]]

@@ -61,7 +61,7 @@ class TurnOnBias:
 
 
 def turn_on_bias(means: Floats) -> TurnOnBias | None:
-    """Return the repeatability from the mean of each recording, (recordings,).
+    """Return the repeatability of the bias from the mean of each recording, (recordings,).
 
     It is None for fewer than two recordings.
     """
@@ -100,9 +100,9 @@ class BiasModel(NamedTuple):
         """Return the model from the fit of an axis.
 
         The processes are the selected model of the fit, with an expected K if K is not resolved.
-        The standard deviation of the slope is the root mean square of the ramps R that the fit
-        allows, even if R is not resolved. Without a slope, the 95 % interval of the bias 10 min
-        ahead covers only 89 to 93 % for simulated sensors.
+        The standard deviation of the slope is the root sum of squares of R and its standard error,
+        even if R is not resolved. Without a slope, the 95 % interval of the bias 10 min ahead
+        contains only 89 to 93 % of the values of simulated sensors.
         """
         ramp = fit.noise['R']
         value, limit = abs(ramp.value or 0.0), ramp.upper95 or 0.0
@@ -220,8 +220,8 @@ class BiasTracker:
     Parameters
     ----------
     tolerance : mapping of 'gyro' and 'accel' to float
-        Value of `AxisBias.tolerance`. If it is 0, twice the half-width of the 95 % interval after a
-        long rest is used.
+        Accepted error of a bias in the unit of the samples, from which `AxisBias.within_s` is
+        computed. If it is 0, twice the half-width of the 95 % interval after a long rest is used.
     """
 
     def __init__(self, tolerance: Mapping[str, float]) -> None:
@@ -305,8 +305,8 @@ def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
 def time_within(model: BiasModel, tolerance: float) -> float:
     """Return the time in s for which an estimated bias is valid within +-``tolerance`` (95 %).
 
-    The estimate is made after a long rest. The time is 0 if its 95 % interval is wider than the
-    tolerance, and at most `LONGEST_S`.
+    The bias is estimated after a long rest. The time is at most `LONGEST_S`, and 0 if the 95 %
+    interval of the estimate is already wider than the tolerance.
 
     Raises
     ------

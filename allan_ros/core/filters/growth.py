@@ -234,7 +234,7 @@ def _limit(fit: AxisFit, term: str) -> float:
 
 
 def has_intervals(fit: AxisFit) -> bool:
-    """Return whether every term of the selected model has an interval."""
+    """Return whether N, B, K and R of the selected model all have a 95 % interval."""
     return all(_interval(fit, term) is not None for term in 'NBKR')
 
 
@@ -252,10 +252,10 @@ def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
 
 
 def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
-    """Return the selected model with all coefficients at the lower, and with all at the upper ends.
+    """Return the selected model at the lower and at the upper ends of all 95 % intervals.
 
-    These are the ends of the 95 % intervals. A coefficient without an interval keeps its value. The
-    ramp R is replaced by its magnitude. Correlation times and sinusoids are unchanged.
+    A coefficient without an interval keeps its value. Q is 0, and the ramp R is replaced by its
+    magnitude. Correlation times and sinusoids are unchanged.
     """
     terms = fit.selected.terms
     intervals = {t: _interval(fit, t) or (abs(getattr(terms, t)),) * 2 for t in 'NBKR'}

@@ -53,7 +53,9 @@ class Expression:
     def __init__(self, text: str) -> None:
         self.text = text
         if len(text) > MAX_LENGTH:
-            raise AllanError(f'an expression has {len(text)} characters: at most {MAX_LENGTH}')
+            raise AllanError(
+                f'an expression has {len(text)} characters: at most {MAX_LENGTH} are allowed'
+            )
         try:
             root = ast.parse(text.strip(), mode='eval').body
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -175,18 +177,9 @@ def propose(
 
     For a coefficient that is not resolved, the 95 % upper limit is used; its interval begins at 0.
 
-    Parameters
-    ----------
-    parameter : FilterParameter
-        The parameter with its expression.
-    axes : mapping of axis name to AxisFit
-        Fits of the axes of the IMU.
-    rate : float
-        Sample rate f in Hz.
-    constants : mapping of name to float
-        Values of the other names in the expression.
-    horizon : float
-        Longest time in s that the filter integrates without a correction.
+    ``axes`` maps axis names to fits, ``rate`` is the sample rate f in Hz, and ``constants`` maps
+    the other names in the expression to values. ``horizon`` is the longest time in s that the
+    filter integrates without a correction.
 
     Raises
     ------
@@ -218,8 +211,8 @@ def narrow_enough(
     """
     ready = [p for p in proposals if p.ratio <= ratio]
     reasons = {
-        p.name: f'between {p.low:.3g} and {p.high:.3g}: set once this is within a factor of '
-        f'{ratio:g}'
+        p.name: f'between {p.low:.3g} and {p.high:.3g}: it will be set when this interval is '
+        f'within a factor of {ratio:g}'
         for p in proposals
         if p.ratio > ratio
     }
@@ -237,7 +230,7 @@ def _axis_ends(
 def _by_rule(
     axes: Sequence[dict[str, Ends]], terms: Sequence[str], rule: str
 ) -> list[dict[str, Ends]]:
-    """Return the ends of each term for the sensor, or for each of its three axes ('each')."""
+    """Return the ends of each term combined over the axes, or those of each axis ('each')."""
     if rule == 'each':
         return list(axes)
     if rule == 'worst':
@@ -281,11 +274,13 @@ def check_mapping(mapping: FilterMapping) -> None:
     Horizons.up_to(mapping.horizon)
     for p in mapping.parameters:
         if p.sensor not in SENSORS:
-            raise AllanError(f'{p.name}: sensor {p.sensor!r}: choose one of {", ".join(SENSORS)}')
+            raise AllanError(
+                f'{p.name}: sensor is {p.sensor!r}: choose one of {", ".join(SENSORS)}'
+            )
         if p.rule not in RULES:
-            raise AllanError(f'{p.name}: axis {p.rule!r}: choose one of {", ".join(RULES)}')
+            raise AllanError(f'{p.name}: axis is {p.rule!r}: choose one of {", ".join(RULES)}')
         if not p.limits[0] < p.limits[1]:
-            raise AllanError(f'{p.name}: limits {list(p.limits)}: give the lower one first')
+            raise AllanError(f'{p.name}: limits are {list(p.limits)}: give the lower one first')
         unknown = sorted(p.expression.names - {*TERMS, RATE, *mapping.constants})
         if unknown:
             raise AllanError(

@@ -68,8 +68,9 @@ class Level:
 
     @property
     def ends(self) -> Ends:
-        """Lower end, value and upper end; (0, value, value) for a limit, (0, value, inf) without
-        an interval.
+        """Lower end, value and upper end of the 95 % interval.
+
+        They are (0, value, value) for a limit, and (0, value, inf) without an interval.
         """
         low, high = (0.0, self.value) if self.is_limit else self.ci95 or (0.0, math.inf)
         return max(low, 0.0), self.value, high
@@ -180,7 +181,7 @@ def reduce_axis(
         reduction = reduce_model(_with_walk(model, walk.value), states, horizons)
     if strict and reduction.poor:
         raise AllanError(
-            f'{axis}: {_NAMES[states]} misstates the growth of the error by a factor of '
+            f'{axis}: the error growth of {_NAMES[states]} is wrong by a factor of '
             f'{max(reduction.ratio[1], 1.0 / reduction.ratio[0]):.1f} over {horizons}: choose '
             'another --horizon, write state_space, or omit --strict'
         )
@@ -381,14 +382,9 @@ def measure_inflation(
 ) -> dict[str, AxisInflation]:
     """Return the increase of N and K due to running motors for each axis that is in both fits.
 
-    N and K are those of the models reduced to a random walk.
-
-    Parameters
-    ----------
-    rest, running : mapping of axis name to AxisFit
-        Fits of a robot at rest, with motors off and with motors on.
-    horizons : Horizons
-        Range of times that the filter integrates without a correction.
+    ``rest`` and ``running`` are the fits of a robot at rest, with motors off and with motors on. N
+    and K are those of the models reduced to a random walk over ``horizons``, the range of times
+    that the filter integrates without a correction.
 
     Raises
     ------

@@ -336,20 +336,11 @@ def closest_process(
 ) -> tuple[float, float] | None:
     """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model, or None.
 
-    It replaces all drift of the model, such that the largest error of the logarithm of the error
-    growth over the horizons is minimal. The result is None if the model has no drift.
+    It replaces all drift of the model. The largest difference between the logarithms of the error
+    growth of both over the horizons is minimal. The result is None if the model has no drift.
 
-    Parameters
-    ----------
-    model : ProcessModel
-        Noise of one axis.
-    horizons : Horizons
-        Range of horizons in s.
-    tau : float or None
-        Correlation time in s; None to select it.
-    bound : bool
-        Whether the growth must be at least that of the model, as for a filter. Otherwise it may
-        also be below, as for a simulation.
+    ``tau`` is the correlation time in s; with None, it is selected. If ``bound`` is set, the growth
+    is at least that of the model, as a filter requires. Otherwise it may also be smaller.
     """
     complete = drift_model(model)
     if not has_drift(complete):
