@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -132,6 +133,16 @@ def test_a_change_is_reported_in_the_dominant_coefficient(sums):
     )
     for quiet in (replace(step, verdict='alike'), replace(step, ci95=(1.1, 1.9))):
         assert status_of(sums, recent=recent, changes=(quiet,)).level == DiagnosticStatus.OK
+
+
+def test_the_documentation_explains_every_key_of_an_input(repository):
+    health = StreamHealth(Counts(cuts=Counter(gap=1)), 'still')
+    text = (repository / 'docs' / 'online.md').read_text()
+    keys = [
+        key.replace('by gap', 'by <reason>')
+        for key in values(input_status('n', 'imu', view(health=health)))
+    ]
+    assert [key for key in keys if f'| `{key}`' not in text and f', `{key}` |' not in text] == []
 
 
 def view(**changes) -> InputView:
