@@ -6,16 +6,18 @@ For Gaussian noise, the covariance of two Allan variances is a sum over lags (Is
 
     Cov(V_i, V_j) = 2/(M_i M_j) sum_s cnt_ij(s) C_ij(s)^2
 
-where C_ij(s) is the covariance of the normalised differences d_i(u+s)/(sqrt2 m_i) and d_j(u)/(sqrt2
-m_j), and cnt_ij(s) is the number of pairs of differences at lag s in the record. C is linear in (q,
-w, b, k), so the sum consists of ten matrices, weighted by products of these variance coefficients.
+V_i is the mean of the squares of M_i normalised differences d_i/(sqrt2 m_i), where d_i is a second
+difference of the phase over m_i samples. C_ij(s) is the covariance of the normalised differences at
+m_i and m_j at lag s, and cnt_ij(s) is the number of pairs of differences at this lag. C is linear
+in the variance coefficients q, w, b, k (the squares of Q, N, B, K with the sample period as unit of
+time). The sum therefore consists of ten matrices, each multiplied by a product of two coefficients.
 The matrices depend only on the length of the record.
 
-cnt is piecewise linear in s, so only the cumulative sums of C_k C_l and of s C_k C_l at four lags
-are needed. The grid of averaging factors repeats itself every octave: C of the pair (2^a m, 2^a m')
-at lags 2^a s equals C of (m, m') at lags s times a power of 2^a. Therefore one table of cumulative
-sums, for the pairs whose smaller factor is in the first octaves (level 0), is enough for all pairs
-of all records.
+cnt is piecewise linear in s. The sum therefore follows from the cumulative sums of C_k C_l and of s
+C_k C_l at four lags, where C_k is C for the unit coefficient k. The averaging factors of an octave
+are twice those of the octave before: C of the pair (2^a m, 2^a m') at lag 2^a s equals C of (m, m')
+at lag s times a power of 2^a. One table of cumulative sums, for the pairs whose smaller factor is
+in the first octaves (level 0), is therefore enough for all pairs and all records.
 """
 
 from __future__ import annotations
@@ -66,20 +68,21 @@ PRODUCTS = len(_SMOOTH_PAIRS) + 3
 
 @dataclass(frozen=True)
 class PairSums:
-    """Sums over lags from which the covariance of the Allan variances of one record follows.
+    """Covariance of the Allan variances of one record, per product of two variance coefficients.
 
-    C_k(s) is the covariance of two differences at lag s for a unit variance coefficient k, and
-    cnt(s) is the number of pairs of differences at this lag. The sample period is the unit of time.
+    C_k(s) is the covariance of two normalised differences at lag s for a unit variance coefficient
+    k, and cnt(s) is the number of pairs of differences at this lag.
 
     Attributes
     ----------
     samples : int
         Length of the record.
     m, count : (factors,) int64 arrays
-        The averaging factors m <= samples/2 and their numbers of differences.
+        Averaging factors m <= samples/2, and the number M of differences at each.
     squares : (10, pairs) float64 array
-        2 sum_s cnt C_k C_l for the `TERM_PAIRS`, at the pairs i <= j of `numpy.triu_indices`. Pairs
-        with k != l count twice, so that Cov(V_i, V_j) = sum p_k p_l squares_kl / (M_i M_j).
+        2 sum_s cnt C_k C_l for the `TERM_PAIRS` (k, l), twice this if k != l. The columns are the
+        pairs of factors i <= j of `numpy.triu_indices`. With variance coefficients p, Cov(V_i, V_j)
+        = sum_kl p_k p_l squares_kl / (M_i M_j).
     singles : (4, pairs) float64 array
         sum_s cnt C_k: the covariance of the sums of d_i/(sqrt2 m_i) and of d_j/(sqrt2 m_j).
     """
@@ -92,10 +95,11 @@ class PairSums:
 
 
 def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return the covariance C_ij(s) of differences of unit white noise, flicker and cubic walk.
+    """Return the covariance of normalised second differences of the phase at lags s, (3, ...).
 
-    It is 1/(2 m_i m_j) sum_ab c_a c_b G(s + a m_i - b m_j) with the generalised covariances
-    G = -|t|/2, t^2 ln|t|/(2 pi) and |t|^3/12 of the phase. Shape (3, ...).
+    The rows are white noise, flicker and a continuous random walk of unit variance coefficient. The
+    covariance is sum_ab c_a c_b G(s + a m_i - b m_j) / (2 m_i m_j) with c = (1, -2, 1) and the
+    generalised covariances G(t) = -|t|/2, t^2 ln|t|/(2 pi) and |t|^3/12 of the phase.
     """
     out = np.zeros((3, *np.broadcast_shapes(np.shape(s), np.shape(mi), np.shape(mj))))
     for a, ca in enumerate(DIFFERENCE):
@@ -112,21 +116,14 @@ def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
 
 
 def _products(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return the products and values of the covariances of differences at lags s, (9, ...).
-
-    The first six rows are products of two of white, flicker and cubic part; the last three are the
-    covariances.
-    """
+    """Return the six products of two rows of `lag_covariance`, then its three rows, (9, ...)."""
     c = lag_covariance(s, mi, mj)
     return np.stack([*(c[a] * c[b] for a, b in _SMOOTH_PAIRS), *c])
 
 
 def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
-    """Return sums over the lags a..b of covariance products, and of these times the lag, (2, 9, n).
-
-    All arguments are (n,) arrays of whole numbers, a <= b. The first and the last lag count half.
-    Up to `EXACT_POINTS` lags are summed, more are integrated by Gauss-Legendre quadrature.
-    """
+    """Return the sums of `_products` and of lag times `_products` over the lags a..b, (2, 9, n)."""
+    # The first and the last lag count half.
     width = (b - a)[:, None]
     k = np.arange(EXACT_POINTS + 1)
     exact = width <= EXACT_POINTS
@@ -138,7 +135,7 @@ def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
 
 
 def _edges(mi: int, mj: int) -> Ints:
-    """Return borders of lag ranges, dense near the lags where the covariance is not smooth."""
+    """Return the limits of lag ranges, which are short where the covariance is not smooth."""
     span = EXACT_POINTS * EXACT_PANELS
     near = np.arange(-EXACT_PANELS, EXACT_PANELS + 1) * EXACT_POINTS
     reach = [span]
@@ -154,10 +151,10 @@ def _edges(mi: int, mj: int) -> Ints:
 
 
 class _LagTable:
-    """Cumulative sums over lags of products of covariances, which serve records of any length.
+    """Cumulative sums over lags of covariance products, for pairs of averaging factors.
 
-    They are stored for pairs of averaging factors whose smaller one is in the first octave of the
-    grid (level 0). Other pairs follow by scaling.
+    They are stored for pairs whose smaller factor is in the first octaves of the grid (level 0).
+    Other pairs follow by scaling.
     """
 
     def __init__(self, factors: int) -> None:
@@ -189,7 +186,7 @@ class _LagTable:
             np.cumsum(self.sums[:, :, a:z], axis=2, out=self.sums[:, :, a:z])
 
     def up_to(self, row: Ints, lag: Ints) -> Floats:
-        """Return the cumulative sums up to each lag (the last lag counts half), (2, 9, n)."""
+        """Return the cumulative sums up to given lags (the last one counts half), (2, 9, n)."""
         lag = np.clip(lag, self.low[row], self.high[row])
         at = np.searchsorted(self.key, row * _KEY + lag, side='right') - 1
         start = self.edge[at].astype(float)
@@ -219,9 +216,9 @@ def _lag_table(octaves: int) -> _LagTable:
 
 @lru_cache(maxsize=80)
 def pair_sums(samples: int) -> PairSums:
-    """Return the sums that give the covariance of the Allan variances of a record of some length.
+    """Return the `PairSums` of a record of ``samples`` samples; the last 80 are cached.
 
-    The last 80 results are cached. Raises AllanError for more than `MOST_SAMPLES` samples.
+    Raises AllanError for more than `MOST_SAMPLES` samples.
     """
     if samples > MOST_SAMPLES:
         raise AllanError(
@@ -248,14 +245,11 @@ def clear_pair_sums() -> None:
 def _smooth_sums(
     table: _LagTable, i: Ints, j: Ints, stride: Ints, count: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the sums of cnt C_k C_l (10, pairs) and of cnt C_k (4, pairs) of the terms without q.
-
-    With increasing lag, the number of pairs cnt increases from 1 by one every s_j samples to M_j at
-    lag 0, remains constant, and decreases to 1 at the last lag. The sum over the steps is the sum
-    over a straight line half a step below the edges, plus Euler-Maclaurin terms at both ends of the
-    line: for steps of ``ratio`` = s_j/s_i points, ``fall`` = (1 - 1/ratio)/2 and ``bend`` = (ratio
-    - 1/ratio)/12.
-    """
+    """Return the sums of cnt C_k C_l (10, pairs) and cnt C_k (4, pairs), without quantization."""
+    # With increasing lag, the number of pairs cnt rises from 1 by one every s_j samples to M_j,
+    # remains constant, and falls to 1. A step is ``ratio`` = s_j/s_i lags wide. The sum over the
+    # steps is that over a straight line ``fall`` = (1 - 1/ratio)/2 below their edges, plus
+    # Euler-Maclaurin terms (``bend``) at both ends of the line.
     level = np.maximum(i - len(FIRST_FACTORS), 0) // len(LEVEL_FACTORS)
     row = table.row[i - len(LEVEL_FACTORS) * level, j - len(LEVEL_FACTORS) * level]
     mi, mj = table.mi[row], table.mj[row]
@@ -280,11 +274,9 @@ def _smooth_sums(
 
 
 def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Return the sums of the four terms, given those of the smooth parts on level 0.
-
-    On level a, lags and factors are 2^a times those of level 0. The white covariance is multiplied
-    by 2^-a (``scale``), that of flicker by 1 and that of the cubic part by 2^a.
-    """
+    """Return the sums of the four terms from sums of `_products` on level 0."""
+    # On level a, lags and factors are 2^a times those of level 0. The covariance of white noise is
+    # multiplied by 2^-a (``scale``), that of flicker by 1 and that of the cubic part by 2^a.
     nn, nb, nc, bb, bc, cc = f[:6] * np.stack(
         [scale**2, scale, np.ones_like(scale), np.ones_like(scale), 1 / scale, scale**-2]
     )
@@ -305,7 +297,8 @@ def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
 def _add_quantization(
     squares: Floats, singles: Floats, i: Ints, j: Ints, m: Ints, stride: Ints, count: Ints
 ) -> None:
-    """Add, in place, the part of q, which is correlated only at the nine lags b m_j - a m_i."""
+    """Add the contribution of quantization noise to the sums, in place."""
+    # Its covariance differs from 0 only at the nine lags b m_j - a m_i.
     mi, mj = m[i], m[j]
     norm = 2.0 * mi.astype(float) * mj
     lags = [
@@ -338,12 +331,9 @@ def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     """Return the increase of the Allan variance of unit white noise due to interpolated samples.
 
     Linear interpolation replaces the samples of a gap by weighted means of its two neighbours.
-    These neighbours get a larger weight in a second difference, which increases its variance.
-    Summed over all starts, the squared weights grow by 2 (k + k^2/2) for each step of m if m >= k,
-    the length of the gap.
-
-    A recorded sample between two gaps has a larger weight because of both. Only the numbers of gaps
-    are known, so gaps are assumed to be independent, as random losses are.
+    These neighbours get a larger weight in a second difference, which increases its variance. A
+    sample between two gaps gets a larger weight from both. Only the numbers of gaps are known, so
+    their positions are assumed to be independent, as for random losses.
 
     Parameters
     ----------
@@ -358,6 +348,8 @@ def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     -------
     (factors, ...) float64 array
     """
+    # Summed over all start positions, the squared weights increase linearly with m if m exceeds the
+    # length of the gap.
     out = np.zeros((len(m), *filled.shape[1:]))
     scale = 2.0 * m.astype(float) ** 2
     for k, number in enumerate(filled, start=1):
@@ -372,9 +364,8 @@ def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
             neighbors = number * (others / recorded / samples)
             if np.any(neighbors > NEGLIGIBLE_NEIGHBORS):
                 both = k + after
-                extra = np.array(
-                    [_joint(k, after, min(int(f), both)) + k * after * max(f - both, 0) for f in m]
-                )
+                extra = np.array([_neighbor_excess(k, after, min(int(f), both)) for f in m])
+                extra += k * after * np.maximum(m - both, 0)
                 out += np.multiply.outer(extra / scale, neighbors)
     return out
 
@@ -384,11 +375,8 @@ NEGLIGIBLE_NEIGHBORS = 1e-5
 
 
 @lru_cache(maxsize=1024)
-def _joint(k: int, after: int, m: int) -> float:
-    """Return the joint effect of gaps of k and ``after`` samples around one sample.
-
-    Like `_excess`, it is summed over all starts.
-    """
+def _neighbor_excess(k: int, after: int, m: int) -> float:
+    """Return the further change in `_excess` if two gaps are next to the same sample."""
     base = _weights(m, k + after + 3)
     left = np.correlate(base, np.arange(1, k + 1) / (k + 1))
     right = np.correlate(base, np.arange(after, 0, -1) / (after + 1))
@@ -404,7 +392,7 @@ def _weights(m: int, margin: int) -> Floats:
 
 @lru_cache(maxsize=1024)
 def _excess(k: int, m: int) -> float:
-    """Return the change of the sum of squared weights due to one gap, summed over all starts."""
+    """Return the change of the sum of all squared weights due to a gap of k samples."""
     length = k + 2
     base = _weights(m, length)
     share = np.arange(1, k + 1) / (k + 1)

@@ -33,11 +33,11 @@ of some step by chance."""
 
 
 def common_step(phase: Floats, deviation: float) -> float | None:
-    """Return the largest step of which all values are multiples, or None if there is none.
+    """Return the quantization step of a phase, or None if its values have no common step.
 
-    Samples that are rounded to a step have a phase (cumulative sum) of multiples of this step.
-    ``phase`` contains the phase at some samples. ``deviation`` is the standard deviation of the
-    white noise per sample; steps far below it are ignored.
+    The phase (cumulative sum) of samples that are rounded to a step consists of multiples of this
+    step. ``phase`` contains the phase at some samples. ``deviation`` is the standard deviation of
+    the white noise per sample; steps far below it are ignored.
     """
     least = NEGLIGIBLE_STEP * deviation
     moved = np.unique(np.abs(phase[np.abs(phase) > least]))
@@ -114,7 +114,7 @@ def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def rounding_step(phase: Floats, white: float) -> float | None:
-    """Return the step to which the samples are rounded, or None if its effect is small.
+    """Return the step to which the samples are rounded, or None if this is negligible.
 
     ``phase`` is the cumulative sum at some samples, ``white`` the white noise variance per sample.
     """
@@ -123,7 +123,10 @@ def rounding_step(phase: Floats, white: float) -> float | None:
 
 
 def findings_without_estimates(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
-    """Return the finding that explains why an axis has no estimates: no noise, or too few data."""
+    """Return the finding that explains why an axis has no estimates.
+
+    The reason is samples without noise if ``constant``, and otherwise too few data.
+    """
     name = (pooled.sums.axes[axis],)
     longest = max((s.samples for s in pooled.segments), default=0)
     if constant and len(pooled.m):
@@ -158,9 +161,9 @@ def axis_findings(
 
 
 def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
-    """Return the model with the largest deviation of the measured curve from it, for each axis.
+    """Return a copy of the model with `AxisFit.deviation` computed from the measured curve.
 
-    If a model fails the test of fit, a finding reports this deviation.
+    A finding is added for each axis that has a relative model error and deviates significantly.
     """
     axes, found = {}, []
     for i, name in enumerate(curve.axes):

@@ -117,6 +117,7 @@ def _fit_axis(
         value = _consistent(selected.fit.table, alone.variances, intervals, options.misfit)[N]
         noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
     if options.misfit.size and any(isinstance(e, SinusoidTerm) for e in options.extras):
+        # A small relative error of a strong sinusoid is as large as the white noise.
         noise['N'] = _limit_if_uncertain(noise['N'])
     ramp = ramp_interval(pooled, axis, selected.fit, intervals[K].high)
     noise['R'] = _ramp(ramp, tau0)
@@ -147,12 +148,9 @@ def _options_of(fit: AxisFit, tau0: float) -> FitOptions | None:
 def _consistent(
     table: Table, variances: Floats, intervals: list[CoefficientInterval], misfit: Misfit
 ) -> Floats:
-    """Return the variance coefficients, changed where a value lies outside its interval.
-
-    The intervals of the other terms allow a negative q, but the estimates do not. In about one
-    record in a hundred, an estimate therefore lies outside its interval. It is replaced by the
-    estimate with q unconstrained.
-    """
+    """Return the variance coefficients; q is unconstrained for those outside their interval."""
+    # The intervals of the other terms allow a negative q, but the estimates do not. In about one
+    # record in a hundred, an estimate therefore lies outside its interval.
     above, below = 1.0 + END_TOLERANCE, 1.0 - END_TOLERANCE
     resolved = [(t, each) for t, each in enumerate(intervals) if each.observable]
     outside = [t for t, i in resolved if not above * i.low < variances[t] < below * i.high]
@@ -179,11 +177,7 @@ def _coefficient(
 
 
 def _limit_if_uncertain(n: Coefficient) -> Coefficient:
-    """Return N, as unresolved if its interval is wider than the factor `WIDEST_N_INTERVAL`.
-
-    Used if the model includes sinusoids and fails the test of fit: a small relative error of a
-    strong sinusoid is as large as the white noise.
-    """
+    """Return N, or its upper limit if the interval is wider than `WIDEST_N_INTERVAL`."""
     if n.ci95 is None or n.ci95[1] <= WIDEST_N_INTERVAL * n.ci95[0]:
         return n
     return _unresolved(n.value, n.ci95[1])
@@ -201,22 +195,20 @@ def _ramp(ramp: RampInterval | None, tau0: float) -> Coefficient:
 
 
 def _unresolved(value: float | None, upper: float, sign: int = 0) -> Coefficient:
-    """Return a term that is not resolved; an infinite limit becomes None."""
+    """Return a coefficient that is not resolved; an infinite limit becomes None."""
     limit = upper if np.isfinite(upper) else None
     return Coefficient(value or None, None, limit, 'not_observable', sign)
 
 
 def _without_estimates() -> AxisFit:
-    """Return the fit of an axis without estimates."""
+    """Return the result for an axis that cannot be fitted."""
     return AxisFit({term: _unresolved(None, np.inf) for term in TERMS})
 
 
 def _merge_close_sinusoids(processes: Processes, resolution: float) -> Processes:
-    """Merge sinusoids whose frequencies differ by less than a resolution in Hz.
-
-    The mean square of the differences of a sinusoid depends on its phase. The fit of a strong
-    sinusoid needs two sinusoids of neighbouring frequency to describe this.
-    """
+    """Merge sinusoids whose frequencies differ by less than a resolution in Hz."""
+    # The mean square of the differences of a sinusoid depends on its phase. To describe this, the
+    # fit of a strong sinusoid needs two sinusoids of almost equal frequency.
     out: list[Sinusoid] = []
     for line in processes.sinusoid:
         if out and line.frequency - out[-1].frequency < resolution:

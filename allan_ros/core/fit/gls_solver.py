@@ -146,7 +146,7 @@ NO_MISFIT = Misfit()
 
 
 def initial_variances(table: Table) -> Floats:
-    """Return a first estimate of q, w, b, k, fitted with the relative weights 1/sqrt(m)."""
+    """Return a first estimate of q, w, b, k from relative residuals with the weights 1/sqrt(m)."""
     weight = np.sqrt(1.0 / table.m) / np.where(table.avar > 0.0, table.avar, np.inf)
     terms = table.terms[:, : len(RANDOM_TERMS)]
     return nonnegative_least_squares(terms * weight[:, None], table.avar * weight)
@@ -289,15 +289,16 @@ def solve(
 
 
 def noise_floor(table: Table) -> float:
-    """Return the largest white noise w with a negligible effect on the Allan variances."""
+    """Return a white noise coefficient w that has a negligible effect on the Allan variances."""
     positive = table.avar > 0.0
     return NOISE_FLOOR * float(np.min((table.avar * table.m)[positive])) if positive.any() else 1.0
 
 
 def with_noise_floor(table: Table, variances: Floats, floor: float | None = None) -> Floats:
-    """Return nonnegative coefficients with at least the white noise w of `noise_floor`.
+    """Return the coefficients with negative ones set to 0, and with w of at least ``floor``.
 
-    The covariance of the Allan variances is then not singular.
+    The covariance of the Allan variances is then not singular. ``floor`` is `noise_floor` by
+    default. Coefficients of derivative columns become 0.
     """
     p = np.maximum(variances, 0.0)
     p[table.noises + table.lines :] = 0.0
@@ -310,8 +311,8 @@ def covariance_at(
 ) -> Floats:
     """Return the covariance of the Allan variances for given coefficients, (factors, factors).
 
-    It includes the relative model error ``misfit``. The coefficients are made nonnegative and get a
-    smallest white noise first.
+    It includes the relative model error ``misfit``. Negative coefficients are set to 0, and w is at
+    least ``floor`` (`noise_floor` by default).
     """
     p = with_noise_floor(table, variances, floor)
     covariance = table.covariance(p)
@@ -362,11 +363,11 @@ class FitOptions:
         ramps: Floats | None = None,
         tangents: bool = False,
     ) -> Table:
-        """Return the Allan variances of an axis, with columns for these processes and factors.
+        """Return the `Table` of an axis with the processes and averaging factors of these options.
 
-        ``noise`` is the noise model for which the ramps are estimated; ``ramps`` gives known ramps
-        per sample (NaN: estimate). ``tangents`` adds the derivatives by the logarithms of the
-        shapes.
+        ``noise`` is the noise model that determines the weights of the ramp estimates. ``ramps``
+        contains known ramps per sample, NaN for those to be estimated. ``tangents`` adds the
+        derivatives of the process columns by the logarithm of the correlation time or frequency.
         """
         return pooled.table(axis, noise, ramps, self.extras, self.m_min, tangents)
 
@@ -392,7 +393,7 @@ class PointFit:
 
     @property
     def ramp_variance(self) -> Floats:
-        """Variance of the linear drift of each segment, (segments,); 0 without an estimate."""
+        """Variance of the estimated linear drift of each segment, (segments,); 0 if unknown."""
         return np.asarray(self.table.ramp_variance @ self.options.noise(self.variances).variances)
 
 

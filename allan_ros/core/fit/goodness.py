@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of fit, the likelihood of a table, and the model error if no model passes the test."""
+"""Tests of fit, likelihoods, and the relative model error of a fit that fails the tests."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ DEFICIT_LIMIT = -3.090232306167813
 `DEFICIT_FALSE_ALARM`."""
 
 POINTS_PER_TEST = 8.0
-"""Number of neighbouring long averages that count as one independent test, because they are
-correlated."""
+"""Number of neighbouring long averages per independent test, because they are correlated."""
 
 FEW_AVERAGES = 60.0
 """Degrees of freedom below which an Allan variance is too skewed for chi^2: it cannot be many
@@ -109,7 +108,7 @@ class Goodness:
 
 
 def goodness(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
-    """Return the chi^2 test of a model: its nonzero terms are fitted with a fixed covariance.
+    """Return the chi^2 test of the nonzero terms of a model, fitted with a fixed covariance.
 
     The covariance is that of the given variance coefficients and model error. The degrees of
     freedom are the effective number of independent points, minus the number of nonzero terms and of
@@ -169,8 +168,8 @@ def best_case_goodness(table: Table, variances: Floats) -> Goodness:
     """Return the better of two chi^2 tests: with the fitted random walk and with its upper limit.
 
     If a random walk dominates the longest averages, k depends on few degrees of freedom. If it is
-    estimated too low by chance, the other averages seem too large. A table is therefore rejected
-    only if no random walk within the interval of k describes it.
+    estimated too low by chance, the other averages seem too large. The test is then repeated with
+    the upper limit of k.
     """
     first = goodness(table, variances)
     if not first.fails or first.z > Z_GIVE_UP:
@@ -186,11 +185,12 @@ def best_case_goodness(table: Table, variances: Floats) -> Goodness:
 def misfit_of_long_averages(
     table: Table, variances: Floats, signed: bool, misfit: Misfit
 ) -> Misfit:
-    """Return the smallest relative model error for which no long average is significantly low.
+    """Return the smallest model error with which the long averages are not significantly low.
 
-    Without an error ``misfit`` of all averages, only averages of few degrees of freedom get the
-    error, so that the terms that the precise part of the curve determines keep their values and
-    intervals. ``variances`` are initial coefficients, and ``signed`` allows a negative q.
+    The error applies to the averaging factors of ``misfit``. If ``misfit`` is 0, it applies only
+    from the first factor with few degrees of freedom, so that terms determined by shorter averages
+    keep their values and intervals. ``variances`` are initial coefficients; ``signed`` allows a
+    negative q.
     """
     m_min = int(table.m[few_averages(table, variances)].min())
     if misfit.size > 0.0:
@@ -210,10 +210,10 @@ def misfit_of_long_averages(
 def misfit_of_table(table: Table, variances: Floats, signed: bool) -> Misfit:
     """Return the relative model error for which chi^2 has its expected value.
 
-    If the terms describe the table up to some averaging factor, only larger factors get an error:
-    the causes of deviations of the long averages, such as a daily cycle, do not affect N. The error
-    is at most `MISFIT_GROWTH` times the error of all factors, so that the long averages keep their
-    weight. ``variances`` are initial coefficients, and ``signed`` allows a negative q.
+    If the terms describe the Allan variances at short averaging times, only longer times get an
+    error: causes of deviations there, such as a daily cycle, do not affect N. This error is at most
+    `MISFIT_GROWTH` times the error that all averaging times would need. ``variances`` are initial
+    coefficients; ``signed`` allows a negative q.
     """
     misfit = _misfit_from(table, variances, signed, 1)
     most = MISFIT_GROWTH * misfit.size
@@ -235,12 +235,8 @@ def misfit_of_table(table: Table, variances: Floats, signed: bool) -> Misfit:
 
 
 def _misfit_from(table: Table, variances: Floats, signed: bool, m_min: int) -> Misfit:
-    """Return the relative model error from ``m_min`` on for which chi^2 has its expected value.
-
-    It is 0 if the terms describe the table. As it grows, the fit approaches one of relative
-    residuals over the complete curve. chi^2 decreases about as the inverse square of the error, so
-    the search steps in the logarithms of both.
-    """
+    """Return the relative model error from ``m_min`` on for which chi^2 has its expected value."""
+    # chi^2 decreases about as the inverse square of the error.
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
     for _ in range(MISFIT_STEPS):
         variances = solve(table, variances, signed=signed, misfit=Misfit(eps, m_min)).variances
@@ -262,18 +258,24 @@ def passes(fit: PointFit) -> bool:
 
 
 def goodness_z(fit: PointFit) -> float:
-    """Return the chi^2 test of a fit as a normal deviate; its best case if it nearly passes."""
+    """Return the chi^2 test of a fit as a normal deviate.
+
+    If the fit fails narrowly, this is the result of `best_case_goodness`.
+    """
     z = goodness(fit.table, fit.variances).z
     return best_case_goodness(fit.table, fit.variances).z if Z_FAIL <= z < Z_EXCLUDE_SHORT else z
 
 
 def passes_unfiltered(fit: PointFit) -> bool:
-    """Return whether a model passes the tests and no process replaces filtered white noise."""
+    """Return whether a model passes the tests and the samples do not seem low-pass filtered."""
     return passes(fit) and not looks_filtered(fit)
 
 
 def looks_filtered(fit: PointFit) -> bool:
-    """Return whether short Gauss-Markov processes replace white noise, as in filtered samples."""
+    """Return whether short Gauss-Markov processes replace the white noise.
+
+    This indicates that the samples are low-pass filtered.
+    """
     white = max(float(fit.variances[N]), 0.0)
     levels = [
         (e.shape / fit.options.m_min, float(p) * e.white())
@@ -335,7 +337,10 @@ def with_model_error(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
 
 
 def relative_error_of_n(pooled: PooledTable, axis: int, fit: PointFit) -> float:
-    """Return the relative standard error of N, with model error and uncertain processes."""
+    """Return the relative standard error of N; infinite if N is 0.
+
+    It includes the model error and the uncertainty of the processes.
+    """
     options = fit.options
     table = options.table(pooled, axis, options.noise(fit.variances), tangents=True)
     variances = np.concatenate([fit.variances, np.zeros(table.terms.shape[1] - len(fit.variances))])

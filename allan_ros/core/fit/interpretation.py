@@ -83,8 +83,8 @@ def largest_deviation(
 ) -> Deviation | None:
     """Return the largest significant deviation of the measured points from the model, or None.
 
-    A point above the line is compared with the model with unresolved terms at their upper limits. A
-    deviation is significant if it exceeds `SIGNIFICANT` error bars on a logarithmic axis.
+    A point above the line is compared with ``line.upper``. A deviation is significant if it exceeds
+    `SIGNIFICANT` error bars on a logarithmic axis.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class Region:
     tau_low, tau_high : float
         Ends of the range in s.
     term : str
-        Term or process with the largest share of the Allan variance. several names joined by '+' if
+        Term or process with the largest share of the Allan variance; several names joined by '+' if
         no single one dominates over a wide enough range.
     slope : float
         d log adev / d log tau of the measured curve over the range. A single term has the slope -1
@@ -176,7 +176,7 @@ def dominant_regions(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]
 
 
 def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Stretch]:
-    """Return the stretches of the curve, with narrow ones merged."""
+    """Return consecutive ranges of points with their dominant terms; narrow ranges are merged."""
     simple = []
     for k, same in groupby(range(len(shares)), key=lambda j: int(np.argmax(shares[j]))):
         run = list(same)
@@ -200,7 +200,7 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
 
 
 def _slope(curve: AllanCurve, axis: int, points: slice) -> float:
-    """Return the slope of log adev over log tau at the points, or at more if there are too few."""
+    """Return the slope of log adev over log tau; a single point is extended by its neighbours."""
     if points.stop - points.start < 2:
         points = slice(max(points.start - 1, 0), points.stop + 1)
     adev, degrees = curve.adev[points, axis], curve.edf[points, axis]

@@ -10,9 +10,10 @@ estimate of K is too small in a short record, so is this se, and the interval mi
 in 9 to 13 % of records instead of 5 %.
 
 An estimate that depends on a few long averages is skewed like a chi^2 variable of few degrees of
-freedom. It is a sum of l_i V_i, whose third cumulant is 2 sum_i l_i (C l)_i^2 / V_i if the V_i are
-treated as gamma variables with the covariance C. With this skewness, the cube root transformation
-of Wilson & Hilferty (PNAS 17, 1931) converts z to a normal deviate.
+freedom. It is a weighted sum of the Allan variances V_i, sum_i l_i V_i. If the V_i are treated as
+gamma variables with the covariance C, its third cumulant is 2 sum_i l_i (C l)_i^2 / V_i. With this
+skewness, the cube root transformation of Wilson & Hilferty (PNAS 17, 1931) converts z to a normal
+deviate.
 """
 
 from __future__ import annotations
@@ -106,7 +107,7 @@ class ScoreTest:
         self._start = variances
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
-        """Test the value c; an estimate below ``at_least`` is replaced by ``at_least``."""
+        """Return the normal deviate of the value c; ``at_least`` replaces a lower estimate."""
         variances, whitening, white = solve(
             self.table,
             self._start,
@@ -191,9 +192,10 @@ ramp that is subtracted from the averages affects longer ones."""
 def limit_of_averages(table: Table, term: int, samples: int) -> float:
     """Return a 95 % upper limit of one variance coefficient, without an assumption on other terms.
 
-    Each Allan variance exceeds that of the term alone, which is V chi^2_nu / nu with nu = 2 V^2 /
-    Var V (NIST SP 1065 eq. 45). The limit is the smallest one of all averages, with 2.5 % divided
-    by their number (Bonferroni). It is infinite without averages.
+    The expected Allan variance is at least that of the term alone, whose estimate is distributed as
+    V chi^2_nu / nu with nu = 2 V^2 / Var V (NIST SP 1065 eq. 45). Each averaging factor therefore
+    gives a limit. The smallest one is returned, for a probability of 2.5 % divided by the number of
+    factors (Bonferroni). It is infinite if there are no factors.
 
     Parameters
     ----------
@@ -362,10 +364,9 @@ class RampInterval:
 def ramp_interval(
     pooled: PooledTable, axis: int, fit: PointFit, walk: float
 ) -> RampInterval | None:
-    """Return the linear drift (ramp) of one axis with its 95 % interval.
+    """Return the linear drift (ramp) of one axis with its 95 % interval, or None if it is unknown.
 
-    None if no segment determines it. ``walk`` is the upper limit of k, which limits the width of
-    the interval.
+    ``walk`` is the upper limit of k, which limits the width of the interval.
     """
     variance = fit.ramp_variance
     counted = np.flatnonzero(variance > 0.0)

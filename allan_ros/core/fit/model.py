@@ -43,10 +43,11 @@ def avar_terms(m: NDArray[np.int64]) -> Floats:
 
 
 def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
-    """Return the covariance function (|t|^3 - |t|)/12 of a random walk that is sampled.
+    """Return the covariance function (|t|^3 - |t|)/12 of a sampled random walk.
 
-    It is the sum of the part ``cubic`` = |t|^3/12 of a continuous random walk and of 1/6 of the
-    part ``white`` = -|t|/2 of white noise. The arguments may be any linear function of these parts.
+    It is ``cubic`` + ``white``/6, where ``cubic`` = |t|^3/12 is that of a continuous random walk
+    and ``white`` = -|t|/2 that of white noise. The same linear function of both may be given
+    instead.
     """
     return cubic + white / 6.0
 
@@ -55,8 +56,8 @@ def phase_covariance(t: Floats) -> Floats:
     """Return the generalised covariance of the phase of each random term at lags t, (4, ...).
 
     For unit variance coefficients q, w, b, k: delta(t), -|t|/2, t^2 ln|t|/(2 pi) and (|t|^3 -
-    |t|)/12. They give the covariance of differences that are not changed by a straight line in the
-    phase (Matheron 1973).
+    |t|)/12. It is valid for weighted sums of the phase that are 0 for a straight line, such as
+    second differences (Matheron 1973).
     """
     a = np.abs(t)
     white = -a / 2

@@ -111,8 +111,8 @@ class Selection:
     filtered : bool
         Whether a low-pass filter affects the shortest averaging times.
     hint : float or None
-        Frequency, in cycles per sample, of a possible vibration that affects the averages below
-        ``m_min``.
+        Frequency, in cycles per sample, of a possible vibration that affects the excluded short
+        averages.
     levels_off : bool
         Whether the long averages are significantly lower than the model.
     """
@@ -151,11 +151,9 @@ def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None
 
 
 def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with further processes, each confirmed by a likelihood ratio test.
-
-    The chi^2 test of all averages has little power against a single process: flicker and a random
-    walk imitate it in all but a few directions, but chi^2 sums over all directions.
-    """
+    """Return the fit with further processes, each confirmed by a likelihood ratio test."""
+    # The chi^2 test of all averages has little power against a single process, because flicker and
+    # a random walk together have nearly the same curve.
     for _ in range(sum(MAX_PROCESSES.values())):
         more = _one_more(pooled, axis, fit, GaussMarkovTerm)
         more = more or _one_more(pooled, axis, fit, SinusoidTerm)
@@ -168,10 +166,7 @@ def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> Poi
 def _one_more(
     pooled: PooledTable, axis: int, fit: PointFit, kind: type[Process]
 ) -> PointFit | None:
-    """Return the fit with one more process of a kind, or None.
-
-    It is None if chi^2 or the likelihood ratio improve too little.
-    """
+    """Return the fit with one more process of a kind, or None if it is not significant."""
     is_line = kind is SinusoidTerm
     search = _search_with_covariance_of(pooled, axis, fit)
     found = search.fitted(fit.options.extras)
@@ -200,7 +195,7 @@ def _one_more(
 
 
 def _search_with_covariance_of(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch:
-    """Return a search for processes with the covariance of a fit."""
+    """Return a process search that uses the covariance of the Allan variances of a given fit."""
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.variances))
     used = fit.table.rows(np.isin(fit.table.m, table.m))
@@ -216,10 +211,7 @@ def _search(
 
 
 def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
-    """Return the simplest fit with processes that passes the tests.
-
-    Without one, the result is the best fit with a model error.
-    """
+    """Return the simplest fit with processes that passes the tests, else one with a model error."""
     plain = replace(selected.fit, options=replace(selected.fit.options, signed=False))
     # Filtered samples usually need a negative q, which only the next search allows.
     best = _with_searched_processes(
@@ -250,11 +242,8 @@ def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Sele
 
 
 def _with_bounded_drift(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with a long Gauss-Markov process instead of the random walk, if better.
-
-    It is better if its Akaike criterion is much lower. Both models describe the precise part of the
-    curve equally well, so the few long averages decide.
-    """
+    """Replace the random walk by a long Gauss-Markov process if this is much more likely."""
+    # Both models describe the short averages equally well, so the few long averages decide.
     if not fit.variances[K] > 0.0:
         return fit
     without = replace(fit, options=replace(fit.options, walk=False))
@@ -296,10 +285,7 @@ def _with_process_for_walk(pooled: PooledTable, axis: int, fit: PointFit) -> lis
 
 
 def _with_needed_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
-    """Return the fit with the model error for which it passes the tests.
-
-    The error applies only to the averaging times that need it.
-    """
+    """Return the selection with a model error at the averaging times that need one."""
     fit, misfit = selected.fit, NO_MISFIT
     signed = fit.options.signed
     if goodness_z(fit) >= Z_FAIL:
@@ -313,14 +299,12 @@ def _with_needed_misfit(pooled: PooledTable, axis: int, selected: Selection) -> 
 
 
 def _with_searched_processes(
-    pooled: PooledTable, axis: int, fit: PointFit, hopeless: float = np.inf
+    pooled: PooledTable, axis: int, fit: PointFit, largest_z: float = np.inf
 ) -> PointFit:
-    """Return the fit with the processes that a search finds, if any.
-
-    The covariance of a model is wrong where the model fails. The first covariance is therefore that
-    of the five terms, scaled to the measured curve. The search ends after the first round if its
-    normal deviate exceeds ``hopeless``.
-    """
+    """Return the fit with the processes that a search finds, if any."""
+    # The covariance of a model is wrong where the model fails. The first search therefore uses that
+    # of the five terms, scaled to the measured curve. It is not repeated if its normal deviate
+    # exceeds ``largest_z``.
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.variances))
     search = _search(pooled, table, _scaled_covariance(table), options)
@@ -335,7 +319,7 @@ def _with_searched_processes(
             fit = point_fit(pooled, axis, replace(options, extras=extras), found.variances)
         except AllanError:  # the covariance is singular within its precision
             break
-        if settled or search.z(found) > hopeless:
+        if settled or search.z(found) > largest_z:
             break
         search = _search_with_covariance_of(pooled, axis, fit)
     return fit
@@ -360,11 +344,9 @@ def _same_shapes(new: tuple[Process, ...], old: tuple[Process, ...]) -> bool:
 def _excluding_short_averages(
     pooled: PooledTable, axis: int, fit: PointFit, tried: list[PointFit]
 ) -> tuple[list[PointFit], list[PointFit]]:
-    """Return fits without the shortest averages that pass the tests, best first, and alternatives.
-
-    ``fit`` is the fit of the five terms, and ``tried`` contains fits of all averages that fail. A
-    fit of all averages with a small model error may determine N far better than a fit of a part.
-    """
+    """Return passing fits without the shortest averages, best first, and alternatives to them."""
+    # ``tried`` contains fits of all averages, which fail. With a small model error, such a fit may
+    # still determine N far better than a fit of a part of the averages.
     with_error = {
         relative_error_of_n(pooled, axis, each): each
         for each in (with_model_error(pooled, axis, t) for t in tried if not looks_filtered(t))
@@ -382,18 +364,14 @@ def _excluding_short_averages(
 
 
 def _fits_excluding_short(
-    pooled: PooledTable, axis: int, start: PointFit, most: float
+    pooled: PooledTable, axis: int, start: PointFit, largest_error: float
 ) -> list[PointFit]:
-    """Return fits with increasing smallest averaging factor, until one passes the tests well.
-
-    A fit that nearly fails may still deviate at its shortest averages. ``most`` is the largest
-    useful relative error of N.
-    """
+    """Return fits with increasing smallest averaging factor, up to one that clearly passes."""
     out: list[PointFit] = []
     for m_min in M_MIN:
         if np.count_nonzero(start.table.m >= m_min) <= 2 * len(RANDOM_TERMS):
             break
-        if LEAST_ERROR_OF_N * np.sqrt(m_min / pooled.sums.samples) > most:
+        if LEAST_ERROR_OF_N * np.sqrt(m_min / pooled.sums.samples) > largest_error:
             break
         options = FitOptions(m_min=m_min, signed=True)
         fit = point_fit(pooled, axis, options, start.variances[: len(RANDOM_TERMS)])

@@ -203,10 +203,7 @@ class ProcessSearch:
         return less
 
     def _with_drift_process(self, found: ProcessFit) -> ProcessFit:
-        """Return the fit with one more Gauss-Markov process if the model has no random walk.
-
-        The process is added only if chi^2 decreases by more than `NO_WALK_GAIN`.
-        """
+        """Add a Gauss-Markov process if the model has no random walk and chi^2 decreases enough."""
         if self._walk:
             return found
         more = self.with_one_more(found, (GaussMarkovTerm,))
@@ -219,7 +216,7 @@ class ProcessSearch:
         return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
 
     def _needed(self, found: ProcessFit, extra: Process | None = None) -> float:
-        """Return the decrease of chi^2 that one more process needs."""
+        """Return the decrease of chi^2 above which one more process is significant."""
         if isinstance(extra, GaussMarkovTerm) and not self._walk:
             return NO_WALK_GAIN
         return REJECTED_GAIN if self.z(found) >= Z_FAIL else ACCEPTED_GAIN
@@ -229,10 +226,9 @@ class ProcessSearch:
         found: ProcessFit,
         kinds: Sequence[type[Process]] = (GaussMarkovTerm, SinusoidTerm),
     ) -> ProcessFit | None:
-        """Return the best fit with one more process of the given kinds, or None.
+        """Return the best fit with one more process of ``kinds``; None if none decreases chi^2.
 
-        Correlation times and frequencies of all processes are adjusted. None if no process
-        decreases chi^2.
+        Correlation times and frequencies of all processes are adjusted.
         """
         allowed = np.zeros(len(self._grid), bool)
         for kind in kinds:
@@ -273,10 +269,8 @@ class ProcessSearch:
         return found
 
     def _with_best_shape(self, found: ProcessFit, k: int, everywhere: bool) -> ProcessFit:
-        """Return the fit with the best correlation time or frequency of process k.
-
-        The whole grid is searched if ``everywhere``, and the best value is refined.
-        """
+        """Return the fit with the best correlation time or frequency of process k."""
+        # Without ``everywhere``, only values near the present one are searched.
         best = found.extras[k]
         others = [e for n, e in enumerate(found.extras) if n != k]
         variances = np.delete(found.variances, len(RANDOM_TERMS) + k)
@@ -317,10 +311,8 @@ class ProcessSearch:
         candidates: Floats,
         actives: Sequence[tuple[int, ...]] = ((), (B,), (K,), (B, K)),
     ) -> Floats:
-        """Return chi^2 with each candidate column added; inf if a coefficient becomes negative.
-
-        It is the smallest over the given combinations of flicker and random walk (``actives``).
-        """
+        """Return chi^2 with each candidate column added; inf if a coefficient becomes negative."""
+        # It is the smallest chi^2 for the combinations ``actives`` of flicker and random walk.
         known = np.column_stack([self._terms, self._white(extras)])
         least = np.full(candidates.shape[1], np.inf)
         # A small white noise coefficient could become negative next to another process.

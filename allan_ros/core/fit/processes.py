@@ -7,11 +7,12 @@ shape: a correlation time or a frequency.
 
 The covariance of two Allan variances is a sum of squared covariances of differences over all lags
 (module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to this sum,
-where g and h are processes and k is one of the four random terms. The scaling between octaves that
-`covariance` uses does not hold for a correlation time, so these sums are computed for each table.
-Three facts reduce the effort to about 50 ms:
+where C_k is the covariance of differences of a random term, and C_g and C_h are those of two
+processes. The scaling between octaves that `covariance` uses does not hold for a correlation time,
+so these sums are computed for each table. Three facts reduce the effort to about 50 ms:
 
-- A sampled Gauss-Markov process has C_g = A C_N - B/2 E(u), where E is a sum of nine exponentials.
+- C_g is A times the covariance of white noise, minus B/2 times a sum of nine exponentials, with A
+  and B of `gauss_markov_sums`.
 - C(u) and the number of pairs of differences are even functions of the lag u, counted from
   m_j - m_i, so half of the lags is enough. The number of pairs depends only on max(2 m_j, m_i + m_j
   + u) and decreases linearly until the segment ends, so all segments share the values of C.
@@ -48,7 +49,7 @@ class GaussMarkovTerm:
         return 1.89 * self.shape
 
     def white(self) -> float:
-        """Return the variance per sample of white noise with the same low-frequency level."""
+        """Return the variance of white noise with the same spectral density at low frequencies."""
         return float(gauss_markov_sums(self.shape)[0][0])
 
 
@@ -73,11 +74,11 @@ def correlation_times(extras: Sequence[Process]) -> tuple[float, ...]:
 
 
 def amplitude_variance(samples: int, times: Sequence[float], lines: Sequence[Process]) -> Floats:
-    """Return the variance of estimated squared amplitudes, (sinusoids, 4 + processes).
+    """Return the variance of the estimated squared amplitudes of sinusoids, (sinusoids, 4 + times).
 
     White noise of two-sided density S adds 8 A^2 S / n to this variance for an amplitude A and n
-    samples. The result is relative to A^2 and per unit of each variance coefficient. ``times`` are
-    the correlation times of Gauss-Markov processes in samples.
+    ``samples``. The result is relative to A^2, per unit of each variance coefficient. ``lines`` are
+    the sinusoids, and ``times`` the correlation times of Gauss-Markov processes in samples.
     """
     rows = []
     for line in lines:
@@ -96,13 +97,14 @@ def amplitude_variance(samples: int, times: Sequence[float], lines: Sequence[Pro
 def independent_variance(
     m: Ints, stride: Ints, count: Ints, samples: int, segments: int, lines: Sequence[Process]
 ) -> Floats:
-    """Return the variance of Allan variances due to sinusoids that is independent at each factor.
+    """Return the variance that sinusoids add to the Allan variances independently at each factor.
 
-    A sinusoid and white noise multiply in the squared differences. At every s-th start
+    Row 0 is the product of a sinusoid and white noise. If only every s-th start is used
     (``stride``), the differences also contain the noise at the aliases of the sinusoid. With C
-    differences (``count``) l_j of the sinusoid and d_j of the noise, the variance of mean(l d) is
-    E[l^2]/C sum_k (1 - |k|/C) cos(omega s k) R_d(s k). The mean of l^2 itself depends on the phase,
-    relatively by 1/(C sin(omega s)), or entirely if the phase is the same at all starts.
+    differences (``count``) l of the sinusoid and d of the noise, the variance of mean(l d) is
+    E[l^2]/C sum_k (1 - |k|/C) cos(omega s k) R_d(s k), where R_d is the autocovariance of d. Row 1
+    is the variance of mean(l^2), which depends on the phase of the sinusoid: relatively by 1/(C
+    sin(omega s)), or completely if the phase is the same at all starts.
 
     Returns
     -------
@@ -177,10 +179,10 @@ def process_squares(
     lengths: Sequence[tuple[float, int]],
     times: Sequence[float],
 ) -> Floats:
-    """Return the covariance of Allan variances due to Gauss-Markov processes of unit variance.
+    """Return the covariance of the sums of d^2/(2 m^2) due to unit Gauss-Markov processes.
 
-    It is the sum over all pairs of differences of the products of their covariances with those of
-    the four random terms and with each other.
+    It is the sum of 2 C_a C_b over all pairs of differences. C_a and C_b are the covariances of the
+    differences of two processes, or of a random term and a process.
 
     Parameters
     ----------
@@ -194,8 +196,8 @@ def process_squares(
     Returns
     -------
     (products, pairs) float64 array
-        For the `process_pairs`, at the pairs i <= j of `numpy.triu_indices`. Products of two
-        different processes count twice.
+        For the `process_pairs`, at the pairs of factors i <= j of `numpy.triu_indices`. Doubled if
+        a and b differ.
     """
     i, j = np.triu_indices(len(m))
     segments = _Segments(lengths)
@@ -230,10 +232,7 @@ class _Segments:
         return np.asarray(np.maximum(each, 0.0) @ self.number)
 
     def unused(self, reach: Floats, stride: Floats, least: Floats) -> Floats:
-        """Return the mean number of samples after the last difference.
-
-        Only segments of at least ``least`` samples are counted.
-        """
+        """Return the mean number of samples after the last difference of long enough segments."""
         enough = (self.samples >= least[:, None]) * self.number
         remainder = np.mod(self.samples - reach[:, None], stride[:, None])
         return np.asarray((remainder * enough).sum(axis=1) / np.maximum(enough.sum(axis=1), 1.0))
@@ -273,10 +272,8 @@ class _Lags:
         return np.where(u <= self.near[:, None], self.plateau[:, None], falling)
 
     def covariances(self, u: Floats, times: Sequence[float]) -> Floats:
-        """Return the covariance of differences at lags u of unit w, b, k and of the processes.
-
-        Shape (3 + processes, pairs, lags).
-        """
+        """Return the covariances of differences at lags u, (3 + processes, pairs, lags)."""
+        # The rows are w, b and k, then the processes, all of unit size.
         norm, scale = self.norm[:, None], self.mj[:, None]
         absolute = 4.0 * u
         flicker = _square_log(u, scale) * 4.0
@@ -303,7 +300,7 @@ class _Lags:
         return np.stack(out)
 
     def sums(self, times: Sequence[float], products: Sequence[tuple[int, int]]) -> Floats:
-        """Return 2 or 4 times the sums over lags of products of covariances, (products, pairs)."""
+        """Return the covariance of sums of d^2/(2 m^2) per ``products``, (products, pairs)."""
         u, weight = self._weights(max(times))
         c = self.covariances(u, times)
         corners = np.stack([np.zeros_like(self.mi), self.mi, self.mj, self.near, self.far], axis=1)
@@ -333,11 +330,9 @@ class _Lags:
         return out
 
     def _weights(self, longest: float) -> tuple[Floats, Floats]:
-        """Return lags and their weights in the quadrature, (pairs, nodes) each.
-
-        The slope of the number of pairs changes where a segment ends. A segment that ends between
-        two corners is integrated up to its end, with the polynomial through the nodes.
-        """
+        """Return lags and their weights in the quadrature, (pairs, nodes) each."""
+        # The slope of the number of pairs changes where a segment ends. A segment that ends between
+        # two corners is integrated up to its end, with the polynomial through the nodes.
         lags, weights = [], []
         for low, high in pairwise(self._bounds(longest)):
             width = (high - low)[:, None]
@@ -386,12 +381,10 @@ class _Lags:
         return [np.minimum(lag, np.maximum(self.end, 0.0)) for lag in (*corners, *tail)]
 
     def _step_corrections(self) -> tuple[Floats, Floats]:
-        """Return corrections of the quadrature for the number of pairs, which decreases in steps.
-
-        A step is ``ratio`` lags wide. The corrections are the differences between a sum over the
-        steps and the integral of a straight line at the begin and at the end of the decrease, in
-        units of the squared covariance.
-        """
+        """Return corrections of the quadrature because the number of pairs decreases in steps."""
+        # A step is ``ratio`` lags wide. The corrections are the differences between a sum over the
+        # steps and the integral of a straight line at the beginning and at the end of the decrease,
+        # in units of the squared covariance.
         ratio, lost = self.ratio, self.lost
         bend = np.where(ratio <= self.mi / self.stride, (ratio - 1.0 / ratio) / 12.0, lost / 2.0)
         inner = lost / 2.0 - bend + 1.0 / (12.0 * ratio)
@@ -400,8 +393,5 @@ class _Lags:
 
 
 def _square_log(t: Floats, scale: Floats) -> Floats:
-    """Return t^2 ln(t/scale).
-
-    The scale has no effect on a second difference of the result.
-    """
+    """Return t^2 ln(t/scale), where ``scale`` has no effect on the covariance of differences."""
     return np.asarray(t * t * np.log(np.maximum(t, 1e-9) / scale))

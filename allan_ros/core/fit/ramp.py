@@ -6,11 +6,12 @@ The second differences z of equally spaced phase points, divided by the square o
 are estimates of the ramp r (per sample) with stationary noise. The best linear unbiased estimate
 (Aitken 1935) is
 
-    r = 1' S^-1 z / 1' S^-1 1        var r = 1 / 1' S^-1 1
+    r = 1' Z^-1 z / 1' Z^-1 1        var r = 1 / 1' Z^-1 1
 
-where S is the Toeplitz covariance of z under the noise model. It is linear in the phase, r =
-weights @ phase. If r m^2 is subtracted from every difference d, the expectation of the Allan
-variances is still linear in the variance coefficients. For any fixed weights this is exact:
+where Z is the Toeplitz covariance matrix of z under the noise model. The estimate is linear in the
+phase, r = weights @ phase. If r m^2 is subtracted from every difference d, the expectation of the
+Allan variances is still linear in the variance coefficients. For any fixed weights, the Allan
+variance V_i at the averaging factor m_i becomes V'_i with the expectation
 
     E V'_i = E V_i - sqrt2 m_i Cov(S_i, r) + m_i^2 Var(r) / 2
 
@@ -74,7 +75,10 @@ class Noise(NamedTuple):
     times: tuple[float, ...] = ()
 
     def white(self) -> Floats:
-        """Return nonnegative q, w, b, k of noise with the same low-frequency level."""
+        """Return q, w, b, k >= 0 with the Gauss-Markov processes replaced by white noise.
+
+        The white noise has the same spectral density at low frequencies.
+        """
         variances = np.maximum(self.variances, 0.0)
         four = variances[: len(RANDOM_TERMS)].copy()
         if self.times:
@@ -84,14 +88,14 @@ class Noise(NamedTuple):
 
 @dataclass(frozen=True)
 class RampEffect:
-    """Covariance of an estimated linear drift (ramp) with the Allan variances, and its variance.
+    """Variance of an estimated linear drift (ramp), and its covariance with the mean differences.
 
     Both are per unit coefficient of the four random terms and of the processes.
 
     Attributes
     ----------
     cross : (noises, factors) float64 array
-        Covariance of the ramp with the means S_i of d_i/(sqrt2 m_i).
+        Covariance of the ramp with S_i, the mean of the differences d_i/(sqrt2 m_i).
     variance : (noises,) float64 array
         Variance of the ramp.
     """
@@ -102,7 +106,7 @@ class RampEffect:
     def shift(self, m: Ints) -> Floats:
         """Return the change of the Allan variances due to the removed ramp, (factors, noises).
 
-        -sqrt2 m Cov(S, r) + m^2 Var(r) / 2, per unit coefficient.
+        Per unit coefficient, it is -sqrt2 m Cov(S, r) + m^2 Var(r) / 2.
         """
         factor = m.astype(float)
         added = np.outer(self.variance, factor**2 / 2.0) - np.sqrt(2.0) * factor * self.cross
@@ -122,14 +126,15 @@ class RampGeometry:
     second_differences : (4, points - 2) float64 array
         Covariance at lag 0, 1, .. of the second differences of the phase, per unit coefficient.
     cross : (4, factors, points) float64 array
-        Covariance of S_i, the mean of d_i/(sqrt2 m_i), with each phase point, per unit coefficient.
+        Covariance of S_i, the mean of the differences d_i/(sqrt2 m_i), with each phase point, per
+        unit coefficient.
     ends, shares : (factors, 6) float64 arrays
-        The covariance of S_i with a phase point at x is approximately sum_e share_e F(end_e - x),
-        where F is the integral of the covariance of the phase. The mean over the starts is replaced
-        by an integral.
+        Approximation of ``cross`` by integrals over the starts: the covariance of S_i with a phase
+        point at x is sum_e share_e F(end_e - x), where F is the integral of the covariance of the
+        phase.
     excess : (factors, points) float64 array
-        Exact covariance with white noise minus that integral. White noise has a discontinuous slope
-        of the covariance at lag 0.
+        Exact ``cross`` for white noise minus this approximation. They differ because the covariance
+        has a discontinuous slope at lag 0.
     stride : (factors,) int64 array
         Samples between two starts.
     """
@@ -147,12 +152,12 @@ class RampGeometry:
     def best_weights(self, noise: Noise) -> Floats | None:
         """Return the weights of the phase points in the best estimate of the ramp, (points,).
 
-        None if there are fewer than three points or no noise.
+        None if there are fewer than three points, or the noise is 0.
         """
         z = self.points - 2
         if z < 1:
             return None
-        rows = np.concatenate([self.second_differences, self._decay_differences(noise.times)])
+        rows = np.concatenate([self.second_differences, self._process_differences(noise.times)])
         row = np.maximum(noise.variances, 0.0) @ rows
         if not row[0] > 0.0:
             return None
@@ -161,36 +166,32 @@ class RampGeometry:
         return np.asarray(np.convolve(solution / solution.sum(), DIFFERENCE) / self.step**2)
 
     def effect(self, weights: Floats, times: Sequence[float] | Floats = ()) -> RampEffect:
-        """Return the covariance of a ramp estimate with the Allan variances, and its variance.
+        """Return the `RampEffect` of a ramp estimate with given weights of the phase points.
 
-        ``weights`` are the weights of the phase points, ``times`` are the correlation times, in
-        samples, of processes that follow the four terms in the result.
+        ``times`` are the correlation times, in samples, of processes that follow the four terms.
         """
         cross = self.cross @ weights
         if len(times):
-            cross = np.concatenate([cross, self._decay_cross(weights, times, cross[N])])
+            cross = np.concatenate([cross, self._process_cross(weights, times, cross[N])])
         return RampEffect(cross, self.variance(weights, times))
 
     def variance(self, weights: Floats, times: Sequence[float] | Floats = ()) -> Floats:
-        """Return the variance of a ramp estimate per unit coefficient, (noises,).
+        """Return the variance of a ramp estimate per unit coefficient, (4 + times,).
 
         ``weights`` are the weights of the phase points, ``times`` the correlation times of
         processes.
         """
         on_second = np.cumsum(np.cumsum(weights))[:-2]
-        # w' S w of a Toeplitz S is the sum of its lags times the autocorrelation of w.
+        # w' Z w of a Toeplitz matrix Z is the sum of its lags times the autocorrelation of w.
         lags = np.correlate(on_second, on_second, 'full')[len(on_second) - 1 :]
         lags[1:] *= 2.0
         rows = [self.second_differences]
         if len(times):
-            rows.append(self._decay_differences(times))
+            rows.append(self._process_differences(times))
         return np.asarray(np.concatenate(rows) @ lags)
 
-    def _decay_differences(self, times: Sequence[float] | Floats) -> Floats:
-        """Return the covariance of second differences of the phase of Gauss-Markov processes.
-
-        At lag 0, 1, .. for unit variance, shape (processes, points - 2).
-        """
+    def _process_differences(self, times: Sequence[float] | Floats) -> Floats:
+        """Return ``second_differences`` of unit Gauss-Markov processes, (processes, points - 2)."""
         slope, size = gauss_markov_sums(times)
         lags = np.abs(np.arange(-2, max(self.points, 3))) * float(self.step)
         decay = np.exp(-lags / np.reshape(times, (-1, 1)))
@@ -201,16 +202,13 @@ class RampGeometry:
             np.outer(slope, self.second_differences[N]) - size[:, None] / 2.0 * fourth
         )
 
-    def _decay_cross(
+    def _process_cross(
         self, weights: Floats, times: Sequence[float] | Floats, white: Floats
     ) -> Floats:
-        """Return the covariances of a ramp estimate with the mean differences of processes.
-
-        The integral of exp(-|t|/T) is T sign(t) (1 - exp(-|t|/T)). The sum of its values at t - x
-        over the points x follows from the sums over the points before and after t of the weights,
-        with and without an exponential factor. These are computed as convolutions. Shape
-        (processes, factors).
-        """
+        """Return the covariance of a ramp with S_i of unit processes, (processes, factors)."""
+        # The integral of exp(-|t|/T) is T sign(t) (1 - exp(-|t|/T)). The sum of its values at t - x
+        # over the points x follows from sums of the weights before and after t, with and without an
+        # exponential factor. These are computed as convolutions.
         slope, size = gauss_markov_sums(times)
         time = np.reshape(times, (-1, 1))
         n = self.points
@@ -234,8 +232,7 @@ class RampGeometry:
 def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
     """Return the `RampGeometry` of a segment of ``samples`` samples; the last 80 are cached.
 
-    ``step`` is the number of samples between two phase points; 0 selects that of a complete
-    segment.
+    ``step`` is the number of samples between two phase points. If 0, it follows from the length.
     """
     if not step:
         step = cell_step(samples, PHASE_POINTS)
@@ -271,12 +268,10 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
 
 
 def _slope_correction(time: Floats, stride: Ints) -> Floats:
-    """Return the correction of integrals over starts, relative to that of white noise.
-
-    The covariance of a Gauss-Markov process has a discontinuous slope at lag 0, where a sum over
-    starts at a distance of s samples differs from an integral. The sum of exp(-|t|/T) is
-    coth(s/2T), its integral 2T/s. For white noise, -|t|/2, sum and integral differ by s/12.
-    """
+    """Return sum minus integral over starts for Gauss-Markov processes, relative to white noise."""
+    # The covariance of a Gauss-Markov process has a discontinuous slope at lag 0, where a sum over
+    # starts at a distance of s samples differs from an integral. The sum of exp(-|t|/T) is
+    # coth(s/2T), its integral 2T/s. For white noise, -|t|/2, sum and integral differ by s/12.
     slope, size = (x.reshape(np.shape(time)) for x in gauss_markov_sums(np.ravel(time)))
     half = stride / (2.0 * time)
     large = np.maximum(half, 1e-3)
@@ -291,11 +286,9 @@ def _sum_over_integral(time: Floats, stride: Ints) -> Floats:
 
 
 def _ends(samples: int) -> tuple[Floats, Floats]:
-    """Return limits and weights of the integral for a mean over starts, (factors, 6) each.
-
-    The sum over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x) is replaced by the integral
-    from -s/2 to (M - 1/2) s.
-    """
+    """Return limits and weights of integrals that approximate means over starts, (factors, 6)."""
+    # The sum over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x) is replaced by the
+    # integral from -s/2 to (M - 1/2) s. G is the covariance of the phase.
     m, stride = grid_for(samples)
     count = counts(samples, m, stride)
     share = 1.0 / (np.sqrt(2.0) * m * count * stride)
@@ -305,12 +298,10 @@ def _ends(samples: int) -> tuple[Floats, Floats]:
 
 
 def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
-    """Return the integrals from 0 to t of the generalised covariances of w, b and k, (3, ...).
-
-    They are reduced by s^2/24 times the second derivative of the integral, which converts it to the
-    sum over starts (Euler-Maclaurin). ``unit`` scales the lags in the logarithm, which has no
-    effect on the result.
-    """
+    """Return the integrals from 0 to t of the phase covariances of w, b and k, (3, ...)."""
+    # They are reduced by s^2/24 times the second derivative of the integral, which converts it to
+    # the sum over starts (Euler-Maclaurin). ``unit`` scales the lags in the logarithm, which has no
+    # effect on the result.
     size, end = np.abs(t), stride**2 / 24.0
     white = -t * size / 4.0 + end * np.where(t < 0.0, -0.5, 0.5)
     log = np.log(np.maximum(size, 1e-9) / unit)
@@ -322,12 +313,12 @@ def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
 
 @lru_cache(maxsize=256)
 def mean_covariances(samples: int, time: float) -> Floats:
-    """Return the covariances of the mean differences of a Gauss-Markov process, (pairs,).
+    """Return the covariances of mean differences S_i, S_j of a Gauss-Markov process, (pairs,).
 
-    They are the covariances of S_i and S_j for unit variance and the correlation time ``time`` in
-    samples, for the pairs i <= j of `numpy.triu_indices`. The double sum over starts is replaced by
-    a double integral, which is minus the second antiderivative of the covariance of the phase
-    between the ends: -A |t|^3/12 - B/2 (T^2 exp(-|t|/T) + T |t|).
+    The process has unit variance and the correlation time ``time`` in samples. The pairs are i <= j
+    of `numpy.triu_indices`. The double sum over the starts is computed as a double integral of the
+    covariance of the phase, whose second antiderivative is -A |t|^3/12 - B/2 (T^2 exp(-|t|/T) + T
+    |t|).
     """
     slope, size = (float(x[0]) for x in gauss_markov_sums(time))
     ends, shares = _ends(samples)
@@ -351,9 +342,9 @@ def mean_covariances(samples: int, time: float) -> Floats:
 
 
 def least_squares_effect(samples: int, times: Sequence[float] | Floats = ()) -> RampEffect | None:
-    """Return the effect of removing the least-squares line from a segment of ``samples`` samples.
+    """Return the `RampEffect` of the least-squares line of a segment, or None if it is too short.
 
-    None if the segment is too short. ``times`` are correlation times of processes in samples.
+    ``times`` are correlation times of processes in samples.
     """
     geometry = ramp_geometry(samples)
     if geometry.points < 3:
@@ -370,10 +361,10 @@ def pooled_shift(
 ) -> Floats:
     """Return the change of the Allan sums of pooled segments due to removed linear drifts.
 
-    ``m``, ``stride`` and ``count`` are the averaging factors, the samples between two starts and
-    the numbers of differences of all pooled segments. ``times`` are correlation times of processes
-    in samples. The result is the change of the expected sums of d^2/(2 m^2) per unit coefficient,
-    (factors, 4 + processes).
+    It is the change of the expected sums of d^2/(2 m^2) per unit coefficient, (factors, 4 +
+    processes). ``classes`` are groups of segments of similar length. ``m``, ``stride`` and
+    ``count`` are the averaging factors, the samples between two starts and the numbers of
+    differences of all groups. ``times`` are correlation times of processes in samples.
     """
     change = np.zeros((len(m), len(RANDOM_TERMS) + len(times)))
     number = np.zeros(len(m))
@@ -442,10 +433,7 @@ class ProcessShift:
         return np.asarray(self._compute(times) / gauss_markov_sums(times)[0])
 
     def __call__(self, times: Floats) -> Floats:
-        """Return the change for processes of unit variance and these correlation times.
-
-        Shape (factors, processes).
-        """
+        """Return the change for unit processes of given correlation times, (factors, processes)."""
         u = SHIFTS_PER_OCTAVE * np.log2(times / SHORTEST_SHIFT)
         at = np.clip(np.floor(u).astype(np.int64), 0, self._values.shape[1] - 4)
         x = np.maximum(u - at, 0.0)

@@ -1,18 +1,19 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Least squares without the covariance of the sums: simple methods, curves of other tools.
+"""Simple fit methods for comparison, and the fit of an Allan curve from another tool.
 
-The methods 'relative' and 'paper' exist for comparison and give no intervals.
+None of them uses the covariance of the Allan variances. The methods 'relative' and 'paper' give no
+intervals.
 
 'relative' minimises the relative residuals of the overlapped curve with nonnegative coefficients,
 as several open tools do. No decade of tau dominates. N is less precise than with method 'gls',
 because the short averaging times, which are the most precise, have no larger weight.
 
-'paper' is the method of Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019. It fits
-sigma^2(tau) = sum A_p tau^p, p = -2..2, without weights, to averages up to 1300 s over groups that
-do not overlap, and computes each coefficient from its A_p. The long averaging times, which are the
-least precise, have the largest weight, so Q, K and R are often negative. A finding reports the same
-fit with overlapping groups, which the paper names as future work.
+'paper' is the method of Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019. It fits the
+Allan variance sigma^2(tau) = sum A_p tau^p, p = -2..2, without weights, to averages over groups
+that do not overlap, up to 1300 s, and computes each coefficient from its A_p. The long averaging
+times, which are the least precise, have the largest weight, so Q, K and R are often negative. A
+finding reports the same fit with overlapping groups, which the paper names as future work.
 
 `fit_curve` fits a curve that another tool computed. Its covariance is unknown without the samples:
 the points are decimated to four per octave and treated as independent, each with the degrees of
@@ -88,10 +89,10 @@ def fit_relative(sums: AllanSums) -> NoiseModel:
 
 
 def fit_paper(sums: AllanSums) -> NoiseModel:
-    """Fit all axes by the method of Cong et al. 2019.
+    """Fit the Allan variances by sum A_p tau^p, as Cong et al. 2019.
 
-    A term whose A_p is negative has no value; a finding reports it. Another finding reports the fit
-    with overlapping groups and the reduction of its standard errors.
+    A term whose A_p is negative has no value, and a finding reports it. Another finding reports the
+    fit with overlapping groups and the reduction of its standard errors.
     """
     groups, overlapped = fit_polynomials(sums)
     findings: list[Finding] = []
@@ -112,25 +113,24 @@ def fit_paper(sums: AllanSums) -> NoiseModel:
 
 
 class Polynomial(NamedTuple):
-    """Coefficients A_-2 .. A_2 of sigma^2(tau) and their standard errors, (5, axes) each."""
+    """Coefficients A_-2 .. A_2 of sum A_p tau^p and their standard errors, (5, axes) each."""
 
     value: Floats
     error: Floats
 
 
 def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:
-    """Return the indices of the averaging factors up to 1300 s that have at least one group."""
+    """Return the indices of the averaging times up to 1300 s with at least one group."""
     tau = sums.m * sample_period(sums)
     return np.flatnonzero((tau <= LONGEST_TAU) & (sums.group_count > 0))
 
 
 def fit_polynomials(sums: AllanSums) -> tuple[Polynomial, Polynomial]:
-    """Return the fits of sigma^2(tau) to groups that do not overlap, and to overlapping groups.
+    """Fit sum A_p tau^p to the Allan variances of groups without and with overlap.
 
-    The estimates A = P sigma^2 are linear in the Allan variances. Their standard errors follow from
-    the variances 2 sigma^4/edf of the points, with the degrees of freedom edf of the noise type and
-    sigma^2 of the overlapped curve; correlations of points are ignored. All values are NaN with
-    fewer than five points.
+    The standard errors of A_p follow from the variance 2 sigma^4/edf of each point, with sigma^2
+    and the degrees of freedom edf of the overlapped curve; correlations of points are ignored. All
+    values are NaN with fewer than five points.
     """
     some = fitted_factors(sums)
     m, stride = sums.m[some], sums.stride[some]
@@ -159,7 +159,7 @@ def _signs_of_ramps(sums: AllanSums) -> list[int]:
 
 
 def _axis_fit(squares: Floats, sign: int) -> AxisFit:
-    """Return the fit of an axis from the squares of its coefficients; none for squares <= 0."""
+    """Return the fit of an axis from its squared coefficients; those <= 0 have no value."""
     noise = {term: Coefficient(None, status='not_observable') for term in TERMS}
     for term, square in zip(TERMS, squares.tolist()):
         if square > 0.0:

@@ -235,10 +235,8 @@ def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
 
 
 def _steps_finding(sums: AllanSums, steps: BiasSteps, model: NoiseModel) -> Finding:
-    """Return the finding about bias steps.
-
-    Steps between two segments affect no coefficient, and have their own finding.
-    """
+    """Return the finding about bias steps, or about a bias that differs between segments."""
+    # Steps between two segments affect no coefficient.
     axis, tau0 = sums.axes[steps.axis], sums.tau0 or 1.0
     (size,), size_unit = _converted(axis, 'B', float(np.abs(steps.sizes).max()))
     walks = [math.sqrt(walk / tau0) for walk in (steps.walk_before, steps.walk_after)]
@@ -287,7 +285,8 @@ def _sensors(sums: AllanSums) -> list[list[int]]:
 
 
 def _settled_part(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
-    """Return the sums from the first possible age on, and this age; None if too few data remain."""
+    """Return the sums without the first ``age`` samples or a few more; None if too few remain."""
+    # Sums can be divided only at some ages; the second result is the age that is used.
     edge = next((a for a in sums.history.ages if a >= age), None)
     if edge is None:
         return None

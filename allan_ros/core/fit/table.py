@@ -73,13 +73,14 @@ class Table:
         Allan variance of the samples without the ramps.
     terms : (factors, columns) float64 array
         Expectation per unit q, w, b, k, and per unit variance of each added process. Derivatives by
-        the shapes may follow.
+        the logarithm of correlation times and frequencies may follow.
     squares : (products, pairs) float64 array
-        Covariance per product of two coefficients (`TERM_PAIRS`, `process_pairs`), at pairs i <= j.
+        Covariance per product of two coefficients (`TERM_PAIRS`, `process_pairs`), at pairs of
+        factors i <= j.
     ramps : (segments,) float64 array
         Ramp per sample that was removed from each kept segment; 0 if none could be estimated.
     ramp_variance : (segments, noises) float64 array
-        Variance of the ramps per unit coefficient.
+        Variance of the estimated ramps per unit coefficient.
     noises : int
         Number of columns of random noise: the four terms and Gauss-Markov processes.
     amplitude_variance : (sinusoids, noises) float64 array
@@ -124,7 +125,7 @@ class Table:
         return out
 
     def tangents(self, extras: Sequence[Process]) -> Floats:
-        """Return the derivatives of `columns` by the logarithms of times and frequencies."""
+        """Return the derivatives of `columns` by log correlation times and log frequencies."""
         half = SHAPE_STEP**0.5
         above, below = (
             self.columns([replace(e, shape=e.shape * factor) for e in extras])
@@ -135,9 +136,9 @@ class Table:
     def covariance(self, variances: Floats) -> Floats:
         """Return the covariance of ``avar`` for given coefficients, (factors, factors).
 
-        The product of a sinusoid and the noise at its frequency only changes the amplitude of the
-        sinusoid. If not every start is used, products with the noise at its aliases are added
-        (``independent_variance``).
+        Noise at the frequency of a sinusoid changes the amplitude of the sinusoid
+        (``amplitude_variance``). If not every start is used, noise at its aliases contributes as
+        well (``independent_variance``).
         """
         p = np.maximum(variances, 0.0)
         a, b = _products(self.noises - len(RANDOM_TERMS))
@@ -179,7 +180,7 @@ def _packing(size: int) -> Ints:
 
 @lru_cache(maxsize=8)
 def _products(processes: int) -> tuple[Ints, Ints]:
-    """Return the pairs of coefficients in a covariance: of the terms, then with processes."""
+    """Return the indices of the first and of the second coefficient of each row of ``squares``."""
     a, b = np.array((*TERM_PAIRS, *process_pairs(processes))).T
     return a, b
 
@@ -213,12 +214,10 @@ class _SegmentGroup:
         return cls(number, pairs, ramp_geometry(samples, step), at)
 
     def ramp_squares(self, effect: RampEffect, times: Sequence[float]) -> Floats:
-        """Return the change of the covariance sums due to removed ramps, (products, pairs).
-
-        The difference d - r m^2 has the covariance C - D at every lag. In units of 1/(2 m_i m_j), D
-        is the same for all starts if r is the best estimate, and nearly the same for any good
-        estimate.
-        """
+        """Return the change of the covariance sums due to removed ramps, (products, pairs)."""
+        # The difference d - r m^2 has the covariance C - D at every lag. In units of 1/(2 m_i m_j),
+        # D is the same for all starts if r is the best estimate, and nearly the same for any good
+        # estimate.
         i, j = np.triu_indices(len(self.pairs.m))
         m = self.pairs.m.astype(float)
         number = self.pairs.count[i].astype(float) * self.pairs.count[j]
@@ -265,7 +264,7 @@ class PooledTable:
         self._pooled_drifts = ProcessShift(longest, lambda t: shift(t)[:, 4:])
 
     def _with_pooled_ramps(self, squares: Floats, times: tuple[float, ...]) -> Floats:
-        """Add, in place, the effect of removed ramps of pooled segments to the covariance sums."""
+        """Return covariance sums, changed in place by the removed ramps of pooled segments."""
         for part in self._pooled:
             effect = least_squares_effect(part.pairs.samples, times)
             if effect is not None:
@@ -306,7 +305,7 @@ class PooledTable:
     def ramp_variance(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> Floats:
-        """Return the variance of the linear drift of each segment, (segments, noises).
+        """Return the variance of the estimated linear drift of each segment, (segments, noises).
 
         It is per unit coefficient, and 0 if the drift is known or cannot be estimated. ``weights``
         are those of `ramps`, ``times`` are correlation times of processes in samples.
@@ -336,7 +335,7 @@ class PooledTable:
         m_min: int = 1,
         tangents: bool = False,
     ) -> Table:
-        """Return the Allan variances of one axis without linear drifts, and their moments.
+        """Return the `Table` of one axis, with the linear drifts removed.
 
         Parameters
         ----------
@@ -353,7 +352,7 @@ class PooledTable:
             Smallest averaging factor.
         tangents : bool
             Whether to add the derivatives of the columns of processes by the logarithm of their
-            shapes.
+            correlation time or frequency.
         """
         noise = noise if np.any(noise.variances > 0.0) else Noise()
         found, weights = self.ramps(axis, noise, ramps)
@@ -410,11 +409,7 @@ class PooledTable:
     def _kept_shift(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> Floats:
-        """Return the change of the Allan sums of stored segments due to removed ramps.
-
-        It is the change of the expected sums of d^2/(2 m^2) per unit coefficient, (factors,
-        noises).
-        """
+        """Return the change of sums of d^2/(2 m^2) due to ramps removed from stored segments."""
         out = np.zeros((len(self.m), len(RANDOM_TERMS) + len(times)))
         for part, effect in self._effects(weights, times):
             m, count = part.pairs.m, part.pairs.count
@@ -422,11 +417,8 @@ class PooledTable:
         return out
 
     def _process_squares(self, times: tuple[float, ...]) -> Floats:
-        """Return the covariance of Allan sums per product of two coefficients, (products, pairs).
-
-        ``times`` are correlation times in samples; the results for the last few sets are cached.
-        The ramps of separately stored segments are not removed.
-        """
+        """Return the covariance sums per product of two coefficients, (products, pairs)."""
+        # The ramps of separately stored segments are not removed.
         if times not in self._squares:
             while len(self._squares) > KEPT_PROCESS_SQUARES:
                 del self._squares[list(self._squares)[1]]
@@ -445,7 +437,7 @@ def clear_cache() -> None:
 
 
 def _informative(table: Table, complete: Floats, variances: Floats) -> NDArray[np.bool_]:
-    """Return which averaging factors keep enough variance without the ramps, (factors,)."""
+    """Return which averaging factors keep more than `EMPTY_ROW` of their variance."""
     p = np.zeros(table.noises)
     p[: len(variances)] = np.maximum(variances, 0.0)
     keep = (table.count > 0) & (
