@@ -405,15 +405,8 @@ def point_fit(
 ) -> PointFit:
     """Fit one axis, alternating between the linear drifts (ramps) and the coefficients.
 
-    Parameters
-    ----------
-    pooled : PooledTable
-        Data of all axes.
-    axis : int
-        Position among the axes of the sums.
-    options : FitOptions
-    variances : float64 array, optional
-        Initial coefficients; missing ones of processes are 0.
+    ``axis`` is the position among the axes of the sums. ``variances`` are initial coefficients;
+    missing ones of processes are 0.
     """
     if variances is None:
         variances = initial_variances(pooled.table(axis))

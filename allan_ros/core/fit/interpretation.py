@@ -138,23 +138,10 @@ class _Stretch:
 def dominant_regions(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
     """Return the ranges of averaging times of one axis with the dominant term of each.
 
-    A term or process dominates where it has the largest share of the Allan variance of the model.
-    Adjacent ranges narrower than a factor of 3 in tau are merged; a single narrow range gets the
-    two terms with the largest shares.
-
-    Parameters
-    ----------
-    curve : AllanCurve
-        The measured curve.
-    axis : str
-        Name of the axis.
-    fit : AxisFit
-        Fit of the axis; only terms of its selected model are considered.
-
-    Returns
-    -------
-    list of Region
-        Contiguous ranges, shortest tau first, that cover the curve. Empty if no term is known.
+    The ranges are contiguous, cover the measured curve, and are sorted by tau. The list is empty if
+    no term is known. A term or process of the selected model dominates where it has the largest
+    share of the Allan variance of the model. Adjacent ranges narrower than a factor of 3 in tau are
+    merged; a single narrow range gets the two terms with the largest shares.
     """
     tau0 = curve.tau[0] / curve.m[0] if len(curve.m) else math.nan
     parts = fit.selected.parts(curve.tau, tau0) if len(curve.m) else {}

@@ -197,13 +197,8 @@ def limit_of_averages(table: Table, term: int, samples: int) -> float:
     gives a limit. The smallest one is returned, for a probability of 2.5 % divided by the number of
     factors (Bonferroni). It is infinite if there are no factors.
 
-    Parameters
-    ----------
-    table : Table
-    term : int
-        Column of the term in the table.
-    samples : int
-        Length of the longest segment.
+    ``term`` is the column of the term in the table, and ``samples`` the length of the longest
+    segment.
     """
     used = (table.m <= samples / LONGEST_IN_LIMIT) & (table.avar > 0.0)
     if not used.any():
@@ -226,21 +221,12 @@ def find_crossing(
 ) -> float:
     """Return the value c at which a decreasing function z(c) reaches a target.
 
-    The search starts at the last known point and moves towards the limit. Each step goes to the
-    intersection of the target with the hyperbola (alpha - c) / (beta + gamma c) through the last
-    three points, which equals z if the standard error is linear in c. A step outside the bracket is
-    replaced by bisection or, without a bracket, by twice the distance.
-
-    Parameters
-    ----------
-    z : callable
-    target : float
-    known : sequence of (c, z)
-        Points that are already computed.
-    guess : float
-        First value at which z is computed.
-    limit : float
-        Returned if z does not reach the target between the start and the limit.
+    ``known`` contains points (c, z) that are already computed, and ``guess`` is the first value at
+    which z is computed. The search starts at the last known point and moves towards ``limit``,
+    which is returned if z does not reach the target before. Each step goes to the intersection of
+    the target with the hyperbola (alpha - c) / (beta + gamma c) through the last three points,
+    which equals z if the standard error is linear in c. A step outside the bracket is replaced by
+    bisection or, without a bracket, by twice the distance.
     """
     points = list(known)
     start, value = points[-1]

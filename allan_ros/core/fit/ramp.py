@@ -410,9 +410,9 @@ def _shift(samples: int, times: Sequence[float] | Floats) -> Floats:
 class ProcessShift:
     """Change of the Allan variances of Gauss-Markov processes if linear drifts (ramps) are removed.
 
-    Relative to the low-frequency level of the process, it is a smooth function of the logarithm of
-    the correlation time. It is computed once at `SHIFTS_PER_OCTAVE` points and interpolated by
-    cubics.
+    Divided by the spectral density of the process at low frequencies, the change is a smooth
+    function of the logarithm of the correlation time. It is computed once at `SHIFTS_PER_OCTAVE`
+    points and interpolated by cubics.
 
     Parameters
     ----------

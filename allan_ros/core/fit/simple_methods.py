@@ -69,7 +69,7 @@ K^2/3, R^2/2 (the paper's eq. 3; IEEE Std 952-1997 annex C)."""
 
 
 def fit_relative(sums: AllanSums) -> NoiseModel:
-    """Fit all axes by relative least squares; a term whose estimate is 0 is not resolved."""
+    """Fit all axes by least squares on relative residuals; a term of 0 is not resolved."""
     findings: list[Finding] = []
     axes: dict[str, AxisFit] = {}
     tau0, signs = sample_period(sums), _signs_of_ramps(sums)

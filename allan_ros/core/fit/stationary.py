@@ -145,7 +145,7 @@ def fit_stationary(
 
 
 def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseModel, list[Finding]]:
-    """Return the model with intervals widened by changes of the noise level, and the findings."""
+    """Return the model with intervals widened for changes of noise after ``age``, and findings."""
     recordings = sums.history.recordings
     which = 'between recordings' if len(recordings) > 1 else 'within the recording'
     found = []
@@ -222,7 +222,7 @@ def _without_early_part(
 
 
 def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
-    """Return the bias steps of each axis, from the recording where they are most significant."""
+    """Return the bias steps of each axis after ``age``, from the recording with the clearest."""
     best: dict[int, BiasSteps] = {}
     for recording in _tested(sums):
         for steps in bias_steps(recording, age):

@@ -430,7 +430,7 @@ class PooledTable:
 
 
 def clear_cache() -> None:
-    """Free about 20 MB of cached covariances, which are computed again in 0.2 s."""
+    """Free about 20 MB of cached covariances, which are computed again in 0.2 s when needed."""
     clear_pair_sums()
     ramp_geometry.cache_clear()
     mean_covariances.cache_clear()
