@@ -51,11 +51,11 @@ _HOME = {
 
 
 def keep_to_one_thread() -> None:
-    """Limit linear algebra to one thread; entry points call this before numpy is imported.
+    """Limit the linear algebra of numpy to one thread; to be called before numpy is imported.
 
-    Matrices have about a hundred rows. With several threads, which spin while they wait for each
-    other, a fit takes three times the CPU and is not faster. Variables that the user has set are
-    kept.
+    The matrices of a fit have about a hundred rows. More threads make it no faster, and use three
+    times the CPU time because they wait actively. Environment variables that are already set are
+    not changed.
     """
     for library in ('OPENBLAS', 'OMP', 'MKL'):
         os.environ.setdefault(f'{library}_NUM_THREADS', '1')

@@ -24,6 +24,7 @@ from .core.settings import (
     CheckedSettings,
     SegmenterSettings,
     check_names,
+    check_rate,
     describe,
     expect,
     parameter,
@@ -57,7 +58,7 @@ mapping such as ``{'z': {'N': 0.3}}`` for some axes, or a list of three mappings
 
 @dataclass(frozen=True)
 class ResultSettings(CheckedSettings):
-    """Settings of the fit, the comparisons and the units of results."""
+    """Settings for fitting, comparing, printing and exporting results."""
 
     method: str = parameter(
         'gls',
@@ -90,12 +91,17 @@ class ResultSettings(CheckedSettings):
         high=100.0,
     )
 
+    @property
+    def stated_margin(self) -> float | None:
+        """The margin; None for the default, which does not change earlier comparisons."""
+        return None if self.margin == MARGIN else self.margin
+
 
 def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSettings()) -> Results:
-    """Fit the sums of one IMU, and compare the results as the settings request.
+    """Fit the Allan variance sums of one IMU, and compare the results as the settings request.
 
     The settings name a datasheet (``sensor``) and an earlier run (``baseline``). If they name no
-    datasheet, the one with which the recordings were compared before is used again.
+    datasheet, the datasheet of the comparison that is stored with the sums is used.
 
     Raises AllanError when there are too few data, or the datasheet or the earlier run cannot be
     read.
@@ -103,7 +109,7 @@ def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSetti
     results = analyse_recorded(recorded, settings.method)
     if not settings.sensor:
         results = with_earlier_datasheet(results)
-    return results.compared(settings.sensor, settings.baseline, settings.margin)
+    return results.compared(settings.sensor, settings.baseline, settings.stated_margin)
 
 
 def results_of(
@@ -112,11 +118,11 @@ def results_of(
     observer: Observer = Silent(),
     segmenter: SegmenterSettings = SegmenterSettings(),
 ) -> Results:
-    """Return the results of a path: a document, the folder of an analysis, or a recording.
+    """Load results from a JSON file or the folder of an analysis, or analyze a recording.
 
-    Results instead of a path are returned unchanged. Sums and recordings are fitted by ``method``.
-    A recording is processed with the settings ``segmenter``, and ``observer`` receives the progress
-    of reading. Raises AllanError when the path cannot be read.
+    If ``path`` is already a `Results` object, it is returned unchanged. ``method`` is the method of
+    the fit of sums and recordings. A recording is processed with the settings ``segmenter``, and
+    ``observer`` receives the progress of reading. Raises AllanError when the path cannot be read.
     """
     expect((Results, *PATH), 'results or a path', source=path)
     if isinstance(path, Results):
@@ -205,6 +211,7 @@ def analyze(
     """
     names = *describe(SegmenterSettings), *describe(ReadOptions)
     # ``rate`` sets both rates
+    check_rate(rate)
     check_names(options, [name for name in names if name not in ('rate_hz', 'declared_rate')])
     of_reading = {name: options.pop(name) for name in describe(ReadOptions) if name in options}
     reading = ReadOptions(rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, **of_reading)
@@ -217,7 +224,7 @@ def analyze(
     if paths := _paths(source):
         if axes is not None:
             raise AllanError(
-                'axes are for arrays, not files: name the columns of a table by columns'
+                'axes are for arrays, not files: name the columns of a table with columns='
             )
         jobs = [ReadJob(path, reading, segmenter, hardware_id, True) for path in paths]
         several = min(processes, len(jobs)) > 1
@@ -236,7 +243,7 @@ def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Re
     """Combine several recordings of one IMU into one result, without reading them again.
 
     The stored sums of second differences are added and fitted together. If the sources were
-    compared with one datasheet, the result is compared with it, too.
+    compared with the same datasheet, the result is compared with it, too.
 
     Parameters
     ----------
@@ -457,7 +464,7 @@ def simulate(
 
 
 def _noise_changes(sensor: str, given: NoiseChanges | None) -> dict[str, Mapping[str, float]]:
-    """Return coefficients by sensor or axis name, such as ``{'gyro_z': {'N': 0.3}}``."""
+    """Return ``given`` as a mapping by sensor or axis name, such as ``{'gyro_z': {'N': 0.3}}``."""
     if not given:
         return {}
     if isinstance(given, Mapping):

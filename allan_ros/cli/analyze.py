@@ -27,7 +27,7 @@ from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding
 from ..core.imu import sensor_of
-from ..core.settings import SegmenterSettings
+from ..core.settings import SegmenterSettings, check_rate
 from ..io.datasheets import load_sensor
 from ..io.documents import RESULTS, load, load_sums, results_to_document
 from ..io.exporters import target_of
@@ -88,6 +88,7 @@ def read_jobs(
 
     ``with_context`` requests the data for a report.
     """
+    check_rate(args.rate)
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
     return [ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in paths]
@@ -226,7 +227,7 @@ def _checked(args: argparse.Namespace, settings: ResultSettings, console: Consol
     first = Path(args.inputs[0])
     if len(args.inputs) == 1 and (first.suffix == '.json' or (first / RESULTS).is_file()):
         results = load(first, settings.method)
-        return results.compared(settings.sensor, settings.baseline, settings.margin)
+        return results.compared(settings.sensor, settings.baseline, settings.stated_margin)
     recorded = read_in_turn(read_jobs(args.inputs, args), console)
     return fit_recorded(add_recordings(recorded), settings)
 

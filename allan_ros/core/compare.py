@@ -5,12 +5,13 @@
 `differences` tests whether two recordings differ. The two may be two files, a recording and an
 earlier one, or the last hour of a stream and the time before it.
 
-Coefficients are compared by the logarithm of their ratio. Its limits follow from the two intervals,
-each with its own width above and below (method of variance estimates recovery: Zou & Donner,
-Statistics in Medicine 27, 2008, eq. 9, on logarithms). If only one recording resolves a
-coefficient, it is compared with the upper limit of the other one: the confidence level of both
-limits is raised until they meet. Deviations at equal averaging times are compared by the F
-distribution of two variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
+Coefficients are compared by the logarithm of their ratio. Its interval is computed from the two
+intervals, which may be asymmetric (method of variance estimates recovery: Zou & Donner, Statistics
+in Medicine 27, 2008, eq. 9, on logarithms). If only one recording resolves a coefficient, its lower
+limit is compared with the upper limit of the other recording: the p value follows from the
+confidence level at which the two limits are equal. Deviations at equal averaging times are compared
+by the F distribution of two variances with their equivalent degrees of freedom (NIST SP 1065
+section 5.3.1).
 
 Many comparisons are made at once. Holm's procedure (Scandinavian Journal of Statistics 6, 1979)
 keeps the probability of any false detection below `FAMILY_ERROR`, even if the comparisons are
@@ -57,8 +58,7 @@ LARGEST_EXPONENT = 709.0
 """Largest exponent whose exp is a finite float."""
 
 LimitVerdict = Literal['within', 'beyond', 'open']
-"""Not above the limit; significantly above the limit by more than the margin; neither can be
-shown."""
+"""Not above an upper limit plus a margin, significantly above it, or undecided."""
 
 Change = Literal['higher', 'lower', 'alike', 'open']
 """The second recording is significantly higher, significantly lower or not significantly different,
@@ -126,10 +126,11 @@ def compare_with_limits(
 
 
 def verdict(coefficient: Coefficient, limit: float, margin: float) -> LimitVerdict:
-    """Return the verdict on a coefficient with an upper limit.
+    """Compare a coefficient with an upper limit, and return the verdict.
 
     It is 'beyond' if the complete 95 % interval lies above limit * (1 + margin), 'within' if the
-    interval or the upper limit of the coefficient lies below that, and 'open' otherwise.
+    complete interval (or the upper limit of a coefficient that is not resolved) does not exceed
+    this value, and 'open' otherwise.
     """
     highest = limit * (1.0 + margin)
     low, high = coefficient.ci95 or (None, coefficient.upper95)
@@ -161,7 +162,8 @@ class Difference:
     p : float or None
         Probability of such a difference between recordings of equal noise; None if unknown.
     verdict : Change
-        LimitVerdict after correction for the number of comparisons.
+        'higher' or 'lower' if the second recording differs significantly, after correction for the
+        number of comparisons; 'alike' if it does not; 'open' if this is undecided.
     """
 
     axis: str
@@ -175,11 +177,11 @@ class Difference:
 
     @property
     def significant(self) -> bool:
-        """Whether the difference is significant."""
+        """Whether the verdict is 'higher' or 'lower'."""
         return self.verdict in ('higher', 'lower')
 
     def beyond(self, margin: float) -> bool:
-        """Return whether the two recordings differ significantly by more than a fraction.
+        """Return whether the recordings differ significantly by more than the fraction ``margin``.
 
         The complete 95 % interval of the ratio must lie above 1 + margin, or below 1 / (1 +
         margin).
@@ -207,8 +209,7 @@ class Difference:
 
 
 class Measured(NamedTuple):
-    """Results of one axis of a recording: its coefficients by term, and its curve; None if
-    unknown."""
+    """Coefficients by term and Allan deviation curve of one axis; None if unknown."""
 
     noise: Mapping[str, Coefficient] | None
     curve: AxisCurve | None
@@ -245,8 +246,7 @@ def _run_differences(first: Run, second: Run) -> Iterator[Difference]:
 
 
 def _curve_differences(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Difference]:
-    """Yield the differences of interpolated deviations at common averaging times, without
-    verdicts."""
+    """Yield the differences of the interpolated deviations; the verdicts are set later."""
     points = _log_points(first), _log_points(second)
     if not all(len(one) for one in points):
         return
@@ -307,7 +307,7 @@ def _term_difference(axis: str, term: str, first: Coefficient, second: Coefficie
 
 
 def _estimate(c: Coefficient) -> Estimate | None:
-    """Return an estimate whose interval lies above 0; None for any other coefficient."""
+    """Return the value and interval; None if not resolved or if the interval reaches 0."""
     if c.status != 'estimated' or not c.value or c.ci95 is None:
         return None
     low, high = c.ci95
@@ -323,9 +323,10 @@ def _limit(c: Coefficient) -> float | None:
 
 
 def _ratio_of_estimates(a: Estimate, b: Estimate) -> tuple[float, tuple[float, float], float]:
-    """Return the ratio b / a, its 95 % interval and the p value.
+    """Return the ratio b / a, its 95 % interval, and the p value of equal coefficients.
 
-    The p value uses the upper width of the smaller estimate and the lower width of the larger one.
+    The p value uses the upper half of the interval of the smaller estimate and the lower half of
+    the other interval.
     """
     log_ratio = math.log(b[0]) - math.log(a[0])
     down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
@@ -352,10 +353,11 @@ def _width(upper: float, lower: float, x: Estimate) -> float:
 def _p_value_of_limit(a: Estimate, limit: float) -> float:
     """Return the p value if one recording has an estimate and the other only a limit.
 
-    At the quantile z, the lower limit of the estimate, exp(-z s) times the estimate, meets the
-    upper limit of the other recording, sqrt(z/1.96) times its 95 % limit. (Variances, not
-    deviations, have normal errors, and an estimate of 0 has the largest limit.) Each limit is wrong
-    with probability Phi(-z), and either recording could have the estimate: p = 4 Phi(-z).
+    With s as the standard error of ln(estimate), the lower limit of the estimate is exp(-z s) times
+    the estimate at the normal quantile z. The upper limit of the other recording is sqrt(z/1.96)
+    times its 95 % limit: variances have normal errors, and an estimate of 0 is the worst case. At
+    the z where the limits are equal, each is wrong with probability Phi(-z), and either recording
+    could have the estimate: p = 4 Phi(-z).
     """
     value, low, _ = a
     scale = max(_width(value, low, a) / Z_95, SMALLEST_SCALE)

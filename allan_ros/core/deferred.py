@@ -31,7 +31,7 @@ class DeferredModule:
 
 
 def _import(name: str) -> ModuleType:
-    """Import a module of scipy, while the `UNUSED` submodules of numpy are deferred."""
+    """Import a module of scipy, but not the submodules of numpy that are listed in `UNUSED`."""
     known = vars(numpy)
     deferred = {each: DeferredModule(f'numpy.{each}') for each in UNUSED if each not in known}
     known.update(deferred)

@@ -65,9 +65,10 @@ def _filled(template: str, values: Mapping[str, object]) -> str:
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
-    """Return the finding ``id`` for these axes (none: all), with ``values`` in its texts.
+    """Return the finding ``id`` of the catalogue, with ``values`` inserted into its texts.
 
-    ``values`` must contain every field of the templates except ``when``, which is '' by default.
+    ``axes`` are the affected axes; empty for all. ``values`` must contain every field of the
+    templates except ``when``, which is '' by default.
     """
     known, values = CATALOGUE[id], {'when': '', **values}
     message, remedy = (_filled(text, values) for text in (known.message, known.remedy))

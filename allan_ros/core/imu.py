@@ -90,7 +90,10 @@ class ImuBatch:
 
 
 def joined(batches: Sequence[ImuBatch]) -> ImuBatch:
-    """Return the samples of all batches in one, with the frame_id of the last."""
+    """Concatenate batches; the result has the frame_id of the last one.
+
+    Its record times are None unless all batches have record times.
+    """
     records = [batch.record_ns for batch in batches if batch.record_ns is not None]
     return ImuBatch(
         np.concatenate([batch.stamps_ns for batch in batches]),
@@ -117,7 +120,7 @@ MICRO_G = STANDARD_GRAVITY * 1e-6
 
 
 class Unit(NamedTuple):
-    """A unit: the SI unit of its quantity, and the factor that converts a value to it."""
+    """A unit of measurement: its SI unit, and the factor that converts values to the SI unit."""
 
     si: str
     factor: float

@@ -74,9 +74,10 @@ EXPECTED: dict[Any, str] = {
 
 
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
-    """Raise AllanError for the first value that is not of the type, or types, ``kind``.
+    """Raise AllanError for the first keyword argument that is not of the type or types ``kind``.
 
-    ``called`` describes the type in the message; it is needed if the type is not in `EXPECTED`.
+    The message contains the name of the argument. ``called`` describes the type there; by default,
+    the description in `EXPECTED` is used.
     """
     for name, value in values.items():
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
@@ -85,7 +86,7 @@ def expect(kind: Any, called: str = '', /, **values: object) -> None:
 
 
 def choose(choices: Collection[str], **values: object) -> None:
-    """Raise AllanError for the first value that is not one of the choices."""
+    """Raise AllanError for the first keyword argument that is not one of the choices."""
     for name, value in values.items():
         if not isinstance(value, str) or value not in choices:
             known = ', '.join(choice for choice in choices if choice)
@@ -112,10 +113,10 @@ def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
 
 
 class CheckedSettings:
-    """Base of the dataclasses of settings, whose values are checked when an object is created.
+    """Base class of settings dataclasses; checks all values when an object is created.
 
-    AllanError is raised unless every value has the type of its default and lies in its range. The
-    text 'auto' is replaced by `AUTO` where it is allowed.
+    Raises AllanError unless every value has the type of its default and lies in its range. If a
+    setting accepts the text 'auto', this is stored as the number -1 (`AUTO`).
     """
 
     def __post_init__(self) -> None:
@@ -129,16 +130,19 @@ class CheckedSettings:
                 continue
             kind = next(kind for kind in EXPECTED if isinstance(defaults[name], kind))
             expect(kind, **{name: value})
-            low = -math.inf if info.low is None else info.low
-            high = math.inf if info.high is None else info.high
-            if isinstance(value, (int, float)) and not low <= value <= high:
-                unit = f' {info.unit}' if info.unit else ''
-                limits = (
-                    f'be at least {low:g}'
-                    if info.high is None
-                    else f'lie between {low:g} and {high:g}'
-                )
-                raise AllanError(f'{name} is {value}: it must {limits}{unit}')
+            if isinstance(value, Real):
+                _check_range(name, value, info)
+
+
+def _check_range(name: str, value: Any, info: ParameterInfo) -> None:
+    low = -math.inf if info.low is None else info.low
+    high = math.inf if info.high is None else info.high
+    if not low <= value <= high:
+        unit = f' {info.unit}' if info.unit else ''
+        limits = (
+            f'be at least {low:g}' if info.high is None else f'lie between {low:g} and {high:g}'
+        )
+        raise AllanError(f'{name} is {value}: it must {limits}{unit}')
 
 
 @dataclass(frozen=True)
@@ -193,3 +197,9 @@ class SegmenterSettings(CheckedSettings):
         1e6,
         auto=True,
     )
+
+
+def check_rate(rate: object) -> None:
+    """Raise AllanError unless a sample rate in Hz is 0 (unknown) or a plausible number."""
+    expect(Real, rate=rate)
+    _check_range('rate', rate, describe(SegmenterSettings)['declared_rate'])

@@ -149,7 +149,7 @@ def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generat
 def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
     """Return a random stationary sequence by circulant embedding, (2 half,).
 
-    The (half + 1,) eigenvalues are the spectrum at frequencies from 0 to 1/2. Only the first
+    ``eigenvalues``, (half + 1,), are the spectrum at frequencies from 0 to 1/2. Only the first
     half + 1 values of the result have the autocovariance that the eigenvalues represent.
     """
     from scipy import fft
@@ -180,8 +180,8 @@ def _flicker_autocovariance(lags: int) -> Floats:
     The phase has the generalised autocovariance G(t) = t^2 ln|t| / (2 pi) (Greenhall, 34th PTTI,
     2002: flicker FM; scaled to an Allan variance of 2 ln2/pi). The differences of the samples are
     second differences of the phase. Their autocovariance is therefore the fourth central difference
-    of G. At long lags this difference loses its digits. There, its expansion in derivatives is
-    used: f'''' + f''''''/6 + f^(8)/80 + 17 f^(10)/30240 with f = t^2 ln t (relative error 1e-9 at
+    of G. At long lags this difference loses precision, so its expansion in derivatives is used
+    there: f'''' + f''''''/6 + f^(8)/80 + 17 f^(10)/30240 with f = t^2 ln t (relative error 1e-9 at
     the first such lag).
     """
     t = np.arange(-2.0, ASYMPTOTIC_LAG + 3.0)
@@ -375,10 +375,10 @@ def _lost_samples(
 def _disturb_stamps(
     stamps_ns: NDArray[np.int64], faults: Faults, seed: np.random.SeedSequence
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return header stamps and record times in ns of samples that are taken at ``stamps_ns``.
+    """Return the header stamps and the record times of samples taken at ``stamps_ns``, in ns.
 
-    Both are the same. With bursts, the host reads the sensor at intervals and then stamps all new
-    samples in quick succession.
+    The two are equal. Jitter is added to the given stamps. With bursts, the host reads the sensor
+    at intervals and then stamps all new samples in quick succession.
     """
     jitter_seed, burst_seed = seed.spawn(2)
     out = stamps_ns

@@ -220,14 +220,14 @@ class AxisResult:
 
     @property
     def growth(self) -> tuple[Growth, ...]:
-        """Predicted standard deviation of the error of the angle (rad) or velocity (m/s) after
-        several times without a correction, with 95 % intervals."""
+        """Predicted standard deviation of the angle error (rad) or velocity error (m/s), with 95 %
+        intervals, for several durations of integration without a correction."""
         return growth_table(self.fit)
 
     @property
     def position_growth(self) -> tuple[Growth, ...]:
-        """Predicted standard deviation of the error of the position (m) after several times without
-        a correction, with 95 % intervals; empty for a gyro."""
+        """Predicted standard deviation of the position error (m), with 95 % intervals, for several
+        durations of integration without a correction; empty for a gyro."""
         return growth_table(self.fit, 2) if sensor_of(self.name) == 'accel' else ()
 
     def quantity(self, term: str) -> Quantity:
@@ -275,8 +275,9 @@ class AxisResult:
     def model_line(self) -> ModelLine:
         """Return the Allan deviation of the fitted model at the points of the curve, in SI.
 
-        It is NaN at short averaging times that the fit excludes. ``adev`` is the model itself, and
-        ``upper`` includes the terms that are not resolved, at their 95 % upper limits.
+        It is NaN at short averaging times that the fit excludes, and empty if the curve is unknown.
+        ``adev`` is the model itself, and ``upper`` includes the terms that are not resolved, at
+        their 95 % upper limits.
         """
         curve = self.curve
         if curve is None:

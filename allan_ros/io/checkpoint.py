@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The checkpoint: a `sums.json` with which a node continues its sums after a restart."""
+"""The checkpoint: a `sums.json` that preserves the Allan variance sums of a node over restarts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NOTHING: Total = (), Provenance()
 
 
 class Checkpoint:
-    """A file with the sums of all runs of a node, so that they survive a restart.
+    """A file with the Allan variance sums of all runs of a node.
 
     It adds the sums of earlier runs to the sums of the current run, and saves the total. A damaged
     file is renamed. A file of another version or IMU is never overwritten: nothing is written until
@@ -68,7 +68,7 @@ class Checkpoint:
         self.refused: Finding | None = None
         self._file, self._log = Path(path), log
         self._lock = PathLock(self._file) if self.path else None
-        self._owned = False  # whether there is a file that no other node has locked
+        self._owned = False  # whether a path is given that no other node has locked
         self._content: Total | None = NOTHING  # of the file; None if it cannot be read
         self._saved_s: float | None = None
         self._unsaved: Finding | None = None
@@ -96,7 +96,7 @@ class Checkpoint:
     def age_s(self, now: float) -> float | None:
         """Return the time in s since the file was written; None if this run has not written it.
 
-        ``now`` is the present time of `time.monotonic`.
+        ``now`` is the current value of `time.monotonic`.
         """
         return None if self._saved_s is None else now - self._saved_s
 
@@ -123,20 +123,20 @@ class Checkpoint:
         return total, replace(both, sources=sources, findings=provenance.findings)
 
     def save(self, total: Total) -> bool:
-        """Write the total unless it has no new samples; return whether the file contains it."""
+        """Write the total if it has new samples; return whether the file is up to date."""
         self._collect()
         return self._writable() and (
             not self._has_new_samples or self._completed(lambda: self._write(total))
         )
 
     def save_in_background(self, total: Total) -> None:
-        """Start to write the total in a thread. `tick` reports whether it succeeded."""
+        """Start to write the total in a thread; `tick` records whether it succeeded."""
         self._collect()
         if self._has_new_samples and self._writable():
             self._writing = self._writer.submit(self._write, total)
 
     def tick(self) -> None:
-        """Record the success or the error of a write in the background that has ended."""
+        """Record the success or error of the background write, if it has ended."""
         if self._writing is not None and self._writing.done():
             self._collect()
 
@@ -160,7 +160,7 @@ class Checkpoint:
         return ''
 
     def close(self) -> None:
-        """Wait for the last write, and release the path."""
+        """Wait for the background write, and release the lock of the file."""
         self._collect()
         self._writer.shutdown()
         if self._lock is not None:
@@ -244,16 +244,16 @@ class Checkpoint:
         if not known:
             self._log.warning(str(self.refused))
 
-    def _locked(self, unlockable: bool = True) -> bool:
-        """Acquire the lock, and return whether no other node has it.
+    def _locked(self, if_not_created: bool = True) -> bool:
+        """Acquire the lock; return False if another node has it.
 
-        The result is ``unlockable`` if the lock cannot be created: the file may still be readable.
+        Returns ``if_not_created`` if the lock cannot be created: the file may still be readable.
         """
         try:
             owner = self._lock.acquire() if self._lock is not None else ''
         except AllanError as error:
             self._report_unwritable(error)
-            return unlockable
+            return if_not_created
         if owner:
             self._in_use = finding('checkpoint_in_use', path=self.path, owner=owner)
             self._log.warning(str(self._in_use))
@@ -271,7 +271,7 @@ class Checkpoint:
             self._content = total
 
     def _collect(self) -> None:
-        """Wait for the write in the background, and record its success or error."""
+        """Wait for the background write, if any, and record its success or error."""
         writing, self._writing = self._writing, None
         if writing is not None:
             self._completed(writing.result)

@@ -34,7 +34,6 @@ SCHEMA = 'allan_ros/sensor/1'
 WALK_KEY = {'gyro': 'arw', 'accel': 'vrw'}
 """Sensor -> key of N in datasheets: angle or velocity random walk."""
 
-
 FROM_MINIMUM = 1.0 / math.sqrt(FLICKER_FLOOR)
 """Factor from the minimum of a curve to the largest possible B. The minimum is at least
 sqrt(2 ln2/pi) B = 0.664 B, because white noise and random walk add to it."""
@@ -272,7 +271,7 @@ def load_sensor(name: str) -> Datasheet:
 
 
 def _product(fields: Fields) -> Datasheet:
-    """Return the figures of the sensor inside a product, with the sources of both."""
+    """Read the file of a product: the figures of its sensor, with the sources of both files."""
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     name = fields.text('carries')
@@ -358,9 +357,9 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
 
 
 def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str = '') -> Limit:
-    """Return an object ``{value, unit, condition, source}`` as a limit in SI.
+    """Read an object ``{value, unit, condition, source}`` as a limit in SI.
 
-    ``meaning`` is the further key that states the meaning of the number; '' for none.
+    ``meaning`` is a key of `MEANINGS` that the object must contain, too; '' for none.
     """
     fields.only('value', 'unit', 'condition', 'source', *([meaning] if meaning else []))
     factor, note = 1.0, ''

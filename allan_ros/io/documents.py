@@ -279,7 +279,7 @@ def _period_from_document(fields: Fields) -> float:
 
 
 def _axes_of(fields: Fields) -> tuple[str, ...]:
-    """Return the names of the axes of an object, in the order of `AXES`."""
+    """Return the keys of a JSON object, which must be axis names, in the order of `AXES`."""
     if strange := [name for name in fields if name not in AXES]:
         raise AllanError(
             f'{fields.where}: {strange[0]!r:.40} is not an axis: use {", ".join(AXES)}'

@@ -142,7 +142,7 @@ def write_together(
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise AllanError if the path is a folder, FIFO, device or socket; it need not exist."""
+    """Raise AllanError if the path is a folder, FIFO, device or socket; it may be missing."""
     with contextlib.suppress(FileNotFoundError):
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise _not_regular(path)
@@ -215,7 +215,7 @@ def parse_json(text: str, where: str) -> object:
 
 
 def read_json(path: str | os.PathLike[str]) -> object:
-    """Read a JSON file; raises AllanError as `read_text` and `parse_json` do."""
+    """Read a JSON file; raises AllanError if it cannot be read, is too large or is invalid."""
     return parse_json(read_text(path, MAX_BYTES), str(path))
 
 
@@ -311,7 +311,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
 
 
 def config_folders(kind: str) -> list[Path]:
-    """Return the folders in which configuration files of a kind are searched, in this order.
+    """Return the existing folders to search for configuration files of a kind, in this order.
 
     They are the folder of the user (XDG Base Directory, 0.8), and ``config/<kind>`` of the source
     code or of the installed package.
@@ -324,7 +324,7 @@ def config_folders(kind: str) -> list[Path]:
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
-    """Return the part of a message that suggests known names instead of an unknown one."""
+    """Return the part of a message that suggests known names for an unknown one."""
     word = _simplified(name)
     digits = '.*'.join(re.findall(r'\d', name))
     plain = {_simplified(known): known for known in names}

@@ -59,7 +59,7 @@ many digits as a value."""
 
 
 class ShownUnit(NamedTuple):
-    """A unit, and the factor that converts an SI value to it."""
+    """A unit of the output, and the factor that converts an SI value to it."""
 
     name: str
     factor: float

@@ -70,6 +70,11 @@ def write_result_files(
         without an accelerometer.
     list of Path
         The paths of the files.
+
+    Raises
+    ------
+    AllanError
+        When the results have no sums, or a file cannot be written.
     """
     # imported here because matplotlib takes 0.3 s
     from .plot_layout import render_figure
@@ -145,8 +150,7 @@ def _files_in(folder: Path) -> set[str]:
 
 
 def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, str], Results]:
-    """Return file name -> text for Kalibr and the targets, and the results with findings on files
-    that cannot be created."""
+    """Return the filter files (name -> text), and the results with findings on missing ones."""
     files = {}
     for name in dict.fromkeys(('kalibr', *targets)):
         target = target_of(name)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Results`: the coefficients, curves and findings of one analysis, and the fit that gives them."""
+"""`Results`: the coefficients, curves and findings of one analysis; and how sums are fitted."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class Results:
             object.__setattr__(self, 'datasheet', replace(self.datasheet, comparisons=checks))
 
     def _judged(self, comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
-        """Return the comparisons, all with the verdict 'open' if the recording is too short."""
+        """Return the comparisons; all verdicts are 'open' if the recording is too short."""
         short = self.duration_s < TOO_SHORT_S
         return tuple(replace(c, verdict='open') if short else c for c in comparisons)
 
@@ -134,7 +134,7 @@ class Results:
 
     @property
     def measured(self) -> Run:
-        """The coefficients and the curve of each axis, as input of a comparison of recordings."""
+        """The coefficients and the curve of each axis, for comparing recordings."""
         return {name: Measured(axis.fit.noise, axis.curve) for name, axis in self.axes.items()}
 
     @property
@@ -304,7 +304,7 @@ class Results:
         self,
         sensor: Datasheet | str = '',
         baseline: Results | str | os.PathLike[str] = '',
-        margin: float = MARGIN,
+        margin: float | None = None,
     ) -> Verdict:
         """Return a verdict on the IMU after a comparison with a datasheet or an earlier run.
 
@@ -315,9 +315,10 @@ class Results:
         baseline : Results or path
             An earlier run: results, or the path of a results.json, a sums.json or the folder of an
             analysis; '' for none.
-        margin : float
+        margin : float, optional
             A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval
-            lies above it by this fraction.
+            lies above it by this fraction. By default 0.2; a comparison with a datasheet that the
+            results already contain keeps its margin.
 
         Returns
         -------
@@ -341,32 +342,43 @@ class Results:
         self,
         sensor: Datasheet | str = '',
         baseline: Results | str | os.PathLike[str] = '',
-        margin: float = MARGIN,
+        margin: float | None = None,
     ) -> Results:
         """Return a copy that is compared with a datasheet, an earlier run, or both.
 
-        The parameters are those of `check`.
+        Parameters
+        ----------
+        sensor : str or Datasheet
+            A name that `allan sensors` lists, or the path of a .yaml file; '' for no datasheet.
+        baseline : Results or path
+            An earlier run, or the path of its results; '' for none.
+        margin : float, optional
+            Fraction by which a complete 95 % interval must lie above a limit to exceed it. By
+            default 0.2; an existing comparison with a datasheet keeps its margin.
         """
         from .documents import labels_of, load
 
         expect((Results, *PATH), 'results or a path', baseline=baseline)
         expect((Datasheet, *PATH), 'a datasheet or its name', sensor=sensor)
-        expect(Real, margin=margin)
-        if not margin >= 0.0:
-            raise AllanError(f'margin is {margin:g}: give 0 or more')
-        results = replace(self, margin=margin)
+        stated = MARGIN if margin is None else margin
+        expect(Real, margin=stated)
+        if not stated >= 0.0:
+            raise AllanError(f'margin is {stated:g}: give 0 or more')
+        results = replace(self, margin=stated)
         if isinstance(baseline, Results):
             results = replace(results, baselines={'the earlier run': baseline})
         elif str(baseline):
             (label,) = labels_of([str(baseline)])
             results = replace(results, baselines={label: load(baseline)})
-        if not sensor:
-            return results
-        sheet = sensor if isinstance(sensor, Datasheet) else load_sensor(str(sensor))
-        return results.against_datasheet(sheet, margin)
+        if sensor:
+            sheet = sensor if isinstance(sensor, Datasheet) else load_sensor(str(sensor))
+            return results.against_datasheet(sheet, stated)
+        if self.datasheet is not None and margin is not None:
+            return results.against_datasheet(self.datasheet.datasheet, margin)
+        return results
 
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
-        """Return a copy that is compared with a datasheet, instead of any earlier one.
+        """Return a copy that is compared with this datasheet instead of any earlier one.
 
         Each coefficient that exceeds its limit by more than the fraction ``margin`` adds a finding.
         """
@@ -381,10 +393,10 @@ class Results:
 
 
 def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
-    """Fit the sums of one IMU and return the results.
+    """Fit the Allan variance sums of one IMU, and return the results.
 
-    A warm-up is excluded unless the settings of the recordings state a time to skip. Raises
-    AllanError if there are too few data.
+    A warm-up at the start is excluded, unless the settings of the recordings state a time to skip.
+    Raises AllanError if there are too few data.
     """
     skip = recorded.provenance.settings.get('skip', AUTO)
     exclude_warm_up = isinstance(skip, (int, float)) and skip < 0.0
@@ -415,9 +427,9 @@ def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
 
 
 def with_earlier_datasheet(results: Results) -> Results:
-    """Compare the results with the datasheet of earlier comparisons of their recordings.
+    """Compare the results with the datasheet that is stored with their sums, if there is one.
 
-    If the recordings were compared with different datasheets, a finding states this instead.
+    If several different datasheets are stored, a finding states this instead.
     """
     known = results.recorded.judged if results.recorded is not None else ()
     judged = {comparison.datasheet.name: comparison for comparison in known}
@@ -430,7 +442,7 @@ def with_earlier_datasheet(results: Results) -> Results:
 
 
 def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
-    """Fit the sums of one IMU and return the results.
+    """Fit the Allan variance sums of one IMU, and return the results.
 
     ``sums`` has one item with all axes, or one item for each sensor if their rates differ.
     """

@@ -66,15 +66,16 @@ AxesNoise = dict[str, NoiseTerms]
 
 
 def truth_path(recording: str | os.PathLike[str]) -> Path:
-    """Return the path of the truth file of a recording."""
+    """Return the path of the file that states the true noise of a simulated recording."""
     path = Path(recording)
     return path.with_name(path.name + TRUTH_SUFFIX)
 
 
 def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
-    """Read the noise of a specification or truth file: axis -> coefficients in SI.
+    """Read the noise of an IMU from a YAML or JSON file: axis -> coefficients in SI.
 
-    Axes that are not named have no noise. Raises AllanError with the position of an invalid entry.
+    The truth file of a simulated recording is accepted, too. Axes that are not named have no noise.
+    Raises AllanError with the position of an invalid entry.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
     if 'noise' in fields:
@@ -267,7 +268,7 @@ def read_published(path: str | Path) -> dict[tuple[str, str], float]:
 def contradictions(
     curves: Curves, fits: Mapping[str, AxisFit], published: Mapping[tuple[str, str], float]
 ) -> list[str]:
-    """Return a sentence for each curve of an IMU in motion, and for each contradicting value.
+    """Return sentences on curves that show motion, and on published values that contradict curves.
 
     ``fits`` are the coefficients that were fitted to the curves, by axis. ``published`` are values
     in SI that another program determined, by (sensor, term).

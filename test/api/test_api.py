@@ -244,6 +244,10 @@ def test_merged_results_are_compared_with_the_datasheet_of_the_parts(tmp_path: P
     assert main(['merge', *map(str, folders), '-o', str(tmp_path / 'both'), '-q']) == 0
     assert ar.load(tmp_path / 'both').datasheet.margin == 0.5
     assert ar.merge(parts[0], parts[1], **QUICK).datasheet is None
+    assert one.compared().datasheet == one.datasheet
+    strict = one.compared(margin=0.0)
+    assert strict.datasheet == parts[0].compared('adis16475-3', margin=0.0).datasheet
+    assert strict.findings == parts[0].compared('adis16475-3', margin=0.0).findings
     differ = ar.merge(one, parts[1].compared('mpu-6050'), **QUICK)
     assert differ.datasheet is None
     assert [f.id for f in differ.findings].count('datasheets_differ') == 1
@@ -289,7 +293,7 @@ def test_each_axis_may_have_its_own_noise() -> None:
 @pytest.mark.parametrize(
     'call, message',
     [
-        (lambda w: ar.analyze(w, rate='100'), "rate_hz is '100': a number is expected"),
+        (lambda w: ar.analyze(w, rate='100'), "rate is '100': a number is expected"),
         (lambda w: ar.analyze(w, rate=100, margin='a'), "margin is 'a': a number is expected"),
         (lambda w: ar.analyze(w, rate=100, skip='x'), "skip is 'x': a number is expected"),
         (lambda w: ar.analyze(w, rate=100, motion_gate=3), 'motion_gate is 3: True or False is'),
