@@ -28,7 +28,7 @@ from ..core.findings import Finding, finding
 from ..core.imu import SENSORS, ImuIdentity, sensor_of
 from ..io.documents import results_from_document
 from ..io.files import parse_json
-from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, without_gyro_bias
+from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, subtract_gyro_bias
 from ..io.results import Results
 from .diagnostics import status_name, status_of
 from .imu_input import full_name, qos_text, subscribe_raw
@@ -217,7 +217,7 @@ class ImuRelay(Part):
         valid_ns = round(settings.bias_max_age * 1e9)
         window = end_ns - valid_ns, end_ns + valid_ns
         bias_xyz = (rates.x, rates.y, rates.z)
-        unbiased = without_gyro_bias(payload, bias_xyz, settings.bias_rate_limit, *window)
+        unbiased = subtract_gyro_bias(payload, bias_xyz, settings.bias_rate_limit, *window)
         self._counts[UNBIASED] += unbiased is not payload
         return unbiased
 

@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drops samples that are not measurements, chooses the stamps, and splits looped recordings.
 
-Dropped are duplicates, samples with backward stamps, and repeated or zero-filled values. Drivers
-that put a slower accelerometer into every gyro message repeat its last sample (sample and hold), or
-fill the missing half with zeros. Both change the noise (N of a 250 Hz accelerometer repeated at
-400 Hz is 5 % too high). So each sensor becomes a separate stream that contains only its
-measurements.
+Duplicates, samples with backward stamps, and repeated or zero-filled values are dropped. Drivers
+that publish a slower accelerometer in every gyro message repeat its last sample (sample and hold),
+or fill it with zeros. Both change the noise (N of a 250 Hz accelerometer repeated at 400 Hz is 5 %
+too high). So each such sensor becomes a separate stream that contains only its measurements.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class StampChoice:
         self._computed: int | None = None
 
     def learn(self, first: ImuBatch) -> list[Finding]:
-        """Decide which stamps to use, from the first samples, and return the findings about it."""
+        """Choose the stamps from the first samples, and return the findings about the choice."""
         stamps = first.stamps_ns
         if self.use_record or len(stamps) < 2 or stamps.min() != stamps.max():
             return []
@@ -67,7 +66,7 @@ class StampChoice:
 class StampFilter:
     """Drops samples that are not finite, repeat the previous one, or have a backward stamp.
 
-    The dropped samples, which have ``axes`` values each, are counted in ``counts``.
+    Each sample has ``axes`` values. The dropped samples are added to ``counts``.
     """
 
     def __init__(self, axes: int, counts: Counts) -> None:
@@ -79,8 +78,8 @@ class StampFilter:
     def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, NDArray[np.bool_]]:
         """Return stamps (k,), values (axes, k) and flags (k,) of the samples that are kept.
 
-        A flag is set where the clock was set back before the sample. ``stamps``, (n,), are in ns,
-        and ``rows`` are (axes, n).
+        A flag is True if the clock was set back just before the sample. ``stamps``, (n,), are in
+        ns, and ``rows`` are the values, (axes, n).
         """
         if len(stamps) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
             finite = (np.abs(rows) <= LARGEST).all(axis=0)
@@ -127,10 +126,9 @@ class StampFilter:
 class PassSplitter:
     """Splits a stream where its stamps jump back permanently, as in a looped recording.
 
-    Each part is a pass. Samples with earlier stamps are buffered until `BACKWARD_RUN` of them
-    follow each other, in which case the first of them begins a new pass, or until a sample with a
-    later stamp follows. `StampFilter` drops the others. ``latest_ns`` is the latest stamp in
-    existing sums (of a checkpoint); None without sums.
+    Each part is a pass. Samples stamped before the latest stamp are buffered. If `BACKWARD_RUN` of
+    them are consecutive, the first one begins a new pass; if not, `StampFilter` drops them later.
+    ``latest_ns`` is the latest stamp in the sums of a checkpoint; None without a checkpoint.
     """
 
     def __init__(self, latest_ns: int | None = None) -> None:
@@ -138,7 +136,7 @@ class PassSplitter:
         self._pending: ImuBatch | None = None
 
     def split(self, batch: ImuBatch) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield pairs of a flag and samples, in order; a set flag means that a new pass begins."""
+        """Yield the samples in order, each part with a flag: whether it begins a new pass."""
         if self._pending is not None:
             if self._pending.frame_id == batch.frame_id:
                 batch = joined([self._pending, batch])
@@ -157,7 +155,7 @@ class PassSplitter:
             self._latest, new_pass = None, True
 
     def flush(self) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield the buffered samples at the end of the input, as `split` does."""
+        """Yield the buffered samples at the end of the input, with the flag False."""
         pending, self._pending = self._pending, None
         if pending is not None:
             yield False, pending
@@ -236,7 +234,7 @@ samples of an unclipped axis have one of two values.)"""
 
 
 def clipped_share(samples: Floats) -> float:
-    """Return the share of the samples, (n,), that are clipped at the maximum or minimum, or 0.
+    """Return the share of samples, (n,), clipped at the maximum or minimum; 0 below `MIN_CLIPPED`.
 
     >>> import numpy as np
     >>> noise = np.random.default_rng(0).normal(size=1000)
@@ -255,10 +253,10 @@ def clipped_share(samples: Floats) -> float:
 def plan_sensors(
     stamps: Stamps, rows: Floats
 ) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
-    """Decide into which sensor streams a stream is divided, and return them with the findings.
+    """Decide from the first samples whether gyro and accelerometer need separate streams.
 
-    The decision is based on the first samples of the stream. ``stamps``, (n,), are in ns. ``rows``,
-    (6, n), are NaN where a sensor is absent.
+    Returns a plan for each stream, and the findings about the sensors. ``stamps``, (n,), are in ns.
+    ``rows``, (6, n), are NaN where a sensor is absent.
     """
     # without duplicate messages, which are dropped later
     duplicate = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
@@ -311,7 +309,7 @@ def _sampled_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bo
 def _coincide(flags: NDArray[np.bool_]) -> bool:
     """Return whether the flags of the axes, (axes, n), coincide more often than by chance.
 
-    The result is False if they are always set, since constant values are another fault.
+    Returns False if all flags are set, because constant values are another fault.
     """
     joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
     if not REPEATED_SHARE < joint < 1.0:

@@ -58,12 +58,12 @@ WEIGHTLESS = 0.05
 
 @dataclass
 class Counts:
-    """Number of samples since the start of a stream, by what happened to them.
+    """Numbers of used, dropped, lost and interpolated samples since the start of a stream.
 
-    If the sensors have different rates, each sensor stream counts separately, except for
-    ``received`` and ``skipped``, and the counts are added. For one sensor stream, received +
-    bridged = used + skipped + not_finite + duplicate + backward + untimed + moving + stuck + louder
-    + the samples still buffered.
+    If the sensors have different rates, the counts of both sensor streams are added, except for
+    ``received`` and ``skipped``. For one sensor stream, received + bridged = used + skipped +
+    not_finite + duplicate + backward + untimed + moving + stuck + louder + the samples still
+    buffered.
     """
 
     received: int = 0
@@ -122,7 +122,7 @@ class FilledGaps:
                     self._close(axis)
 
     def end(self) -> None:
-        """Count the gaps at the end, which the next samples do not continue."""
+        """Count the gaps that reach the end of the samples."""
         if any(self._open):
             for axis in range(len(self._open)):
                 self._close(axis)
@@ -157,7 +157,7 @@ class StreamHealth:
     state: State = 'waiting'
     rate_hz: float | None = None  # None before it is learned
     bursty: bool = False  # whether stamps come in bursts
-    first_ns: int | None = None  # first and latest stamp with the present frame_id
+    first_ns: int | None = None  # first and latest stamp with the current frame_id
     last_ns: int | None = None
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
     frame_id: str = ''  # of the latest sample
@@ -180,17 +180,14 @@ LISTED_SEGMENTS = 1000
 
 
 class StreamSums(NamedTuple):
-    """Sums, spectrum (None unless requested) and listed segments of the data at one sample rate."""
+    """Sums, spectrum (None unless requested) and longest segments of data at one sample rate."""
 
     sums: AllanSums
     spectrum: SpectrumSums | None
     segments: tuple[Segment, ...]
 
     def joined(self, other: StreamSums) -> StreamSums:
-        """Return the combined results of both.
-
-        Raises AllanError if the sample rates differ.
-        """
+        """Return the combined results of both; raise AllanError if the sample rates differ."""
         spectra = (self.spectrum, other.spectrum)
         both = None if spectra[0] is None or spectra[1] is None else spectra[0] + spectra[1]
         segments = sorted(
@@ -204,9 +201,9 @@ class Accumulation:
     """The results of a stream.
 
     ``sums`` has one entry for all axes, or one per sensor if their rates differ. A sensor without
-    data has no entry. If the sample rate or the frame_id changed, the entry is that with the most
-    data. ``spectra`` (empty unless requested) has the order of ``sums``. ``segments`` are the
-    segments of the first entry of ``sums``.
+    data has no entry. If the sample rate or the frame_id changed, only the sums with the longest
+    elapsed time are included. ``spectra`` (empty unless requested) has the order of ``sums``.
+    ``segments`` are the segments of the first entry of ``sums``.
     """
 
     sums: tuple[AllanSums, ...]
@@ -221,10 +218,10 @@ KEPT_MEANS = 120
 
 
 class Means(NamedTuple):
-    """Means of static data over a second, for the axes of one sensor stream.
+    """One-second means of static data for the axes of one sensor stream.
 
-    ``end_ns``, (n,), are the end times in ns, and ``values``, (n, axes), the means in the unit of
-    the samples. They are the input of the bias filter.
+    ``end_ns``, (n,), are the ends of the seconds in ns. ``values``, (n, axes), are the means in the
+    unit of the samples. They are the input of the bias filter.
     """
 
     axes: tuple[str, ...]
@@ -278,7 +275,7 @@ EVENTS = (
 
 
 def events(health: StreamHealth) -> Counter[str]:
-    """Return finding id -> number of events since the start, for each of the `EVENTS`."""
+    """Return the number of events since the start, for each finding id in `EVENTS`."""
     c = health.counts
     jumps, changes = c.cuts['clock jump'], c.cuts['rate change']
     counts = (jumps, health.frame_changes, changes, c.stuck, c.not_finite, c.duplicate, c.backward)
@@ -286,10 +283,9 @@ def events(health: StreamHealth) -> Counter[str]:
 
 
 def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -> list[Finding]:
-    """Return the findings about events with a count above 0.
+    """Return a finding for each event with a count above 0; ``counts`` has finding ids as keys.
 
-    ``counts`` is finding id -> number of events. ``when`` is appended to the text of the findings,
-    such as ' in the last minute'.
+    ``when``, such as ' in the last minute', is appended to the text of the findings.
     """
     now: dict[str, Any] = {'frame_id': health.frame_id, 'rate': health.rate_hz or 0.0, 'when': when}
     return [
@@ -342,7 +338,7 @@ def stream_findings(
 
 
 def sums_findings(sums: AllanSums) -> list[Finding]:
-    """Return the finding that the data of all recordings together are short, if they are."""
+    """Return a finding if all data together last less than `SHORT_S`, else an empty list."""
     seconds = sums.elapsed_ns * 1e-9
     return [finding('short', seconds=seconds)] if seconds < SHORT_S else []
 

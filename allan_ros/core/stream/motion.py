@@ -4,9 +4,8 @@
 
 The stream is classified in windows of about half a second. A window is moving if its variance, its
 largest deviation, the step of its mean or its mean rate exceeds a limit that is derived from the
-noise floor, the noise of the sensor at rest. The limits are so high that stationary noise stays
-complete (a window of white noise is classified as moving with a probability below 1e-12, so N has
-no bias), and that noise may grow by half. Motion begins at higher limits than it ends (hysteresis).
+noise floor, the noise of the sensor at rest. A window of white noise is classified as moving with a
+probability below 1e-12, so N has no bias. Motion begins at higher limits than it ends (hysteresis).
 Some windows before and after a motion are dropped, too.
 
 First, isolated spikes are replaced by the mean of their neighbors. If the noise has heavy tails,
@@ -49,7 +48,7 @@ BLOCK_WINDOWS = 32
 """Number of windows from which the noise floor is learned, and after which it is updated."""
 
 MARGIN_BEFORE, MARGIN_AFTER = 1, 4
-"""Number of windows that are dropped before and after a motion: 0.5 s and 2 s."""
+"""Number of still windows that are dropped before and after a motion: 0.5 s and 2 s."""
 
 RELEARNED = 'relearned'
 """Reason for a split after which all earlier sums are discarded: the IMU moved."""
@@ -85,7 +84,7 @@ class WindowClass(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Consecutive windows of the present block: samples, statistics and classification."""
+    """Consecutive windows of the current block: samples, statistics and classification."""
 
     samples: Block
     windows: Windows
@@ -94,13 +93,13 @@ class _Part(NamedTuple):
 
 
 class MotionGate:
-    """Returns the samples at rest; at most the windows of the learning phase are buffered.
+    """Detects motion, and keeps only the samples at rest.
 
-    ``period_ns`` is the sample period. A window is moving if its standard deviation exceeds that of
-    the noise floor ``motion_ratio`` times, or if its mean rate differs from that at rest by more
-    than ``rate_limit`` in rad/s. ``counts`` is changed in place. The attribute ``louder`` is the
-    present ratio of the noise at rest to the noise floor, (axes,), or None if the noise is not
-    louder. ``loudest`` holds the largest ratios so far, or 0.
+    ``period_ns`` is the sample period. A window is moving if its standard deviation is more than
+    ``motion_ratio`` times that of the noise floor, or if its mean rate differs from that at rest by
+    more than ``rate_limit`` in rad/s. ``counts`` is changed in place. The attribute ``louder`` is
+    the ratio of the current noise at rest to the noise floor, (axes,), or None if the noise is not
+    louder. ``loudest`` holds the largest ratios so far; 0 if it was never louder.
     """
 
     def __init__(
@@ -136,7 +135,7 @@ class MotionGate:
 
     @property
     def state(self) -> State:
-        """State of the gate; 'learning' until a noise floor or a motion is found."""
+        """Current state; 'learning' until the noise floor is known or a motion is found."""
         if self._floor is None and not self.moving:
             return 'learning'
         if self.louder is not None:
@@ -144,7 +143,7 @@ class MotionGate:
         return 'moving' if self.moving else 'still'
 
     def feed(self, blocks: list[Block]) -> list[Block]:
-        """Add consecutive blocks, and return those that are definitely at rest."""
+        """Add consecutive blocks, and return the samples that are confirmed to be at rest."""
         out: list[Block] = []
         for contiguous in _contiguous(blocks):
             if self._floor is None:
@@ -166,7 +165,7 @@ class MotionGate:
     # --- learning ---------------------------------------------------------------------------------
 
     def _learn(self) -> list[Block]:
-        """Learn the noise floor from the first windows, or drop them if the IMU moved."""
+        """Learn the noise floor from the first windows, or drop these if the IMU moved."""
         first, rest = _split(self._learning, BLOCK_WINDOWS * self.size)
         parts = [np.concatenate([b.rows for b in blocks], axis=1) for blocks in _contiguous(first)]
         floor = NoiseFloor.learned(parts, self.size, self._limits)
@@ -186,7 +185,7 @@ class MotionGate:
     # --- windows ----------------------------------------------------------------------------------
 
     def _add(self, blocks: list[Block]) -> list[Block]:
-        """Add blocks without a gap between them."""
+        """Classify blocks without a gap between them, and return the samples at rest."""
         out: list[Block] = []
         if blocks[0].cut:
             out += self._flush_pending()
@@ -201,7 +200,7 @@ class MotionGate:
         return out
 
     def _append(self, block: Block) -> list[Block]:
-        """Classify the complete windows with look-ahead, and keep the other samples pending."""
+        """Classify all windows whose look-ahead is complete, and buffer the other samples."""
         have = Block.joined([self._pending, block]) if len(self._pending) else block
         ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
         out = self._classify(have, ready, self.size) if ready else []
@@ -209,7 +208,7 @@ class MotionGate:
         return out
 
     def _flush_pending(self) -> list[Block]:
-        """Classify the last windows before a gap without look-ahead, and release the margin."""
+        """Classify the buffered samples before a gap, and return all that are at rest."""
         out: list[Block] = []
         rest, self._pending = self._pending, self._pending.part(slice(0))
         while len(rest) and self._floor is not None:
@@ -222,7 +221,7 @@ class MotionGate:
         return out
 
     def _classify(self, have: Block, samples: int, size: int) -> list[Block]:
-        """Classify the first ``samples`` in windows of ``size``; the others are the look-ahead."""
+        """Classify the first ``samples`` in windows of ``size``; the rest is look-ahead."""
         assert self._floor is not None
         block, after = have.part(slice(samples)), have.rows[:, samples : samples + SPIKE_NEIGHBORS]
         before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()
@@ -245,7 +244,7 @@ class MotionGate:
     # --- still or moving --------------------------------------------------------------------------
 
     def _keep_still(self, block: Block, size: int, windows: Windows) -> list[Block]:
-        """Return the windows of ``size`` samples that are at rest, from ``windows`` statistics."""
+        """Return the samples at rest; ``windows`` are the statistics of windows of ``size``."""
         out: list[Block] = []
         if block.cut:
             out, self._margin = self._margin, []
@@ -267,7 +266,7 @@ class MotionGate:
         return out
 
     def _step(self, window: Block, moving: bool, quiet: bool, stuck: bool) -> list[Block]:
-        """Update the state by one window, and return the blocks that are released."""
+        """Update the state from one window, and return samples confirmed to be at rest."""
         if not self.moving and not moving:
             return self._release(window)
         if not self.moving:
@@ -289,7 +288,7 @@ class MotionGate:
         return []
 
     def _release(self, block: Block) -> list[Block]:
-        """Return a still block except its last window, which becomes the margin."""
+        """Return a still block delayed by one window, which is dropped if a motion follows."""
         out = self._margin
         split = max(0, len(block) - MARGIN_BEFORE * self.size)
         cut, self._cut = self._cut, ''
@@ -302,8 +301,8 @@ class MotionGate:
     def _saturated(self, rows: Floats) -> int:
         """Return how many samples of a moving window, (axes, n), are saturated.
 
-        An axis is saturated if it stays at its largest value so far for several samples, after a
-        large step.
+        An axis is saturated while several samples equal its largest value so far, next to a large
+        step.
         """
         assert self._floor is not None
         size = np.abs(rows)
@@ -340,7 +339,7 @@ class MotionGate:
         return []
 
     def _count_louder(self, block: list[_Part], windows: Windows, still: Flags) -> None:
-        """Distinguish a block of louder noise from motion, and count it separately."""
+        """Count a moving block as louder noise if the IMU is at rest."""
         ratio = None
         if not still.any() and not any(part.found.stuck.any() for part in block):
             assert self._floor is not None
@@ -357,7 +356,7 @@ class MotionGate:
         self.loudest = np.maximum(self.loudest, self.louder)
 
     def _restart(self, block: list[_Part]) -> list[Block]:
-        """Discard all earlier data, and classify a block again with the lower noise floor."""
+        """Discard all earlier data, and classify the block again with the new noise floor."""
         # `SensorStream` counts the samples that were already released
         self._counts.moving += sum(map(len, self._margin))
         samples = sum(len(part.samples) for part in block)
@@ -376,7 +375,7 @@ class MotionGate:
 
 
 def _contiguous(blocks: list[Block]) -> list[list[Block]]:
-    """Group blocks so that each group has no gap inside."""
+    """Group consecutive blocks that have no gap between them."""
     groups: list[list[Block]] = []
     for block in blocks:
         if block.cut or not groups:

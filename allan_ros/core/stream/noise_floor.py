@@ -78,7 +78,7 @@ spike. After a mechanical knock, in contrast, several samples deviate."""
 class RestLimits:
     """Largest slow changes of a sensor at rest, (axes,) arrays in rad/s and m/s^2.
 
-    White noise has no limit, because large values usually mean that the unit is wrong.
+    The level of white noise has no limit: a very large value means a wrong unit, not motion.
     """
 
     deviation: Floats  # standard deviation within a window, if low frequencies dominate
@@ -144,12 +144,12 @@ def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """The noise of a sensor at rest, (axes,) arrays in the unit of the samples (squared).
+    """The noise of a sensor at rest, estimated from windows of ``size`` samples.
 
-    It is estimated from windows of ``size`` samples.
+    The arrays are (axes,), in the unit of the samples.
     """
 
-    variance: Floats  # about the mean of a still window
+    variance: Floats  # about the mean of a still window, in the squared unit
     step: Floats  # standard deviation of the step between the means of neighboring windows
     mean: Floats
     lsb: Floats  # smallest change between two samples: at most the resolution of the sensor
@@ -160,7 +160,7 @@ class NoiseFloor:
 
     @classmethod
     def learned(cls, parts: Iterable[Floats], size: int, limits: RestLimits) -> NoiseFloor:
-        """Return the noise of the first samples, of which at least a quarter should be at rest.
+        """Return the noise floor of the first samples; a quarter of them should be at rest.
 
         Each part, (axes, n), is a sequence of samples without a gap.
         """
@@ -198,11 +198,11 @@ class NoiseFloor:
 
     @property
     def scale(self) -> Floats:
-        """Variance that scales the thresholds, (axes,): at least that of rounding to the lsb."""
+        """Variance for the thresholds, (axes,): at least that of half the resolution."""
         return np.maximum(self.variance, 0.25 * self.lsb**2)
 
     def is_plausible(self) -> bool:
-        """Return whether a sensor at rest can have this noise; False means that it moved."""
+        """Return whether a sensor at rest can have this noise; if not, it moved."""
         white = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
         steps = (self.step > self.limits.step) & (self.step > COLOURED_STEP * white)
         slow = (self.variance > self.limits.deviation**2) & (self.ratio < LOW_FREQUENCY)
@@ -211,7 +211,7 @@ class NoiseFloor:
     def replacement(self, block: Windows) -> NoiseFloor | None:
         """Return the noise floor of a block if it is lower by `RELEARN_RATIO`, else None.
 
-        In that case, this floor was learned while the sensor moved.
+        A much lower floor means that the sensor moved when this one was learned.
         """
         # an axis that repeats one value has no noise to compare
         quiet = _quantile(block.variance, QUANTILE)
@@ -231,8 +231,8 @@ class NoiseFloor:
     def updated(self, block: Windows, still: NDArray[np.bool_], rotating: bool) -> NoiseFloor:
         """Return the noise floor updated by a block of k windows.
 
-        ``still``, (k,), flags windows at rest. With ``rotating``, all windows differ from the floor
-        in the mean angular rate only.
+        ``still``, (k,), flags windows at rest. ``rotating`` is True if all windows differ from the
+        floor only in their mean angular rate.
         """
         if np.count_nonzero(still) >= len(still) // 2:
             rest = block if still.all() else block[still]
@@ -246,12 +246,12 @@ class NoiseFloor:
         return self
 
     def louder(self, rows: Floats, block: Windows) -> Floats | None:
-        """Return by how much the noise of a block at rest exceeds the floor, as a ratio, (axes,).
+        """Return the ratio of the noise of a block at rest to the noise floor, (axes,).
 
         ``rows``, (axes, n), are the samples of the block, and ``block`` their windows. Returns None
-        if the noise is not louder, or if the sensor moves. Noise at rest is stationary, its
-        spectrum is as broad as that of the floor or of white noise, and the mean rate and the
-        direction of gravity do not change.
+        if the noise is not louder, or if the sensor moves. It is at rest if the noise is stationary
+        with a spectrum as broad as that of the floor or of white noise, and if neither the mean
+        rate nor the direction of gravity changes.
         """
         level = _quantile(block.variance, 0.5)
         scale = self.scale
@@ -282,7 +282,7 @@ class NoiseFloor:
 
 
 def _have_heavy_tails(parts: list[Floats], size: int, sigma: Floats) -> NDArray[np.bool_]:
-    """Return which axes have heavy tails, (axes,); ``sigma``, (axes,), are standard deviations."""
+    """Return which axes have heavy tails, (axes,); ``sigma`` are their standard deviations."""
     low, high = (factor * sigma[:, None, None] for factor in HEAVY_BAND)
     inside, samples = np.zeros(len(sigma), np.int64), 0
     for rows in parts:
@@ -295,7 +295,7 @@ def _have_heavy_tails(parts: list[Floats], size: int, sigma: Floats) -> NDArray[
 
 
 def _quantile(values: Floats, share: float) -> Floats:
-    """Return the lower quantile of each row, which is one of its values (no interpolation)."""
+    """Return a quantile of each row without interpolation (the lower value)."""
     k = int(share * (values.shape[1] - 1))
     return np.asarray(np.partition(values, k, axis=1)[:, k])
 
@@ -348,6 +348,6 @@ def without_spikes(
 
 
 def _is_isolated(far: NDArray[np.bool_], at: int) -> bool:
-    """Return whether at most one flag other than ``far[at]`` is set, and no flag next to it."""
+    """Return whether no flag next to ``far[at]`` is set, and at most one other flag."""
     inside = 0 < at < len(far) - 1
     return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2

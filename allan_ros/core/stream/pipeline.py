@@ -49,7 +49,7 @@ KEPT_RATES = 8
 
 
 class StreamOptions(NamedTuple):
-    """Settings of the stages, and whether to compute spectra and means over a second."""
+    """Settings of the stages, and whether to compute spectra and one-second means."""
 
     settings: SegmenterSettings
     with_spectra: bool
@@ -62,7 +62,7 @@ class ImuStream:
     The sums are the same, bit for bit, however the samples are divided into batches: all decisions
     depend only on the positions of samples counted from the start of the stream, with a fixed
     look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``with_spectra`` also
-    accumulates the power spectral density, ``with_means`` the means of static data over a second.
+    accumulates the power spectral density, ``with_means`` the one-second means of static data.
     """
 
     def __init__(
@@ -97,10 +97,7 @@ class ImuStream:
             frame.flush()
 
     def means(self) -> tuple[Means, ...]:
-        """Return the latest means of static data over a second, one object per sensor stream.
-
-        The result is empty unless they were requested.
-        """
+        """Return the latest one-second means of each sensor stream; empty unless requested."""
         return tuple(stream.means for stream in self._present.sensors if stream.means is not None)
 
     def result(self) -> Accumulation:
@@ -122,8 +119,8 @@ class ImuStream:
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return state and findings without computing new sums, which is faster than `result`.
 
-        ``sums`` are those of an earlier `result`. Samples that are not classified yet are missing
-        in the counts.
+        ``sums`` are those of an earlier `result`. The counts do not include samples that are not
+        classified yet.
         """
         state = self._present.state
         if state not in ('waiting', 'learning'):
@@ -147,7 +144,7 @@ class ImuStream:
         return frame
 
     def _longest(self) -> tuple[StreamSums, ...]:
-        """Return, for each sensor with data, the sums with the longest elapsed time."""
+        """Return the sums with the longest elapsed time for each sensor with data."""
         best: dict[str, StreamSums] = {}
         for each in (each for frame in self._frames.values() for each in frame.by_rate()):
             for axis in each.sums.axes if each.sums.samples else ():
@@ -207,7 +204,7 @@ class FrameStream:
 
     @property
     def state(self) -> State:
-        """State of the first sensor stream, or 'louder' if any of them is louder."""
+        """State of the first sensor stream, or 'louder' if any stream is in this state."""
         states = [sensor.state for sensor in self.sensors]
         if not states:
             return 'learning' if self._learned else 'waiting'
@@ -270,7 +267,7 @@ class FrameStream:
 
 
 class SensorStream:
-    """Computes the sums of the axes that are sampled together, from their samples at rest.
+    """Computes the sums of axes that are sampled together, from their samples at rest.
 
     These are all six axes, or the axes of one sensor if the sensors have different rates. The
     stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `MotionGate`, `RunningAllan`.
@@ -289,7 +286,7 @@ class SensorStream:
         self._start(np.empty(0, np.int64), np.empty((len(plan.axes), 0)))
 
     def _start(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
-        """Start to learn the sample period, from samples that were not processed yet."""
+        """Begin to learn the sample period, from samples that are not processed yet."""
         self._learning = [(stamps, rows, np.zeros(len(stamps), bool))]
         self._clock: SampleClock | None = None
         self._gate: MotionGate | None = None
@@ -308,7 +305,7 @@ class SensorStream:
 
     @property
     def _buffered(self) -> int:
-        """Number of samples that are buffered until the clock is learned."""
+        """Number of samples that are buffered until the sample period is known."""
         return sum(len(stamps) for stamps, _, _ in self._learning)
 
     @property
@@ -320,10 +317,7 @@ class SensorStream:
 
     @property
     def loudest(self) -> dict[str, float]:
-        """Axis -> largest ratio of its noise at rest to its noise floor, or 0.
-
-        It is empty if no axis has become louder.
-        """
+        """Axis -> largest ratio of its noise at rest to the noise floor; empty if never louder."""
         if self._gate is None or not self._gate.loudest.any():
             return {}
         return dict(zip(self._axes, self._gate.loudest.tolist()))
@@ -334,7 +328,7 @@ class SensorStream:
         return None if self._clock is None else self._clock.clock
 
     def by_rate(self) -> list[StreamSums]:
-        """Return the sums at each sample rate; those at an earlier rate are continued."""
+        """Return the sums at each sample rate, including the current one."""
         spectrum = None if self._spectrum is None else self._spectrum.sums
         segments = tuple(sorted(segment for _, segment in self._segments))
         sums = self._engine.sums
@@ -350,7 +344,7 @@ class SensorStream:
 
     @property
     def means(self) -> Means | None:
-        """The latest means of static data over a second; None if they were not requested."""
+        """The latest one-second means of static data; None if they were not requested."""
         return None if self._means is None else self._means.means
 
     def feed(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
@@ -397,7 +391,7 @@ class SensorStream:
         self._process(self._clock.feed(stamps, rows, jumped))
 
     def _process(self, blocks: list[Block]) -> None:
-        """Process evenly spaced blocks, and then a change of the rate, if there is one."""
+        """Process evenly spaced blocks; then learn the new rate if it changed."""
         self._gate_blocks(blocks)
         if self._clock is not None and self._clock.rate_changed:
             self._change_rate()

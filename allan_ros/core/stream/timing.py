@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates the sample period from the stamps, detects gaps and interpolates short ones.
 
-An IMU samples evenly, but its stamps scatter. If no stamp arrives for several periods, either
-samples were lost, or they are late and follow in a burst. The delay of a sample is its stamp minus
-its index times the period. Lost samples increase the smallest delay (the lower envelope of the
-delays), late samples do not. So the smallest delays before and after the pause are compared, over a
-fixed number of samples.
+An IMU samples evenly, but its stamps scatter. After a pause of several periods, the samples were
+either lost, or are late and follow in a burst. The delay of a sample is its stamp minus its index
+times the period. Lost samples increase the smallest delay, late samples do not. So the smallest
+delays before and after the pause are compared, over a fixed number of samples.
 
-All decisions are taken for blocks counted from the first sample, so they do not depend on how the
+All decisions are made for blocks counted from the first sample, so they do not depend on how the
 samples are divided into batches.
 """
 
@@ -36,7 +35,7 @@ LOOK_AHEAD = 64
 """Number of samples before and after a pause whose delays are compared, for regular stamps."""
 
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 4096
-"""The same for bursty stamps: a time in s, and the largest number of samples."""
+"""The same for bursty stamps: as a time in s, and its largest number of samples."""
 
 BURST_PAUSE_S = 0.25
 """Shortest pause and smallest increase of the delay, in s, that can be a loss if stamps are bursty.
@@ -53,7 +52,7 @@ JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
 
 PERIOD_RANGE, PERIOD_TRACKING = 0.05, 0.003
-"""Relative range in which `rayleigh_period` searches: the first time, and later."""
+"""Relative range of `rayleigh_period`: when the period is learned, and when it is updated."""
 
 PHASE_GAP = 16.0
 """Longest pause, in periods, after which the phase of the samples is assumed to continue."""
@@ -64,10 +63,10 @@ PHASE_STEP = 0.25
 
 @dataclass(frozen=True)
 class Clock:
-    """Estimated sample period, and median step between the stamps, of a stream.
+    """Sample period of a stream, and median step between its stamps.
 
-    If the stamps are ``bursty``, many samples have almost the same stamp, and single steps contain
-    no information. With ``jitter``, some single losses are not detected.
+    If the stamps are ``bursty``, many samples have almost the same stamp. If they have ``jitter``,
+    the loss of a single sample may not be detected.
     """
 
     period_ns: float
@@ -85,7 +84,7 @@ class Clock:
 
     @property
     def pause_ns(self) -> float:
-        """Step between two stamps, in ns, above which samples may be lost."""
+        """Step between two stamps, in ns, above which samples may have been lost."""
         late = LATE * self.period_ns
         return max(late, BURST_PAUSE_S * 1e9) if self.bursty else late
 
@@ -96,12 +95,10 @@ class Clock:
 
 
 def learn_clock(stamps: Stamps) -> Clock | None:
-    """Estimate the sample period and the regularity of stamps in ns, (n,), in the order received.
+    """Estimate the sample period of a stream from its first stamps, (n,), in ns.
 
-    Backward stamps are ignored. Returns None if no two stamps differ.
+    Backward stamps are ignored. Returns None if all stamps are equal.
     """
-    if not len(stamps):
-        return None
     step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
     if not step.any():
         return None
@@ -125,12 +122,11 @@ def learn_clock(stamps: Stamps) -> Clock | None:
 
 
 def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> float:
-    """Return the sample period, in ns, at which the phases of stamps with jitter agree best.
+    """Return the sample period in ns, near ``period``, that fits stamps with jitter best.
 
-    Periods p within ``relative_range`` (a fraction) of ``period`` are tried. The result maximizes
-    |sum exp(2 pi i t / p)|, the Rayleigh statistic of the phases of the stamps t (K. V. Mardia,
-    P. E. Jupp, Directional Statistics, 2000, section 6.3). Lost samples do not move the maximum,
-    and jitter only makes it smaller.
+    It maximizes the Rayleigh statistic of the phases of the stamps t, |sum exp(2 pi i t / p)|, over
+    periods p that differ from ``period`` by at most the fraction ``relative_range`` (K. V. Mardia,
+    P. E. Jupp, Directional Statistics, 2000, section 6.3). Lost samples do not move the maximum.
     """
     step = np.diff(stamps) / period
     t = np.cumsum(np.where(step > PHASE_GAP, 1.0, step))
@@ -162,7 +158,7 @@ class Block:
         return len(self.stamps)
 
     def part(self, which: slice, cut: str = '') -> Block:
-        """Return a slice of the samples as a block of views, after a gap if ``cut`` is set."""
+        """Return a slice of the samples as views; ``cut`` is the reason for a gap before it."""
         filled = None if self.filled is None else self.filled[:, which]
         return Block(self.stamps[which], self.rows[:, which], cut, filled)
 
@@ -197,12 +193,10 @@ RATE_CHANGE_STEP = 1.45
 changed. Single losses do not change the median."""
 
 RATE_CHANGE_BURSTY = 0.10
-"""Relative change of the period over `TRACK_BLOCKS` that means, if stamps are bursty, that the rate
-changed."""
+"""Relative change of the period over `TRACK_BLOCKS` above which a bursty stream has a new rate."""
 
 BRIDGED_SHARE = 0.5
-"""Largest ratio of interpolated to received samples in a block; if more samples are lost, the data
-are split."""
+"""Largest ratio of interpolated to received samples in a block; above it, the data are split."""
 
 
 class SampleClock:
@@ -240,8 +234,8 @@ class SampleClock:
     def feed(self, stamps: Stamps, rows: Floats, jumped: Flags) -> list[Block]:
         """Add samples, and return the blocks whose look-ahead is complete.
 
-        ``stamps``, (n,), are in ns, and ``rows`` are (axes, n). ``jumped``, (n,), flags samples
-        before which the clock was set back.
+        ``stamps``, (n,), are in ns, and ``rows`` are the values, (axes, n). ``jumped``, (n,), is
+        True where the clock was set back before the sample.
         """
         if rows.strides[1] != rows.itemsize:
             rows = np.ascontiguousarray(rows)
@@ -288,7 +282,7 @@ class SampleClock:
         return done
 
     def _view(self, first: int) -> list[Block]:
-        """Return the processed samples from position ``first`` on, if there are any."""
+        """Return the processed samples from buffer position ``first`` on as a block."""
         which = slice(first, self._past)
         return [Block(self._stamps[which], self._rows[:, which])] if first < self._past else []
 
@@ -296,14 +290,13 @@ class SampleClock:
         """Return the blocks of all buffered samples at the end of the input."""
         done: list[Block] = []
         while not self.rate_changed and len(self._stamps) > self._past:
-            left = len(self._stamps) - self._past
             room = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
-            done += self._process(min(left, room))
+            done += self._process(min(len(self._stamps) - self._past, room))
             self._release()
         return done
 
     def _are_even(self, n: int) -> bool:
-        """Return whether the next n samples have no gap and the same rate (the common case)."""
+        """Return whether the next n samples have no gap and no change of the rate."""
         begin = self._past
         if begin == 0 or self._jumped[begin : begin + n].any():
             return False
@@ -317,7 +310,7 @@ class SampleClock:
         )
 
     def _process(self, n: int) -> list[Block]:
-        """Find gaps and a change of the rate in the next n samples, and return them as blocks."""
+        """Detect gaps and a change of the rate in the next n samples; return these as blocks."""
         begin = self._past
         stamps, jumped = (a[begin : begin + n] for a in (self._stamps, self._jumped))
         before = stamps[0] - round(self.clock.period_ns) if begin == 0 else self._stamps[begin - 1]
@@ -349,22 +342,21 @@ class SampleClock:
         return blocks
 
     def _count_same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
-        """Return how many samples come before a change of the rate.
+        """Return the number of samples before a change of the rate; all if it does not change.
 
-        The steps between the stamps, in ns, and the steps of the index are (n,). The mean and
-        median step of a block show whether the rate changed, and the first unusual step shows
-        where. With jitter, two blocks are needed, because one block may have several losses that
-        were not detected. The samples from which the period was learned are never regarded as a
-        change, since otherwise learning could repeat without end.
+        ``step``, (n,), are the steps of the stamps in ns, and ``advance``, (n,), those of the
+        sample index, which counts lost samples, too.
         """
         if self.clock.bursty:
             return len(step)
         usual = self.clock.step_ns
+        # without the samples from which the period was learned: learning could repeat without end
         for at in range(max(0, LEARN - self._blocks * CLOCK_BLOCK), len(step), CLOCK_BLOCK):
             steps, indices = step[at : at + CLOCK_BLOCK], advance[at : at + CLOCK_BLOCK]
             if len(steps) < CLOCK_BLOCK // 4:
                 break
             period = steps[indices > 0].sum() / max(1, indices.sum())
+            # with jitter, two blocks must differ: one may have several undetected losses
             differed = self._other_period
             self._other_period = abs(period / self.clock.period_ns - 1.0) > RATE_CHANGE
             if float(np.median(steps)) > RATE_CHANGE_STEP * usual or (
@@ -375,10 +367,9 @@ class SampleClock:
         return len(step)
 
     def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:
-        """Return how many samples were lost before a sample, by the increase of the delay.
+        """Return how many samples were lost before the sample at position ``at`` in the buffer.
 
-        The sample has position ``at`` in the buffer and ``j`` among the samples being processed,
-        whose steps of the index are ``advance``.
+        It is number ``j`` of the samples being processed; ``advance`` are their index steps.
         """
         period, reach = self.clock.period_ns, self._reach
         gaps = np.flatnonzero(advance[:j] == 0)
@@ -400,10 +391,10 @@ class SampleClock:
         return round(increase) if increase > max(0.5 * pause, self.clock.smallest_loss) else 0
 
     def _blocks_of(self, begin: int, advance: NDArray[np.int64]) -> list[Block]:
-        """Return samples from position ``begin`` on as blocks, with short gaps interpolated.
+        """Return n samples from buffer position ``begin`` on as blocks, with gaps interpolated.
 
-        ``advance``, (n,), are the steps of the index: above 1 where samples are interpolated, 0
-        where the data are split.
+        ``advance``, (n,), are the index steps: above 1 where samples are interpolated, 0 where the
+        data are split.
         """
         n = len(advance)
         samples = Block(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])
@@ -433,7 +424,7 @@ class SampleClock:
         return blocks
 
     def _advance(self, n: int, advance: NDArray[np.int64] | None = None) -> None:
-        """Mark n samples as processed; ``advance``, (n,), are the steps of the index (None: 1)."""
+        """Mark n samples as processed; ``advance``, (n,), are their index steps (None: all 1)."""
         end = self._past + n
         last = int(self._index[-1]) if len(self._index) else -1
         index = last + (np.arange(1, n + 1) if advance is None else np.cumsum(advance))
@@ -445,7 +436,7 @@ class SampleClock:
         self._past = end
 
     def _release(self) -> None:
-        """Drop all processed samples except the last `_reach`."""
+        """Drop processed samples that are not needed to detect a later gap."""
         old = max(0, self._past - self._reach)
         self._stamps = self._stamps[old:]
         self._rows = self._rows[:, old:]
@@ -453,7 +444,7 @@ class SampleClock:
         self._past -= old
 
     def _track(self, stamps: Stamps, index: NDArray[np.int64], split: bool) -> None:
-        """Update the estimated period after every `TRACK_BLOCKS` blocks without a gap."""
+        """Update the sample period after every `TRACK_BLOCKS` blocks unless the data were split."""
         if self._blocks % TRACK_BLOCKS == 0:
             self._track_start = (int(stamps[0]), int(index[0]))
         if split:

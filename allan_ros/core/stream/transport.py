@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings about a live input: no messages, lost messages, and events of the last minute.
 
-The counts of a stream only grow, so a finding about them would be reported as long as a node runs.
-A node therefore reports only what happened recently.
+The counts of a stream never decrease, so an event would be reported as long as a node runs.
+Therefore, only recent events are reported.
 """
 
 from __future__ import annotations
@@ -56,15 +56,15 @@ class TransportStatistics:
 
     @property
     def lost(self) -> int:
-        """Number of messages lost in transport: the larger of the two counts."""
+        """Lost messages: the larger of ``skipped_numbers`` and ``reported_lost``."""
         return max(self.skipped_numbers, self.reported_lost)
 
 
 class TransportMonitor:
-    """Finds what is wrong with a live input at present.
+    """Reports the current problems of a live input, the topic ``topic``.
 
-    ``topic`` is its name. All times ``time_s`` are those of a steady clock in s; the first one is
-    the time of the start.
+    All times ``time_s`` are in s on a steady clock. That of the constructor is the time of the
+    start.
     """
 
     def __init__(self, topic: str, time_s: float) -> None:
@@ -79,12 +79,12 @@ class TransportMonitor:
         self._leapt = 0  # the clock was set forward
         self._other_frame = 0  # samples with another frame_id arrived instead
         self._absent = 0  # they were never sent
-        self._absent_before = 0  # the same at the last call
+        self._absent_before = 0  # at the previous call
         self._frame_changes = 0
         self._lost_before = 0  # messages lost in transport before this pass
 
     def heard(self, time_s: float, messages: int) -> None:
-        """Record the number of messages since the start; called more often than `observe`."""
+        """Record the number of messages since the start; call it more often than `observe`."""
         if messages != self._messages:
             self._last_message, self._messages = time_s, messages
 
@@ -102,7 +102,7 @@ class TransportMonitor:
         stream: tuple[Finding, ...] = (),
         graph: tuple[Finding, ...] = (),
     ) -> tuple[Finding, ...]:
-        """Return the present findings, the most severe first; called about once a second.
+        """Return the current findings, the most severe first; call it about once a second.
 
         ``transport`` and ``health`` hold the counts since the start. ``publishers`` are the names
         of the publishing nodes. Without a message for ``stale_after`` s, an error is reported.
@@ -114,7 +114,7 @@ class TransportMonitor:
         if len(publishers) > 1:
             names, count = ', '.join(publishers), len(publishers)
             found.append(finding('several_publishers', count=count, topic=self._topic, names=names))
-        found += self._lately(health)
+        found += self._recent_findings(health)
         present = {*LIVE_FINDINGS, *(('noise_louder',) if health.state == 'louder' else ())}
         if health.rate_hz and health.counts.moving < NEVER_STILL_S * health.rate_hz:
             present.discard('never_still')
@@ -128,7 +128,7 @@ class TransportMonitor:
         return tuple(sorted(found, key=lambda f: order.index(f.severity)))
 
     def _update(self, time_s: float, transport: TransportStatistics, health: StreamHealth) -> None:
-        """Record the present counts."""
+        """Record the current counts."""
         c = health.counts
         self.heard(time_s, transport.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
@@ -156,7 +156,7 @@ class TransportMonitor:
     def _attribute_missing(
         self, passed_s: float, transport: TransportStatistics, health: StreamHealth
     ) -> None:
-        """Update the causes of samples that are missing according to the stamps.
+        """Update the number of missing samples by cause.
 
         ``passed_s`` is the time since the last usable samples, in s.
         """
@@ -199,7 +199,7 @@ class TransportMonitor:
             return [finding('input_unusable', topic=topic, seconds=unusable)]
         return []
 
-    def _lately(self, health: StreamHealth) -> list[Finding]:
+    def _recent_findings(self, health: StreamHealth) -> list[Finding]:
         """Return the findings about the last minute, ordered from causes to effects."""
         more = self._history[-1][1].copy()
         more.subtract(self._history[0][1])

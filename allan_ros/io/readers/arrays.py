@@ -48,7 +48,7 @@ MAX_HEADER_BYTES = 1 << 16
 class _Column:
     """An array in a numpy file, which is read block by block.
 
-    ``name`` is its name in a .npz file, or '' for a .npy file. The files are closed by ``stack``.
+    ``name`` is its name in a .npz file, or '' for a .npy file. ``stack`` closes the files.
     """
 
     def __init__(self, path: Path, name: str, stack: ExitStack) -> None:
@@ -83,7 +83,7 @@ class _Column:
 def open_array(path: Path, options: ReadOptions) -> Recording:
     """Open a ``.npz`` or ``.npy`` file as a recording.
 
-    Raises AllanError when it is not such a file, or the shapes of its arrays do not match.
+    Raises AllanError when it is not a numpy file, or the shapes of its arrays do not match.
     """
     with open_regular(path) as file:
         zipped = file.read(4) == b'PK\x03\x04'
@@ -221,7 +221,7 @@ def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False)
     """Write the batches to a .npz file, and return the number of samples.
 
     With ``deflate`` it is compressed. The arrays are ``imu`` (column t in s), ``stamps_ns``,
-    ``frame_id`` and, if known, ``record_ns``. They are first collected in temporary files, because
+    ``frame_id`` and, if known, ``record_ns``. They are written to temporary files first, because
     their length is known only at the end.
 
     Raises AllanError when the batches have several frame_ids, or only some of them have record
@@ -370,7 +370,7 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
 
 
 def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
-    """Return the names of the axes; ``columns`` is the number of columns, 0 if it may vary."""
+    """Return the names of the axes of an array with this number of columns; 0: any number."""
     if axes is None:
         if columns not in DEFAULT_AXES:
             raise AllanError(

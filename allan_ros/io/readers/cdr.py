@@ -58,7 +58,7 @@ _VECTORS = (
 
 
 class MalformedMessage(Exception):
-    """A message is not an Imu message; ``index`` is its position among the decoded ones."""
+    """A message is not an Imu message; ``index`` is its position in the sequence of messages."""
 
     def __init__(self, index: int, reason: str) -> None:
         super().__init__(reason)
@@ -127,7 +127,7 @@ def decode_imus(
     n = len(payloads)
     room = np.empty((len(AXES), n)).T
     decoded = DecodedImus(np.empty(n, np.int64), room, [], np.zeros(n, np.intp))
-    for rows, records in _of_one_layout(payloads, encoding):
+    for rows, records in _grouped_by_layout(payloads, encoding):
         decoded.stamps_ns[rows] = records['sec'].astype(np.int64) * NANOSECONDS + records['nanosec']
         for sensor, axes in SENSORS.items():
             for i, axis in enumerate(range(len(AXES))[axes]):
@@ -150,7 +150,7 @@ def decode_imus(
 def _drop_absent(
     decoded: DecodedImus, sensor: str, absent: NDArray[np.intp], trust_covariance: bool
 ) -> None:
-    """Set a sensor to NaN in the messages that declare it absent, which have indices ``absent``.
+    """Set a sensor to NaN in the messages that declare it absent; ``absent`` are their indices.
 
     Many drivers declare this by mistake. So valid data (finite, not all zero) are kept unless
     ``trust_covariance`` is set.
@@ -165,10 +165,10 @@ def _drop_absent(
     decoded.samples[absent, SENSORS[sensor]] = np.nan
 
 
-def _of_one_layout(
+def _grouped_by_layout(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
 ) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
-    """Yield groups of messages with the same layout: their indices, and their records."""
+    """Yield the indices and the records of each group of messages with the same layout."""
     n, fields = len(payloads), _LAYOUT_FIELDS[encoding]
     several = not isinstance(payloads, np.ndarray) and len(set(map(len, payloads))) > 1
     if n and not several:
@@ -200,7 +200,7 @@ class _Layout(NamedTuple):
 
 
 def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _Layout:
-    """Return the layout of an Imu message; ``index`` is its position for `MalformedMessage`."""
+    """Return the layout of an Imu message; raise MalformedMessage with ``index`` if it is none."""
     order, frame_bytes = _order_and_frame_bytes(payload, encoding, index)
     try:
         return _layout(encoding, order, frame_bytes, len(payload))
@@ -211,7 +211,7 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
 
 @lru_cache(maxsize=256)
 def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
-    """Return the layout of a message of ``length`` bytes (0: without padding)."""
+    """Return the layout of an Imu message of ``length`` bytes (0: without padding)."""
     if frame_bytes > MAX_NAME:
         raise ValueError(f'{frame_bytes} bytes are more than {MAX_NAME}')
     dtype = imu_dtype(encoding, order, frame_bytes, length)
@@ -365,7 +365,7 @@ class CovariancePatch:
         return self._overwrite or not any(numbers)
 
 
-def without_gyro_bias(
+def subtract_gyro_bias(
     payload: bytes, bias: tuple[float, float, float], rate_limit: float, first_ns: int, last_ns: int
 ) -> bytes:
     """Subtract ``bias``, in rad/s, from the angular velocity of an Imu message in CDR.

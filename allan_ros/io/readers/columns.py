@@ -50,7 +50,7 @@ _UNIT_SPELLINGS = {
 
 
 class Meaning(NamedTuple):
-    """Meaning of one column."""
+    """What a column contains, according to its name."""
 
     kind: str  # a key of `_KINDS`, '' if unknown
     detail: str  # axis 'x', 'y' or 'z', or the unit of a time in the name; '' if there is none
@@ -71,10 +71,10 @@ class Columns:
 
 
 def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Columns:
-    """Return which columns contain what, from the names of all columns.
+    """Find the columns of samples, times and temperature by the names of all columns.
 
     If two columns have the same meaning, the first is used. Raises AllanError when the unit of a
-    column is unknown; ``where`` is the name of the table in the message.
+    column is unknown; ``where`` is the name of the table in the error message.
     """
     axes: dict[int, tuple[int, float]] = {}
     units: dict[str, str] = {}
@@ -117,9 +117,9 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
 def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) -> tuple[str, ...]:
     """Rename columns by pairs such as ``gx=w_x`` (new name, name in the header).
 
-    Returns one name per column: a new name, with the unit in the header, or '-' for columns that
-    are not in the pairs. Raises AllanError, which names the table ``where``, when a pair does not
-    match exactly one column.
+    Returns one name per column: the new name and the unit in the header, or '-' for a column that
+    is not in the pairs. Raises AllanError when a pair does not match exactly one column; ``where``
+    is the name of the table in the error message.
     """
     renamed = [LEFT_OUT] * len(names)
     bases = [_base_and_unit(name)[0] for name in names]
@@ -141,13 +141,13 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
 
 
 def listed(names: Sequence[str], most: int = 10) -> str:
-    """Return the first ``most`` names and the number of further ones, as text for messages."""
+    """Return the first ``most`` names and the number of the others, as text."""
     text = ', '.join(names[:most])
     return f'{text} and {len(names) - most} more' if len(names) > most else text
 
 
 def _meaning(name: str) -> Meaning:
-    """Return the meaning of a column, from the end of its name.
+    """Return what a column contains, from the end of its name.
 
     Examples
     --------

@@ -58,7 +58,7 @@ because reading record by record is as fast."""
 def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Messages:
     """Return the messages of the channels ``ids`` in a decompressed chunk, in the order stored.
 
-    ``index`` is called if needed and returns the MessageIndex records of the chunk, or b''.
+    ``index`` returns the MessageIndex records of the chunk, or b''; it is only called if needed.
     Raises struct.error when a record extends beyond the end of the data.
     """
     start = _starts_if_equal(data)
@@ -89,10 +89,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _starts_if_equal(data: bytes) -> NDArray[np.int64] | None:
-    """Return the offset of each message if all records from the first message on have its length.
-
-    Otherwise, return None.
-    """
+    """Return the message offsets if only messages of equal length follow the first, else None."""
     message = next((record for record in records(data) if record[0] == MESSAGE), None)
     if message is None:
         return np.empty(0, np.int64)
@@ -107,7 +104,7 @@ def _starts_if_equal(data: bytes) -> NDArray[np.int64] | None:
 
 
 def _starts_by_index(data: bytes, index: bytes) -> NDArray[np.int64] | None:
-    """Return the offset of each message according to the index; None if it is wrong or missing."""
+    """Return the offset of each message from the index; None if the index is wrong or missing."""
     found = [np.empty(0, np.int64)]
     for opcode, at, _ in records(index):
         if opcode == MESSAGE_INDEX:
@@ -249,7 +246,7 @@ class McapStorage(ChunkStorage):
         chunks: dict[int, Chunk] = {}
         data = self._read(start, end - start)
         for opcode, at, stop in records(data):
-            self._learn(opcode, data, at, stop)
+            self._store_record(opcode, data, at, stop)
             if opcode == CHUNK_INDEX:
                 chunk = _listed_chunk(data, at)
                 chunks[chunk.offset] = chunk
@@ -280,16 +277,16 @@ class McapStorage(ChunkStorage):
                 self._chunks.append(chunk)
                 data = self._data(chunk)
                 for inner, inner_at, inner_end in records(data):
-                    self._learn(inner, data, inner_at, inner_end)
+                    self._store_record(inner, data, inner_at, inner_end)
             elif opcode == MESSAGE:
                 data = self._read(start, MESSAGE_HEAD.size)
-                self._learn(opcode, data, 0, len(data))
+                self._store_record(opcode, data, 0, len(data))
                 self._add_loose(data, at, end - at)
             elif opcode == MESSAGE_INDEX:
                 channel, size = INDEX_HEAD.unpack(self._read(start, INDEX_HEAD.size))
                 self._indexed[channel] += size // 16
             elif opcode in (SCHEMA, CHANNEL, STATISTICS):
-                self._learn(opcode, self._read(start, length), 0, length)
+                self._store_record(opcode, self._read(start, length), 0, length)
             at = end
         if skipped:
             self.truncation = Truncation(self._size - skipped, self._size)
@@ -298,19 +295,19 @@ class McapStorage(ChunkStorage):
     def _add_loose(self, head: bytes, offset: int, length: int) -> None:
         """Add the message record at ``offset``, which is outside chunks, to the list of chunks.
 
-        ``head`` is the beginning of its content. Adjoining messages form one chunk.
+        ``head`` is the beginning of its content. Adjacent messages form one chunk.
         """
         channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
         self._indexed[channel] += 1
         last = self._chunks[-1] if self._chunks else None
-        adjoins = last and last.loose and last.offset + last.length == offset
-        if last and adjoins and last.length < LOOSE_BYTES:
+        adjacent = last and last.loose and last.offset + last.length == offset
+        if last and adjacent and last.length < LOOSE_BYTES:
             start = min(last.start_ns, log_time)
             self._chunks[-1] = Chunk(start, last.offset, last.length + length, loose=True)
         else:
             self._chunks.append(Chunk(log_time, offset, length, loose=True))
 
-    def _learn(self, opcode: int, data: bytes, at: int, stop: int) -> None:
+    def _store_record(self, opcode: int, data: bytes, at: int, stop: int) -> None:
         """Count the message, or store the schema, channel or statistics in ``data[at:stop]``."""
         if opcode == MESSAGE:
             self._counts[MESSAGE_HEAD.unpack_from(data, at)[0]] += 1

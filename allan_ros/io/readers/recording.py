@@ -84,7 +84,7 @@ class ReadOptions(CheckedSettings):
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """Source of samples: the given path, topic ('' if none), message type and storage format."""
+    """Source of samples: path as given, topic ('' if none), message type and storage format."""
 
     path: str
     topic: str
@@ -101,9 +101,10 @@ def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
 class Recording:
     """A recording of an IMU, which can be read any number of times.
 
-    ``messages`` is the number of samples that the recording states, or None. ``read`` yields the
-    samples. ``read_temperature`` returns the temperature for a frame_id. ``options`` hold the units
-    that were found or assumed. ``axes`` are the axes that the recording can contain.
+    ``messages`` is the number of samples according to the recording; None if it is not known.
+    ``read`` yields the samples. ``read_temperature`` returns the temperature for a frame_id.
+    ``options`` hold the units that were found or assumed. ``axes`` are the axes that the recording
+    can contain.
     """
 
     def __init__(
@@ -226,7 +227,7 @@ def _family(path: Path) -> str:
 
 
 def _by_magic(head: bytes) -> tuple[str, str]:
-    """Return the family, and the format of a bag file, by the first bytes; '' if unknown."""
+    """Return the family of formats, and the format of a bag file; '' if they are unknown."""
     return next((form for magic, form in _MAGICS.items() if head.startswith(magic)), ('', ''))
 
 
@@ -303,7 +304,7 @@ def bag_files(path: Path) -> BagFiles:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Return a key that sorts file names by the numbers in them, so 10 comes after 9."""
+    """Return a key that sorts file names by the numbers in them: 10 comes after 9."""
     parts = re.split(r'(\d+)', path.name)
     return [(int(part), '') if part.isdigit() else (-1, part) for part in parts]
 

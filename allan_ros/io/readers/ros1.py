@@ -70,10 +70,10 @@ class Ros1Storage(ChunkStorage):
                 for connection, count in CHUNK_COUNT.iter_unpack(self._read(start, end - start)):
                     listed[connection] += count
             at = end
-        ended = bool(self._topics) or not self._chunks
-        if at < self._size or not ended:
+        complete = bool(self._topics) or not self._chunks
+        if at < self._size or not complete:
             self.truncation = Truncation(at, self._size)
-        self._chunks = [self._completed(chunk, ended) for chunk in self._chunks]
+        self._chunks = [self._with_start(chunk, complete) for chunk in self._chunks]
         self._chunks = [chunk for chunk in self._chunks if chunk.start_ns != NO_INDEX]
         self._stated = self._counts | listed
 
@@ -114,16 +114,16 @@ class Ros1Storage(ChunkStorage):
             last = self._chunks[-1]
             self._chunks[-1] = replace(last, start_ns=int(times.min(initial=last.start_ns)))
 
-    def _completed(self, chunk: Chunk, ended: bool) -> Chunk:
-        """Return a chunk with its start time, read from its messages if it has no index.
+    def _with_start(self, chunk: Chunk, complete: bool) -> Chunk:
+        """Return a chunk with its start time, which is read from its messages without an index.
 
-        If the file is truncated (not ``ended``), the connections are read from the chunk, too.
+        If the file is not ``complete``, the connections are read from the chunk, too.
         """
-        if ended and chunk.start_ns != NO_INDEX:
+        if complete and chunk.start_ns != NO_INDEX:
             return chunk
         data, start_ns = self._data(chunk), chunk.start_ns
         for header, start, end in _records(data):
-            if header['op'][0] == OP_CONNECTION and not ended:
+            if header['op'][0] == OP_CONNECTION and not complete:
                 self._add_connection(header, data[start:end])
             elif header['op'][0] == OP_MESSAGE and chunk.start_ns == NO_INDEX:
                 self._counts[_number(header['conn'])] += 1

@@ -64,7 +64,7 @@ class Survey:
     truncation: Truncation | None = None  # of the first truncated file
 
     def listed(self, keys: Iterable[Key]) -> str:
-        """Return a text with name, type and number of messages of some topics, for messages."""
+        """Return name, type and number of messages of these topics, as text."""
         shown = []
         for key in keys:
             encoding = self.topics[key].encoding
@@ -73,10 +73,7 @@ class Survey:
         return listed(shown)
 
     def imus(self, keys: Iterable[Key] | None = None) -> list[ImuSource]:
-        """Return the Imu topics among ``keys`` (None: all topics).
-
-        If there are none, return the Imu fields in messages of other types.
-        """
+        """Return the Imu topics among ``keys`` (None: all); if none, Imu fields in other topics."""
         keys = self.topics if keys is None else list(keys)
         plain = [ImuSource(key) for key in keys if key[1] == IMU_TYPE]
         return plain or [ImuSource(key, p) for key in keys for p in imu_fields(self.topics[key])]
@@ -84,7 +81,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class ImuSource:
-    """A topic, and the path of field names of an Imu in its messages, () for the message itself."""
+    """An Imu in a bag: topic, and field names that lead to it; () if the message is the Imu."""
 
     key: Key
     field: tuple[str, ...] = ()
@@ -134,9 +131,9 @@ def chosen_source(path: Path, survey: Survey, wanted: str) -> ImuSource:
     if not candidates:
         raise _no_imu(path, survey)
     if len(candidates) > 1:
-        listed = ', '.join(f'{c.label} ({survey.counts[c.key]})' for c in candidates)
+        labels = ', '.join(f'{c.label} ({survey.counts[c.key]})' for c in candidates)
         raise AllanError(
-            f'{path}: has {len(candidates)} Imu topics: {listed}: choose one with --topic'
+            f'{path}: has {len(candidates)} Imu topics: {labels}: choose one with --topic'
         )
     (chosen,) = candidates
     topic = survey.topics[chosen.key]
@@ -220,7 +217,7 @@ IDL_SEPARATOR = '=' * 80 + '\n'
 
 
 def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
-    """Return the path of each Imu in the messages of a topic, as field names.
+    """Return the field names that lead to each Imu in the messages of a topic.
 
     The result is empty if the schema is missing or invalid. Raises AllanError when the package
     ``rosbags``, which parses the schema, is not installed.
@@ -239,14 +236,14 @@ def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
 
 
 def _is_unknown(topic: Topic) -> bool:
-    """Return whether the message type has no schema and is not from a standard package."""
+    """Return whether the topic has no schema, and its type is not from a standard package."""
     return not topic.schema and not STANDARD_PACKAGES.fullmatch(topic.type.split('/')[0])
 
 
 def definitions_of(topic: Topic) -> dict[str, Any]:
-    """Return type name -> definition from the schema of a topic, as ``rosbags`` parses it.
+    """Return the definition of each type in the schema of a topic, parsed by ``rosbags``.
 
-    The result is empty if the schema contains no Imu or is invalid.
+    The result is empty if the schema is invalid or contains no Imu.
     """
     if 'Imu' not in topic.schema:
         return {}
@@ -294,7 +291,7 @@ def _read(
 ) -> Iterator[ImuBatch]:
     """Yield the samples of the selected topic in all files, in order."""
     extract = extractor(topic, source.field) if source.field else None
-    kept: Counter[str] = Counter()  # sensor -> messages that declare it absent wrongly
+    kept: Counter[str] = Counter()  # sensor -> number of messages that wrongly declare it absent
     total = 0
 
     def decoded(file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
@@ -302,7 +299,7 @@ def _read(
         for block in blocks:
             at = 0
             try:
-                for payloads in _plain(block.payloads, extract):
+                for payloads in _imu_payloads(block.payloads, extract):
                     imus = decode_imus(payloads, _encoding(topic), options.trust_covariance)
                     kept.update(imus.kept)
                     yield from imus.batches(block.record_ns[at : at + len(payloads)])
@@ -358,11 +355,12 @@ def _rebatched(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
         yield from in_batches(joined(parts))
 
 
-def _plain(payloads: Payloads, extract: Callable[[bytes], bytes] | None) -> Iterator[Payloads]:
-    """Yield serialized Imu messages from messages that may be compressed.
+def _imu_payloads(
+    payloads: Payloads, extract: Callable[[bytes], bytes] | None
+) -> Iterator[Payloads]:
+    """Yield the serialized Imu messages in ``payloads``, which may be compressed.
 
-    ``extract`` returns the Imu message inside another message; None if it is not inside another.
-    Converted messages are yielded in groups of limited total size.
+    ``extract`` returns the Imu inside another message; None if the messages are Imus.
     """
     compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
     if not compression and extract is None:
@@ -387,8 +385,8 @@ def _plain(payloads: Payloads, extract: Callable[[bytes], bytes] | None) -> Iter
 def extractor(topic: Topic, field: tuple[str, ...]) -> Callable[[bytes], bytes]:
     """Return a function that extracts the serialized Imu message from a message of the topic.
 
-    ``field`` is the path of the Imu in the message. The function raises ValueError when a message
-    does not match its schema.
+    ``field`` are the field names that lead to the Imu. The function raises ValueError when a
+    message does not match its schema.
     """
     from rosbags.typesys import Stores, get_typestore
 
@@ -462,10 +460,7 @@ def _messages(files: Sequence[Path], topic: Topic) -> Iterator[Message]:
 def _temperature(
     topic: Topic, record_ns: int, payload: bytes
 ) -> tuple[tuple[int, int, float], str] | None:
-    """Return header stamp in ns, record time in ns and temperature in degC, and the frame_id.
-
-    Returns None for a damaged message.
-    """
+    """Return (header stamp in ns, record time in ns, degC) and frame_id; None if damaged."""
     with suppress(MalformedMessage, ValueError):
         plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
         header_ns, frame_id, celsius = decode_temperature(plain, _encoding(topic))

@@ -46,8 +46,8 @@ counter, number of pages, and value of the change counter for which this number 
 class Sqlite3Storage:
     """An open .db3 file; error messages name it ``path``.
 
-    ``pages`` is the open file, from which rows are read directly. It is None if a write-ahead log
-    contains a part of the rows.
+    ``pages`` is the open file, from which rows are read directly; None if a write-ahead log
+    contains some of the rows.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection, pages: BinaryIO | None) -> None:
@@ -82,14 +82,14 @@ class Sqlite3Storage:
         ]
 
     def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages (reads the complete table)."""
+        """Return topic id -> number of messages; this reads the complete table."""
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             return dict(self._query('SELECT topic_id, count(*) FROM messages GROUP BY topic_id'))
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return ``read`` plus the number of rows that the index of the times lists in addition.
+        """Return ``read``, the number of messages that were read, plus the number of missing rows.
 
-        ``read`` is the number of messages that were read. The rows may belong to any topic.
+        These rows are listed in the time index but cannot be read. They may be of any topic.
         """
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             index = next(self._query(_TIME_INDEX), None)
@@ -125,7 +125,7 @@ class Sqlite3Storage:
             yield from self._rows(ids, '+id > ? ORDER BY timestamp, id', done)
 
     def _is_usual(self) -> bool:
-        """Return whether the table is as recorders create it: with row ids and a time index."""
+        """Return whether the table has row ids and a time index, as recorders create it."""
         columns = list(
             self._query("SELECT name, upper(type), pk FROM pragma_table_xinfo('messages')")
         )
@@ -138,7 +138,7 @@ class Sqlite3Storage:
     ) -> Generator[Messages, None, int]:
         """Yield messages read directly from the pages, as long as their times increase.
 
-        ``done`` is the id before the first row. Returns the last id that was read.
+        ``done`` is the id before the first row. The generator returns the last id that was read.
         """
         (root,) = next(self._query("SELECT rootpage FROM sqlite_master WHERE name = 'messages'"))
         end_ns, known_ns = -(2**63), np.empty(0, np.int64)
@@ -161,7 +161,7 @@ class Sqlite3Storage:
         return done
 
     def _blocks_of(self, rows: MessageRows, ids: set[int], done: int) -> list[Messages]:
-        """Return the messages of rows after the id ``done``; SQLite reads unusual rows."""
+        """Return the messages of rows after the id ``done``; unusual ones are read by SQLite."""
         try:
             return [rows.block(ids)]
         except Unusual:
@@ -189,7 +189,7 @@ class Sqlite3Storage:
         return next(self._query(earlier, start_ns, end_ns, last_id), None) is not None
 
     def _rows(self, ids: set[int], which: str, *values: int) -> Iterator[Messages]:
-        """Yield the messages that SQLite finds; ``which`` is a condition with parameters."""
+        """Yield messages from SQLite; ``which`` is an SQL condition, ``values`` its parameters."""
         sql = f'SELECT timestamp, data FROM messages WHERE {_topics(ids)} AND {which}'
         rows = self._query(sql, *values)
         while batch := rows.fetchmany(ROWS):
@@ -207,7 +207,7 @@ def _topics(ids: set[int]) -> str:
 
 
 def _truncation(file: BinaryIO) -> Truncation | None:
-    """Return how much of a database exists; None if it has all pages that its header states."""
+    """Return the existing and the original size of a truncated database; None if complete."""
     file.seek(0)
     head = file.read(HEAD.size)
     if len(head) < HEAD.size:

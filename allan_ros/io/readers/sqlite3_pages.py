@@ -247,7 +247,7 @@ class MessagePages:
 
 
 def _varints_bytes(data: Bytes, start: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the total size in bytes of the first two varints of each cell (section 1.6)."""
+    """Return the size in bytes of the first two varints of each cell (file format, section 1.6)."""
     last = ~gathered(data, start, np.dtype('<u8')) & LAST_BYTES
     second = last & (last - 1)  # without the lowest bit, which is in the first varint
     if not second.all():
@@ -261,10 +261,10 @@ def _varints_bytes(data: Bytes, start: NDArray[np.int64]) -> NDArray[np.int64]:
 def _columns(
     data: Bytes, header: NDArray[np.int64], head: NDArray[np.uint64], kind: int
 ) -> tuple[Any, ...]:
-    """Return topics, record times, and offsets and lengths of the blobs, of rows of one layout.
+    """Return topics, record times, offsets of the blobs, and their lengths, for similar rows.
 
-    ``header`` are the offsets of the row headers, and ``head`` their first eight bytes. The first
-    `KIND_BYTES` bytes, ``kind``, are the same in all rows and determine the layout (section 2.1).
+    ``header`` are the offsets of the row headers, and ``head`` their first eight bytes. All of them
+    begin with the `KIND_BYTES` bytes ``kind``: the column types (file format, section 2.1).
     """
     size, id_type, topic_type, time_type = kind.to_bytes(KIND_BYTES, 'little')
     usual = id_type == 0 and {topic_type, time_type} <= set(INTEGER_BYTES)
@@ -288,7 +288,7 @@ def _columns(
 
 
 def _integers(data: Bytes, at: NDArray[np.int64], serial: int) -> NDArray[np.int64]:
-    """Return the integers at the offsets ``at``, all of one serial type (section 2.1)."""
+    """Return the integers of one serial type at the offsets ``at`` (file format, section 2.1)."""
     size = INTEGER_BYTES[serial]
     if not size:
         return np.full(len(at), serial == 9, np.int64)
@@ -301,8 +301,7 @@ def _id_range(heads: Bytes, counts: NDArray[np.int64]) -> tuple[int, int]:
     """Return the first and the last id of the rows of several pages.
 
     ``heads`` are the first bytes of all cells, and ``counts`` the numbers of cells per page. Raises
-    Unusual when the ids do not increase from page to page, because a damaged tree contains a page
-    twice.
+    Unusual when the ids do not increase from page to page, as in a damaged file.
     """
     last = np.cumsum(counts) - 1
     ends = np.concatenate([last - counts + 1, last])
@@ -313,7 +312,7 @@ def _id_range(heads: Bytes, counts: NDArray[np.int64]) -> tuple[int, int]:
 
 
 def _ids_of(heads: Bytes) -> NDArray[np.int64]:
-    """Return the ids of the cells that begin with ``heads``: their second varint (section 1.6)."""
+    """Return the row ids from the first bytes of the cells (file format, section 1.6)."""
     ids = np.zeros(len(heads), np.int64)
     varint = np.zeros(len(heads), np.int64)
     for byte in heads[:, : 2 * WORD].T:

@@ -31,7 +31,7 @@ MAX_MESSAGE_BYTES = 4 * 2**20
 """Largest decompressed size of a single message in bytes."""
 
 MAX_FILE_RATIO = 250
-"""Largest expansion of a compressed bag file; expansion by `MAX_CHUNK_BYTES` is always allowed."""
+"""Largest expansion of a compressed bag file; `MAX_CHUNK_BYTES` more are always allowed."""
 
 MAX_SORT_BYTES = 512 * 2**20
 """Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
@@ -80,7 +80,7 @@ class Messages:
 
 @dataclass(frozen=True)
 class Truncation:
-    """How much of a truncated file can be read: number of bytes, and original size if known."""
+    """Readable bytes of a damaged file, and its original size (its current size if unknown)."""
 
     read: int
     size: int
@@ -141,7 +141,7 @@ def damaged(path: Path, reason: object, remedy: str) -> AllanError:
 
 @contextmanager
 def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
-    """Context manager that converts the given exceptions, due to a damaged file, to AllanError."""
+    """Context manager that converts the given exceptions to AllanError for a damaged file."""
     try:
         yield
     except AllanError:
@@ -204,7 +204,7 @@ def _stated_size(head: bytes | memoryview, compression: str) -> int:
 
 
 def _expanding(file: BinaryIO, compression: str) -> Any:
-    """Return a file object that decompresses ``file``."""
+    """Return a file object with the decompressed content of ``file``."""
     if compression == 'zstd':
         return _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
     if compression == 'lz4':
@@ -247,7 +247,7 @@ def _zstd() -> Any:
 
 @lru_cache(maxsize=1)
 def _zstd_decompressor() -> Any:
-    """Return the decompressor of all messages; to create one takes longer than to use it."""
+    """Return a cached decompressor, because creating one takes longer than using it."""
     return _zstd().ZstdDecompressor()
 
 
@@ -272,7 +272,7 @@ class Chunk:
 class ChunkStorage(ABC):
     """An open bag file that consists of chunks; subclasses implement the format.
 
-    A damaged file causes one of the exceptions `DAMAGE`; `REMEDY` is the advice to the user.
+    `DAMAGE` are the exceptions caused by a damaged file, and `REMEDY` is the advice to the user.
     """
 
     DAMAGE: ClassVar[tuple[type[Exception], ...]]
@@ -311,7 +311,7 @@ class ChunkStorage(ABC):
         return dict(self._counts)
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return how many messages of these topics the index states; ``read`` without an index."""
+        """Return the number of messages of these topics in the index; ``read`` if there is none."""
         if not self._stated:
             return read
         stated = sum(self._stated[number] for number in ids)
@@ -402,7 +402,7 @@ def _joined(first: Payloads, second: Payloads) -> Payloads:
 
 
 def _copied(payloads: Payloads, rows: NDArray[np.intp]) -> Payloads:
-    """Return a copy of the messages at these positions, which does not refer to their chunk."""
+    """Return the messages at these positions as copies, so that their chunk can be freed."""
     if isinstance(payloads, np.ndarray):
         return payloads[rows]
     return [bytes(payloads[row]) for row in rows.tolist()]

@@ -132,7 +132,7 @@ def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
 def _check_complete(
     path: Path, names: tuple[str, ...], columns: Columns, options: ReadOptions
 ) -> None:
-    """Raise AllanError if an axis of a sensor, all sensors, or the times are missing."""
+    """Raise AllanError if a sensor lacks an axis, or if all sensors or the times are missing."""
     for sensor, place in SENSORS.items():
         have = [AXES[axis] for axis in range(place.start, place.stop) if axis in columns.axes]
         if have and len(have) < 3:
@@ -221,8 +221,8 @@ def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
 class _Lines:
     """Iterates over the lines of a table after its header, without comments and empty lines.
 
-    ``number`` is the number of the last line that was read, from 1 on. ``frame_id`` is that in the
-    last comment with a frame_id. ``complete`` is whether the last line has a line end.
+    ``number`` is the number of the last line that was read, from 1 on. ``frame_id`` is taken from
+    the last comment that contains one. ``complete`` is whether the last line has a line end.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:

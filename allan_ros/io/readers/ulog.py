@@ -106,13 +106,13 @@ class _Limited:
         return self._file.read(size) if self._seeks <= MAX_SEEKS else b''
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Change the position, and count the call."""
+        """Change the position, and count the seeks."""
         self._seeks += 1
         return self._file.seek(offset, whence)
 
 
 def _label(data: Any, log: Any) -> str:
-    """Return the name of a topic, followed by the number of the instance if there are several."""
+    """Return the name of a topic, with the instance number if it has several instances."""
     several = sum(other.name == data.name for other in log.data_list) > 1
     return f'{data.name}:{data.multi_id}' if several else str(data.name)
 
@@ -134,7 +134,7 @@ def _chosen(path: Path, names: list[str], wanted: str) -> str:
 
 
 def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]:
-    """Return the samples of a topic, and the median integration time in s; 0 if it is unknown."""
+    """Return the samples of a topic, and the median integration time in s (0 if unknown)."""
     record = _nanoseconds(data['timestamp'])
     stamps = _nanoseconds(data['timestamp_sample']) if 'timestamp_sample' in data else record
     samples = np.empty((len(AXES), len(record))).T
