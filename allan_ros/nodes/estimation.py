@@ -196,7 +196,6 @@ class ImuEstimate(Part):
         self._fitting = self._worker.submit(partial(_timed_fit, total, self._settings.value.method))
 
     def _fail(self, error: Exception) -> None:
-        """Report a fit that failed."""
         if not isinstance(error, AllanError):
             self._node.get_logger().error(''.join(traceback.format_exception(error)))
         reason = str(error) if isinstance(error, AllanError) else repr(error)

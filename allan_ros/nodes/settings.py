@@ -151,7 +151,7 @@ class EstimatorSettings(CheckedSettings):
     )
     recent_window: float = fixed_parameter(
         3600.0,
-        'Length of the recent window: its noise is compared with that of all earlier data.',
+        'Length of the window whose noise is compared with earlier data.',
         's',
         1.0,
         604800.0,
@@ -165,18 +165,10 @@ class EstimatorSettings(CheckedSettings):
         high=10.0,
     )
     bias_tolerance_accel: float = fixed_parameter(
-        0.0,
-        'Tolerance of the accelerometer bias; 0: the width of its 95 % interval.',
-        unit='m/s^2',
-        low=0.0,
-        high=100.0,
+        0.0, 'Tolerance of the accel bias; 0: the width of its 95 % interval.', 'm/s^2', 0.0, 100.0
     )
     plot_period: float = parameter(
-        10.0,
-        'Shortest time between two Allan plots, drawn only for subscribers.',
-        's',
-        1.0,
-        86400.0,
+        10.0, 'Shortest period of Allan plots, drawn only for subscribers.', 's', 1.0, 86400.0
     )
 
 
