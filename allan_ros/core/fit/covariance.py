@@ -245,7 +245,7 @@ def clear_pair_sums() -> None:
 def _smooth_sums(
     table: _LagTable, i: Ints, j: Ints, stride: Ints, count: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the sums of cnt C_k C_l (10, pairs) and cnt C_k (4, pairs), without quantization."""
+    """Return ``squares`` and ``singles`` of `PairSums`, without quantization noise."""
     # With increasing lag, the number of pairs cnt rises from 1 by one every s_j samples to M_j,
     # remains constant, and falls to 1. A step is ``ratio`` = s_j/s_i lags wide. The sum over the
     # steps is that over a straight line ``fall`` = (1 - 1/ratio)/2 below their edges, plus
@@ -274,7 +274,7 @@ def _smooth_sums(
 
 
 def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Return the sums of the four terms from sums of `_products` on level 0."""
+    """Return ``squares`` and ``singles`` of `PairSums` from sums of `_products` on level 0."""
     # On level a, lags and factors are 2^a times those of level 0. The covariance of white noise is
     # multiplied by 2^-a (``scale``), that of flicker by 1 and that of the cubic part by 2^a.
     nn, nb, nc, bb, bc, cc = f[:6] * np.stack(

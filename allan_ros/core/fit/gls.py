@@ -93,7 +93,7 @@ def _fit_axis(
     terms = range(len(RANDOM_TERMS))
     intervals = [coefficient_interval(table, t, variances, options.misfit) for t in terms]
     longest = pooled.segments[0].samples
-    # Next to processes of free shape, the test may reject no value of a coefficient.
+    # If shapes of processes are fitted as well, the test may reject no value of a coefficient.
     intervals = [
         each
         if math.isfinite(each.high)

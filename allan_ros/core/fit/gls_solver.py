@@ -340,13 +340,13 @@ class FitOptions:
     m_min : int
         Smallest averaging factor that is used.
     signed : bool
-        Whether q may be negative, the effect of a low-pass filter.
+        Whether q (quantization) may be negative, the effect of a low-pass filter.
     misfit : Misfit
         Relative model error that is added to the covariance.
     extras : tuple of Process
         Processes in addition to the five terms, Gauss-Markov processes before sinusoids.
     walk : bool
-        Whether k may differ from 0.
+        Whether k (random walk) may differ from 0.
     """
 
     m_min: int = 1

@@ -98,7 +98,7 @@ class Goodness:
 
     @property
     def z(self) -> float:
-        """The test as a normal deviate, (chi^2 - nu) / sqrt(2 nu)."""
+        """The test statistic as a normal deviate, (chi^2 - nu) / sqrt(2 nu)."""
         return float((self.chi_squared - self.freedom) / np.sqrt(2.0 * self.freedom))
 
     @property

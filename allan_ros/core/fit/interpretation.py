@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interpretation of a fitted curve.
 
-The line of the model and the largest deviation from it, the term that dominates in each range of
-tau (as in Cong et al. 2019), and the recommended length of a recording.
+It provides the line of the model and the largest deviation from it, the term that dominates in each
+range of tau (as in Cong et al. 2019), and the recommended length of a recording.
 """
 
 from __future__ import annotations

@@ -41,8 +41,8 @@ from .processes import GaussMarkovTerm, Process
 from .table import PooledTable, Table
 
 Z_DETECT = 2.33
-"""Normal quantile of 99 %. Above it a term is resolved; an absent term is resolved by mistake in 1
-% of records."""
+"""Normal quantile of 99 %. Above it a term is resolved; an absent term is resolved by mistake in
+one of 100 records."""
 
 Z_TOLERANCE = 1e-3
 """Tolerance of z at the end of an interval, about 0.05 % of the half-width."""
@@ -107,7 +107,7 @@ class ScoreTest:
         self._start = variances
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
-        """Return the normal deviate of the value c; ``at_least`` replaces a lower estimate."""
+        """Return the normal deviate for the value c, with the estimate raised to ``at_least``."""
         variances, whitening, white = solve(
             self.table,
             self._start,

@@ -119,9 +119,9 @@ class ProcessSearch:
     samples : int
         Length of the longest segment in samples.
     signed : bool
-        Whether q may be negative.
+        Whether q (quantization) may be negative.
     walk : bool
-        Whether k may differ from 0.
+        Whether k (random walk) may differ from 0.
     """
 
     def __init__(

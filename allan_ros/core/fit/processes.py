@@ -300,7 +300,7 @@ class _Lags:
         return np.stack(out)
 
     def sums(self, times: Sequence[float], products: Sequence[tuple[int, int]]) -> Floats:
-        """Return the covariance of sums of d^2/(2 m^2) per ``products``, (products, pairs)."""
+        """Return covariances of sums of d^2/(2 m^2) for the ``products``, (products, pairs)."""
         u, weight = self._weights(max(times))
         c = self.covariances(u, times)
         corners = np.stack([np.zeros_like(self.mi), self.mi, self.mj, self.near, self.far], axis=1)

@@ -106,7 +106,7 @@ class RampEffect:
     def shift(self, m: Ints) -> Floats:
         """Return the change of the Allan variances due to the removed ramp, (factors, noises).
 
-        Per unit coefficient, it is -sqrt2 m Cov(S, r) + m^2 Var(r) / 2.
+        Per unit coefficient, it is -sqrt2 m ``cross`` + m^2 ``variance`` / 2.
         """
         factor = m.astype(float)
         added = np.outer(self.variance, factor**2 / 2.0) - np.sqrt(2.0) * factor * self.cross
@@ -205,7 +205,7 @@ class RampGeometry:
     def _process_cross(
         self, weights: Floats, times: Sequence[float] | Floats, white: Floats
     ) -> Floats:
-        """Return the covariance of a ramp with S_i of unit processes, (processes, factors)."""
+        """Return ``cross`` of `RampEffect` for Gauss-Markov processes, (processes, factors)."""
         # The integral of exp(-|t|/T) is T sign(t) (1 - exp(-|t|/T)). The sum of its values at t - x
         # over the points x follows from sums of the weights before and after t, with and without an
         # exponential factor. These are computed as convolutions.
@@ -318,7 +318,7 @@ def mean_covariances(samples: int, time: float) -> Floats:
     The process has unit variance and the correlation time ``time`` in samples. The pairs are i <= j
     of `numpy.triu_indices`. The double sum over the starts is computed as a double integral of the
     covariance of the phase, whose second antiderivative is -A |t|^3/12 - B/2 (T^2 exp(-|t|/T) + T
-    |t|).
+    |t|), with A and B of `gauss_markov_sums`.
     """
     slope, size = (float(x[0]) for x in gauss_markov_sums(time))
     ends, shares = _ends(samples)

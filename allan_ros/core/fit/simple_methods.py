@@ -89,7 +89,7 @@ def fit_relative(sums: AllanSums) -> NoiseModel:
 
 
 def fit_paper(sums: AllanSums) -> NoiseModel:
-    """Fit the Allan variances by sum A_p tau^p, as Cong et al. 2019.
+    """Fit sum A_p tau^p to the Allan variances of all axes (Cong et al. 2019).
 
     A term whose A_p is negative has no value, and a finding reports it. Another finding reports the
     fit with overlapping groups and the reduction of its standard errors.
@@ -210,7 +210,7 @@ LEAST_POINTS = 6
 
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:
-    """Fit the coefficients and, if these do not describe the curve, processes to one Allan curve.
+    """Fit noise coefficients to one Allan curve, and processes if they do not describe it.
 
     Parameters
     ----------

@@ -222,7 +222,7 @@ def _without_early_part(
 
 
 def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
-    """Return the bias steps of each axis after ``age``, from the recording with the clearest."""
+    """Return the most significant bias steps of each axis in one recording, after ``age``."""
     best: dict[int, BiasSteps] = {}
     for recording in _tested(sums):
         for steps in bias_steps(recording, age):
