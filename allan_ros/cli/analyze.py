@@ -37,7 +37,7 @@ from ..io.readers.recording import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
-from .batch import by_topic, fitted, on_cluster, recordings_in, run_batch
+from .batch import fit_and_write, on_cluster, recordings_in, run_batch, split_by_topic
 from .console import Console, coloured, painted, width
 from .options import Command, Settings, settings_of
 from .tables import LEVEL_COLOURS, findings_lines, results_lines
@@ -84,9 +84,9 @@ several recordings:
 def read_jobs(
     paths: Sequence[str], args: argparse.Namespace, with_context: bool = False
 ) -> list[ReadJob]:
-    """Return a job for each recording, with the options `READ`.
+    """Return a job for each recording, with the reading options of the command line.
 
-    ``with_context`` requests the data for a report.
+    ``with_context`` also requests the data of a report: signal, spectrum and temperature.
     """
     check_rate(args.rate)
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
@@ -95,7 +95,7 @@ def read_jobs(
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read the recordings, fit their sums, write the files, and print the results."""
+    """Analyze the recordings, write the files, and print the results; return the exit code."""
     check_result_arguments(args)
     if args.jobs < 1:
         raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     jobs = read_jobs(paths, args, bool(args.output))
     console.detail(f'settings: {_settings_text(jobs[0].reading, jobs[0].segmenter)}')
     if not args.merge and (len(paths) == 1 or len(paths) > len(args.inputs)):
-        separate = by_topic(jobs)
+        separate = split_by_topic(jobs)
         if len(separate) > 1:
             return run_batch(separate, args)
     outcomes = list(_read_all(jobs, args, console))
@@ -113,12 +113,12 @@ def run(args: argparse.Namespace) -> int:
     if not recordings:
         raise AllanError('; '.join(str(finding) for finding in lost))
     for recorded in recordings:
-        console.detail(_read_text(recorded))
+        console.detail(_recording_text(recorded))
     return show_results(add_recordings(recordings).with_findings(lost), args)
 
 
 def check_result_arguments(args: argparse.Namespace) -> None:
-    """Raise AllanError if an option of the results is wrong, before any recording is read."""
+    """Raise AllanError if an option for the fit or the files is invalid; nothing is read."""
     _check_references(settings_of(ResultSettings, args))
     check_pictures(settings_of(PictureSettings, args), bool(args.output))
     for name in args.export:
@@ -136,12 +136,12 @@ def _check_references(settings: ResultSettings) -> None:
 
 
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
-    """Fit the sums, write the files to ``--output``, and print the results.
+    """Fit the sums of recordings, write the files to ``--output``, and print the results.
 
     The exit code is 3 if ``--fail-on`` applies, 1 if nothing could be computed, else 0.
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
-    results, names = fitted(recorded, args, args.output)
+    results, names = fit_and_write(recorded, args, args.output)
     written = f'written to {args.output}: {", ".join(names)}' if names else ''
     verdict = verdict_of(results, units=settings.units)
     if console.json:
@@ -186,8 +186,8 @@ def _settings_text(*settings: Any) -> str:
     return ', '.join(f'{name}={value!r}' for name, value in values.items())
 
 
-def _read_text(recorded: RecordingSums) -> str:
-    """Return path, received and used samples, format and topic of one recording."""
+def _recording_text(recorded: RecordingSums) -> str:
+    """Return path, received and used samples, format and topic of one recording as text."""
     (source,) = recorded.provenance.sources
     what = ' '.join(word for word in (source.topic, source.type) if word)
     # sensors with equal numbers are combined
@@ -200,11 +200,11 @@ def _read_text(recorded: RecordingSums) -> str:
 
 
 def check(args: argparse.Namespace) -> int:
-    """Read and fit the input, or load its results, and print the verdict in one line."""
+    """Analyze the input, or load its results, and print the verdict; return the exit code."""
     settings = settings_of(ResultSettings, args)
     _check_references(settings)
     console = Console.of(args)
-    results = _checked(args, settings, console)
+    results = _input_results(args, settings, console)
     verdict = verdict_of(results, units=settings.units)
     code = 0
     if verdict.level == 'failed' or fails(verdict, results, args.fail_on):
@@ -222,8 +222,8 @@ def check(args: argparse.Namespace) -> int:
     return code
 
 
-def _checked(args: argparse.Namespace, settings: ResultSettings, console: Console) -> Results:
-    """Return the results of a document or of recordings."""
+def _input_results(args: argparse.Namespace, settings: ResultSettings, console: Console) -> Results:
+    """Load the results of the only input, or read and fit the recordings."""
     first = Path(args.inputs[0])
     if len(args.inputs) == 1 and (first.suffix == '.json' or (first / RESULTS).is_file()):
         results = load(first, settings.method)
@@ -233,7 +233,7 @@ def _checked(args: argparse.Namespace, settings: ResultSettings, console: Consol
 
 
 def merge(args: argparse.Namespace) -> int:
-    """Add and fit the sums of documents, write the files, and print the results."""
+    """Add the sums in the input files, fit them, write the files, and print the results."""
     check_result_arguments(args)
     return show_results(add_recordings(map(load_sums, args.inputs)), args)
 

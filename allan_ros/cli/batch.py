@@ -129,22 +129,22 @@ def analyze_one(
 ) -> Outcome:
     """Fit one recording, and write its files to its folder.
 
-    ``name`` is the name of the recording in the summary. Without its sums in ``recorded``, the
-    recording is read first.
+    ``name`` is the name of the recording in the summary. The recording is read unless ``recorded``
+    has its sums.
     """
     outcome = Outcome(job.path, name)
     folder = Path(args.output) / outcome.folder if args.output else None
     try:
-        results, _ = fitted(recorded or read_recording(job), args, folder)
+        results, _ = fit_and_write(recorded or read_recording(job), args, folder)
     except AllanError as error:
         return replace(outcome, error=str(error))
     return replace(outcome, results=results)
 
 
-def fitted(
+def fit_and_write(
     recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
 ) -> tuple[Results, list[str]]:
-    """Fit the sums, and write the files if a folder is given; return results and file names."""
+    """Fit the sums, and write the files if there is a folder; return results and file names."""
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     with console.timed(f'fitted by {settings.method}'):
         results = fit_recorded(recorded, settings)
@@ -164,8 +164,8 @@ def fitted(
     return results, sorted(path.name for path in paths)
 
 
-def by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
-    """Return the jobs, with one for each Imu topic of a bag if the options name no topic."""
+def split_by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
+    """Replace each job for a bag without a selected topic by one job for each Imu topic."""
     separate = []
     for job in jobs:
         topics = [] if job.reading.topic else topics_of(job.path)
@@ -175,7 +175,7 @@ def by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
 
 
 def names_of(jobs: Sequence[ReadJob]) -> list[str]:
-    """Return a unique name for each job: that of its file, with the topic if needed."""
+    """Return a unique name for each job: its file name, followed by the topic if needed."""
     names: list[str] = []
     for job in jobs:
         several = sum(other.path == job.path for other in jobs) > 1
@@ -189,7 +189,7 @@ def names_of(jobs: Sequence[ReadJob]) -> list[str]:
 
 
 def folder_name(name: str) -> str:
-    """Return a name with other characters than letters, digits, + and - replaced by _."""
+    """Return a name with all characters except letters, digits, +, - and _ replaced by _."""
     return re.sub(r'[^\w+-]+', '_', name)
 
 
@@ -293,10 +293,10 @@ def on_cluster(
     console: Console,
     work: Callable[[ReadJob], RecordingSums] = read_recording,
 ) -> Iterator[RecordingSums | Finding]:
-    """Run ``work`` for each job on a Dask cluster; yield the sums, or a finding if they are lost.
+    """Run ``work`` for each job on a Dask cluster; yield its sums, or a finding if it failed.
 
-    The workers need this package and the same paths. If a worker dies, another one repeats its
-    jobs. A job is lost if several workers die of it (``distributed.scheduler.allowed-failures``).
+    The workers need this package and the same paths. If a worker crashes, another one repeats its
+    jobs. A job fails if it crashes several workers (``distributed.scheduler.allowed-failures``).
     Raises AllanError when Dask is not installed, or no scheduler with workers answers at
     ``address``.
     """
@@ -325,7 +325,7 @@ def on_cluster(
                 continue
             outcomes[job] = recorded
             progress.advance(recorded.provenance.counts.received)
-        # a dying worker also loses its queued jobs: only the job that causes it fails alone, too
+        # a crash also loses the queued jobs of the worker: repeat each alone to find its cause
         for job in interrupted:
             try:
                 outcomes[job] = _result(client, client.submit(work, job, pure=False))

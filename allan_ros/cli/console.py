@@ -22,7 +22,7 @@ WIDTH = 100
 """Width in columns if there is no terminal and ``COLUMNS`` is not set."""
 
 LABEL = 30
-"""Largest number of characters of the label of a progress bar, which shows the end of a text."""
+"""Largest length of the label of a progress bar; only the end of a longer text is shown."""
 
 
 class Progress:
@@ -85,7 +85,7 @@ terminal:
 
 @dataclass(frozen=True)
 class Console:
-    """Output of one verb, as the options in `OPTIONS` request it."""
+    """Output of one verb: as text or JSON, quiet or verbose."""
 
     verb: str = ''
     json: bool = False

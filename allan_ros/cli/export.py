@@ -81,10 +81,10 @@ SEEN = {
     'secondary': 'read where it is quoted',
     '': '',
 }
-"""Code of how the figures of a source are known -> text."""
+"""Code of how the figures of a source were obtained -> text."""
 
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
-"""Columns of the list of datasheets; those of limits have sensor, term and unit."""
+"""Columns of the list of datasheets. The name of a limit has sensor, term and unit."""
 
 
 def sensors(args: argparse.Namespace) -> int:

@@ -84,7 +84,7 @@ EXITS = {
 
 
 class AllanParser(argparse.ArgumentParser):
-    """An argparse parser whose errors have two lines: the usage, and the error with a hint."""
+    """An argparse parser that prints an error in two lines: the usage, the error with a hint."""
 
     def __init__(self, **given: Any) -> None:
         given.setdefault('formatter_class', HelpFormatter)
@@ -120,11 +120,11 @@ class AllanParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print the usage and the error with a suggestion, and exit with code 2."""
         self.print_usage(sys.stderr)
-        meant = self._meant(message)
+        meant = self._suggestion(message)
         hint = f'; did you mean {meant}?' if meant else f'; see `{self.prog} --help`'
         self.exit(EXIT_USAGE, f'{self.prog}: {message}{hint}\n')
 
-    def _meant(self, message: str) -> str:
+    def _suggestion(self, message: str) -> str:
         """Return the known word most similar to the wrong one in a message of argparse, or ''."""
         wrong = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: ([^\s=]*)", message)
         if wrong is None:

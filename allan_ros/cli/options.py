@@ -85,9 +85,9 @@ def add_options(parser: argparse.ArgumentParser, text: str) -> None:
 
     Each line declares one option: its names, the placeholder of its value, and after two spaces the
     help, which continues on lines with deeper indentation. A positional argument has its name
-    before the placeholder. ``...`` permits several values, or several uses of the option; ``?``
-    makes it optional. A line that ends with a colon begins a group. Options with ``|`` are mutually
-    exclusive.
+    before the placeholder. ``...`` permits several values of an argument, or several uses of an
+    option; ``?`` makes an argument optional. A line that ends with a colon begins a group. Options
+    with ``|`` are mutually exclusive.
 
         inputs INPUT...             an argument
         group:
@@ -133,10 +133,11 @@ def add_settings(
     kind: type[Any],
     without: Collection[str] = (),
 ) -> None:
-    """Add an option for every field of a settings class, except ``without``, in a group.
+    """Add a group with an option for every field of the settings class ``kind``.
 
-    A field ``max_bridge`` becomes ``--max-bridge``; one that is true by default becomes a switch
-    ``--no-...``; a tuple is given as words separated by commas.
+    ``title`` is the heading of the group, ``without`` are fields that get no option. A field
+    ``max_bridge`` becomes ``--max-bridge``. A field that is True by default becomes the switch
+    ``--no-...``. A tuple is given as words separated by commas.
     """
     group = parser.add_argument_group(title)
     infos = describe(kind)
@@ -202,8 +203,8 @@ def words_with_config(
 ) -> list[str]:
     """Return the words of a command line with the options of the config file inserted.
 
-    ``parser`` is that of the verb, which is the first word. Raises AllanError when the file cannot
-    be read, or has a table or an option that is unknown.
+    The first word is the verb, and ``parser`` is its parser. Raises AllanError when the file is
+    invalid, or has an unknown table or option.
     """
     verb, *given = words
     path, settings = find_config(Path())

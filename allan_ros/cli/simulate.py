@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     )
     written = write_recording(
         args.output,
-        _watched(batches, round(seconds * args.rate), console),
+        _tracked(batches, round(seconds * args.rate), console),
         storage=args.storage,
         compression=args.compression,
         topic=args.topic,
@@ -115,8 +115,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _watched(batches: Iterator[ImuBatch], samples: int, console: Console) -> Iterator[ImuBatch]:
-    """Yield the batches, and show the progress; ``samples`` is their total number."""
+def _tracked(batches: Iterator[ImuBatch], samples: int, console: Console) -> Iterator[ImuBatch]:
+    """Yield the batches and show a progress bar; ``samples`` is their total number of samples."""
     with console.progress('writing', samples) as progress:
         for batch in batches:
             yield batch

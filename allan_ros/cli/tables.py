@@ -44,7 +44,7 @@ LEVEL_COLOURS: dict[Level, str] = {
 """Level of a verdict -> ANSI colour: bold green, yellow, cyan, red."""
 
 HEADLINES: dict[LimitVerdict | None, str] = {
-    'within': 'every stated limit is kept',
+    'within': 'all stated limits are met',
     'open': 'no limit is exceeded; some intervals contain the limit',
     'beyond': 'a limit is exceeded',
     None: 'it states no limit for the measured terms',
@@ -57,7 +57,7 @@ LIMIT_DIGITS = 3
 def datasheet_lines(
     comparison: DatasheetComparison, units: str, columns: int, judged: bool = True
 ) -> Iterator[str]:
-    """Yield the lines of a comparison: a headline, then the verdict of each axis on each limit.
+    """Yield the lines of a datasheet comparison: a headline, then for each limit all axes.
 
     ``units`` is 'datasheet' or 'si', ``columns`` the width of the text. ``judged`` is False if the
     results are too short for a verdict.
@@ -90,7 +90,7 @@ LABEL, GAP = 16, 2
 """Width of the first column, and space between the columns of two axes, in characters."""
 
 DEVIATION, NOTHING = 'deviation', '-'
-"""Label of the last row, and a cell of it for a curve that the model describes well."""
+"""Label of the last row, and its text for a curve that the model describes well."""
 
 MOST_FINDINGS, MOST_STEPS = 5, 4
 """Largest number of findings without ``--verbose``, and of next steps."""
@@ -144,7 +144,7 @@ def verdict_lines(verdict: Verdict, columns: int, colours: bool = False) -> list
 def findings_lines(
     results: Results, units: str, columns: int, colours: bool, complete: bool
 ) -> Iterator[str]:
-    """Yield a line for each of the first findings, or with ``complete`` all with their remedies."""
+    """Yield the first findings, one per line; with ``complete``, all with their remedies."""
     shown, notes = findings_and_notes(results)
     if not shown and not notes:
         return
@@ -258,8 +258,7 @@ def _run_labels(comparison: RunComparison, sensor: str, units: str) -> Iterator[
 
 
 def _run_cells(comparison: RunComparison, axis: str, units: str) -> Iterator[str]:
-    """Yield the column of one axis: for each term the values of all recordings and their ratios,
-    then the number of significant deviations."""
+    """Yield the column of one axis: values and ratios of each term, then deviations that differ."""
     for term in TERMS:
         unit = shown_unit(axis, term, units)
         for subject in comparison.runs:

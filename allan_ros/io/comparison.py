@@ -69,9 +69,9 @@ class Pair:
 class RunComparison:
     """Several recordings, their differences from the first one, and comparisons with datasheets.
 
-    ``pairs`` has one element for each recording after the first, ``datasheets`` the label of a
-    recording and its comparison. ``family_error`` is the probability that any of the differences
-    is called significant although the noise is equal.
+    ``pairs`` has one element for each recording after the first. ``datasheets`` has pairs of a
+    label of a recording and its comparison. ``family_error`` is the probability that at least one
+    difference is significant by chance if the noise is equal.
     """
 
     runs: tuple[Subject, ...]
@@ -95,8 +95,8 @@ def compare_runs(
 ) -> RunComparison:
     """Compare each recording with the first one, and every recording with each datasheet.
 
-    ``margin`` is the fraction by which a complete interval must exceed a limit of a datasheet.
-    Raises AllanError when two recordings have no common axis.
+    A limit of a datasheet is exceeded if the 95 % interval is completely above
+    limit * (1 + ``margin``). Raises AllanError when two recordings have no common axis.
     """
     first, *others = runs
     for other in others:
@@ -159,7 +159,7 @@ RATIO_DIGITS = 3
 
 
 def comparison_headline(comparison: RunComparison) -> Iterator[str]:
-    """Yield a sentence for each pair and each datasheet: the largest difference, if any."""
+    """Yield a sentence for each pair, with its largest difference, and for each datasheet."""
     for pair in comparison.pairs:
         yield _pair_sentence(pair, comparison.family_error)
     for label, checked in comparison.datasheets:
@@ -167,7 +167,7 @@ def comparison_headline(comparison: RunComparison) -> Iterator[str]:
 
 
 def ratio_text(difference: Difference) -> str:
-    """Return the ratio with its 95 % interval as text, or a bound of it; '' if unknown."""
+    """Return the ratio with its 95 % interval, or a bound on the ratio, as text; '' if unknown."""
     if difference.ci95 is None:
         return ''
     low, high = difference.ci95
@@ -180,7 +180,7 @@ def ratio_text(difference: Difference) -> str:
 
 
 def verdict_text(difference: Difference) -> str:
-    """Return 'alike', 'higher', 'lower' or 'not comparable'."""
+    """Return how the second recording compares: alike, higher, lower, or not comparable."""
     return 'not comparable' if difference.verdict == 'open' else difference.verdict
 
 
@@ -224,8 +224,7 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
 
 
 def _ratio_above_one(difference: Difference) -> tuple[float | None, float, float]:
-    """Return the ratio of the noisier to the quieter recording (None if unknown), and its 95 %
-    interval."""
+    """Return ratio (None if unknown) and 95 % interval, inverted unless the second is higher."""
     (low, high), ratio = difference.ci95 or (1.0, 1.0), difference.ratio
     if difference.verdict == 'higher':
         return ratio, low, high
@@ -316,7 +315,7 @@ def markdown(comparison: RunComparison, units: str = 'datasheet') -> str:
 
 
 def _safe(text: str) -> str:
-    """Return the text of a user on one line, escaped so that Markdown shows no HTML of it."""
+    """Return a user's text on one line; ``<`` is escaped, so that Markdown contains no HTML."""
     return one_line(text).replace('<', '&lt;')
 
 
@@ -370,8 +369,9 @@ def write_overlay(
 ) -> Path:
     """Write report.html of the first recording with the curves of the others; return its path.
 
-    The report treats the other recordings as earlier runs; ``margin`` is the fraction above their
-    values from which a coefficient is beyond them. ``facts`` adds rows to the table of the method.
+    The report treats the other recordings as earlier runs. It marks coefficients that exceed
+    theirs significantly by more than the fraction ``margin``. ``facts`` (name -> text) adds rows to
+    the table of the method.
     """
     from .report import ReportContext, render_report
 
@@ -421,7 +421,7 @@ class Inflation:
 
 
 def inflate(rest: Results, running: Results, horizon: float = 30.0) -> Inflation:
-    """Return the increase of the noise of an IMU at rest when motors run.
+    """Compare the noise of an IMU at rest with motors off (``rest``) and on (``running``).
 
     ``horizon`` is the longest time in s that the filter integrates without correction.
     """
@@ -486,7 +486,7 @@ def _to_use(name: str, axis: AxisInflation) -> list[tuple[str, str]]:
 
 
 def _nearest(ratios: list[Difference], tau: float) -> Difference | None:
-    """Return the ratio at the averaging time within a factor of 1.5 of ``tau``, or None."""
+    """Return the ratio closest to ``tau``; None if none is within a factor of 1.5."""
     close = [d for d in ratios if d.tau is not None and tau / 1.5 < d.tau < 1.5 * tau]
     return min(close, key=lambda d: abs((d.tau or 0.0) - tau), default=None)
 

@@ -111,7 +111,7 @@ def sensor_figure(
     units: str = 'datasheet',
     style: Mapping[str, Any] = STYLES['page'],
 ) -> Figure | None:
-    """Return the figure of one sensor with a row for each axis, or None if it is absent.
+    """Return the figure of one sensor with a row for each axis; None without any curve.
 
     The raw signal is drawn next to the curves if ``summary`` is given and the figure is wide.
     ``units`` is 'datasheet' or 'si'. ``style`` has settings of matplotlib, in which

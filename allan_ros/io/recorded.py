@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading recordings to sums that can be added, one after the other or in several processes.
+"""Read recordings and compute their Allan sums, in one or in several processes.
 
-Both ways give the same sums, bit for bit.
+The number of processes does not change the sums, bit for bit.
 """
 
 from __future__ import annotations

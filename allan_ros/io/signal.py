@@ -125,9 +125,10 @@ class TemperatureTrace:
 
 
 def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> TemperatureTrace | None:
-    """Return the plausible ones of (header ns, record ns, degC) readings, or None without any.
+    """Return the plausible readings of a temperature sensor; None if there is none.
 
-    ``source`` is the topic or column of the readings.
+    ``source`` is their topic or column, and a reading is (header stamp in ns, record time in ns,
+    degC).
     """
     valid = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # also false for NaN
     if not valid:
@@ -178,15 +179,15 @@ LEAST_SHARE = 1e-3
 line."""
 
 REASONS = ('motion', 'stuck')
-"""Reasons for which samples are left out: motion, or an axis that repeats one value. Other reasons
-only separate two segments."""
+"""Reasons for unused samples: motion, or an axis that repeats one value. Other reasons only
+separate two segments."""
 
 
 class LeftOut(NamedTuple):
     """A period from ``start`` to ``end`` in s without used samples.
 
-    ``why`` is 'motion', 'stuck' (an axis repeats one value), or '' for any other reason, such as
-    warm-up, and for several reasons.
+    ``why`` is 'motion', 'stuck' (an axis repeats one value), or '' for another reason, such as
+    warm-up, or for several reasons.
     """
 
     start: float
@@ -221,9 +222,9 @@ class SignalSummary:
 
     @property
     def reach(self) -> Floats:
-        """Largest distance of a used sample from ``middle``, (6,), SI; 1 for an absent axis.
+        """Largest distance from ``middle`` in the used bins, (6,), SI; 1 for an absent axis.
 
-        If no bin is used, all samples count.
+        If no bin is used, this is the largest distance in all bins.
         """
         sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
         for rows in (sizes[self.used], sizes):
@@ -243,8 +244,8 @@ def summarize_signal(
     """Return the summary of all recordings in about ``bins`` bins, or None if none has two bins.
 
     ``signals`` has the signal, and ``temperatures`` the temperature or None, of each recording.
-    ``segments`` are the used parts of all recordings. ``cuts`` maps the reason for the end of a
-    segment to the number of these segments; it tells why samples after the last one are not used.
+    ``segments`` are the used parts of all recordings. ``cuts`` (reason -> number of times the data
+    were split) gives the reason why samples after the last segment are not used.
     """
     temperatures = temperatures or [None] * len(signals)
     known = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
@@ -320,9 +321,7 @@ def _recording(
 def _segment_times(
     segments: Sequence[Segment], first_ns: int, length: float
 ) -> list[tuple[float, float, str]]:
-    """Return (start, end, reason of the end) of the segments within one recording, in s since its
-    first sample.
-    """
+    """Return (start, end, reason for the gap before) of the segments of one recording, in s."""
     seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s, s.cut) for s in segments]
     return [(at, at + of, cut) for at, of, cut in seconds if at < length and at + of > 0.0]
 

@@ -131,7 +131,7 @@ def too_short(results: Results) -> bool:
 
 
 def _within_limits(comparisons: Sequence[Comparison]) -> bool:
-    """Return whether every N is within its limit; if no N has a limit, every other number."""
+    """Return whether every N, or every number if no N has a limit, is within its limit."""
     # the other terms often need a longer recording
     required = [c for c in comparisons if c.term == 'N'] or comparisons
     return bool(required) and all(c.verdict == 'within' for c in required)
@@ -170,7 +170,7 @@ def _references(comparisons: Sequence[Comparison]) -> str:
 
 
 def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
-    """Yield a phrase for each term of each sensor: the axes above the limit, and by what factor."""
+    """Yield a phrase for each exceeded limit of a sensor, with its axes and the excess factors."""
     groups: dict[tuple[str, str, float | None], list[Comparison]] = {}
     for c in beyond:
         groups.setdefault((sensor_of(c.axis), c.term, c.tau), []).append(c)
@@ -278,9 +278,10 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
 
 
 def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
-    """Return the findings that are always shown, and the other notes, each for all its axes.
+    """Return the findings that are always shown, and the other notes.
 
-    The first list begins with notes on the data that were used, then has the most severe first.
+    Equal findings of several axes are merged. The first list has notes on the used data, then the
+    findings by severity, the most severe first.
     """
     found = grouped(results.findings)
     notes = [f for f in found if f.severity == 'info' and f.id not in CHANGES_NUMBERS]
@@ -289,7 +290,7 @@ def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
 
 
 def finding_text(finding: Finding, results: Results) -> str:
-    """Return the message of a finding after its axes: 'gyro x, accel: Vibration at ...'."""
+    """Return the axes and the message of a finding: 'gyro x, accel: Vibration at ...'."""
     where = f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
     return where + finding.message
 

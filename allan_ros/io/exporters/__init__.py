@@ -90,8 +90,8 @@ class ExportOptions(CheckedSettings):
     )
     filter_rate: float = parameter(
         0.0,
-        'Rate at which the filter takes samples; 0: rate of the recording, or the fixed rate of '
-        'the filter.',
+        'Rate at which the filter processes samples; 0: rate of the recording, or the fixed rate '
+        'of the filter.',
         unit='Hz',
         low=0.0,
         high=1e6,
@@ -171,7 +171,7 @@ class Row(NamedTuple):
 
 
 def rows(table: str) -> tuple[Row, ...]:
-    """Return the rows of a text table with the columns of `Row`, limits as low..high."""
+    """Parse lines ``key sensor what [unit [low..high]]``; the default unit is 'density'."""
     found = []
     for line in table.strip().splitlines():
         key, sensor, what, *rest = line.split()
@@ -182,7 +182,7 @@ def rows(table: str) -> tuple[Row, ...]:
 
 
 def noise_rows(keys: str, unit: str = 'density') -> tuple[Row, ...]:
-    """Return rows for four keys: N of gyro and accelerometer, then K of gyro and accelerometer."""
+    """Return rows for four ``keys`` separated by spaces: gyro N, accel N, gyro K, accel K."""
     whats = ('gyro N', 'accel N', 'gyro K', 'accel K')
     return rows('\n'.join(f'{key} {what} {unit}' for key, what in zip(keys.split(), whats)))
 
@@ -194,7 +194,7 @@ class Form(ABC):
 
     @abstractmethod
     def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return a file with these entries and the header."""
+        """Return the text of a file with the header and these entries."""
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
         """Return the user's text with these entries and the header, or raise AllanError."""
@@ -218,7 +218,7 @@ class Target:
     three: bool = False  # whether the file takes three numbers per sensor
     rate_hz: float | None = None  # the filter's own rate; None if it steps with the samples
     horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
-    # whether the target models the bias as a random walk, so that N comes from the same reduction
+    # whether the target models the bias as a random walk; then N and K are adjusted together
     walk: bool = True
     # whether the numbers bound the error growth, as a filter needs; else they approximate it
     bound: bool = True
@@ -234,13 +234,7 @@ class Export:
 
 
 def target_of(name: str) -> Target:
-    """Return the target named ``name``.
-
-    Raises
-    ------
-    AllanError
-        When it is unknown; the message lists the known targets.
-    """
+    """Return the target with this name, or raise AllanError with the known names."""
     if name not in TARGETS:
         near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)
         meant = f'did you mean {near[0]}? Known are' if near else 'choose one of'
@@ -258,20 +252,9 @@ def make_export(
 ) -> Export:
     """Return the file of a target, or the user's file with the numbers of the target in it.
 
-    Parameters
-    ----------
-    results : Results
-    name : str
-        One of `TARGETS`.
-    options : ExportOptions
-    existing : str or None
-        Text of the user's file; None writes a new file.
-
-    Raises
-    ------
-    AllanError
-        When the target is unknown, an option does not fit it, the results lack a required number,
-        or the existing text cannot be changed.
+    ``name`` is one of `TARGETS`, ``existing`` the text of the user's file. Raises AllanError when
+    the target is unknown, an option does not fit it, the results lack a required number, or the
+    existing text cannot be changed.
     """
     from .model import FilterNoise, header_lines
 

@@ -29,10 +29,7 @@ HEADER_KEY = 'allan_ros'
 def put_entries(tree: dict[str, Value], entries: Sequence[Entry]) -> dict[str, Value]:
     """Insert the values of entries into the nested mappings ``tree``, and return it.
 
-    Raises
-    ------
-    AllanError
-        When a key has a value instead of a mapping.
+    Raises AllanError when a key on the path of an entry has a value instead of a mapping.
     """
     for entry in entries:
         here: Any = tree
@@ -167,13 +164,8 @@ class YamlForm(Form):
         """Return the user's text with these entries inserted and everything else unchanged.
 
         A key is expected at its path, else in the only mapping that has one of the new keys.
-        Missing keys are added to the same mapping.
-
-        Raises
-        ------
-        AllanError
-            When the text is not YAML, several mappings have the keys, or the merge would change
-            other values.
+        Missing keys are added to the same mapping. Raises AllanError when the text is not YAML,
+        several mappings have the keys, or the merge would change other values.
         """
         text = _OLD_BLOCK.sub('', existing.replace('\r\n', '\n'))
         start = _START.match(text)
@@ -183,7 +175,7 @@ class YamlForm(Form):
         wanted: dict[Path, Value] = {}
         try:
             for entry in entries:
-                body, place = _with_entry(body, entry, entries)
+                body, place = _write_entry(body, entry, entries)
                 if place is not None:
                     wanted[place] = entry.value
             after = _flat(_composed(body))
@@ -239,16 +231,16 @@ def _composed(body: str) -> yaml.Node | None:
     return node
 
 
-def _with_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str, Path | None]:
-    """Return the text with one entry, and the path of its value; None if the old value stays."""
+def _write_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str, Path | None]:
+    """Write one entry into the text; return it and the path of the value, None if it was kept."""
     places = dict(_mappings(_composed(body)))
-    path = _home(places, entry, siblings)
+    path = _parent(places, entry, siblings)
     if path not in places:
-        return _added(body, places, entry), entry.path
-    home, place = places[path], (*path, entry.key)
-    found = _item(home, entry.key)
+        return _add_entry(body, places, entry), entry.path
+    mapping, place = places[path], (*path, entry.key)
+    found = _item(mapping, entry.key)
     if found is None:
-        return _inserted(body, home, f'{entry.key}: {_inline(entry.value)}'), place
+        return _insert_line(body, mapping, f'{entry.key}: {_inline(entry.value)}'), place
     if entry.keep:
         return body, None
     key, value = found
@@ -262,8 +254,8 @@ def _with_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str
     return body[:start] + _inline(entry.value) + body[end:], place
 
 
-def _home(places: dict[Path, yaml.MappingNode], entry: Entry, siblings: Sequence[Entry]) -> Path:
-    """Return the path of the mapping for an entry; the mapping may not exist yet."""
+def _parent(places: dict[Path, yaml.MappingNode], entry: Entry, siblings: Sequence[Entry]) -> Path:
+    """Return the path of the mapping that an entry belongs to; it may not exist yet."""
     parent = entry.path[:-1]
     if parent in places and (parent or _item(places[parent], entry.key)):
         return parent
@@ -294,7 +286,7 @@ def _holds(node: yaml.MappingNode, key: str) -> bool:
 
 
 def _end(node: yaml.Node) -> int:
-    """Return the index in the text after a node; for a block, after its last item."""
+    """Return the index of the end of a node in the text; for a block, that of its last item."""
     if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
@@ -302,34 +294,34 @@ def _end(node: yaml.Node) -> int:
     return index
 
 
-def _inserted(body: str, home: yaml.MappingNode, line: str) -> str:
+def _insert_line(body: str, mapping: yaml.MappingNode, line: str) -> str:
     """Return the text with a line added at the end of a mapping."""
-    if home.flow_style or not home.value:
-        at = home.end_mark.index - 1
-        return f'{body[:at]}{", " if home.value else ""}{line}{body[at:]}'
-    at = _end(home)
+    if mapping.flow_style or not mapping.value:
+        at = mapping.end_mark.index - 1
+        return f'{body[:at]}{", " if mapping.value else ""}{line}{body[at:]}'
+    at = _end(mapping)
     if body[at - 1] != '\n':  # after the comment that follows the last value
         rest = body.find('\n', at)
         at = len(body) if rest < 0 else rest + 1
     gap = '' if body[at - 1] == '\n' else '\n'
-    indent = ' ' * home.value[0][0].start_mark.column
+    indent = ' ' * mapping.value[0][0].start_mark.column
     lines = ''.join(f'{indent}{one}\n' for one in line.splitlines())
     return f'{body[:at]}{gap}{lines}{body[at:]}'
 
 
-def _added(body: str, places: dict[Path, yaml.MappingNode], entry: Entry) -> str:
-    """Return the text with the entry, and the mappings on its path that are missing, added."""
+def _add_entry(body: str, places: dict[Path, yaml.MappingNode], entry: Entry) -> str:
+    """Return the text with the entry added, and with any missing mapping on its path."""
     path = entry.path
     depth = next((n for n in range(len(path) - 1, -1, -1) if path[:n] in places), None)
     below = put_entries({}, [Entry(path[depth or 0 :], entry.value)])
     if depth is None:
         return body + _block(below)
-    home = places[path[:depth]]
-    if _item(home, path[depth]):
+    mapping = places[path[:depth]]
+    if _item(mapping, path[depth]):
         raise AllanError(f'{path[depth]} of the file is a value, not a mapping: {_BY_HAND}')
-    if home.flow_style or not home.value:
-        return _inserted(body, home, _inline(_rows(below)).strip()[1:-1])
-    return _inserted(body, home, _block(below))
+    if mapping.flow_style or not mapping.value:
+        return _insert_line(body, mapping, _inline(_rows(below)).strip()[1:-1])
+    return _insert_line(body, mapping, _block(below))
 
 
 def _flat(node: yaml.Node | None, path: Path = ()) -> dict[Path, str]:
@@ -349,7 +341,7 @@ def _flat(node: yaml.Node | None, path: Path = ()) -> dict[Path, str]:
 
 
 def _check_merge(before: dict[Path, str], after: dict[Path, str], new: dict[Path, Value]) -> None:
-    """Raise AllanError if ``before`` and ``after`` differ in more than the new values."""
+    """Raise AllanError if ``before`` and ``after`` differ in anything but the new values."""
     expected = {
         place: text
         for place, text in before.items()

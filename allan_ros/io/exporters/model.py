@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of one IMU for one target, and the header comment that states their origin."""
+"""The noise of one IMU in the convention of one target, and the header comment of the file."""
 
 from __future__ import annotations
 
@@ -185,8 +185,8 @@ class FilterNoise:
     ) -> Entry:
         """Return the entry of a noise level.
 
-        ``convert`` converts it to the number of the file, ``formula`` and ``unit`` describe this
-        number in the header comment.
+        ``convert`` computes the number in the file from the level. ``formula`` and ``unit``
+        describe this number in the header comment.
         """
         values = rounded([convert(value, self.rate) for value in level.values])
         equals = f' = {formula}' if formula else ''
@@ -194,9 +194,10 @@ class FilterNoise:
         return Entry(path, values if self.target.three else values[0], words, level.levels)
 
     def level(self, sensor: str, term: str) -> SensorLevel:
-        """Return the noise level of a term for a sensor, combined by the rule for axes.
+        """Return the noise level of a term for a sensor, combined over its axes by `rule`.
 
-        N and K come from the reduction, unless `ExportOptions.fidelity` is 'coefficients'.
+        K, and N if the target models a random walk, are adjusted to the error growth of the
+        complete model, unless `ExportOptions.fidelity` is 'coefficients'.
         """
         levels = [self._axis_level(axis, term) for axis in self.axes_of(sensor)]
         return sensor_level(levels, self.rule, self.options.inflate)
@@ -216,7 +217,8 @@ class FilterNoise:
         """Return the noise model of one axis, reduced to the states of a filter.
 
         ``states`` is the model of the bias in the filter: 'none', 'walk', 'gauss_markov' or
-        'processes'. With ``expect_walk``, a K that is not resolved has its expected value.
+        'processes'. With ``expect_walk``, a K that is not resolved is replaced by its
+        expected value.
         """
         key, fit = (axis, states, expect_walk), self.results.axes[axis].fit
         if key not in self._reductions:
@@ -227,7 +229,7 @@ class FilterNoise:
 
     @property
     def _used(self) -> dict[str, AxisReduction]:
-        """Axis -> reduction to N and K that is written to the file."""
+        """Axis -> reduction whose N and K are written to the file."""
         return {axis: of for (axis, states, _), of in self._reductions.items() if states == 'walk'}
 
     def _axis_level(self, axis: str, term: str) -> Level:
@@ -277,7 +279,7 @@ class FilterNoise:
         return pair
 
     def reduction_lines(self) -> list[str]:
-        """Return lines for the header comment on how N and K were obtained."""
+        """Return lines for the header comment that state how N and K were obtained."""
         if self.options.fidelity == 'coefficients':
             return ['fidelity: bare coefficients; N and K alone underestimate flicker and drift']
         if not self._used:
@@ -322,7 +324,7 @@ def level_words(level: Level) -> str:
 
 
 def _origin(walk: Level | None) -> str:
-    """Return a note on the K from which a process is computed; '' if K has an interval."""
+    """Return a note if a process is computed from a limit of K or a K without interval, or ''."""
     if walk is None or not (walk.is_limit or walk.no_interval):
         return ''
     return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'

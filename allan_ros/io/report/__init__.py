@@ -212,8 +212,7 @@ def _text(text: str) -> str:
 
 
 def _method_tables(results: Results, method: Mapping[str, str]) -> Iterator[str]:
-    """Yield HTML tables of the inputs, of sample counts, and of everything needed to repeat the
-    analysis (``method`` adds rows)."""
+    """Yield HTML tables of inputs, sample counts, ``method``, software versions and settings."""
     known, counts = results.provenance, results.provenance.counts
     inputs = {
         s.path: ', '.join(filter(None, (s.topic, s.type, s.storage, _size(Path(s.path)))))

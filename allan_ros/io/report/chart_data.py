@@ -165,8 +165,7 @@ def _references(
 
 
 def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> dict[str, Any] | None:
-    """Return the measured and the modelled noise density (SI/sqrt(Hz)) of each axis; None if there
-    is no spectrum."""
+    """Return measured and modelled noise density (SI/sqrt(Hz)) of all axes; None if unknown."""
     spectrum = next((s for s in spectra if set(axes) & set(s.axes)), None)
     if spectrum is None:
         return None
@@ -185,8 +184,7 @@ def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> di
 
 
 def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str, Any]:
-    """Return the raw signal of each axis relative to its median, and the periods without used
-    samples."""
+    """Return the signal of each axis relative to its median, and the unused periods."""
     shown = []
     for name in axes:
         i = AXES.index(name)
@@ -253,7 +251,7 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
         return []
     columns = [i for i, name in enumerate(sums.axes) if name in where]
     names = [sums.axes[i] for i in columns]
-    placed = _placed(sums, summary)
+    placed = _starts(sums, summary)
     bias = _joined([_bias(recording, start, sums.tau0) for recording, start in placed], columns)
     levels = [_noise(recording, start, sums.tau0) for recording, start in placed]
     noise = _joined([level for level in levels if level.span == levels[0].span], columns)
@@ -273,8 +271,8 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
     return charts
 
 
-def _placed(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Recording, float]]:
-    """Return the recordings in the order of time, each with its start on the time axis in s."""
+def _starts(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Recording, float]]:
+    """Return the recordings in the order of time, each with its start in s on the time axis."""
     placed, end = [], 0.0
     for recording in sorted(sums.history.recordings, key=lambda r: r.start_ns):
         start = end
@@ -297,8 +295,7 @@ def _bias(recording: Recording, start: float, tau0: float) -> Trend:
 
 
 def _noise(recording: Recording, start: float, tau0: float) -> Trend:
-    """Return the Allan deviation in each period of a recording at the longest averaging time up to
-    `LONGEST_NOISE_S`."""
+    """Return the Allan deviation of each period, at an averaging time up to `LONGEST_NOISE_S`."""
     level = int(np.searchsorted(recording.level_m * tau0, LONGEST_NOISE_S, side='right')) - 1
     begins = recording.period_begin
     if level < 0 or not len(begins):

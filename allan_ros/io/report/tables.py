@@ -60,7 +60,7 @@ COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
 
 
 def in_units(html_of: Callable[[str], str]) -> str:
-    """Return HTML with a text in each system of units, of which the page shows one.
+    """Return HTML with a text in both systems of units; the page shows one of them.
 
     ``html_of`` returns the text for 'datasheet' or 'si'.
     """
@@ -110,8 +110,10 @@ def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Itera
 
 
 def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
-    """Yield HTML of the predicted error of angle or velocity over time without correction, and of
-    the scatter of the bias between recordings."""
+    """Yield HTML of the predicted error of the angle or velocity without correction.
+
+    If it is known, the scatter of the bias between recordings follows.
+    """
     rows: list[Row] = []
     for growth in zip(*(axis.growth for axis in axes.values())):
         cells = (f'<td>{_size(g.std, g.ci95, ERRORS[sensor], below=True)}</td>' for g in growth)
@@ -223,8 +225,7 @@ def _checks_table(
 
 
 def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results | None) -> str:
-    """Return a cell with the value, the earlier value or the fraction of the limit, and the
-    verdict."""
+    """Return a cell: value, earlier value or fraction of the limit, and verdict."""
     axis, term = check.axis, check.term
 
     def shown(c: Coefficient) -> str:
@@ -300,7 +301,7 @@ def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str
 
 
 def _ends(interval: str) -> str:
-    """Return an interval as a second line, which can only be wrapped at its dots."""
+    """Return an interval as a second line that wraps only before its dots."""
     return f'<small>{interval.replace("..", "<wbr>..")}</small>' if interval else ''
 
 
