@@ -57,7 +57,7 @@ LIMIT_DIGITS = 3
 def datasheet_lines(
     comparison: DatasheetComparison, units: str, columns: int, judged: bool = True
 ) -> Iterator[str]:
-    """Yield the lines of a datasheet comparison: a headline, then for each limit all axes.
+    """Yield a comparison with a datasheet as text: a headline, then one entry per limit.
 
     ``units`` is 'datasheet' or 'si', ``columns`` the width of the text. ``judged`` is False if the
     results are too short for a verdict.

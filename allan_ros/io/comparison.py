@@ -69,9 +69,9 @@ class Pair:
 class RunComparison:
     """Several recordings, their differences from the first one, and comparisons with datasheets.
 
-    ``pairs`` has one element for each recording after the first. ``datasheets`` has pairs of a
-    label of a recording and its comparison. ``family_error`` is the probability that at least one
-    difference is significant by chance if the noise is equal.
+    ``pairs`` has one element for each recording after the first. An element of
+    ``datasheets`` has the label of a recording and its comparison with a datasheet.
+    ``family_error`` is the probability that equal noise has at least one significant difference.
     """
 
     runs: tuple[Subject, ...]
@@ -224,7 +224,7 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
 
 
 def _ratio_above_one(difference: Difference) -> tuple[float | None, float, float]:
-    """Return ratio (None if unknown) and 95 % interval, inverted unless the second is higher."""
+    """Return the ratio (or None) and its 95 % interval, inverted if the second is quieter."""
     (low, high), ratio = difference.ci95 or (1.0, 1.0), difference.ratio
     if difference.verdict == 'higher':
         return ratio, low, high

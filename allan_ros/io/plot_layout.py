@@ -204,7 +204,7 @@ def draw_key(panel: Axes, entries: Sequence[Entry], wide: bool) -> None:
 def _draw_entry(owner: Figure | Axes, inches: Any, left: float, top: float, entry: Entry) -> None:
     """Draw an entry of a legend, three times as fast as matplotlib.
 
-    ``left`` and ``top`` are its position in inches, and ``inches`` is their transform.
+    ``left`` and ``top`` are its position, ``inches`` is the transform from inches to the figure.
     """
     text, style = entry
     if style:

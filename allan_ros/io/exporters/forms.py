@@ -232,7 +232,7 @@ def _composed(body: str) -> yaml.Node | None:
 
 
 def _write_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str, Path | None]:
-    """Write one entry into the text; return it and the path of the value, None if it was kept."""
+    """Write an entry into the text; return the text and the value's path (None if kept)."""
     places = dict(_mappings(_composed(body)))
     path = _parent(places, entry, siblings)
     if path not in places:
