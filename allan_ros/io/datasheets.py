@@ -194,7 +194,7 @@ def beyond_limit(
     term, interval = c.term, '95 %'
     value = f'at least {significant(c.at_least * c.limit * unit.factor, 3)} {unit.name}'
     if c.tau is not None:
-        term = f'The deviation at {significant(c.tau, 2)} s'
+        term = f'The Allan deviation at {significant(c.tau, 2)} s'
     elif coefficient is not None:
         value = f'{value_text(coefficient, unit)} {unit.name}'
         interval = interval_text(coefficient, unit)

@@ -292,7 +292,7 @@ def _change_findings(view: AxisView) -> list[Finding]:
         factor = {'N': math.sqrt(step.tau), 'Q': step.tau / math.sqrt(3.0)}[term]
         what, unit = term, shown_unit(view.axis, term, 'datasheet')
     else:  # the window is too short for K and R, and B has no specific averaging time
-        what, factor = f'the deviation at {significant(step.tau, 2)} s', 1.0
+        what, factor = f'the Allan deviation at {significant(step.tau, 2)} s', 1.0
         unit = shown_unit(view.axis, 'B', 'datasheet')
     before = step.first * factor * unit.factor
     numbers: dict[str, Any] = {

@@ -58,7 +58,7 @@ def test_notes_of_an_export_go_to_stderr(folder: Path, capsys: pytest.CaptureFix
     assert main([*words, '--fidelity', 'coefficients']) == 0
     shown = capsys.readouterr()
     # Six minutes do not resolve K of these sensors.
-    assert 'allan export: Upper limits (95 %)' in shown.err
+    assert 'allan export: These values are 95 % upper limits' in shown.err
     assert shown.out.startswith('%YAML:1.0\n')
 
 

@@ -128,7 +128,7 @@ def test_a_change_is_reported_in_the_dominant_coefficient(sums):
     )
     flicker = Coefficient(1.0, (0.9, 1.1))
     assert (
-        'the deviation at 0.040 s rose from'
+        'the Allan deviation at 0.040 s rose from'
         in status_of(sums, recent=recent, changes=(step,), result=fit(B=flicker)).message
     )
     for quiet in (replace(step, verdict='alike'), replace(step, ci95=(1.1, 1.9))):

@@ -68,7 +68,7 @@ def test_paper_reports_a_negative_coefficient_without_a_value(white):
     assert fit.axes['gyro_x'].noise['N'].value == pytest.approx(TRUTH.N, rel=1e-5)
     said = [f for f in fit.findings if f.id == 'negative_coefficient']
     assert [f.axes for f in said] == [('gyro_x',), ('accel_z',)]
-    assert 'gives a negative square of K' in said[0].message
+    assert 'gives a negative variance for K' in said[0].message
 
 
 def test_paper_stops_at_1300_s_and_needs_a_whole_group(white):
