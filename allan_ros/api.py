@@ -213,8 +213,8 @@ def analyze(
     # ``rate`` sets both rates
     check_rate(rate)
     check_names(options, [name for name in names if name not in ('rate_hz', 'declared_rate')])
-    of_reading = {name: options.pop(name) for name in describe(ReadOptions) if name in options}
-    reading = ReadOptions(rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, **of_reading)
+    read_options = {name: options.pop(name) for name in describe(ReadOptions) if name in options}
+    reading = ReadOptions(rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, **read_options)
     segmenter = SegmenterSettings(declared_rate=rate, **options)
     ResultSettings(method=method, margin=margin)  # checks them before recordings are read
     expect(str, hardware_id=hardware_id)

@@ -190,7 +190,7 @@ class Difference:
         return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
 
     def against(self, reference: str, margin: float) -> Comparison | None:
-        """Return a comparison of the second recording with the first as its limit.
+        """Return the comparison of the second recording with the first, which is the limit.
 
         ``reference`` is the name of the first recording. The verdict is 'beyond' if the second
         recording is significantly higher by more than the fraction ``margin``. It is 'open' if the
@@ -287,7 +287,7 @@ def _change(difference: Difference, beyond: bool) -> Change:
     if difference.p is None or difference.ci95 is None:
         return 'open'
     if not beyond:
-        # Two estimates without a significant difference are alike; a limit alone shows nothing.
+        # Two estimates without a significant difference are alike; a limit alone proves nothing.
         return 'open' if difference.ratio is None else 'alike'
     return 'higher' if difference.ci95[0] > 1.0 else 'lower'
 

@@ -126,12 +126,14 @@ def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generat
     that of the terms at every averaging time. Raises AllanError when n or tau0 is not positive.
     """
     if n < 1 or not tau0 > 0.0:
-        raise AllanError(f'cannot simulate {n} samples of {tau0} s: give positive numbers')
+        raise AllanError(
+            f'cannot simulate {n} samples at intervals of {tau0} s: give positive numbers'
+        )
     from scipy import fft  # slow to import, and rarely needed
 
     q, w, b, k, r = terms.in_sample_units(tau0)
     half = fft.next_fast_len(max(n - 1, ASYMPTOTIC_LAG), real=True)
-    # squared gain of a difference, (2 sin(pi f))^2, at the frequencies of the circulant
+    # squared gain of a difference, (2 sin(pi f))^2, at the frequencies of the circulant matrix
     step = 4.0 * np.sin(np.pi * np.arange(half + 1) / (2 * half)) ** 2
     # In the differences dy, Q is white noise that is differenced twice, N is white noise that is
     # differenced once, and K is white noise.
@@ -346,7 +348,7 @@ def _add_knocks(
 
 
 def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
-    """Return the index of the sample that each sample of a slower sensor repeats."""
+    """Return for each sample the index of the latest sample with a new value of a slower sensor."""
     # Rounding must not hide a tick of the slower clock that coincides with a sample.
     ticks = np.floor(np.arange(n) * tau0 * rate + 1e-9)
     held = np.minimum(np.ceil(ticks / (tau0 * rate) - 1e-9), np.arange(n))

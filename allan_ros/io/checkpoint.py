@@ -69,7 +69,7 @@ class Checkpoint:
         self._file, self._log = Path(path), log
         self._lock = PathLock(self._file) if self.path else None
         self._owned = False  # whether a path is given that no other node has locked
-        self._content: Total | None = NOTHING  # of the file; None if it cannot be read
+        self._content: Total | None = NOTHING  # content of the file; None if it cannot be read
         self._saved_s: float | None = None
         self._unsaved: Finding | None = None
         self._in_use: Finding | None = None

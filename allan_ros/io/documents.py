@@ -203,9 +203,9 @@ def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
 
 
 def file_in(path: str | os.PathLike[str], name: str) -> str:
-    """Return the path of a file, or of the file ``name`` if the path is a folder.
+    """Return ``path``, or the path of the file ``name`` in it if it is a folder.
 
-    Raises AllanError if the folder does not contain it.
+    Raises AllanError if the folder does not contain this file.
     """
     if not Path(path).is_dir():
         return str(path)
@@ -247,12 +247,12 @@ def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
 
 def _provenance_from_document(fields: Fields) -> Provenance:
     cuts = fields.fields('counts').fields('cuts')
-    of_reason = Counter({reason: cuts.integer(reason, least=0) for reason in cuts})
+    cut_counts = Counter({reason: cuts.integer(reason, least=0) for reason in cuts})
     return Provenance(
         fields.typed('source', tuple[SourceInfo, ...]),
         fields.typed('segments', tuple[Segment, ...]),
         fields.typed('findings', tuple[Finding, ...]),
-        fields.fields('counts').record(Counts, cuts=of_reason),
+        fields.fields('counts').record(Counts, cuts=cut_counts),
         _settings_from_document(fields.fields('settings')),
         fields.typed('last_stamp_ns', int | None),
     )
@@ -280,9 +280,9 @@ def _period_from_document(fields: Fields) -> float:
 
 def _axes_of(fields: Fields) -> tuple[str, ...]:
     """Return the keys of a JSON object, which must be axis names, in the order of `AXES`."""
-    if strange := [name for name in fields if name not in AXES]:
+    if unknown := [name for name in fields if name not in AXES]:
         raise AllanError(
-            f'{fields.where}: {strange[0]!r:.40} is not an axis: use {", ".join(AXES)}'
+            f'{fields.where}: {unknown[0]!r:.40} is not an axis: use {", ".join(AXES)}'
         )
     return tuple(name for name in AXES if name in fields)
 

@@ -279,7 +279,7 @@ def read_yaml(path: Path) -> Any:
         return parse_yaml(read_text(path, MAX_YAML_BYTES))
     except yaml.YAMLError as error:
         where = ' '.join(str(error).split())
-        raise AllanError(f'{path}: is not YAML ({where[:120]}): correct it there') from error
+        raise AllanError(f'{path}: is not YAML ({where[:120]}): correct the file') from error
 
 
 def config_names(kind: str) -> list[str]:
@@ -363,25 +363,25 @@ class PathLock:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._mark = path.with_name(f'.{path.name}.lock')
+        self._lock_file = path.with_name(f'.{path.name}.lock')
         self._handle: int | None = None
 
     def acquire(self) -> str:
         """Try to acquire the lock. Return '' on success, else the process that owns it."""
         while self._handle is None:
-            handle = self._open_mark()
+            handle = self._open_lock_file()
             if not _try_to_lock(handle):
                 os.lseek(handle, 0, os.SEEK_SET)
                 owner = os.read(handle, OWNER_BYTES).decode(errors='replace').strip()
                 os.close(handle)
                 return f'process {owner}' if owner.isdigit() else 'another process'
-            if not _is_file_at(handle, self._mark):
+            if not _is_file_at(handle, self._lock_file):
                 os.close(handle)  # the lock file was released and removed before it was locked
                 continue
             self._handle = handle
             # if the disk is full, the number of the process is missing
             with contextlib.suppress(OSError):
-                self._mark.write_text(f'{os.getpid()}\n')
+                self._lock_file.write_text(f'{os.getpid()}\n')
         return ''
 
     def release(self) -> None:
@@ -389,21 +389,23 @@ class PathLock:
         handle, self._handle = self._handle, None
         if handle is not None:
             with contextlib.suppress(OSError):
-                self._mark.unlink()
+                self._lock_file.unlink()
             os.close(handle)
 
-    def _open_mark(self) -> int:
+    def _open_lock_file(self) -> int:
         # a file that is open for writing would prevent remounting the file system read-only
         flags = os.O_CREAT | os.O_RDONLY
         for name in ('O_NOFOLLOW', 'O_NONBLOCK', 'O_CLOEXEC'):  # opening a FIFO must not block
             flags |= getattr(os, name, 0)
         try:
-            handle = os.open(self._mark, flags, 0o644)
+            handle = os.open(self._lock_file, flags, 0o644)
         except OSError as error:
             raise unwritable(self._path, error) from error
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             os.close(handle)
-            raise AllanError(f'{self._mark}: is not a regular file and cannot be a lock: remove it')
+            raise AllanError(
+                f'{self._lock_file}: is not a regular file and cannot be a lock: remove it'
+            )
         return handle
 
 

@@ -162,17 +162,14 @@ def part_text(part: str, likely: Collection[str]) -> str:
 def region_text(region: Region, likely: Collection[str] = ()) -> str:
     """Return a region as text: its averaging times, the dominant noise and the slope of the curve.
 
-    ``likely`` contains the terms that are uncertain; they are marked by '?'.
+    ``likely`` contains the uncertain terms, which are marked by '?'.
     """
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
     return f'{low}-{high} s {part_text(region.term, likely)} (slope {region.slope:+.2f})'
 
 
 def deviation_text(deviation: Deviation | None) -> str:
-    """Return the largest deviation of the curve from the model as text, with its averaging time.
-
-    The text is '' if there is no deviation.
-    """
+    """Return a deviation of a curve from its model, such as '+12% at 3.4 s'; '' for None."""
     if deviation is None:
         return ''
     return f'{deviation.relative:+.0%} at {significant(deviation.tau, 2)} s'

@@ -392,7 +392,7 @@ def _write_mcap(
 
 
 class _Chunk:
-    """The records of a chunk, and the record time and offset of each of its messages."""
+    """The content of an mcap chunk, and the recording time and offset of each of its messages."""
 
     def __init__(self, data: bytes = b'') -> None:
         self.data = bytearray(data)
@@ -402,7 +402,7 @@ class _Chunk:
     def add(
         self, first: int, record_ns: NDArray[np.int64], payloads: NDArray[Any] | list[bytes]
     ) -> None:
-        """Add messages, numbered from ``first``."""
+        """Add messages; ``first`` is the sequence number of the first one."""
         sequence = np.arange(first, first + len(record_ns)) & 0xFFFFFFFF
         if isinstance(payloads, np.ndarray):
             size = payloads.itemsize
@@ -424,7 +424,7 @@ class _Chunk:
 
 
 def _write_chunk(file: Any, chunk: _Chunk, compress: Callable[[bytes], bytes] | None) -> bytes:
-    """Write a chunk and its index, and return the record that lists it in the summary."""
+    """Write an mcap chunk and its index, and return its record for the summary of the file."""
     inner = bytes(chunk.data)
     stored = compress(inner) if compress else inner
     name = _text('zstd' if compress else '')

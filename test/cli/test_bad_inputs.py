@@ -69,3 +69,10 @@ def test_a_folder_of_damaged_logs_has_a_line_for_each(
     assert main(['analyze', str(tmp_path)]) == 1
     rows = capsys.readouterr().out.splitlines()[2:]
     assert [row.split(' | ')[:2] for row in rows] == [['| a.ulg', 'error'], ['| b.ulg', 'error']]
+
+
+def test_a_rate_out_of_range_is_named_as_it_was_given(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['check', str(tmp_path / 'x.csv'), '--rate', '-1']) == 1
+    assert 'rate is -1.0: it must lie between 0 and 1e+06 Hz' in capsys.readouterr().err
