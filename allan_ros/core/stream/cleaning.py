@@ -180,10 +180,9 @@ REPEATED_SHARE = 0.1
 sensor."""
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
-"""Threshold for the ratio of two logarithms: that of the share of samples in which all three axes
-repeat (or are zero), and the sum of those of the three shares of single axes. The ratio is 1 if the
-axes repeat independently, because a resolution is coarse, and 1/3 if they always repeat together.
-"""
+"""Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this, where p is the
+share of samples in which all axes repeat and p_i that of axis i. For three axes, the ratio is 1 if
+they repeat independently (coarse resolution), and 1/3 if they always repeat together."""
 
 
 @dataclass(frozen=True)

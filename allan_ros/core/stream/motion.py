@@ -54,7 +54,7 @@ RELEARNED = 'relearned'
 """Reason for a split after which all earlier sums are discarded: the IMU moved."""
 
 LEAVE_RATIO = 0.8
-"""Motion ends when the standard deviation is below this fraction of the limit for its begin."""
+"""A motion ends when the standard deviation is below this fraction of the limit for its start."""
 
 KNOCK_SIGMAS = 20.0
 """A sample that deviates from the mean of its window by this many standard deviations of the noise

@@ -212,7 +212,7 @@ class FrameStream:
 
     @property
     def counts(self) -> Counts:
-        """Counts of the samples of all sensor streams; the number received is 0."""
+        """Counts of all sensor streams; ``received`` is 0, since `ImuStream` counts it."""
         counts = Counts(skipped=self._skipped)
         for sensor in self.sensors:
             counts.add(sensor.counts)

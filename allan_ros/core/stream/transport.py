@@ -128,7 +128,6 @@ class TransportMonitor:
         return tuple(sorted(found, key=lambda f: order.index(f.severity)))
 
     def _update(self, time_s: float, transport: TransportStatistics, health: StreamHealth) -> None:
-        """Record the current counts."""
         c = health.counts
         self.heard(time_s, transport.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed

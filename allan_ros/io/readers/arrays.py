@@ -203,7 +203,7 @@ def _to_nanoseconds(
     bad = ~(np.abs(times) < np.iinfo(np.int64).max)
     if bad.any():
         raise AllanError(
-            f'{where}: the time of row {first + int(np.argmax(bad))} is not a stamp: '
+            f'{where}: the time of row {first + int(np.argmax(bad))} is not a valid stamp: '
             'correct it, or state the unit of t with --stamp-unit (s, ms, us, ns)'
         )
     return np.rint(times).astype(np.int64)

@@ -200,7 +200,7 @@ class _Layout(NamedTuple):
 
 
 def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _Layout:
-    """Return the layout of an Imu message; raise MalformedMessage with ``index`` if it is none."""
+    """Return the layout of an Imu message, or raise MalformedMessage with ``index``."""
     order, frame_bytes = _order_and_frame_bytes(payload, encoding, index)
     try:
         return _layout(encoding, order, frame_bytes, len(payload))

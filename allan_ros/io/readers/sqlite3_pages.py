@@ -264,7 +264,7 @@ def _columns(
     """Return topics, record times, offsets of the blobs, and their lengths, for similar rows.
 
     ``header`` are the offsets of the row headers, and ``head`` their first eight bytes. All of them
-    begin with the `KIND_BYTES` bytes ``kind``: the column types (file format, section 2.1).
+    begin with the `KIND_BYTES` bytes ``kind``: size and column types (file format, section 2.1).
     """
     size, id_type, topic_type, time_type = kind.to_bytes(KIND_BYTES, 'little')
     usual = id_type == 0 and {topic_type, time_type} <= set(INTEGER_BYTES)

@@ -89,7 +89,7 @@ def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
     else:
         raise AllanError(f'{path}: has no line of data: record or export it again')
     if '\0' in line:
-        raise AllanError(f'{path}: is UTF-16 or no text: save the table as UTF-8')
+        raise AllanError(f'{path}: is UTF-16 or not text: save the table as UTF-8')
     delimiter = next((mark for mark in '\t;,' if mark in line), '')
     try:
         rows = _split(chain([line], lines), delimiter)
@@ -346,7 +346,6 @@ def _rows(table: _Table, file: TextIO, report: Report) -> Iterator[_Rows]:
 
 
 def _read(table: _Table, report: Report) -> Iterator[ImuBatch]:
-    """Yield the samples of a table."""
     for sensor, name in table.columns.assumed.items():
         unit = SAMPLE_SI[sensor]
         report(finding('unit_assumed', path=table.path, sensor=sensor, unit=unit, name=name))

@@ -98,8 +98,8 @@ def with_time(value: float) -> np.ndarray:
         ({'imu': np.array([[None] * 7])}, 'is of type object'),
         ({'imu': IMU, 'stamps_ns': STAMPS[:-1]}, 'one for each of the 1000 samples'),
         ({'imu': IMU, 'stamps_ns': STAMPS.astype(float)}, 'must be int64'),
-        ({'imu': with_time(np.nan)}, 'the time of row 700 is not a stamp'),
-        ({'imu': with_time(1e18)}, 'the time of row 700 is not a stamp'),
+        ({'imu': with_time(np.nan)}, 'the time of row 700 is not a valid stamp'),
+        ({'imu': with_time(1e18)}, 'the time of row 700 is not a valid stamp'),
     ],
 )
 def test_errors_are_reported(

@@ -189,7 +189,7 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
         (f'{HEADER}1,{ROW}\n2,1,2,oops,4,5,6\n', {}, "line 3, column 4 (gz): 'oops' is not"),
         (f'{HEADER}1,{ROW}\nnoon,{ROW}\n', {}, "line 3, column 1 (t): 'noon' is not a number"),
         ('t;gx;gy;gz\n0;0,1;0,2;0,3\n', {}, "'0,1' is not a number: write decimals with a point"),
-        ('t\0,\0g\0x\0', {}, 'is UTF-16 or no text: save the table as UTF-8'),
+        ('t\0,\0g\0x\0', {}, 'is UTF-16 or not text: save the table as UTF-8'),
         (f'{HEADER}1,{ROW}\n2,1,2,3\n3,{ROW}\n', {}, 'line 3 has 4 columns, 7 expected'),
         (f'{HEADER}1,{ROW}\n2,{ROW},8\n', {}, 'line 3 has 8 columns, 7 expected'),
         (f'{HEADER}1700000000000000000,{ROW}\n', {}, 'state its unit with --stamp-unit'),
