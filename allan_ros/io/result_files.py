@@ -163,7 +163,7 @@ def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, s
 
 
 def _reproduction(command: str, sums: str) -> dict[str, str]:
-    """Return the command that repeats an analysis, and the fingerprint of its sums."""
+    """Return label -> text for the report: the command of the analysis, and a hash of its sums."""
     digest = hashlib.sha256(sums.encode()).hexdigest()[:FINGERPRINT_DIGITS]
     fingerprint = {'fingerprint of the sums': f'{digest} (equal for equal samples)'}
     return {'command': command, **fingerprint} if command else fingerprint
