@@ -37,7 +37,7 @@ SCHEMA = 'allan_ros/comparison/1'
 
 @dataclass(frozen=True)
 class Subject:
-    """The results of one recording, and its label on one line without control characters."""
+    """The results of one recording with a label; control characters in it are escaped."""
 
     label: str
     results: Results

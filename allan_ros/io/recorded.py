@@ -37,8 +37,8 @@ class Provenance:
     """The origin of sums, stored with them in `sums.json` and `results.json`.
 
     Segments are in the order of time. Findings come from the reader and the stream. Settings are
-    plain values. A node with simulated time treats samples before ``last_stamp_ns`` as a repetition
-    of the recording.
+    plain values. ``last_stamp_ns`` is the latest stamp in sums of a node. With simulated time,
+    samples before it mean that the recording is played again.
     """
 
     sources: tuple[SourceInfo, ...] = ()

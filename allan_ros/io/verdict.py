@@ -239,7 +239,7 @@ def _warnings(results: Results) -> Iterator[str]:
 def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
     """Return the recommended length of a recording in s and the terms it resolves.
 
-    None if no longer recording is needed, or the method gives no intervals.
+    None if the present length suffices, or the method gives no intervals.
     """
     if results.method != 'gls':
         return None

@@ -131,7 +131,7 @@ Path = tuple[str, ...]
 
 
 class _NotYamlError(AllanError):
-    """The text is not a YAML file of keys."""
+    """The text is not YAML, is nested too deeply, or has no keys at its top level."""
 
 
 class _Row(list[float]):

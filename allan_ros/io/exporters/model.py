@@ -86,8 +86,8 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
 class FilterNoise:
     """The noise of one IMU in the convention of one target, with one set of options.
 
-    Every method raises AllanError if a sensor is absent, or an axis has neither a value nor a
-    limit; the constructor, if an option does not apply to the target.
+    The constructor raises AllanError if an option does not apply to the target. Every method raises
+    it if a sensor is absent, or an axis has neither a value nor a limit.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class FilterNoise:
         if options.axis == 'each' and not target.three:
             raise AllanError('this file takes one number per sensor: choose --axis worst or mean')
         if not 0.0 < results.tau0 < math.inf:
-            raise AllanError('these results have no sample rate: record longer, or analyse again')
+            raise AllanError('these results have no sample rate: record longer, or analyze again')
         self.results = results
         self.options = options
         self.target = target
@@ -342,7 +342,7 @@ def clamped(entry: Entry, low: float, high: float) -> Entry:
 
 
 def divided(factor: float) -> Convert:
-    """Return the function that converts SI to a unit of ``factor`` SI units."""
+    """Return a function that converts SI to a unit of ``factor`` SI units."""
     return lambda value, rate: value / factor
 
 

@@ -212,10 +212,10 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
 def model_density(axis: AxisResult, frequency: Floats) -> Floats:
     """Return the one-sided power spectral density of the selected model, SI unit^2/Hz.
 
-    Twice the two-sided densities of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C for
-    samples of period tau0, w = 2 pi f: Q 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w,
-    K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) of a Gauss-Markov process. The
-    ramp has no density (the mean of a block is subtracted), and a sinusoid is a line without width.
+    It is twice the two-sided density of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C. For
+    samples of period tau0 and w = 2 pi f, this is 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w and
+    K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) for a Gauss-Markov process. The
+    ramp is left out because the mean of a block is subtracted, a sinusoid because it has no width.
     """
     terms = axis.fit.selected.terms
     omega = 2.0 * np.pi * frequency

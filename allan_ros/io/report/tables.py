@@ -184,7 +184,7 @@ def baseline_table(
 ) -> Iterator[str]:
     """Yield an HTML table of the comparison with an earlier run; nothing without comparisons.
 
-    ``name`` and ``baseline`` are the name and the results of this run; ``comparisons`` are with it.
+    ``name`` and ``baseline`` are the name and the results of the earlier run.
     """
     notes = [
         '"Within": not significantly above the earlier run. "Beyond": significantly above it, by '
