@@ -85,7 +85,7 @@ terminal only.
 {exits}
 
 `NO_COLOR` and `FORCE_COLOR` turn colours off and on ([no-color.org](https://no-color.org)),
-`COLUMNS` sets the width. By default both follow the terminal.
+`COLUMNS` sets the width. By default, colors and width are those of the terminal.
 
 **Completion** of verbs, options, datasheets, targets and topics of a bag, by
 [argcomplete](https://kislyuk.github.io/argcomplete/), where `allan` is on the PATH:
