@@ -97,7 +97,7 @@ class ImuWatch(Part):
     def tick(self, now: float) -> None:
         """Fetch the queued messages, and run the tasks that are due."""
         self._input.drain()
-        self._health.heard(now, self._input.received)
+        self._health.set_received(now, self._input.received)
         if self._update_due.due(now):
             self._update()
         if self._sums_due.due(now):
@@ -158,9 +158,9 @@ class ImuWatch(Part):
     def _health_and_findings(self) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return the health and the findings of the stream.
 
-        Computing the sums takes tens of milliseconds. They are computed only if no message arrived
-        since the last call, or if one of `_events` changed, such as the start of a motion. If they
-        lack more than `REPLACED_SHARE` of the published samples, they are published at once.
+        Computing the sums takes tens of milliseconds. So while messages arrive, they are only
+        computed if one of `_events` changed, such as the start of a motion. If they lack more than
+        `REPLACED_SHARE` of the published samples, they are published at once.
         """
         quiet, self._received = self._input.received == self._received, self._input.received
         if self._outdated:

@@ -49,14 +49,14 @@ ALONE_S = 5.0
 
 @dataclass(frozen=True)
 class References:
-    """A datasheet and earlier results (by path) to compare coefficients with."""
+    """What coefficients are compared with: a datasheet, and earlier results by their path."""
 
     datasheet: Datasheet | None
     baselines: Mapping[str, Results]
 
 
 def load_references(settings: EstimatorSettings) -> References:
-    """Read the datasheet and the baseline; AllanError if one of them cannot be read."""
+    """Read the datasheet and the baseline; raise AllanError if one cannot be read."""
     path = settings.baseline and str(Path(settings.baseline).expanduser())
     return References(
         load_sensor(settings.sensor) if settings.sensor else None,
@@ -67,9 +67,9 @@ def load_references(settings: EstimatorSettings) -> References:
 class ImuEstimate(Part):
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
-    If the sums lose samples, the model is withdrawn: a noise model without axes is published, a
-    warning replaces the coefficients, and the sums are fitted again. ``listener`` is called with
-    every published noise model.
+    If samples are removed from the sums, the model is withdrawn: a noise model without axes is
+    published, a warning replaces the coefficients, and the sums are fitted again. ``listener`` is
+    called with every published noise model.
     """
 
     def __init__(

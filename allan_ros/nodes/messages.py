@@ -78,7 +78,7 @@ class Snapshot:
 
     @classmethod
     def from_json(cls, text: str) -> Snapshot:
-        """Return the snapshot in a message on ``~/sums``; AllanError if a field is invalid."""
+        """Return the snapshot in a message on ``~/sums``; raise AllanError if it is invalid."""
         document = parse_json(text, 'sums')
         total = sums_file_from_document(document, 'sums')
         imu = Fields(document, 'sums').optional_fields('imu')
@@ -95,7 +95,7 @@ class Snapshot:
 
 
 def _means(documents: Any) -> tuple[Means, ...]:
-    """Return the means of a document; AllanError unless they are rows of finite numbers."""
+    """Return the means; raise AllanError unless they are rows of finite numbers."""
     try:
         means = tuple(
             Means(

@@ -48,8 +48,8 @@ _UNITS = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
 class Row:
     """One status as it is displayed.
 
-    ``terms`` maps each of the `SHOWN_TERMS` that is known to its value with unit. ``age_s`` is the
-    time since the status was received, in s.
+    ``terms`` contains the known coefficients: term (one of `SHOWN_TERMS`) -> value with unit.
+    ``age_s`` is the time since the status was received, in s.
     """
 
     level: str

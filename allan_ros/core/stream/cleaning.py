@@ -64,9 +64,10 @@ class StampChoice:
 
 
 class StampFilter:
-    """Drops samples that are not finite, repeat the previous one, or have a backward stamp.
+    """Drops samples that are not finite, are duplicates, or have a backward stamp.
 
-    Each sample has ``axes`` values. The dropped samples are added to ``counts``.
+    A duplicate has the stamp and the values of the previous sample. Each sample has ``axes``
+    values. The dropped samples are added to ``counts``.
     """
 
     def __init__(self, axes: int, counts: Counts) -> None:
@@ -128,7 +129,7 @@ class PassSplitter:
 
     Each part is a pass. Samples stamped before the latest stamp are buffered. If `BACKWARD_RUN` of
     them are consecutive, the first one begins a new pass; if not, `StampFilter` drops them later.
-    ``latest_ns`` is the latest stamp in the sums of a checkpoint; None without a checkpoint.
+    ``latest_ns`` is the latest stamp in the checkpoint from which the stream continues, if any.
     """
 
     def __init__(self, latest_ns: int | None = None) -> None:
@@ -155,7 +156,7 @@ class PassSplitter:
             self._latest, new_pass = None, True
 
     def flush(self) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield the buffered samples at the end of the input, with the flag False."""
+        """Yield the samples that are still buffered at the end of the input; the flag is False."""
         pending, self._pending = self._pending, None
         if pending is not None:
             yield False, pending
@@ -198,7 +199,7 @@ class SensorPlan:
 
 
 class SampleHoldFilter:
-    """Selects the measurements of one sensor stream from the six-axis stream."""
+    """Selects the axes of a sensor stream, and drops its repeated or zero-filled samples."""
 
     def __init__(self, plan: SensorPlan) -> None:
         self._drop = plan.drop
@@ -207,7 +208,7 @@ class SampleHoldFilter:
         self._last: Floats = np.full(len(self._rows), np.nan)
 
     def select(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
-        """Return the stamps (k,) and values (axes of the sensor stream, k) of its measurements.
+        """Return stamps (k,) and values (axes, k) of the samples that are kept.
 
         ``stamps``, (n,), and ``rows``, (6, n), are the next samples of the six-axis stream.
         """
@@ -233,7 +234,9 @@ samples of an unclipped axis have one of two values.)"""
 
 
 def clipped_share(samples: Floats) -> float:
-    """Return the share of samples, (n,), clipped at the maximum or minimum; 0 below `MIN_CLIPPED`.
+    """Return the share of samples, (n,), that are clipped at their maximum or minimum.
+
+    A share below `MIN_CLIPPED` is returned as 0.
 
     >>> import numpy as np
     >>> noise = np.random.default_rng(0).normal(size=1000)
@@ -308,7 +311,7 @@ def _sampled_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bo
 def _coincide(flags: NDArray[np.bool_]) -> bool:
     """Return whether the flags of the axes, (axes, n), coincide more often than by chance.
 
-    Returns False if all flags are set, because constant values are another fault.
+    Returns False if all flags are set: then the values are constant, which is a different fault.
     """
     joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
     if not REPEATED_SHARE < joint < 1.0:

@@ -75,7 +75,7 @@ its peak, too.)"""
 
 
 class WindowClass(NamedTuple):
-    """Classification of k windows, (k,) bool arrays."""
+    """Classification of k windows: arrays of flags, (k,) each."""
 
     moving: Flags  # in motion, or an axis is stuck
     quiet: Flags  # below the limits at which a motion ends
@@ -221,7 +221,7 @@ class MotionGate:
         return out
 
     def _classify(self, have: Block, samples: int, size: int) -> list[Block]:
-        """Classify the first ``samples`` in windows of ``size``; the rest is look-ahead."""
+        """Classify the first ``samples`` samples, in windows of ``size``; return those at rest."""
         assert self._floor is not None
         block, after = have.part(slice(samples)), have.rows[:, samples : samples + SPIKE_NEIGHBORS]
         before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()
@@ -244,7 +244,7 @@ class MotionGate:
     # --- still or moving --------------------------------------------------------------------------
 
     def _keep_still(self, block: Block, size: int, windows: Windows) -> list[Block]:
-        """Return the samples at rest; ``windows`` are the statistics of windows of ``size``."""
+        """Return the samples of a block that are at rest; each window has ``size`` samples."""
         out: list[Block] = []
         if block.cut:
             out, self._margin = self._margin, []
@@ -288,7 +288,7 @@ class MotionGate:
         return []
 
     def _release(self, block: Block) -> list[Block]:
-        """Return a still block delayed by one window, which is dropped if a motion follows."""
+        """Buffer the last still window, because a motion may follow; return the samples before."""
         out = self._margin
         split = max(0, len(block) - MARGIN_BEFORE * self.size)
         cut, self._cut = self._cut, ''
@@ -301,8 +301,8 @@ class MotionGate:
     def _saturated(self, rows: Floats) -> int:
         """Return how many samples of a moving window, (axes, n), are saturated.
 
-        An axis is saturated while several samples equal its largest value so far, next to a large
-        step.
+        Consecutive samples are saturated if they have the largest absolute value of an axis so far,
+        and a large step precedes or follows them.
         """
         assert self._floor is not None
         size = np.abs(rows)
@@ -339,7 +339,7 @@ class MotionGate:
         return []
 
     def _count_louder(self, block: list[_Part], windows: Windows, still: Flags) -> None:
-        """Count a moving block as louder noise if the IMU is at rest."""
+        """Count a block of moving windows as louder noise if the IMU did not move."""
         ratio = None
         if not still.any() and not any(part.found.stuck.any() for part in block):
             assert self._floor is not None

@@ -76,9 +76,9 @@ spike. After a mechanical knock, in contrast, several samples deviate."""
 
 @dataclass(frozen=True)
 class RestLimits:
-    """Largest slow changes of a sensor at rest, (axes,) arrays in rad/s and m/s^2.
+    """Limits that a sensor at rest does not exceed, (axes,) arrays in rad/s and m/s^2.
 
-    The level of white noise has no limit: a very large value means a wrong unit, not motion.
+    White noise has no limit, because an implausibly high level is due to a wrong unit, not motion.
     """
 
     deviation: Floats  # standard deviation within a window, if low frequencies dominate
@@ -198,7 +198,7 @@ class NoiseFloor:
 
     @property
     def scale(self) -> Floats:
-        """Variance for the thresholds, (axes,): at least that of half the resolution."""
+        """Variance from which the thresholds are computed, (axes,): at least (lsb / 2)^2."""
         return np.maximum(self.variance, 0.25 * self.lsb**2)
 
     def is_plausible(self) -> bool:
@@ -348,6 +348,6 @@ def without_spikes(
 
 
 def _is_isolated(far: NDArray[np.bool_], at: int) -> bool:
-    """Return whether no flag next to ``far[at]`` is set, and at most one other flag."""
+    """Return whether the neighbors of ``far[at]`` are not set, and at most one other flag is."""
     inside = 0 < at < len(far) - 1
     return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2

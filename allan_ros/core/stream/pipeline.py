@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes batches of samples to Allan sums, for the nodes and the offline tools.
+"""Computes Allan sums from batches of samples, for the nodes and the offline tools.
 
 `ImuStream` separates IMUs by their frame_id, `FrameStream` chooses the stamps and separates the
 sensors if their rates differ, and `SensorStream` runs the stages from samples to sums.

@@ -35,7 +35,7 @@ LOOK_AHEAD = 64
 """Number of samples before and after a pause whose delays are compared, for regular stamps."""
 
 BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 4096
-"""The same for bursty stamps: as a time in s, and its largest number of samples."""
+"""The same for bursty stamps, as a time in s, and the largest number of samples used."""
 
 BURST_PAUSE_S = 0.25
 """Shortest pause and smallest increase of the delay, in s, that can be a loss if stamps are bursty.
@@ -90,7 +90,7 @@ class Clock:
 
     @property
     def smallest_loss(self) -> float:
-        """Increase of the smallest delay, in periods, above which samples are regarded as lost."""
+        """Increase of the smallest delay after a pause, in periods, that indicates lost samples."""
         return max(0.5, BURST_PAUSE_S * 1e9 / self.period_ns) if self.bursty else 0.5
 
 

@@ -61,10 +61,10 @@ class TransportStatistics:
 
 
 class TransportMonitor:
-    """Reports the current problems of a live input, the topic ``topic``.
+    """Reports the current problems of the live input ``topic``.
 
-    All times ``time_s`` are in s on a steady clock. That of the constructor is the time of the
-    start.
+    The argument ``time_s`` is the time of a steady clock in s; in the constructor, it is that of
+    the start.
     """
 
     def __init__(self, topic: str, time_s: float) -> None:
@@ -78,13 +78,13 @@ class TransportMonitor:
         self._missing = 0
         self._leapt = 0  # the clock was set forward
         self._other_frame = 0  # samples with another frame_id arrived instead
-        self._absent = 0  # they were never sent
+        self._absent = 0  # never sent, as far as is known
         self._absent_before = 0  # at the previous call
         self._frame_changes = 0
         self._lost_before = 0  # messages lost in transport before this pass
 
-    def heard(self, time_s: float, messages: int) -> None:
-        """Record the number of messages since the start; call it more often than `observe`."""
+    def set_received(self, time_s: float, messages: int) -> None:
+        """Store the number of messages received since the start, and when it last increased."""
         if messages != self._messages:
             self._last_message, self._messages = time_s, messages
 
@@ -129,7 +129,7 @@ class TransportMonitor:
 
     def _update(self, time_s: float, transport: TransportStatistics, health: StreamHealth) -> None:
         c = health.counts
-        self.heard(time_s, transport.received)
+        self.set_received(time_s, transport.received)
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
         if health.rate_hz is None and c.received > 2 * LEARN:
             usable = self._usable  # no sensor has usable values: all are NaN, infinite or 0

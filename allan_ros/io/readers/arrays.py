@@ -146,7 +146,7 @@ def _open_columns(
 ) -> tuple[_Column, _Column | None, _Column | None]:
     """Return the arrays of samples, stamps and record times, after checking their shapes.
 
-    ``members`` are the names of the arrays in the file. The last two are None if they are missing.
+    ``members`` are the names of the arrays in the file. Missing times are None.
     """
     name = SAMPLES if SAMPLES in members else ''
     samples = _Column(path, name, stack)
@@ -284,9 +284,10 @@ def recording_in_memory(
     """Return samples in memory as a recording.
 
     ``samples`` is an ImuBatch, an array with one row per sample, a DataFrame, or a mapping from
-    column name to array. Columns with names are recognized as in a table. The times are the rate in
-    the options, else a column such as ``t`` or ``time``, else the index of the DataFrame if it
-    consists of dates or durations. Units in the options apply to columns whose names have no unit.
+    column name to array. Named columns are recognized as in a table. The times are computed from
+    the rate in the options; without it, they are a column such as ``t`` or ``time``, or the index
+    of the DataFrame if it consists of dates or durations. Units in the options apply to columns
+    whose names have no unit.
     ``axes`` are the names of the axes, or 'gyro' or 'accel' for three of them; by default, the
     columns of an array are gyro x, y, z and accel x, y, z. Raises AllanError when a shape, name,
     unit or rate is invalid, or the times are missing.

@@ -120,9 +120,9 @@ def decode_imus(
 ) -> DecodedImus:
     """Decode serialized Imu messages.
 
-    A sensor is absent where covariance[0] is -1 or NaN and its data are invalid. With
-    ``trust_covariance``, it is absent even if its data are valid. Raises MalformedMessage for the
-    first payload that is not an Imu message.
+    A sensor is absent (NaN in the result) where covariance[0] is -1 or NaN and its data are
+    invalid. With ``trust_covariance``, it is absent even if its data are valid. Raises
+    MalformedMessage for the first payload that is not an Imu message.
     """
     n = len(payloads)
     room = np.empty((len(AXES), n)).T

@@ -36,7 +36,7 @@ Report = Callable[[Finding], None]
 
 @dataclass(frozen=True)
 class ReadOptions(CheckedSettings):
-    """Information for reading that the recording itself does not contain."""
+    """Options for reading a recording: its topic or columns, units, and sample rate."""
 
     topic: str = parameter('', 'Imu topic of a bag, or instance of a log; empty: the only one')
     columns: tuple[str, ...] = parameter(
@@ -102,9 +102,9 @@ class Recording:
     """A recording of an IMU, which can be read any number of times.
 
     ``messages`` is the number of samples according to the recording; None if it is not known.
-    ``read`` yields the samples. ``read_temperature`` returns the temperature for a frame_id.
-    ``options`` hold the units that were found or assumed. ``axes`` are the axes that the recording
-    can contain.
+    ``read`` yields the samples and reports findings. ``read_temperature`` returns the temperature
+    for a frame_id. ``options`` hold the units that were found or assumed. ``axes`` are the axes
+    that the recording can contain.
     """
 
     def __init__(

@@ -115,7 +115,7 @@ class Ros1Storage(ChunkStorage):
             self._chunks[-1] = replace(last, start_ns=int(times.min(initial=last.start_ns)))
 
     def _with_start(self, chunk: Chunk, complete: bool) -> Chunk:
-        """Return a chunk with its start time, which is read from its messages without an index.
+        """Return a chunk with its start time, found in its messages if the chunk has no index.
 
         If the file is not ``complete``, the connections are read from the chunk, too.
         """

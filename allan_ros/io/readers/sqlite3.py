@@ -173,8 +173,8 @@ class Sqlite3Storage:
     ) -> bool:
         """Return whether a message after the row ``last_id`` was recorded before ``end_ns``.
 
-        All messages after this row were recorded at ``start_ns`` or later. Up to this row, there
-        are ``known`` rows with times from ``start_ns`` to ``end_ns``.
+        None of them was recorded before ``start_ns``. ``known`` is the number of rows up to
+        ``last_id`` with times from ``start_ns`` to ``end_ns``.
         """
         # If the index has no more than the known entries up to the end, no further check is needed.
         # SQLite skips entries of the index in a fifth of the time that it needs to read them.

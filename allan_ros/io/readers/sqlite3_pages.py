@@ -33,7 +33,7 @@ FILE_HEAD = 100
 """Size of the file header in bytes (section 1.3)."""
 
 LEAF_HEAD = np.dtype([('kind', 'u1'), ('free', '>u2'), ('cells', '>u2'), ('content', 'V3')])
-"""Header of a leaf, which the offsets of its cells follow, two bytes each (section 1.6)."""
+"""Header of a leaf. The offsets of its cells follow, two bytes each (section 1.6)."""
 
 INTERIOR_HEAD = np.dtype([*LEAF_HEAD.descr, ('last', '>u4')])
 """Header of an interior page, which ends with the number of its last child (section 1.6)."""
@@ -55,8 +55,8 @@ INTEGER_BYTES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
 2.1)."""
 
 FIRST_BLOB = 12
-"""Serial types from 12 on are blobs (even) and texts (odd) of (type - 12) / 2 bytes (section 2.1).
-"""
+"""Serial types from 12 on are blobs (even) and texts (odd) of (type - 12) / 2 bytes (section
+2.1)."""
 
 KIND_BYTES = 4
 """Number of bytes of a row header before the serial type of the blob. They are the header size and
@@ -231,7 +231,7 @@ class MessagePages:
     def _cells(
         self, data: Bytes, pages: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Return the offset of each cell, of the end of its page, and the number of cells per page.
+        """Return the offset of each cell, the end offset of its page, and the cells per page.
 
         The first two are (rows,), the last one is (pages,).
         """
@@ -261,10 +261,10 @@ def _varints_bytes(data: Bytes, start: NDArray[np.int64]) -> NDArray[np.int64]:
 def _columns(
     data: Bytes, header: NDArray[np.int64], head: NDArray[np.uint64], kind: int
 ) -> tuple[Any, ...]:
-    """Return topics, record times, offsets of the blobs, and their lengths, for similar rows.
+    """Return topics, record times, blob offsets and blob lengths of rows with equal columns.
 
-    ``header`` are the offsets of the row headers, and ``head`` their first eight bytes. All of them
-    begin with the `KIND_BYTES` bytes ``kind``: size and column types (file format, section 2.1).
+    ``header`` are the offsets of the row headers, and ``head`` their first eight bytes. The first
+    `KIND_BYTES` of these are ``kind``, the size and column types (file format, section 2.1).
     """
     size, id_type, topic_type, time_type = kind.to_bytes(KIND_BYTES, 'little')
     usual = id_type == 0 and {topic_type, time_type} <= set(INTEGER_BYTES)
