@@ -306,7 +306,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog='allan_player', description=__doc__)
     add = parser.add_argument
     add('input', nargs='*', help='recording: bag (mcap, sqlite3, ROS 1), CSV or npz')
-    add('--topic', default='', help='Imu topic of the bag (default: the only one)')
+    add('--topic', default='', help='Imu topic of the bag; needed only if there are several')
     add('--rate', type=_factor, default=1.0, help='speed factor; 0: as fast as possible')
     add('--loop', action='store_true', help='start again at the end')
     rebase = 'keep the recorded stamps, or shift them so that the first is now and loops continue'

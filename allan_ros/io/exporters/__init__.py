@@ -98,9 +98,9 @@ class ExportOptions(CheckedSettings):
     )
     strict: bool = parameter(
         False,
-        'Do not write 95 % upper limits, values without a 95 % interval, and reductions that '
-        'misstate the error growth by more than a factor of 2. A value that the reduction raises '
-        'is accepted.',
+        'Stop with an error instead of writing a 95 % upper limit, a value without a 95 % '
+        'interval, or a reduction whose error growth is wrong by more than a factor of 2. A value '
+        'that the reduction raises is accepted.',
     )
     exact: bool = parameter(
         False,

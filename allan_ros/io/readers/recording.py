@@ -38,7 +38,9 @@ Report = Callable[[Finding], None]
 class ReadOptions(CheckedSettings):
     """Options for reading a recording: its topic or columns, units, and sample rate."""
 
-    topic: str = parameter('', 'Imu topic of a bag, or instance of a log; empty: the only one')
+    topic: str = parameter(
+        '', 'Imu topic of a bag, or instance of a log; needed only if there are several'
+    )
     columns: tuple[str, ...] = parameter(
         (),
         'columns of a table: a name for each (- leaves one out), or gx=NAME,gy=NAME,... for '
