@@ -70,8 +70,8 @@ def fit_noise(sums: AllanSums, method: str = 'gls', like: NoiseModel | None = No
     method : str
         One of `METHODS`.
     like : NoiseModel, optional
-        A fit by method 'gls' of a part of these data. Its processes and its shortest averaging time
-        are used instead of a new model selection, which saves most of the time.
+        Earlier fit of part of these data by method 'gls'. Its processes and its shortest averaging
+        time are used instead of a new model selection, which saves most of the time.
 
     Returns
     -------

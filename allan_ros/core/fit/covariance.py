@@ -42,7 +42,8 @@ EXACT_PANELS = 5
 smooth."""
 
 PANEL_RATIO = 4
-"""Factor by which the length of the ranges grows with the distance from those lags."""
+"""Factor by which each range is longer than the one before, away from the lags at which C is not
+smooth."""
 
 TAIL = 128
 """Flicker differences are uncorrelated (C^2 < 1e-8) at lags above this multiple of m_i + m_j."""
@@ -95,11 +96,12 @@ class PairSums:
 
 
 def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return the covariance of normalised second differences of the phase at lags s, (3, ...).
+    """Return the covariance of normalised second differences d/(sqrt2 m) of the phase, (3, ...).
 
-    The rows are white noise, flicker and a continuous random walk of unit variance coefficient. The
-    covariance is sum_ab c_a c_b G(s + a m_i - b m_j) / (2 m_i m_j) with c = (1, -2, 1) and the
-    generalised covariances G(t) = -|t|/2, t^2 ln|t|/(2 pi) and |t|^3/12 of the phase.
+    The rows are white noise, flicker and a continuous random walk of unit variance coefficient. At
+    lag s, the covariance is sum_ab c_a c_b G(s + a m_i - b m_j) / (2 m_i m_j) with a, b = 0, 1, 2,
+    c = (1, -2, 1), and the generalised covariance of the phase: G(t) = -|t|/2, t^2 ln|t|/(2 pi) or
+    |t|^3/12.
     """
     out = np.zeros((3, *np.broadcast_shapes(np.shape(s), np.shape(mi), np.shape(mj))))
     for a, ca in enumerate(DIFFERENCE):
@@ -116,7 +118,7 @@ def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
 
 
 def _products(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return the six products of two rows of `lag_covariance`, then its three rows, (9, ...)."""
+    """Return the products of all pairs of rows of `lag_covariance`, then these rows, (9, ...)."""
     c = lag_covariance(s, mi, mj)
     return np.stack([*(c[a] * c[b] for a, b in _SMOOTH_PAIRS), *c])
 
@@ -135,7 +137,7 @@ def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
 
 
 def _edges(mi: int, mj: int) -> Ints:
-    """Return the limits of lag ranges, which are short where the covariance is not smooth."""
+    """Return the limits of the lag ranges to sum over; they are short where C is not smooth."""
     span = EXACT_POINTS * EXACT_PANELS
     near = np.arange(-EXACT_PANELS, EXACT_PANELS + 1) * EXACT_POINTS
     reach = [span]
@@ -186,7 +188,8 @@ class _LagTable:
             np.cumsum(self.sums[:, :, a:z], axis=2, out=self.sums[:, :, a:z])
 
     def up_to(self, row: Ints, lag: Ints) -> Floats:
-        """Return the cumulative sums up to given lags (the last one counts half), (2, 9, n)."""
+        """Return the cumulative sums up to one lag in each of the given rows, (2, 9, n)."""
+        # The last lag counts half.
         lag = np.clip(lag, self.low[row], self.high[row])
         at = np.searchsorted(self.key, row * _KEY + lag, side='right') - 1
         start = self.edge[at].astype(float)
@@ -274,7 +277,7 @@ def _smooth_sums(
 
 
 def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Return ``squares`` and ``singles`` of `PairSums` from sums of `_products` on level 0."""
+    """Convert sums of `_products` for factors of level 0 to ``squares`` and ``singles``."""
     # On level a, lags and factors are 2^a times those of level 0. The covariance of white noise is
     # multiplied by 2^-a (``scale``), that of flicker by 1 and that of the cubic part by 2^a.
     nn, nb, nc, bb, bc, cc = f[:6] * np.stack(
@@ -320,7 +323,7 @@ def _add_quantization(
 
 
 def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
-    """Return the number of pairs of differences at a lag (a multiple of the stride of i)."""
+    """Return the number of pairs of differences at lags that are multiples of the stride of i."""
     first = np.maximum(0, -lag)
     last = np.minimum(end_j, end_i - lag)
     number = last // stride_j + (-first) // stride_j + 1
@@ -376,7 +379,7 @@ NEGLIGIBLE_NEIGHBORS = 1e-5
 
 @lru_cache(maxsize=1024)
 def _neighbor_excess(k: int, after: int, m: int) -> float:
-    """Return the further change in `_excess` if two gaps are next to the same sample."""
+    """Return the change in addition to `_excess` if one sample separates gaps of both lengths."""
     base = _weights(m, k + after + 3)
     left = np.correlate(base, np.arange(1, k + 1) / (k + 1))
     right = np.correlate(base, np.arange(after, 0, -1) / (after + 1))
@@ -392,7 +395,7 @@ def _weights(m: int, margin: int) -> Floats:
 
 @lru_cache(maxsize=1024)
 def _excess(k: int, m: int) -> float:
-    """Return the change of the sum of all squared weights due to a gap of k samples."""
+    """Return the change of the squared weights, summed over all starts, due to a gap."""
     length = k + 2
     base = _weights(m, length)
     share = np.arange(1, k + 1) / (k + 1)

@@ -114,7 +114,7 @@ def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def rounding_step(phase: Floats, white: float) -> float | None:
-    """Return the step to which the samples are rounded, or None if this is negligible.
+    """Return the step to which the samples are rounded, or None if rounding is negligible.
 
     ``phase`` is the cumulative sum at some samples, ``white`` the white noise variance per sample.
     """
@@ -123,7 +123,7 @@ def rounding_step(phase: Floats, white: float) -> float | None:
 
 
 def findings_without_estimates(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
-    """Return the finding that explains why an axis has no estimates.
+    """Return a list of one finding that explains why an axis has no estimates.
 
     The reason is samples without noise if ``constant``, and otherwise too few data.
     """
@@ -144,8 +144,8 @@ def axis_findings(
 ) -> list[Finding]:
     """Return the findings about the fit of one axis.
 
-    ``selected`` is the selected model, ``fit`` the same in SI units, ``ramp`` the ramp (None if it
-    cannot be estimated), and ``tau0`` the sample period in s.
+    ``selected`` is the selected model and ``fit`` contains the same model in SI units. ``ramp`` is
+    None if it cannot be estimated. ``tau0`` is the sample period in s.
     """
     name = (pooled.sums.axes[axis],)
     unit = SI_UNITS[sensor_of(name[0])]['B']

@@ -86,7 +86,7 @@ def _fit_axis(
     variances, options = selected.fit.variances, selected.fit.options
     if len(selected.fit.table.m) <= LEAST_FACTORS:
         return _without_estimates(), findings_without_estimates(pooled, axis, constant)
-    # With the derivatives by the shapes, intervals include the uncertainty of the shapes.
+    # The columns of the derivatives add the uncertainty of the shapes to the intervals.
     table = options.table(pooled, axis, options.noise(variances), tangents=True)
     variances = np.concatenate([variances, np.zeros(table.terms.shape[1] - len(variances))])
     sizes = range(table.noises + table.lines)
@@ -148,7 +148,7 @@ def _options_of(fit: AxisFit, tau0: float) -> FitOptions | None:
 def _consistent(
     table: Table, variances: Floats, intervals: list[CoefficientInterval], misfit: Misfit
 ) -> Floats:
-    """Return the variance coefficients; q is unconstrained for those outside their interval."""
+    """Replace coefficients outside their interval by those of a fit with unconstrained q."""
     # The intervals of the other terms allow a negative q, but the estimates do not. In about one
     # record in a hundred, an estimate therefore lies outside its interval.
     above, below = 1.0 + END_TOLERANCE, 1.0 - END_TOLERANCE

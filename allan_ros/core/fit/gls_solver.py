@@ -204,7 +204,7 @@ class Whitening:
 
 
 def _cholesky(correlation: Floats) -> Floats | None:
-    """Return the Cholesky factor with `JITTER` on the diagonal, or None if it does not exist."""
+    """Return the Cholesky factor of the matrix plus `JITTER` times I; None if there is none."""
     jittered = correlation.copy()
     jittered.flat[:: len(correlation) + 1] += JITTER
     lower, info = lapack.dpotrf(jittered, lower=1)
@@ -298,7 +298,7 @@ def with_noise_floor(table: Table, variances: Floats, floor: float | None = None
     """Return the coefficients with negative ones set to 0, and with w of at least ``floor``.
 
     The covariance of the Allan variances is then not singular. ``floor`` is `noise_floor` by
-    default. Coefficients of derivative columns become 0.
+    default. The coefficients of derivatives of columns (see `Table`) become 0.
     """
     p = np.maximum(variances, 0.0)
     p[table.noises + table.lines :] = 0.0
@@ -367,7 +367,7 @@ class FitOptions:
 
         ``noise`` is the noise model that determines the weights of the ramp estimates. ``ramps``
         contains known ramps per sample, NaN for those to be estimated. ``tangents`` adds the
-        derivatives of the process columns by the logarithm of the correlation time or frequency.
+        derivatives of the process columns with respect to log correlation time or log frequency.
         """
         return pooled.table(axis, noise, ramps, self.extras, self.m_min, tangents)
 
@@ -378,7 +378,7 @@ class FitOptions:
         return tuple(c for c in every if self.walk or c != K)
 
     def noise(self, variances: Floats) -> Noise:
-        """Return the random noise of the model: nonnegative coefficients without the sinusoids."""
+        """Return the random noise of the model (no sinusoids), with negative coefficients as 0."""
         times = correlation_times(self.extras)
         return Noise(np.maximum(variances[: len(RANDOM_TERMS) + len(times)], 0.0), times)
 
@@ -393,7 +393,7 @@ class PointFit:
 
     @property
     def ramp_variance(self) -> Floats:
-        """Variance of the estimated linear drift of each segment, (segments,); 0 if unknown."""
+        """Variance of the estimated linear drift of each segment, (segments,); 0 if none."""
         return np.asarray(self.table.ramp_variance @ self.options.noise(self.variances).variances)
 
 

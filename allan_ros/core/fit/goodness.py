@@ -33,14 +33,14 @@ Z_GIVE_UP = 50.0
 """Normal deviate above which the test is not repeated with a larger random walk."""
 
 DEFICIT_FALSE_ALARM = 1e-3
-"""Probability that the test of the long averages rejects a model that is true."""
+"""Probability that `long_tau_deficit` is significant for a true model."""
 
 DEFICIT_LIMIT = -3.090232306167813
-"""Normal deviate below which long averages are significantly lower than the model: the quantile of
-`DEFICIT_FALSE_ALARM`."""
+"""Normal deviate below which Allan variances at long averaging times are significantly lower than
+the model: the quantile of `DEFICIT_FALSE_ALARM`."""
 
 POINTS_PER_TEST = 8.0
-"""Number of neighbouring long averages per independent test, because they are correlated."""
+"""Number of neighbouring averaging factors per independent test, because they are correlated."""
 
 FEW_AVERAGES = 60.0
 """Degrees of freedom below which an Allan variance is too skewed for chi^2: it cannot be many
@@ -60,10 +60,10 @@ MISFIT_TOLERANCE = 0.04
 """Relative tolerance of chi^2 in the search for the model error, which is then accurate to 2 %."""
 
 MISFIT_STEPS = 30
-"""Largest number of steps of this search, which needs four to eight."""
+"""Largest number of steps of the search for the model error; four to eight are usual."""
 
 MARGIN = 0.05
-"""Smallest distance of a step from either end of the bracket, as a fraction of the bracket."""
+"""Smallest distance of a step from an end of its bracket, as a fraction of the bracket."""
 
 LEAST_FREEDOM = 6.0
 """Degrees of freedom above which averages are used by `precise_rows`. The likelihood assumes
@@ -108,9 +108,9 @@ class Goodness:
 
 
 def goodness(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
-    """Return the chi^2 test of the nonzero terms of a model, fitted with a fixed covariance.
+    """Return the chi^2 test of a model after a linear fit of its nonzero terms.
 
-    The covariance is that of the given variance coefficients and model error. The degrees of
+    The covariance remains that of the given variance coefficients and model error. The degrees of
     freedom are the effective number of independent points, minus the number of nonzero terms and of
     shapes (correlation times and frequencies).
     """
@@ -140,11 +140,11 @@ def degrees_of_freedom(covariance: Floats) -> float:
 def long_tau_deficit(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> float:
     """Test whether Allan variances at long averaging times are lower than the model.
 
-    Return the normal deviate of the most unlikely one, or 0 if none is tested; values below
-    `DEFICIT_LIMIT` are significant. Only values of few degrees of freedom are tested. An Allan
-    variance of nu degrees of freedom is V chi^2_nu / nu (NIST SP 1065 eq. 45), where nu = 2 V^2 /
-    Var V of the model. The smallest probability is multiplied by the number of independent tests
-    (Bonferroni).
+    Returns the normal deviate of the least likely Allan variance, or 0 if none is tested. Normal
+    deviates below `DEFICIT_LIMIT` are significant. Only Allan variances of few degrees of freedom
+    are tested: such a value is distributed as V chi^2_nu / nu (NIST SP 1065 eq. 45), where nu =
+    2 V^2 / Var V of the model. The smallest probability is multiplied by the number of independent
+    tests (Bonferroni).
     """
     model = table.terms @ variances
     few = few_averages(table, variances, misfit) & (model > 0.0)
@@ -185,12 +185,12 @@ def best_case_goodness(table: Table, variances: Floats) -> Goodness:
 def misfit_of_long_averages(
     table: Table, variances: Floats, signed: bool, misfit: Misfit
 ) -> Misfit:
-    """Return the smallest model error with which the long averages are not significantly low.
+    """Return the smallest model error for which `long_tau_deficit` is not significant.
 
     The error applies to the averaging factors of ``misfit``. If ``misfit`` is 0, it applies only
-    from the first factor with few degrees of freedom, so that terms determined by shorter averages
-    keep their values and intervals. ``variances`` are initial coefficients; ``signed`` allows a
-    negative q.
+    from the first factor with few degrees of freedom. Terms that are determined by shorter
+    averaging times then keep their values and intervals. ``variances`` are initial coefficients;
+    ``signed`` allows a negative q.
     """
     m_min = int(table.m[few_averages(table, variances)].min())
     if misfit.size > 0.0:
@@ -317,8 +317,8 @@ def precise_rows(fit: PointFit) -> NDArray[np.bool_]:
 def minus_log_profile(table: Table, fit: PointFit) -> float:
     """Return -2 log profile likelihood of the Allan variances, maximised over the random walk k.
 
-    If a random walk dominates the longest averages, its estimate depends on few of them. If it is
-    too low by chance, the other averages seem unlikely.
+    At a single estimate of k, the likelihood would depend on chance: if a random walk dominates the
+    longest averaging times, k depends on few degrees of freedom.
     """
     signed = fit.options.signed
     fits = [solve(table, fit.variances, columns=fit.options.columns, signed=signed)]
@@ -331,7 +331,7 @@ def minus_log_profile(table: Table, fit: PointFit) -> float:
 
 
 def with_model_error(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with the relative model error for which it passes the chi^2 test."""
+    """Return the fit with the relative model error for which chi^2 has its expected value."""
     misfit = misfit_of_table(fit.table, fit.variances, fit.options.signed)
     return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.variances)
 

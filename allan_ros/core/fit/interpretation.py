@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interpretation of a fitted curve.
 
-It provides the line of the model and the largest deviation from it, the term that dominates in each
-range of tau (as in Cong et al. 2019), and the recommended length of a recording.
+It provides the curve of the model and the largest deviation from it, the term that dominates in
+each range of tau (as in Cong et al. 2019), and the recommended length of a recording.
 """
 
 from __future__ import annotations
@@ -278,7 +278,7 @@ def recommended_duration(
 def longest_recommended(
     advice: Iterable[tuple[float, tuple[str, ...]] | None],
 ) -> tuple[float, tuple[str, ...]] | None:
-    """Return the longest length in s of the given recommendations, and all their terms.
+    """Return the longest of the recommended lengths in s, and the terms of all recommendations.
 
     ``advice`` contains the results of `recommended_duration` for the axes. Returns None if no axis
     needs a longer record.

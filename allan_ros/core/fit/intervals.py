@@ -9,11 +9,11 @@ se(c) is computed from the covariance of that fit. The 95 % interval contains th
 estimate of K is too small in a short record, so is this se, and the interval misses the true value
 in 9 to 13 % of records instead of 5 %.
 
-An estimate that depends on a few long averages is skewed like a chi^2 variable of few degrees of
-freedom. It is a weighted sum of the Allan variances V_i, sum_i l_i V_i. If the V_i are treated as
-gamma variables with the covariance C, its third cumulant is 2 sum_i l_i (C l)_i^2 / V_i. With this
-skewness, the cube root transformation of Wilson & Hilferty (PNAS 17, 1931) converts z to a normal
-deviate.
+An estimate that depends on few long averaging times is skewed like a chi^2 variable of few degrees
+of freedom. It is a weighted sum of the Allan variances V_i, sum_i l_i V_i. If the V_i are treated
+as gamma variables with the covariance C, its third cumulant is 2 sum_i l_i (C l)_i^2 / V_i. With
+this skewness, the cube root transformation of Wilson & Hilferty (PNAS 17, 1931) converts z to a
+normal deviate.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class ScoreTest:
         self._start = variances
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
-        """Return the normal deviate for the value c, with the estimate raised to ``at_least``."""
+        """Return the normal deviate of the value c; a lower estimate is set to ``at_least``."""
         variances, whitening, white = solve(
             self.table,
             self._start,
@@ -128,7 +128,7 @@ class ScoreTest:
 
 
 def _inverse(design: Floats) -> tuple[Floats, Floats]:
-    """Return the inverse of the information matrix of unit columns, and the column norms."""
+    """Return the inverse information matrix of the columns scaled to norm 1, and their norms."""
     size = np.linalg.norm(design, axis=0)
     size[size == 0.0] = 1.0
     unit = design / size
@@ -192,13 +192,13 @@ ramp that is subtracted from the averages affects longer ones."""
 def limit_of_averages(table: Table, term: int, samples: int) -> float:
     """Return a 95 % upper limit of one variance coefficient, without an assumption on other terms.
 
-    The expected Allan variance is at least that of the term alone, whose estimate is distributed as
-    V chi^2_nu / nu with nu = 2 V^2 / Var V (NIST SP 1065 eq. 45). Each averaging factor therefore
-    gives a limit. The smallest one is returned, for a probability of 2.5 % divided by the number of
-    factors (Bonferroni). It is infinite if there are no factors.
+    The expected Allan variance is at least that of the term alone, V. A measured Allan variance is
+    distributed as V chi^2_nu / nu with nu = 2 V^2 / Var V (NIST SP 1065 eq. 45). Each averaging
+    factor therefore gives a limit. The smallest one is returned, for a probability of 2.5 % divided
+    by the number of factors (Bonferroni). It is infinite if there are no factors.
 
-    ``term`` is the column of the term in the table, and ``samples`` the length of the longest
-    segment.
+    ``term`` is the column of the term in the table. ``samples`` is the length of the longest
+    segment, which limits the averaging factors.
     """
     used = (table.m <= samples / LONGEST_IN_LIMIT) & (table.avar > 0.0)
     if not used.any():
@@ -276,8 +276,8 @@ MAX_SHAPE_RATIO = 100.0
 def processes_of(fit: PointFit, table: Table, tau0: float) -> Processes:
     """Return the processes of a fit with 95 % intervals, in SI units.
 
-    ``table`` contains the derivatives of the columns by correlation times and frequencies
-    (tangents), and ``tau0`` is the sample period in s.
+    ``table`` also contains the derivatives of the process columns (`Table.tangents`). ``tau0`` is
+    the sample period in s.
     """
     number = len(fit.options.extras)
     if not number:
@@ -295,9 +295,9 @@ def processes_in_si(
 ) -> Processes:
     """Return processes with 95 % intervals that are symmetric in the logarithm, in SI units.
 
-    ``variances`` are the coefficients of the four random terms and of the processes. ``errors`` are
-    the standard errors of the coefficients, then those of the derivative columns of the processes.
-    ``tau0`` is the sample period in s.
+    ``variances`` are the coefficients of the four random terms and of the processes ``extras``.
+    ``errors`` are the standard errors of these coefficients, then those of the coefficients of
+    `Table.tangents`. ``tau0`` is the sample period in s.
     """
     gauss_markov, sinusoid = [], []
     for k, extra in enumerate(extras, start=len(RANDOM_TERMS)):
@@ -330,8 +330,8 @@ class RampInterval:
     Attributes
     ----------
     value : float
-        Drift per sample, as weighted mean of the segments; that of the longest segment if they
-        differ.
+        Drift per sample: the weighted mean of the segments, or the drift of the longest segment if
+        they differ significantly.
     low, high : float
         Ends of the interval.
     observable : bool

@@ -46,8 +46,8 @@ def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
     """Return the covariance function (|t|^3 - |t|)/12 of a sampled random walk.
 
     It is ``cubic`` + ``white``/6, where ``cubic`` = |t|^3/12 is that of a continuous random walk
-    and ``white`` = -|t|/2 that of white noise. The same linear function of both may be given
-    instead.
+    and ``white`` = -|t|/2 that of white noise. The relation is linear: it also holds for sums of
+    these functions over lags, and for their products with another function.
     """
     return cubic + white / 6.0
 
@@ -206,7 +206,7 @@ class AxisFit:
         Relative model error that was added to the covariance of the Allan variances; 0 if the model
         passes the test of fit.
     m_min : int
-        Smallest averaging factor used; above 1 if a low-pass filter affects the shorter ones.
+        Smallest averaging factor used; above 1 if a filter or vibration affects shorter ones.
     gof_z : float or None
         Goodness of fit of the five terms as a normal deviate; above 3 they are rejected. None if
         the method has no test of fit.

@@ -55,10 +55,11 @@ GAUSS_MARKOV_RATIO = 11.0
 one more Gauss-Markov process. It is exceeded by chance on one of 200 axes."""
 
 IMPRECISE_RATIO = 2.0
-"""Largest part of this statistic that may come from averages of few degrees of freedom."""
+"""Largest part of the likelihood ratio statistic that may come from Allan variances of few degrees
+of freedom."""
 
 SINUSOID_RATIO = 21.0
-"""The same for one more sinusoid; exceeded by chance in one of 2000 records."""
+"""The same as `GAUSS_MARKOV_RATIO` for a sinusoid; exceeded by chance in one of 2000 records."""
 
 MAX_ERROR_RATIO = 4.0
 """Largest ratio of the relative error of N without the shortest averages to that of a fit of all
@@ -68,7 +69,7 @@ FILTER_LIKE_SCALE = 8.0
 """A process may describe a filter if its scale is below this multiple of m_min."""
 
 FILTER_LIKE_ERROR_RATIO = 2.0
-"""Largest ratio of the relative error of N of the fits that are considered to the smallest one."""
+"""Fits whose relative error of N exceeds the smallest one by this factor are not selected."""
 
 LEAST_ERROR_OF_N = 1.1
 """Smallest possible relative error of N with free q, divided by sqrt(m_min/samples)."""
@@ -107,14 +108,15 @@ class Selection:
     first : Goodness
         Chi^2 test of the five terms at all averaging times.
     z_quantization : float
-        q of the five terms divided by its standard error; far below 0 for filtered samples.
+        q in a fit of the five terms, divided by its standard error; far below 0 for filtered
+        samples.
     filtered : bool
         Whether a low-pass filter affects the shortest averaging times.
     hint : float or None
         Frequency, in cycles per sample, of a possible vibration that affects the excluded short
-        averages.
+        averaging times; None if there is none.
     levels_off : bool
-        Whether the long averages are significantly lower than the model.
+        Whether Allan variances at long averaging times are significantly lower than the model.
     """
 
     fit: PointFit
@@ -326,7 +328,7 @@ def _with_searched_processes(
 
 
 def _scaled_covariance(table: Table) -> Floats:
-    """Return the covariance of an approximate fit, scaled to the measured values."""
+    """Return the covariance of the initial estimate, scaled by measured / modelled variances."""
     variances = initial_variances(table)
     model = table.terms @ variances
     growth = np.where(table.avar > 0.0, table.avar, model) / model
@@ -344,7 +346,7 @@ def _same_shapes(new: tuple[Process, ...], old: tuple[Process, ...]) -> bool:
 def _excluding_short_averages(
     pooled: PooledTable, axis: int, fit: PointFit, tried: list[PointFit]
 ) -> tuple[list[PointFit], list[PointFit]]:
-    """Return passing fits without the shortest averages, best first, and alternatives to them."""
+    """Return passing fits without short averages, best first, and fits to use if none passes."""
     # ``tried`` contains fits of all averages, which fail. With a small model error, such a fit may
     # still determine N far better than a fit of a part of the averages.
     with_error = {

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Search for the fewest Gauss-Markov processes and sinusoids that describe a table.
+"""Search for the fewest Gauss-Markov processes and sinusoids that describe Allan variances.
 
 With a fixed covariance, the best variances for given correlation times and frequencies (shapes) are
 a nonnegative least-squares problem, which is convex. The search adds the process that decreases
@@ -226,9 +226,10 @@ class ProcessSearch:
         found: ProcessFit,
         kinds: Sequence[type[Process]] = (GaussMarkovTerm, SinusoidTerm),
     ) -> ProcessFit | None:
-        """Return the best fit with one more process of ``kinds``; None if none decreases chi^2.
+        """Return the best fit with one more process of ``kinds``.
 
-        Correlation times and frequencies of all processes are adjusted.
+        Correlation times and frequencies of all processes are adjusted. Returns None if no process
+        decreases chi^2, or the fit has `MAX_PROCESSES` of each kind.
         """
         allowed = np.zeros(len(self._grid), bool)
         for kind in kinds:
@@ -312,7 +313,8 @@ class ProcessSearch:
         actives: Sequence[tuple[int, ...]] = ((), (B,), (K,), (B, K)),
     ) -> Floats:
         """Return chi^2 with each candidate column added; inf if a coefficient becomes negative."""
-        # It is the smallest chi^2 for the combinations ``actives`` of flicker and random walk.
+        # Each of ``actives`` lists which of flicker and random walk may differ from 0; the smallest
+        # chi^2 is returned.
         known = np.column_stack([self._terms, self._white(extras)])
         least = np.full(candidates.shape[1], np.inf)
         # A small white noise coefficient could become negative next to another process.

@@ -49,7 +49,7 @@ class GaussMarkovTerm:
         return 1.89 * self.shape
 
     def white(self) -> float:
-        """Return the variance of white noise with the same spectral density at low frequencies."""
+        """Return the variance of white noise with the low-frequency density of a unit process."""
         return float(gauss_markov_sums(self.shape)[0][0])
 
 
@@ -97,14 +97,17 @@ def amplitude_variance(samples: int, times: Sequence[float], lines: Sequence[Pro
 def independent_variance(
     m: Ints, stride: Ints, count: Ints, samples: int, segments: int, lines: Sequence[Process]
 ) -> Floats:
-    """Return the variance that sinusoids add to the Allan variances independently at each factor.
+    """Return the variance that sinusoids add to each Allan variance, uncorrelated between factors.
 
-    Row 0 is the product of a sinusoid and white noise. If only every s-th start is used
-    (``stride``), the differences also contain the noise at the aliases of the sinusoid. With C
-    differences (``count``) l of the sinusoid and d of the noise, the variance of mean(l d) is
-    E[l^2]/C sum_k (1 - |k|/C) cos(omega s k) R_d(s k), where R_d is the autocovariance of d. Row 1
-    is the variance of mean(l^2), which depends on the phase of the sinusoid: relatively by 1/(C
-    sin(omega s)), or completely if the phase is the same at all starts.
+    An Allan variance contains the means of l d and l^2, where l are the differences of a sinusoid
+    and d those of white noise, at C = ``count`` start positions with a distance of s = ``stride``
+    samples.
+
+    - Row 0: the variance of mean(l d) is E[l^2]/C sum_k (1 - |k|/C) cos(omega s k) R_d(s k), where
+      R_d is the autocovariance of d. The part of `amplitude_variance` is subtracted; noise at the
+      aliases of the sinusoid remains.
+    - Row 1: mean(l^2) depends on the phase of the sinusoid. Its relative standard deviation is
+      about sqrt(``segments``)/(2 C sin(omega s)), and 1/sqrt2 if all starts have the same phase.
 
     Returns
     -------
@@ -187,7 +190,7 @@ def process_squares(
     Parameters
     ----------
     m, stride : (factors,) int64 arrays
-        Averaging factors and samples between two starts.
+        Averaging factors, and samples between two start positions of differences.
     lengths : sequence of (samples, number)
         Segment lengths and the number of segments of each.
     times : sequence of float
@@ -227,12 +230,12 @@ class _Segments:
         return self._number[at], self._total[at]
 
     def differences(self, reach: Floats, stride: Floats) -> Floats:
-        """Return the number of differences over ``reach`` samples, one every ``stride`` samples."""
+        """Return the number of differences that span ``reach`` samples, one per ``stride``."""
         each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
         return np.asarray(np.maximum(each, 0.0) @ self.number)
 
     def unused(self, reach: Floats, stride: Floats, least: Floats) -> Floats:
-        """Return the mean number of samples after the last difference of long enough segments."""
+        """Return the mean length after the last difference, for segments of at least ``least``."""
         enough = (self.samples >= least[:, None]) * self.number
         remainder = np.mod(self.samples - reach[:, None], stride[:, None])
         return np.asarray((remainder * enough).sum(axis=1) / np.maximum(enough.sum(axis=1), 1.0))
@@ -354,7 +357,7 @@ class _Lags:
         return u, weight
 
     def _add_ends(self, weight: Floats, low: Floats, high: Floats, u: Floats) -> None:
-        """Add the weights of the segments whose last lag lies between low and high."""
+        """Add the weights of segments whose longest lag is between low and high, in place."""
         _, outer = self._step_corrections()
         width = (high - low)[:, None]
         first = np.maximum(np.maximum(low, self.near) + self.less, 2.0 * self.mj - 1.0)

@@ -129,14 +129,14 @@ class RampGeometry:
         Covariance of S_i, the mean of the differences d_i/(sqrt2 m_i), with each phase point, per
         unit coefficient.
     ends, shares : (factors, 6) float64 arrays
-        Approximation of ``cross`` by integrals over the starts: the covariance of S_i with a phase
-        point at x is sum_e share_e F(end_e - x), where F is the integral of the covariance of the
-        phase.
+        Approximation of ``cross`` by integrals over the start positions of the differences: the
+        covariance of S_i with a phase point at x is sum_e share_e F(end_e - x), where F is the
+        integral of the covariance of the phase.
     excess : (factors, points) float64 array
         Exact ``cross`` for white noise minus this approximation. They differ because the covariance
         has a discontinuous slope at lag 0.
     stride : (factors,) int64 array
-        Samples between two starts.
+        Samples between two start positions.
     """
 
     points: int
@@ -268,7 +268,7 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
 
 
 def _slope_correction(time: Floats, stride: Ints) -> Floats:
-    """Return sum minus integral over starts for Gauss-Markov processes, relative to white noise."""
+    """Return the difference of sum and integral over starts, relative to that of white noise."""
     # The covariance of a Gauss-Markov process has a discontinuous slope at lag 0, where a sum over
     # starts at a distance of s samples differs from an integral. The sum of exp(-|t|/T) is
     # coth(s/2T), its integral 2T/s. For white noise, -|t|/2, sum and integral differ by s/12.
@@ -286,7 +286,7 @@ def _sum_over_integral(time: Floats, stride: Ints) -> Floats:
 
 
 def _ends(samples: int) -> tuple[Floats, Floats]:
-    """Return limits and weights of integrals that approximate means over starts, (factors, 6)."""
+    """Return limits and weights of integrals that replace means over all starts, (factors, 6)."""
     # The sum over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x) is replaced by the
     # integral from -s/2 to (M - 1/2) s. G is the covariance of the phase.
     m, stride = grid_for(samples)
@@ -363,8 +363,8 @@ def pooled_shift(
 
     It is the change of the expected sums of d^2/(2 m^2) per unit coefficient, (factors, 4 +
     processes). ``classes`` are groups of segments of similar length. ``m``, ``stride`` and
-    ``count`` are the averaging factors, the samples between two starts and the numbers of
-    differences of all groups. ``times`` are correlation times of processes in samples.
+    ``count`` are the averaging factors, the samples between two start positions and the
+    numbers of differences of all groups. ``times`` are correlation times of processes in samples.
     """
     change = np.zeros((len(m), len(RANDOM_TERMS) + len(times)))
     number = np.zeros(len(m))

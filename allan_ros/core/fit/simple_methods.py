@@ -120,7 +120,7 @@ class Polynomial(NamedTuple):
 
 
 def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:
-    """Return the indices of the averaging times up to 1300 s with at least one group."""
+    """Return the indices of the averaging times that method 'paper' fits: at most 1300 s."""
     tau = sums.m * sample_period(sums)
     return np.flatnonzero((tau <= LONGEST_TAU) & (sums.group_count > 0))
 
@@ -243,8 +243,8 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     tau, avar = _decimated(np.asarray(tau, float), np.asarray(adev, float))
     if record is not None and not 2.0 * tau[-1] <= record < math.inf:
         raise AllanError(
-            f'a recording of {record:g} s has no average over {tau[-1]:g} s: give its length, '
-            'at least twice the longest averaging time'
+            f'a recording of {record:g} s has no average over {tau[-1]:g} s: give a length of '
+            f'at least {2.0 * tau[-1]:g} s'
         )
     unit = float(tau[0]) / SUBDIVISION
     m = np.round(tau / unit).astype(np.int64)

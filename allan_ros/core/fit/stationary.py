@@ -63,7 +63,7 @@ class _Change:
     settled: Coefficient
 
     @property
-    def leaves(self) -> bool:
+    def is_outside(self) -> bool:
         """Whether the settled value is outside the interval of all data."""
         a, b = self.complete, self.settled
         low, high = a.ci95 or (0.0, math.inf if a.upper95 is None else a.upper95)
@@ -72,13 +72,13 @@ class _Change:
         return not low <= b.value <= high
 
     @property
-    def matters(self) -> bool:
-        """Whether the settled value leaves the interval, or differs by more than 2 %."""
+    def is_relevant(self) -> bool:
+        """Whether the value differs by more than 2 %, or 0.5 % if it is outside the interval."""
         a, b = self.complete, self.settled
         if a.status != 'estimated' or b.status != 'estimated' or not a.value or b.value is None:
-            return self.leaves
+            return self.is_outside
         shift = abs(b.value / a.value - 1.0)
-        return shift > (LEAST_SHIFT if self.leaves else SHIFT)
+        return shift > (LEAST_SHIFT if self.is_outside else SHIFT)
 
     @property
     def _sizes(self) -> list[float]:
@@ -145,7 +145,7 @@ def fit_stationary(
 
 
 def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseModel, list[Finding]]:
-    """Return the model with intervals widened for changes of noise after ``age``, and findings."""
+    """Return the model with intervals widened if noise changes after ``age`` samples; findings."""
     recordings = sums.history.recordings
     which = 'between recordings' if len(recordings) > 1 else 'within the recording'
     found = []
@@ -207,7 +207,7 @@ def _without_early_part(
     ]
     every.sort(key=lambda change: -change.size)
     brief = sums.history.length * sums.tau0 < LEAST_TESTED_S
-    changes = [each for each in every if each.matters and (each.leaves or not brief)]
+    changes = [each for each in every if each.is_relevant and (each.is_outside or not brief)]
     if not changes and (brief or not certain):
         return sums, complete, []
     early = duration_text(age * sums.tau0)
@@ -222,7 +222,7 @@ def _without_early_part(
 
 
 def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
-    """Return the most significant bias steps of each axis in one recording, after ``age``."""
+    """Return the most significant bias steps of each axis, after the first ``age`` samples."""
     best: dict[int, BiasSteps] = {}
     for recording in _tested(sums):
         for steps in bias_steps(recording, age):
@@ -285,8 +285,8 @@ def _sensors(sums: AllanSums) -> list[list[int]]:
 
 
 def _settled_part(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
-    """Return the sums without the first ``age`` samples or a few more; None if too few remain."""
-    # Sums can be divided only at some ages; the second result is the age that is used.
+    """Return the sums after an age of at least ``age``, and this age; None if too few remain."""
+    # Sums can be divided only at some ages.
     edge = next((a for a in sums.history.ages if a >= age), None)
     if edge is None:
         return None

@@ -72,8 +72,8 @@ class Table:
     avar : (factors,) float64 array
         Allan variance of the samples without the ramps.
     terms : (factors, columns) float64 array
-        Expectation per unit q, w, b, k, and per unit variance of each added process. Derivatives by
-        the logarithm of correlation times and frequencies may follow.
+        Expectation per unit q, w, b, k, and per unit variance of each added process. Derivatives
+        with respect to log correlation times and log frequencies may follow.
     squares : (products, pairs) float64 array
         Covariance per product of two coefficients (`TERM_PAIRS`, `process_pairs`), at pairs of
         factors i <= j.
@@ -87,8 +87,8 @@ class Table:
         Variance of the squared amplitude of each sinusoid, relative to the squared amplitude, per
         unit of each noise coefficient. The columns of sinusoids follow those of random noise.
     independent_variance : (2, sinusoids, factors) float64 array
-        Variance of ``avar`` due to a sinusoid that is independent at each factor: relative to the
-        squared amplitude times w, and to the square of the squared amplitude.
+        Variance that a sinusoid adds to each ``avar`` without correlation between them: relative to
+        the squared amplitude times w, and to the square of the squared amplitude.
     process_shift : callable or None
         Returns the change of the columns of Gauss-Markov processes due to the removal of ramps, for
         averaging factors and correlation times, (factors, processes); None for no change.
@@ -125,7 +125,7 @@ class Table:
         return out
 
     def tangents(self, extras: Sequence[Process]) -> Floats:
-        """Return the derivatives of `columns` by log correlation times and log frequencies."""
+        """Return the derivatives of `columns` with respect to log correlation time or frequency."""
         half = SHAPE_STEP**0.5
         above, below = (
             self.columns([replace(e, shape=e.shape * factor) for e in extras])
@@ -137,8 +137,8 @@ class Table:
         """Return the covariance of ``avar`` for given coefficients, (factors, factors).
 
         Noise at the frequency of a sinusoid changes the amplitude of the sinusoid
-        (``amplitude_variance``). If not every start is used, noise at its aliases contributes as
-        well (``independent_variance``).
+        (``amplitude_variance``). If the differences do not start at every sample, noise at its
+        aliases contributes as well (``independent_variance``).
         """
         p = np.maximum(variances, 0.0)
         a, b = _products(self.noises - len(RANDOM_TERMS))
@@ -196,7 +196,7 @@ class _SegmentGroup:
     pairs : PairSums
         Covariance of the Allan sums of one segment.
     geometry : RampGeometry
-        Covariance of the ramp of one segment.
+        Covariances for the ramp estimate of one segment.
     at : (pairs,) int64 array
         Positions of the pairs i <= j of its factors among those of the complete table.
     """
@@ -264,7 +264,7 @@ class PooledTable:
         self._pooled_drifts = ProcessShift(longest, lambda t: shift(t)[:, 4:])
 
     def _with_pooled_ramps(self, squares: Floats, times: tuple[float, ...]) -> Floats:
-        """Return covariance sums, changed in place by the removed ramps of pooled segments."""
+        """Add the effect of the removed ramps of pooled segments to ``squares`` and return it."""
         for part in self._pooled:
             effect = least_squares_effect(part.pairs.samples, times)
             if effect is not None:
@@ -351,8 +351,8 @@ class PooledTable:
         m_min : int
             Smallest averaging factor.
         tangents : bool
-            Whether to add the derivatives of the columns of processes by the logarithm of their
-            correlation time or frequency.
+            Whether to add the derivatives of the columns of processes with respect to log
+            correlation time or log frequency.
         """
         noise = noise if np.any(noise.variances > 0.0) else Noise()
         found, weights = self.ramps(axis, noise, ramps)
@@ -437,7 +437,7 @@ def clear_cache() -> None:
 
 
 def _informative(table: Table, complete: Floats, variances: Floats) -> NDArray[np.bool_]:
-    """Return which averaging factors keep more than `EMPTY_ROW` of their variance."""
+    """Return which factors keep more than `EMPTY_ROW` of their variance without the ramps."""
     p = np.zeros(table.noises)
     p[: len(variances)] = np.maximum(variances, 0.0)
     keep = (table.count > 0) & (
