@@ -20,8 +20,8 @@ from allan_ros.core.allan.curve import allan_curve, edf
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
 from allan_ros.core.allan.parts import recent_noise
 from allan_ros.core.allan.sums import (
-    LEAST_VARIANCE,
     MAX_LEVELS,
+    MIN_VARIANCE,
     AllanSums,
     SegmentRecord,
     counts,
@@ -88,7 +88,7 @@ def test_tiny_samples_give_exactly_scaled_variances() -> None:
 
 def test_a_variance_below_that_of_any_imu_is_zero() -> None:
     y = np.random.default_rng(1).normal(size=(500, 1))
-    assert np.all(sums_of(2e-40 * y).avar[0] > LEAST_VARIANCE)
+    assert np.all(sums_of(2e-40 * y).avar[0] > MIN_VARIANCE)
     assert np.all(sums_of(1e-41 * y).avar == 0.0)
 
 

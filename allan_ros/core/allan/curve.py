@@ -50,8 +50,8 @@ def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLi
         Exponent alpha of the spectrum ~ f^alpha, from 2 to -2.
     m, stride : int
         Averaging factor, and number of samples between the starts of two second differences.
-    counts, number : (lengths,) arrays
-        Number of second differences in a segment, and number of segments with this count.
+    counts, number : (n,) arrays
+        Numbers of second differences per segment, and for each the number of such segments.
     """
     counts = np.atleast_1d(np.asarray(counts, np.int64))
     number = np.broadcast_to(np.asarray(number), counts.shape)
@@ -89,8 +89,8 @@ def _phase_autocovariance(noise_type: int, m: int, t: NDArray[np.int64]) -> Floa
 
     For sampled noise: delta(t) for white phase, -|t| for white, t^2 ln|t| for flicker and
     |t|^3 - |t| for a random walk of the samples (Greenhall & Riley eq. 7, in discrete time).
-    For flicker phase, it is the second difference of -t^2 ln|t|. Time is in units of m, which only
-    adds multiples of t^2; the fourth difference removes them.
+    For flicker phase, it is the second difference of -t^2 ln|t|. Except for phase noise, lags are
+    divided by m; for flicker, this adds a multiple of t^2, whose fourth difference is 0.
     """
     if noise_type == WHITE_PHASE:
         return np.asarray(t == 0, float)
@@ -143,8 +143,8 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
 
     The type is the exponent alpha = -1 - mu of the spectrum, where mu is the slope of log avar over
     log tau (NIST SP 1065 table 4). A slope of -2 is classified as white phase noise, which in an
-    IMU is quantization. If the record is shorter than 16 averaging times, the type of the previous
-    factor is used, or white noise (0) if there is none.
+    IMU is quantization. If the slope is unknown, or the record is shorter than 16 averaging times,
+    the type of the previous factor is used, or white noise (0) if there is none.
 
     The averaging factors ``m`` are ascending. ``avar`` and the result are (factors, axes); ``avar``
     is NaN or 0 without data. ``samples`` is the number of samples in the record.

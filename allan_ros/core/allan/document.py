@@ -59,7 +59,7 @@ MAX_CLASSES = 500
 MAX_BINS = 120
 """Largest accepted number of bins by age; the last of them begins at 2^66 samples."""
 
-MOST_PERIODS = 1024
+MAX_PERIODS = 1024
 """Largest accepted number of periods; a recording of 2^60 samples has about 300."""
 
 MAX_SUM = 1e80
@@ -74,7 +74,7 @@ the sums by age are rounded to 16 significant bits."""
 
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
-    """Return the sums as a document for JSON; `sums_from_document` restores them without loss."""
+    """Return the sums as a JSON-compatible dict, from which `sums_from_document` restores them."""
     tables = ('m', 'count', 'sum_sq', 'group_count', 'group_sum_sq')
     return {
         'schema': SUMS_SCHEMA,
@@ -135,7 +135,7 @@ def _packed(values: NDArray[Any]) -> str:
 
 
 def _unpacked(fields: Fields, key: str, kind: str, most: int) -> NDArray[Any]:
-    """Return the numbers, at most ``most``, of a text from `_packed`; ``kind`` is 'z4' or 'z8'."""
+    """Return the array from a text of `_packed`, up to ``most`` numbers; kind is 'z4' or 'z8'."""
     where, size = f'{fields.where}.{key}', int(kind[1])
     text = fields.text(key, longest=12 * most + 100)
     if not text.startswith(f'{kind}:'):
@@ -174,7 +174,7 @@ def _packed_counts(fields: Fields, key: str, most: int) -> NDArray[np.int64]:
 
 
 def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
-    """Return the sums from a document of `sums_to_document`; ``where`` is its name in errors.
+    """Return the sums from a dict of `sums_to_document`; ``where`` is its name in error messages.
 
     Raises
     ------
@@ -346,8 +346,8 @@ def _recording(fields: Fields, axes: int) -> Recording:
     length = fields.integer('length', least=samples)
     number = _packed_counts(fields, 'cell_samples', CELLS)
     cells = len(number)
-    begins = _packed_counts(fields, 'period_begin', MOST_PERIODS)
-    count = _packed_counts(fields, 'level_count', MOST_PERIODS * MAX_LEVELS)
+    begins = _packed_counts(fields, 'period_begin', MAX_PERIODS)
+    count = _packed_counts(fields, 'level_count', MAX_PERIODS * MAX_LEVELS)
     levels = len(count) // max(len(begins), 1)
     if levels * len(begins) != len(count):
         raise AllanError(f'{fields.where}.level_count: {len(begins)} rows are expected')

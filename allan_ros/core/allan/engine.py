@@ -125,7 +125,7 @@ class _Level:
         return sums, first, points[:, -_OVERLAP:]
 
     def _add(self, points: Floats, sums: _LevelSums) -> None:
-        """Add all differences that end after the first ``overlap`` points to ``sums``."""
+        """Add the squares of all differences that end after the first ``overlap`` points."""
         scratch = np.empty((2, *points.shape))
         length = self.offset + ((self.summed + points.shape[1] - self.overlap) << self.level)
         for i, f in enumerate(self.factors):
@@ -163,7 +163,7 @@ class _Level:
                 by_period.merge(length)
 
     def _split_by_bin(self, first: int, number: int) -> list[tuple[int, int, int]]:
-        """Return (bin, low, high) of each age bin in which differences low to high - 1 start."""
+        """Split ``number`` differences by age bin: (bin, low, high) relative to ``first``."""
         begin, end = self.bin_starts
         if begin <= first and first + number <= end:
             return [(self.bin, 0, number)]
@@ -188,7 +188,7 @@ def _squares(d: Floats) -> Floats:
 
 
 def _squares_by_part(d: Floats, split: int, size: int) -> Floats:
-    """Return sums of squares of the columns before ``split``, then of groups of ``size``."""
+    """Return row sums of squares of the columns before ``split``, then of each ``size`` columns."""
     end = split + max(0, d.shape[1] - split) // size * size
     inner = d[:, split:end].reshape(len(d), -1, size)
     parts = [_squares(d[:, :split])[None]]
@@ -199,9 +199,10 @@ def _squares_by_part(d: Floats, split: int, size: int) -> Floats:
 
 
 def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
-    """Return the sum of all second differences d at a lag, from 2 * lag points at each end.
+    """Return the sum of all second differences d of a segment at a lag, (axes,).
 
-    The sum telescopes: d(u) = g(u + lag) - g(u) with g(u) = theta(u + lag) - theta(u).
+    Only 2 * lag points of the phase theta at each end are needed, because the sum telescopes:
+    d(u) = g(u + lag) - g(u) with g(u) = theta(u + lag) - theta(u).
     """
     head = first[:, lag : 2 * lag] - first[:, :lag]
     tail = last[:, -lag:] - last[:, -2 * lag : -lag]
@@ -209,10 +210,10 @@ def _signed_sum(first: Floats, last: Floats, lag: int) -> Floats:
 
 
 class _DecimatedPhase:
-    """The phase of a segment at the ages that are multiples of a step.
+    """The phase of a segment at a few ages (in samples since the start of the recording).
 
-    The segment begins at the age ``offset``. The step is a power of two and doubles when the age
-    reaches ``points`` steps.
+    The ages are the multiples of ``step``, a power of two. The step is doubled when the age reaches
+    ``points`` steps. The segment begins at the age ``offset``.
     """
 
     def __init__(self, axes: int, points: int, offset: int = 0) -> None:
@@ -234,7 +235,7 @@ class _DecimatedPhase:
 
 
 class _OpenSegment:
-    """The cascade of the current segment: the levels, and two records of the decimated phase."""
+    """The cascade of the current segment, and its phase decimated for two other statistics."""
 
     def __init__(self, axes: int, reference: Floats, start_ns: int, offset: int = 0) -> None:
         self.offset = offset
@@ -245,8 +246,8 @@ class _OpenSegment:
         self.base = np.zeros((axes, 1))
         self.theta = np.zeros(axes)
         self.levels = [_Level(0, axes, offset)]
-        self.record = _DecimatedPhase(axes, PHASE_POINTS)
-        self.cells = _DecimatedPhase(axes, CELLS, offset)
+        self.record = _DecimatedPhase(axes, PHASE_POINTS)  # for the `SegmentRecord`
+        self.cells = _DecimatedPhase(axes, CELLS, offset)  # for the means of the `Recording`
         bottom = self.levels[0]
         bottom.points[:, _OVERLAP] = 0.0  # theta(0)
         bottom.fill = 1
@@ -412,7 +413,7 @@ class RunningAllan:
         self._open = None
 
     def _age(self, first_ns: int) -> int:
-        """Return the age in samples of a segment that begins at ``first_ns``; the first has 0."""
+        """Return the age in samples of a segment that begins at ``first_ns``, 0 for the first."""
         closed = self._closed
         if not closed.samples:
             self._start_ns = first_ns

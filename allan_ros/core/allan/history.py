@@ -101,7 +101,8 @@ def period_begins(length: int, begin: int = 0) -> Ints:
 
     The first period returned contains the age ``begin``. The length of a period is a power of two,
     and it begins at a multiple of its length. It is at most 1/32 of the recording, and at most 1/4
-    of the time to its end. As the recording grows, periods are merged but never split.
+    of the time from its end to the end of the recording. As the recording grows, periods are merged
+    but never split.
     """
     begins = []
     shortest = shortest_period(length)
@@ -142,13 +143,13 @@ class PeriodSums:
     sums: list[Floats]  # (axes,) of each period
 
     def shortest(self, length: int) -> int:
-        """Return the length in samples of the shortest period with sums at the factor ``m``."""
+        """Return the shortest period in samples at ``m`` in a recording of ``length`` samples."""
         return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
 
     def add(self, begins: range, sums: Floats) -> None:
         """Add sums, (periods, axes), of consecutive periods that begin at the ages ``begins``.
 
-        The first of them may be the last stored period; its sums are then added to it.
+        If the first of them lies in the last stored period, its sums are added to that period.
         """
         if self.begins and begins[0] <= self.begins[-1]:
             self.sums[-1] = self.sums[-1] + sums[0]
@@ -264,7 +265,7 @@ class Recording(ByValue):
         )
 
     def summary(self) -> Recording:
-        """Return a copy with fewer than 64 cells and 16 periods, for a sum of recordings."""
+        """Return a smaller copy, with fewer than 64 cells and 16 periods."""
         period = cell_step(self.length, MERGED_PERIODS)
         return self.coarser(MERGED_CELLS, np.unique(self.period_begin // period * period))
 
@@ -335,7 +336,7 @@ class History(ByValue):
     def __add__(self, other: History) -> History:
         """Return the history of the recordings of both; sums at equal ages are added.
 
-        An empty history is neutral.
+        If one history is empty, the other is returned.
         """
         if not self.recordings or not other.recordings:
             return self if self.recordings else other
@@ -361,8 +362,8 @@ class History(ByValue):
     def with_pooled(self, pooled: Iterable[tuple[int, PooledCount, Floats]]) -> History:
         """Return a copy with pooled segments added to the age bins in which they begin.
 
-        These are segments whose `SegmentRecord` is not kept. ``pooled`` contains the age of the
-        first sample, the `PooledCount` and the ramp correction of each.
+        These are segments of which only the sums are kept. ``pooled`` contains, for each of them,
+        the age of its first sample, its `PooledCount` and its `LengthClass.ramp_correction`.
         """
         more = [
             AgeBin(
@@ -407,7 +408,7 @@ def regrouped(values: NDArray, begins: Ints, coarser: Ints) -> NDArray:  # type:
     """Return the rows of ``values`` added up over longer periods.
 
     Row i belongs to the period that begins at the age ``begins[i]``. The longer periods begin at
-    the ages ``coarser``; the result has one row for each. No period of ``begins`` is split.
+    the ages ``coarser`` and must consist of complete periods. The result has one row for each.
     """
     rows, first = np.unique(np.searchsorted(coarser, begins, 'right') - 1, return_index=True)
     out = np.zeros((len(coarser), *values.shape[1:]), values.dtype)

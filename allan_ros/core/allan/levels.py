@@ -41,7 +41,7 @@ WHITE_SLOPE = 0.25
 """Largest difference between the slope of log variance over log m and -1, the slope of white
 noise."""
 
-LEAST_DIFFERENCES = 200
+MIN_DIFFERENCES = 200
 """Smallest number of second differences in a part that is used."""
 
 SCATTER_PROBABILITY = 1e-3
@@ -81,10 +81,10 @@ def _parts_of_each(recordings: Sequence[Recording]) -> int:
 def level_scatter(recordings: Sequence[Recording], axes: int, age: int = 0) -> Floats:
     """Return the standard deviation of ln N due to changes of the white noise, (axes,).
 
-    It has two parts, which are 0 if they are not significant: the scatter between the sixths of a
-    recording or between recordings, and the scatter between periods divided by the root of their
-    number. The latter is significant if heavy tails or bursts make the variances of periods vary
-    more than chi-squared. The first ``age`` samples of each recording are left out.
+    It is the root sum of squares of two contributions, each 0 if it is not significant. The first
+    is the scatter between the sixths of a single recording, or between several recordings. The
+    second is the scatter between short time intervals, divided by the root of their number; heavy
+    tails or bursts make it significant. The first ``age`` samples of each recording are left out.
     """
     variance = np.zeros(axes)
     for parts in (_parts_of_each(recordings), 0):
@@ -141,7 +141,7 @@ def _white_factor(variance: Floats, count: Floats) -> int | None:
     with np.errstate(divide='ignore', invalid='ignore'):
         slopes = np.diff(np.log(variance)) / math.log(4.0)
     for i, slope in enumerate(slopes):
-        if abs(slope + 1.0) < WHITE_SLOPE and count[i] >= LEAST_DIFFERENCES:
+        if abs(slope + 1.0) < WHITE_SLOPE and count[i] >= MIN_DIFFERENCES:
             return i
     return None
 
@@ -153,7 +153,7 @@ def _white_scatters(levels: dict[int, WhiteLevel]) -> dict[int, Scatter]:
 
 def _scatter(m: int, variance: Floats, count: Ints) -> Scatter | None:
     """Return the scatter of the variances, or None if fewer than two parts are long enough."""
-    some = (count >= LEAST_DIFFERENCES) & (variance > 0.0)
+    some = (count >= MIN_DIFFERENCES) & (variance > 0.0)
     variance, count = variance[some], count[some]
     if len(count) < 2:
         return None
@@ -198,8 +198,8 @@ def drift_scatter(
     variances of a part are those of all data times an unknown factor. The result is 0 for the axes
     of a sensor whose drift does not change significantly.
 
-    The longest of the ``recordings`` is the first. ``sensors`` contains the positions of the axes
-    of each sensor. The first ``age`` samples of each recording are left out.
+    The first of the ``recordings`` must be the longest. ``sensors`` contains the positions of the
+    axes of each sensor. The first ``age`` samples of each recording are left out.
     """
     axes = sum(len(s) for s in sensors)
     scatter = np.zeros(axes)
@@ -251,7 +251,7 @@ def _part_means(recording: Recording, age: int, parts: int) -> list[tuple[CellMe
 def _factor_likelihoods(
     means: Floats, part: CellMeans, variances: Floats, white_ratio: float, width: float
 ) -> Floats:
-    """Return twice the log likelihood of each of `LOG_FACTORS` for one axis of a part.
+    """Return twice the log likelihood of each factor in `LOG_FACTORS` for one axis of a part.
 
     ``means`` are the means of the axis over the intervals of ``part``. ``variances`` are those of
     white noise, bias instability and random walk in all data. ``white_ratio`` and ``width`` are the
@@ -269,7 +269,7 @@ def _factor_likelihoods(
 
 
 def _scatter_ratios(log_likelihoods: Floats) -> Floats:
-    """Return twice the log likelihood ratio of each of `LOG_SCATTERS` to no scatter.
+    """Return twice the log likelihood ratio of each scatter in `LOG_SCATTERS` to no scatter.
 
     ``log_likelihoods`` is twice the log likelihood of each factor of each part, (parts, factors).
     """

@@ -26,17 +26,17 @@ from .sums import LEVEL_FACTORS, AllanSums, LengthClass, SegmentRecord, counts, 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-LEAST_STEPS = 8
+MIN_STEPS = 8
 """Smallest length, in steps of the phase record, of a shortened segment that is kept."""
 
 
 def settled_sums(sums: AllanSums, age: int) -> AllanSums:
-    """Return the sums without the second differences that start before an age in samples.
+    """Return the sums without the first ``age`` sample periods of each recording.
 
-    Segments that begin earlier are shortened, so that they begin at the next stored phase point.
-    At short averaging factors and for pooled segments, the phase is not stored at every start of a
-    difference. The sum of squares is then that of nearly the same differences, scaled to their
-    exact number. The result has no non-overlapping sums and no history.
+    A segment that begins earlier is shortened to begin at the next stored phase point. The sums of
+    squares at short averaging factors, and of pooled segments, cannot be recomputed from the stored
+    phase. For these, the sums by age are used and scaled to the number of remaining differences.
+    The result has no non-overlapping sums and no history.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def _shortened(segment: SegmentRecord, age: int, tau0: float) -> SegmentRecord |
     """Return a segment without the samples before an age, or None if too few remain."""
     step = segment.phase_step
     points = -((segment.age - age) // step)
-    if segment.samples // step - points < LEAST_STEPS:
+    if segment.samples // step - points < MIN_STEPS:
         return None
     samples = segment.samples - points * step
     m, stride = grid_for(samples)
@@ -137,8 +137,8 @@ def _recompute_long_factors(
 ) -> None:
     """Replace the differences of ``segment`` by those of ``shorter`` in ``sum_sq`` and ``number``.
 
-    Only factors with a stride that is a multiple of the phase step are changed, because the phase
-    is stored at all points that their differences need.
+    Only factors whose stride is a multiple of the phase step are changed: for them, the phase is
+    stored at all points of the differences.
     """
     step = segment.phase_step
     for i in np.flatnonzero(stride % step == 0):
@@ -279,11 +279,11 @@ def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
 
 
 def _noise_steps(degrees: Floats, squares: Floats) -> tuple[int, int, int | None]:
-    """Return the row after the first and after the last step of the noise level, and a factor.
+    """Locate steps of the noise level; return (row after the first, row after the last, factor).
 
     The degrees of freedom and the sums of squares are (rows, factors). The first step is the most
-    significant one, and the third value is the index of its factor. Later steps are searched for at
-    the same factor. Without a significant step, the result is (1, 1, None).
+    significant one of all factors; ``factor`` is the index of its factor, at which later steps are
+    searched for. Without a significant step, the result is (1, 1, None).
     """
     degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)
     ratio = _step_ratios(degrees, squares)

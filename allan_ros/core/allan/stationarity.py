@@ -35,7 +35,7 @@ from .likelihood import (
 Floats = NDArray[np.float64]
 Axes = tuple[int, ...]
 
-LEAST_CELLS = 24
+MIN_CELLS = 24
 """Smallest number of cells (intervals with a mean) in a recording that is tested."""
 
 DECAYS, LONGEST_DECAY = 8, 1 / 12
@@ -78,7 +78,7 @@ def early_parts(recording: Recording, sensors: Sequence[Sequence[int]]) -> tuple
     """Return the early parts of a recording with a significant warm-up or larger drift.
 
     After an early part is found, the data after it are tested in the same way. The tests end when
-    nothing is significant or half of the recording is left out.
+    nothing is significant or more than half of the recording is left out.
 
     ``sensors`` contains the positions of the axes of each sensor, which are tested together.
     """
@@ -150,7 +150,7 @@ def _most_significant(
     recording: Recording, sensors: Sequence[Sequence[int]], kind: str
 ) -> EarlyPart | None:
     """Return the most significant early part of one kind, or None."""
-    if np.count_nonzero(2 * recording.cell_samples >= recording.step) < LEAST_CELLS:
+    if np.count_nonzero(2 * recording.cell_samples >= recording.step) < MIN_CELLS:
         return None
     means = CellMeans.growing(recording)
     model = variance_model(means)
@@ -232,7 +232,7 @@ class BiasSteps:
     excess: float  # twice the log likelihood ratio minus its threshold
 
 
-MOST_STEPS = 8
+MAX_STEPS = 8
 """Largest number of steps that are searched for on one axis."""
 
 FIRST_SCORE, NEXT_SCORE = 12.0, 8.0
@@ -250,15 +250,15 @@ intervals for both, steps were found in 5 instead of 1 of 320 simulated records 
 def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
     """Return the bias steps of each axis for which a random walk alone does not fit the means.
 
-    Steps are added one by one at the largest score statistic, and the variances are fitted again.
-    The first ``age`` samples are left out.
+    Steps are added one by one where the score statistic is largest; after each, the variances are
+    fitted again. The first ``age`` samples are left out.
     """
     offset = math.ceil(age / recording.step)
     recording = recording.cells(offset)
     fine, coarse = (CellMeans.even(recording, most) for most in (STEP_INTERVALS, FIT_INTERVALS))
     grown = CellMeans.growing(recording)
     # Long intervals of a recording with many gaps may all have too few samples.
-    if min(len(means.begin) for means in (fine, coarse, grown)) < LEAST_CELLS:
+    if min(len(means.begin) for means in (fine, coarse, grown)) < MIN_CELLS:
         return ()
     samples = recording.cell_samples
     found = []
@@ -269,7 +269,7 @@ def bias_steps(recording: Recording, age: int = 0) -> tuple[BiasSteps, ...]:
         steps = None if start is None else _steps_of(axis, fine, coarse, samples, start.variances)
         if steps is not None:
             ages = tuple((a + offset) * recording.step for a in steps.ages)
-            scale = 1.0 / recording.step  # random walk per cell
+            scale = 1.0 / recording.step  # from the variance per cell to that per sample
             walks = steps.walk_before * scale, steps.walk_after * scale
             found.append(replace(steps, ages=ages, walk_before=walks[0], walk_after=walks[1]))
     return tuple(found)
@@ -279,27 +279,29 @@ def _steps_of(
     axis: int, fine: CellMeans, coarse: CellMeans, samples: NDArray[np.int64], start: Floats
 ) -> BiasSteps | None:
     """Return the steps of one axis, with ages in cells; None if they are not significant."""
-    where, fitted = variance_model(fine), variance_model(coarse)
+    fine_model, coarse_model = variance_model(fine), variance_model(coarse)
     ages = fine.begin[2:-1]
-    effects_at = where.steps(ages, samples)
-    values = where.contrasts @ fine.means[:, axis]
-    coarse_values = fitted.contrasts @ coarse.means[:, axis]
+    all_effects = fine_model.steps(ages, samples)
+    values = fine_model.contrasts @ fine.means[:, axis]
+    coarse_values = coarse_model.contrasts @ coarse.means[:, axis]
     chosen: list[int] = []
     null: Likelihood | None = None
     best: Likelihood | None = None
     current: Likelihood | None = None
     best_excess = 0.0
-    while len(chosen) < MOST_STEPS:
+    while len(chosen) < MAX_STEPS:
         at = start if current is None else current.variances
-        scores = _step_scores(values, where, at, effects_at, chosen)
+        scores = _step_scores(values, fine_model, at, all_effects, chosen)
         strongest = int(scores.argmax())
         if scores[strongest] < (NEXT_SCORE if chosen else FIRST_SCORE):
             break
         if null is None or current is None:
-            null = current = maximum(coarse_values, fitted.units, start, iterations=12)
+            null = current = maximum(coarse_values, coarse_model.units, start, iterations=12)
         chosen.append(strongest)
-        effects = fitted.steps(ages[chosen], samples)
-        current = maximum(coarse_values, fitted.units, current.variances, effects, iterations=12)
+        effects = coarse_model.steps(ages[chosen], samples)
+        current = maximum(
+            coarse_values, coarse_model.units, current.variances, effects, iterations=12
+        )
         excess = current.value - null.value - STEP_PENALTY * len(chosen) - STEPS_THRESHOLD
         if excess > best_excess:
             best, best_excess = current, excess

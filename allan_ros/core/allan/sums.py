@@ -33,10 +33,10 @@ the lags of a covariance would not fit into 64-bit search keys."""
 
 
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors m and the strides of a cascade of decimations.
+    """Return the averaging factors m and the strides of a cascade of ``levels`` decimations.
 
-    Both arrays have 5 + 4 ``levels`` elements. The stride is the number of samples between the
-    starts of two second differences.
+    The stride is the number of samples between the starts of two second differences. Both arrays
+    have 5 + 4 ``levels`` elements.
     """
     m = [*FIRST_FACTORS, *(f << j for j in range(levels) for f in LEVEL_FACTORS)]
     stride = [1] * len(FIRST_FACTORS) + [1 << j for j in range(levels) for _ in LEVEL_FACTORS]
@@ -75,7 +75,7 @@ pooled."""
 TAU0_TOLERANCE = 1e-3
 """Sums whose sample periods differ by more than 0.1 % cannot be added."""
 
-LEAST_VARIANCE = 1e-80
+MIN_VARIANCE = 1e-80
 """Smaller variances are set to 0. No sensor has a resolution of 1e-40. The fit computes the cube
 and the inverse square of variances, which would be outside the range of float64."""
 
@@ -288,8 +288,8 @@ class AllanSums(ByValue):
     def extended(self, other: AllanSums, continues: bool = False) -> AllanSums:
         """Return the sums of both, which must have equal axes, without the checks of ``+``.
 
-        ``continues`` states that ``other`` is a later segment of the same recording. Its ages then
-        count from the first sample of this recording.
+        With ``continues``, ``other`` is a later segment of the same recording, and its ages count
+        from the first sample of this recording.
         """
         segments = sorted((*self.segments, *other.segments), key=lambda s: s.order)
         pooled = [(s, LengthClass.of(s)) for s in segments[KEPT_SEGMENTS:]]
@@ -349,12 +349,12 @@ class AllanSums(ByValue):
 def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64]) -> Floats:
     """Return the Allan variance sum d^2 / (2 m^2 count), (factors, axes), NIST SP 1065 eq. 11.
 
-    It is NaN where ``count`` is 0; values below `LEAST_VARIANCE` are set to 0.
+    It is NaN where ``count`` is 0; values below `MIN_VARIANCE` are set to 0.
     """
     number = m.astype(float) ** 2 * count  # int64 would overflow after weeks at 1 kHz
     with np.errstate(invalid='ignore', divide='ignore'):
         variance: Floats = sum_sq / (2.0 * number[:, None])
-    return np.where(variance < LEAST_VARIANCE, 0.0, variance)
+    return np.where(variance < MIN_VARIANCE, 0.0, variance)
 
 
 def _levels(factors: int) -> int:

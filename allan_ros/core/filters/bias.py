@@ -99,10 +99,10 @@ class BiasModel(NamedTuple):
     def of_fit(cls, fit: AxisFit) -> BiasModel:
         """Return the model from the fit of an axis.
 
-        The processes are the selected model of the fit, with an expected K if K is not resolved.
-        The standard deviation of the slope is the root sum of squares of R and its standard error,
-        even if R is not resolved. Without a slope, the 95 % interval of the bias 10 min ahead
-        contains only 89 to 93 % of the values of simulated sensors.
+        The processes are those of the selected model, with the expected K (see `expected_model`) if
+        K is not resolved. The standard deviation of the slope is the root sum of squares of R and
+        its standard error, even if R is not resolved. Without a slope, the 95 % interval of the
+        bias 10 min ahead contains only 89 to 93 % of the values of simulated sensors.
         """
         ramp = fit.noise['R']
         value, limit = abs(ramp.value or 0.0), ramp.upper95 or 0.0
@@ -204,7 +204,7 @@ class BiasFilter:
 class AxisBias:
     """The current bias of one axis, its best averaging time and how long it is valid."""
 
-    estimate: BiasEstimate  # mean over the 10 s after the latest input
+    estimate: BiasEstimate  # mean bias over the 10 s after ``end_ns``
     end_ns: int  # end of the latest mean in ns
     optimal_s: float  # averaging time in s whose mean predicts the bias best
     within_s: float  # time in s for which the bias stays within the tolerance (95 %)
@@ -221,7 +221,8 @@ class BiasTracker:
     ----------
     tolerance : mapping of 'gyro' and 'accel' to float
         Accepted error of a bias in the unit of the samples, from which `AxisBias.within_s` is
-        computed. If it is 0, twice the half-width of the 95 % interval after a long rest is used.
+        computed. If it is 0 or missing, twice the half-width of the 95 % interval after a long rest
+        is used.
     """
 
     def __init__(self, tolerance: Mapping[str, float]) -> None:

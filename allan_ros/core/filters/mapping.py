@@ -230,7 +230,7 @@ def _axis_ends(
 def _by_rule(
     axes: Sequence[dict[str, Ends]], terms: Sequence[str], rule: str
 ) -> list[dict[str, Ends]]:
-    """Return the ends of each term combined over the axes, or those of each axis ('each')."""
+    """Combine the values and interval ends of the axes, or keep those of each axis ('each')."""
     if rule == 'each':
         return list(axes)
     if rule == 'worst':

@@ -316,8 +316,8 @@ def white_variances(
     """Return the sample variances (inflation N)^2 f of x, y, z for each sensor, 'gyro' and 'accel'.
 
     ``rate`` is the sample rate f in Hz. A sensor is left out if N of an axis has neither a value
-    nor a limit. With ``horizon`` in s, N is increased until white noise alone covers the predicted
-    error growth up to this time, for filters without a state for the bias.
+    nor a limit. If ``horizon`` (in s) is not 0, N is increased until white noise alone covers the
+    predicted error growth up to this time, for filters without a state for the bias.
     """
     densities: dict[str, float | None] = {}
     for name, fit in axes.items():
@@ -338,7 +338,7 @@ def measured_variances(
     """Return the variances of x, y, z for each sensor, 'gyro' and 'accel', from the axes' stds.
 
     ``stds`` maps axis names to standard deviations of the samples, which are multiplied by
-    ``inflation``. A sensor is left out if one of its three axes is missing or None.
+    ``inflation``. A sensor is left out if one of its three axes is missing, None or 0.
     """
     variances = {}
     for sensor, rows in SENSORS.items():

@@ -336,8 +336,8 @@ def closest_process(
 ) -> tuple[float, float] | None:
     """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model, or None.
 
-    It replaces all drift of the model. The largest difference between the logarithms of the error
-    growth of both over the horizons is minimal. The result is None if the model has no drift.
+    It replaces all drift of the model and minimizes the largest relative difference of the
+    error growth over the horizons. The result is None if the model has no drift.
 
     ``tau`` is the correlation time in s; with None, it is selected. If ``bound`` is set, the growth
     is at least that of the model, as a filter requires. Otherwise it may also be smaller.
