@@ -28,7 +28,7 @@ WHOLE_TOLERANCE = 0.05
 """Largest distance of the phase, divided by the step, from a whole number."""
 
 LEAST_POINTS = 8
-"""Smallest number of different phase values in which a step is searched. Fewer values are multiples
+"""Smallest number of different phase values needed to search for a step. Fewer values are multiples
 of some step by chance."""
 
 
@@ -89,15 +89,15 @@ WEAK_LINE = 0.2
 model of the largest."""
 
 SLOWEST_VIBRATION = 0.5
-"""In Hz. Slower sinusoids are not called vibration: buildings and tables resonate above this
-frequency."""
+"""Frequency in Hz below which sinusoids are not called vibration: buildings and tables resonate
+above it."""
 
 SHORTEST_THERMAL_S = 300.0
 """Shortest period in s of a cycle that is attributed to heating, air conditioning or temperature
 control."""
 
 FASTEST_VIBRATION = 400.0
-"""In Hz. Vibration of rotors and engines has no aliases at this sample rate or above."""
+"""Sample rate in Hz from which vibration of rotors and engines has no aliases."""
 
 ALIAS_FROM = 0.02
 """Lowest frequency, as a fraction of the sample rate, for which an alias is mentioned. Slower lines

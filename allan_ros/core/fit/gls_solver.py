@@ -25,8 +25,8 @@ from .ramp import Noise
 from .table import EMPTY_ROW, PooledTable, Table
 
 RIDGE = 1e-12
-"""Added to the diagonal of the normal equations of unit columns. Too few points then give a wide
-interval instead of a singular matrix."""
+"""Added to the diagonal of the normal equations of columns of norm 1. With too few points, the
+result is then a wide interval instead of a singular matrix."""
 
 
 def nonnegative_least_squares(
@@ -328,7 +328,7 @@ RAMP_ROUNDS = 4
 """Largest number of iterations between ramps and coefficients; two or three are usual."""
 
 RAMP_TOLERANCE = 1e-2
-"""Relative change of the coefficients that has a negligible effect on the ramps."""
+"""Relative change of the coefficients whose effect on the ramps is negligible."""
 
 
 @dataclass(frozen=True)

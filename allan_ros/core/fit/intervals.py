@@ -55,7 +55,7 @@ MAX_STEP_RATIO = 5.0
 """Largest factor by which a step increases the distance from the start."""
 
 MAX_DISTANCE = 1e8
-"""Largest distance, relative to the first guess, at which an end of an interval is searched."""
+"""Distance, relative to the first guess, at which the search for an end of an interval stops."""
 
 NEGLIGIBLE_SKEWNESS = 1e-3
 """Skewness whose effect is negligible."""
