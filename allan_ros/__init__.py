@@ -53,9 +53,8 @@ _HOME = {
 def keep_to_one_thread() -> None:
     """Limit the linear algebra of numpy to one thread; to be called before numpy is imported.
 
-    The matrices of a fit have about a hundred rows. More threads make it no faster, and use three
-    times the CPU time because they wait actively. Environment variables that are already set are
-    not changed.
+    The matrices of a fit have about a hundred rows. More threads do not make it faster, and their
+    busy-waiting triples the CPU time. Environment variables that are already set are not changed.
     """
     for library in ('OPENBLAS', 'OMP', 'MKL'):
         os.environ.setdefault(f'{library}_NUM_THREADS', '1')

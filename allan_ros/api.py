@@ -93,7 +93,7 @@ class ResultSettings(CheckedSettings):
 
     @property
     def stated_margin(self) -> float | None:
-        """The margin; None for the default, which does not change earlier comparisons."""
+        """The margin; None if it is the default, so that an earlier comparison keeps its margin."""
         return None if self.margin == MARGIN else self.margin
 
 
@@ -210,7 +210,7 @@ def analyze(
     3.4
     """
     names = *describe(SegmenterSettings), *describe(ReadOptions)
-    # ``rate`` sets both rates
+    # ``rate`` sets both settings excluded below
     check_rate(rate)
     check_names(options, [name for name in names if name not in ('rate_hz', 'declared_rate')])
     read_options = {name: options.pop(name) for name in describe(ReadOptions) if name in options}

@@ -190,7 +190,7 @@ class Difference:
         return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
 
     def against(self, reference: str, margin: float) -> Comparison | None:
-        """Return the comparison of the second recording with the first, which is the limit.
+        """Return the second recording compared with the first, whose value is the limit.
 
         ``reference`` is the name of the first recording. The verdict is 'beyond' if the second
         recording is significantly higher by more than the fraction ``margin``. It is 'open' if the
@@ -209,29 +209,29 @@ class Difference:
 
 
 class Measured(NamedTuple):
-    """Coefficients by term and Allan deviation curve of one axis; None if unknown."""
+    """The coefficients of one axis by term, and its Allan deviation curve; each None if unknown."""
 
     noise: Mapping[str, Coefficient] | None
     curve: AxisCurve | None
 
 
 Run = Mapping[str, Measured]
-"""Axis -> its results."""
+"""Axis -> its coefficients and curve in one recording."""
 
 
 def differences(
-    pairs: Iterable[tuple[Run, Run]], repeats: float = 1.0
+    pairs: Iterable[tuple[Run, Run]], error_divisor: float = 1.0
 ) -> list[tuple[Difference, ...]]:
     """Return for each pair of recordings the differences of the second from the first.
 
     For each common axis, the five terms and then the deviations at common averaging times are
     compared. The verdicts are corrected for the number of all comparisons of all pairs.
 
-    ``repeats`` is 1 for a single comparison. For the k-th comparison of an endless series it is
-    k (k + 1). The probability of any false detection in the series is then below `FAMILY_ERROR`.
+    The probability of any false detection is below `FAMILY_ERROR` / ``error_divisor``. In an
+    endless series, it is below `FAMILY_ERROR` in total if the k-th call uses the divisor k (k + 1).
     """
     found = [list(_run_differences(*pair)) for pair in pairs]
-    decided = iter(_with_verdicts(list(chain(*found)), FAMILY_ERROR / repeats))
+    decided = iter(_with_verdicts(list(chain(*found)), FAMILY_ERROR / error_divisor))
     return [tuple(islice(decided, len(of_pair))) for of_pair in found]
 
 
@@ -287,7 +287,7 @@ def _change(difference: Difference, beyond: bool) -> Change:
     if difference.p is None or difference.ci95 is None:
         return 'open'
     if not beyond:
-        # Two estimates without a significant difference are alike; a limit alone proves nothing.
+        # Two estimates without a significant difference are alike; a limit alone is inconclusive.
         return 'open' if difference.ratio is None else 'alike'
     return 'higher' if difference.ci95[0] > 1.0 else 'lower'
 
@@ -342,23 +342,21 @@ def _exp(x: float) -> float:
 
 
 def _width(upper: float, lower: float, x: Estimate) -> float:
-    """Return ln(upper / lower), but at least half the logarithmic width of the interval of ``x``.
-
-    The value may coincide with one end of its interval, and its distance to that end is then too
-    small for a standard error.
-    """
+    """Return ln(upper / lower), but at least half the width of the logarithmic interval of x."""
+    # The value can lie at an end of its interval; the distance to that end is then too small.
     return max(math.log(upper) - math.log(lower), (math.log(x[2]) - math.log(x[1])) / 2.0)
 
 
 def _p_value_of_limit(a: Estimate, limit: float) -> float:
-    """Return the p value if one recording has an estimate and the other only a limit.
+    """Return the p value of equality if one recording has an estimate and the other only a limit.
 
-    With s as the standard error of ln(estimate), the lower limit of the estimate is exp(-z s) times
-    the estimate at the normal quantile z. The upper limit of the other recording is sqrt(z/1.96)
-    times its 95 % limit: variances have normal errors, and an estimate of 0 is the worst case. At
-    the z where the limits are equal, each is wrong with probability Phi(-z), and either recording
-    could have the estimate: p = 4 Phi(-z).
+    It follows from the confidence at which the lower limit of the estimate equals the upper limit.
     """
+    # At the normal quantile z, the lower limit of the estimate is value exp(-s z), where s is the
+    # standard error of its logarithm. The upper limit is limit sqrt(z / 1.96): the variance has
+    # normal errors, and its estimate is assumed to be 0, which is the worst case. At the z where
+    # both are equal, each limit is wrong with probability Phi(-z). The result is 4 Phi(-z), because
+    # either recording could have the estimate.
     value, low, _ = a
     scale = max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
     # 2 s z exp(2 s z) = 2 s 1.96 (value / limit)^2, solved by the Lambert W function in logarithms

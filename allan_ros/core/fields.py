@@ -146,7 +146,7 @@ class Fields:
         return value
 
     def quantity(self, unit: str) -> float:
-        """Return the number of an object ``{value, unit}``, converted to the SI unit ``unit``."""
+        """Return the value of this object, ``{value, unit}``, converted to the SI unit ``unit``."""
         value, stated = self.number('value'), self.text('unit')
         with located(self.where):
             return to_si(value, stated, unit)
@@ -202,11 +202,11 @@ class Fields:
         return self._get(key, object, 'a value')
 
     def fields(self, key: str) -> Fields:
-        """Return a JSON object below this one."""
+        """Return the JSON object under a key."""
         return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}', *self._record_rules)
 
     def optional_fields(self, key: str) -> Fields | None:
-        """Return a JSON object below this one; None if it is null or missing."""
+        """Return the JSON object under a key; None if it is null or missing."""
         return None if self._document.get(key) is None else self.fields(key)
 
     def each(self, key: str, most: int = MAX_ITEMS) -> Iterator[Fields]:

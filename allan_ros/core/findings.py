@@ -68,7 +68,7 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     """Return the finding ``id`` of the catalogue, with ``values`` inserted into its texts.
 
     ``axes`` are the affected axes; empty for all. ``values`` must contain every field of the
-    templates except ``when``, which is '' by default.
+    templates. Only ``when``, a text such as ' in the last minute', is '' by default.
     """
     known, values = CATALOGUE[id], {'when': '', **values}
     message, remedy = (_filled(text, values) for text in (known.message, known.remedy))

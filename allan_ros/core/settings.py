@@ -76,8 +76,8 @@ EXPECTED: dict[Any, str] = {
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
     """Raise AllanError for the first keyword argument that is not of the type or types ``kind``.
 
-    The message contains the name of the argument. ``called`` describes the type there; by default,
-    the description in `EXPECTED` is used.
+    The message names the argument and the expected type. ``called`` is the text for the type; by
+    default it is taken from `EXPECTED`.
     """
     for name, value in values.items():
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):

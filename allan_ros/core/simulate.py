@@ -254,10 +254,11 @@ def simulate_imu(
         _disturb_samples(samples[:, axes], tau0, faults, sensor, sample_seed)
     stamps_ns = start_ns + np.round(np.arange(n) * (tau0 * 1e9)).astype(np.int64)
     kept = np.flatnonzero(~_lost_samples(n, tau0, faults, np.random.default_rng(loss_seed)))
-    header_ns, record_ns = _disturb_stamps(stamps_ns[kept], faults, stamp_seed)
+    disturbed_ns = _disturbed_stamps(stamps_ns[kept], faults, stamp_seed)
     for first in range(0, len(kept), BATCH_SAMPLES):
         rows = slice(first, first + BATCH_SAMPLES)
-        yield ImuBatch(header_ns[rows], samples[kept[rows]], record_ns[rows], frame_id)
+        header_ns = disturbed_ns[rows]
+        yield ImuBatch(header_ns, samples[kept[rows]], header_ns.copy(), frame_id)
 
 
 BUMP_TAIL = 40.0
@@ -348,7 +349,7 @@ def _add_knocks(
 
 
 def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
-    """Return for each sample the index of the latest sample with a new value of a slower sensor."""
+    """Return for each of n samples the index of the sample whose value a slower sensor holds."""
     # Rounding must not hide a tick of the slower clock that coincides with a sample.
     ticks = np.floor(np.arange(n) * tau0 * rate + 1e-9)
     held = np.minimum(np.ceil(ticks / (tau0 * rate) - 1e-9), np.arange(n))
@@ -374,14 +375,10 @@ def _lost_samples(
     return lost
 
 
-def _disturb_stamps(
+def _disturbed_stamps(
     stamps_ns: NDArray[np.int64], faults: Faults, seed: np.random.SeedSequence
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the header stamps and the record times of samples taken at ``stamps_ns``, in ns.
-
-    The two are equal. Jitter is added to the given stamps. With bursts, the host reads the sensor
-    at intervals and then stamps all new samples in quick succession.
-    """
+) -> NDArray[np.int64]:
+    """Return the stamps in ns with jitter, and in bursts if the host reads samples in groups."""
     jitter_seed, burst_seed = seed.spawn(2)
     out = stamps_ns
     if faults.jitter > 0.0:
@@ -398,4 +395,4 @@ def _disturb_stamps(
         out = out[0] + np.round((queue + np.maximum.accumulate(read - queue)) * 1e9).astype(
             np.int64
         )
-    return out, out.copy()
+    return out

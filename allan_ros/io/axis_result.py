@@ -258,7 +258,7 @@ class AxisResult:
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the Allan deviation of each term that is not resolved, at its 95 % upper limit.
+        """Return the Allan deviation of each term that the model omits, at its 95 % upper limit.
 
         ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
         deviations in SI, (factors,).

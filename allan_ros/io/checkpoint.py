@@ -103,8 +103,8 @@ class Checkpoint:
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
         """Return the sums of all runs, given the sums and the provenance of this run.
 
-        If the file belongs to another IMU or other axes, or is used by another node, these are the
-        sums of this run alone.
+        If the file belongs to another IMU or other axes, cannot be read, or is used by another
+        node, these are the sums of this run alone.
         """
         self._has_new_samples = bool(sums)
         if self.refused is not None and not os.path.lexists(self.path):
@@ -172,7 +172,7 @@ class Checkpoint:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             self._report_unwritable(AllanError(f'{folder} cannot be created ({error.strerror})'))
-        if not self._locked():
+        if not self._locked(on_error=True):  # without a lock, the file may be readable
             return
         self._owned = True
         if os.path.lexists(self.path):
@@ -244,16 +244,13 @@ class Checkpoint:
         if not known:
             self._log.warning(str(self.refused))
 
-    def _locked(self, if_not_created: bool = True) -> bool:
-        """Acquire the lock; return False if another node has it.
-
-        Returns ``if_not_created`` if the lock cannot be created: the file may still be readable.
-        """
+    def _locked(self, on_error: bool) -> bool:
+        """Acquire the lock; return False if another node has it, ``on_error`` if this fails."""
         try:
             owner = self._lock.acquire() if self._lock is not None else ''
         except AllanError as error:
             self._report_unwritable(error)
-            return if_not_created
+            return on_error
         if owner:
             self._in_use = finding('checkpoint_in_use', path=self.path, owner=owner)
             self._log.warning(str(self._in_use))
@@ -263,7 +260,7 @@ class Checkpoint:
 
     def _writable(self) -> bool:
         """Return whether this node may write the file; retries a lock that failed before."""
-        return self._owned and self.refused is None and self._locked(False)
+        return self._owned and self.refused is None and self._locked(on_error=False)
 
     def _write(self, total: Total) -> None:
         if total[0]:

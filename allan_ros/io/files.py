@@ -198,8 +198,8 @@ def to_json(document: Mapping[str, Any]) -> str:
 def parse_json(text: str, where: str) -> object:
     """Parse a JSON text; ``where`` names it in messages.
 
-    Raises AllanError if it is too long or invalid, or contains NaN, infinity or half a surrogate
-    pair.
+    Raises AllanError if it is too long or invalid, or contains NaN, infinity or an unpaired
+    surrogate.
     """
     if len(text) > MAX_BYTES:
         raise AllanError(
@@ -207,7 +207,7 @@ def parse_json(text: str, where: str) -> object:
         )
     try:
         document: object = json.loads(text, parse_constant=_reject_constant, parse_int=_integer)
-        if '\\ud' in text.lower():  # half a surrogate pair, which no file can contain
+        if '\\ud' in text.lower():  # an unpaired surrogate cannot be written as UTF-8
             json.dumps(document, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
         raise AllanError(f'{where}: is not JSON ({error}): create the file again') from None
@@ -343,7 +343,7 @@ def _suggestion(name: str, names: Sequence[str]) -> str:
 
 
 def _simplified(name: str) -> str:
-    """Return a name without case, spaces and punctuation."""
+    """Return a name in lower case, without spaces and punctuation."""
     return re.sub(r'[\W_]', '', name.lower())
 
 
@@ -367,7 +367,10 @@ class PathLock:
         self._handle: int | None = None
 
     def acquire(self) -> str:
-        """Try to acquire the lock. Return '' on success, else the process that owns it."""
+        """Try to acquire the lock. Return '' on success, else the process that owns it.
+
+        Raises AllanError if the lock file cannot be created.
+        """
         while self._handle is None:
             handle = self._open_lock_file()
             if not _try_to_lock(handle):

@@ -125,10 +125,10 @@ NUMBER_DIGITS = 6
 
 
 def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
-    """Return value, lower and upper end of the interval, and upper limit, in a unit.
+    """Return the signed value, the two ends of the interval of its magnitude, and the upper limit.
 
-    Each is None if unknown. A coefficient that is not resolved has only a limit, and one that is
-    resolved has no limit.
+    All are in ``unit``, and None if unknown. A coefficient that is not resolved has only a limit,
+    and one that is resolved has no limit.
     """
     resolved = c.status == 'estimated'
     low, high = c.ci95 if resolved and c.ci95 is not None else (None, None)
@@ -148,10 +148,10 @@ def markdown_rows(rows: Iterable[Sequence[str]]) -> str:
 
 
 def part_text(part: str, likely: Collection[str]) -> str:
-    """Return the name of a part of the model, with '?' after each uncertain term.
+    """Return the name of a part of the model, with '?' after each term in ``likely``.
 
-    ``part`` is a term, a process, or several of them joined by '+'. ``likely`` contains the
-    uncertain terms.
+    ``part`` is a term, a process, or several of them joined by '+'. Likely terms are not resolved,
+    but the model contains them.
 
     >>> part_text('B+GM 110 s', ['B'])
     'B?+GM 110 s'
@@ -162,7 +162,7 @@ def part_text(part: str, likely: Collection[str]) -> str:
 def region_text(region: Region, likely: Collection[str] = ()) -> str:
     """Return a region as text: its averaging times, the dominant noise and the slope of the curve.
 
-    ``likely`` contains the uncertain terms, which are marked by '?'.
+    The terms in ``likely``, which the model contains although they are not resolved, get a '?'.
     """
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
     return f'{low}-{high} s {part_text(region.term, likely)} (slope {region.slope:+.2f})'
@@ -179,7 +179,7 @@ def text_in_units(text: str, units: str, typeset: bool = False) -> str:
     """Convert the coefficients in a message to the given units ('datasheet' or 'si').
 
     Every number that is followed by a unit of a coefficient is converted, as is an interval after
-    it. With ``typeset``, units are spelled as in reports.
+    it. With ``typeset``, the spelling of units is that of `pretty_unit`, such as ``°/√h``.
 
     >>> text_in_units('N is 0.60 deg/sqrt(h) (0.59..0.61).', 'si')
     'N is 0.0001745 rad/s/sqrt(Hz) (0.0001716..0.0001774).'

@@ -64,7 +64,7 @@ class Results:
     datasheet : DatasheetComparison or None
         The comparison with a datasheet; None if no datasheet was given.
     baselines : mapping of name to Results
-        Earlier runs of this IMU to which it is compared.
+        Earlier runs of this IMU with which the results are compared.
     margin : float
         A coefficient exceeds a limit or an earlier run if its complete 95 % interval lies above it
         by this fraction.
@@ -109,11 +109,11 @@ class Results:
 
     def __post_init__(self) -> None:
         if self.datasheet is not None:
-            checks = self._judged(self.datasheet.comparisons)
+            checks = self._open_if_short(self.datasheet.comparisons)
             object.__setattr__(self, 'datasheet', replace(self.datasheet, comparisons=checks))
 
-    def _judged(self, comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
-        """Return the comparisons; all verdicts are 'open' if the recording is too short."""
+    def _open_if_short(self, comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
+        """Return the comparisons, with the verdict 'open' below `TOO_SHORT_S` of data at rest."""
         short = self.duration_s < TOO_SHORT_S
         return tuple(replace(c, verdict='open') if short else c for c in comparisons)
 
@@ -155,7 +155,7 @@ class Results:
                 if c.tau is not None and c.verdict == 'beyond' and c.axis not in explained:
                     excess[c.axis] = c
             found += excess.values()
-        return self._judged(found)
+        return self._open_if_short(found)
 
     def __getitem__(self, axis: str) -> AxisResult:
         try:
@@ -326,6 +326,11 @@ class Results:
             With ``level`` ('healthy', 'attention', 'unknown' or 'failed'), ``summary``, ``reasons``
             and ``next_steps``.
 
+        Raises
+        ------
+        AllanError
+            When the datasheet or the earlier run cannot be read, or the margin is negative.
+
         Examples
         --------
         >>> import allan_ros as ar
@@ -355,6 +360,11 @@ class Results:
         margin : float, optional
             Fraction by which a complete 95 % interval must lie above a limit to exceed it. By
             default 0.2; an existing comparison with a datasheet keeps its margin.
+
+        Raises
+        ------
+        AllanError
+            When the datasheet or the earlier run cannot be read, or the margin is negative.
         """
         from .documents import labels_of, load
 
@@ -386,7 +396,7 @@ class Results:
         comparison = against_datasheet(self.noise, datasheet, margin)
         found = (
             beyond_limit(c, self.noise[c.axis][c.term], margin, (c.axis,))
-            for c in self._judged(comparison.comparisons)
+            for c in self._open_if_short(comparison.comparisons)
             if c.verdict == 'beyond'
         )
         return replace(self, datasheet=comparison, margin=margin, findings=(*others, *found))
@@ -442,9 +452,10 @@ def with_earlier_datasheet(results: Results) -> Results:
 
 
 def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
-    """Fit the Allan variance sums of one IMU, and return the results.
+    """Fit sums that are in memory, for example those of a running node, and return the results.
 
-    ``sums`` has one item with all axes, or one item for each sensor if their rates differ.
+    ``sums`` has one item with all axes, or one item for each sensor if their rates differ. Raises
+    AllanError if there are too few data.
     """
     return analyse_recorded(RecordingSums('', tuple(sums), provenance), method)
 

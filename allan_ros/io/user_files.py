@@ -85,7 +85,7 @@ def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
 
 
 def with_noise(noise: Mapping[str, NoiseTerms], stated: Fields) -> AxesNoise:
-    """Return the noise (axis -> coefficients in SI) with the stated coefficients replaced."""
+    """Replace coefficients of the noise (axis -> coefficients in SI) by those in ``stated``."""
     stated.only(*SI_UNITS, *AXES)
     return {
         axis: replace(
@@ -268,7 +268,7 @@ def read_published(path: str | Path) -> dict[tuple[str, str], float]:
 def contradictions(
     curves: Curves, fits: Mapping[str, AxisFit], published: Mapping[tuple[str, str], float]
 ) -> list[str]:
-    """Return sentences on curves that show motion, and on published values that contradict curves.
+    """Return messages on curves that show motion and published values that contradict a curve.
 
     ``fits`` are the coefficients that were fitted to the curves, by axis. ``published`` are values
     in SI that another program determined, by (sensor, term).
