@@ -32,24 +32,14 @@ result is then a wide interval instead of a singular matrix."""
 def nonnegative_least_squares(
     columns: Floats, target: Floats, signed: Sequence[int] = ()
 ) -> Floats:
-    """Return x >= 0 that minimises |columns x - target|.
+    """Return x >= 0 that minimises |columns x - target|, (columns,).
+
+    Coefficients of the columns ``signed`` may be negative. The columns may have any scale.
 
     The active set is guessed from the signs of the unconstrained solution, which is usually
     correct. Otherwise the method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch. 23)
     finds it. `scipy.optimize.nnls` is not used, because its import takes longer than all fits of an
     IMU.
-
-    Parameters
-    ----------
-    columns : (points, terms) float64 array
-        Columns of any scale.
-    target : (points,) float64 array
-    signed : sequence of int
-        Columns whose coefficient may be negative.
-
-    Returns
-    -------
-    (terms,) float64 array
     """
     scale = np.sqrt(np.einsum('ij,ij->j', columns, columns))
     scale[scale == 0.0] = 1.0

@@ -55,17 +55,9 @@ def model_line(
     """Return the Allan deviation of the selected model at the points of a measured curve.
 
     The line begins at the shortest averaging time of the fit. If the samples are low-pass filtered,
-    it begins where the filter no longer decreases the measured values.
-
-    Parameters
-    ----------
-    fit : AxisFit
-    tau0 : float
-        Sample period in s.
-    m : (factors,) int64 array
-        Averaging factors.
-    adev, high : (factors,) float64 arrays
-        Measured Allan deviation and its upper 68.3 % limit.
+    it begins where the filter no longer decreases the measured values. ``tau0`` is the sample
+    period in s. ``adev`` is the Allan deviation measured at the averaging factors ``m``, and
+    ``high`` its upper 68.3 % limit.
     """
     line, upper = (
         np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.selected, fit.selected_at_limits)
@@ -84,15 +76,8 @@ def largest_deviation(
     """Return the largest significant deviation of the measured points from the model, or None.
 
     A point above the line is compared with ``line.upper``. A deviation is significant if it exceeds
-    `SIGNIFICANT` error bars on a logarithmic axis.
-
-    Parameters
-    ----------
-    line : ModelLine
-    tau : (factors,) float64 array
-        Averaging times in s.
-    adev, low, high : (factors,) float64 arrays
-        Measured Allan deviation and its 68.3 % limits.
+    `SIGNIFICANT` error bars on a logarithmic axis. ``adev`` is the measured Allan deviation at the
+    averaging times ``tau`` in s; ``low`` and ``high`` are its 68.3 % limits.
     """
     with np.errstate(divide='ignore', invalid='ignore'):
         edge = np.clip(adev, line.adev, line.upper)
