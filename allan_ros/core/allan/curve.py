@@ -42,16 +42,10 @@ limit to 1e-5."""
 def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLike = 1) -> float:
     """Return the equivalent degrees of freedom of an Allan variance pooled over segments.
 
-    The result is NaN if all counts are 0.
-
-    Parameters
-    ----------
-    noise_type : int
-        Exponent alpha of the spectrum ~ f^alpha, from 2 to -2.
-    m, stride : int
-        Averaging factor, and number of samples between the starts of two second differences.
-    counts, number : (n,) arrays
-        Numbers of second differences per segment, and for each the number of such segments.
+    ``noise_type`` is the exponent alpha of the spectrum ~ f^alpha, from 2 to -2. ``m`` is the
+    averaging factor, and ``stride`` the number of samples between the starts of two second
+    differences. ``number`` segments have ``counts`` differences each; both may be arrays. The
+    result is NaN if all counts are 0.
     """
     counts = np.atleast_1d(np.asarray(counts, np.int64))
     number = np.broadcast_to(np.asarray(number), counts.shape)

@@ -182,16 +182,10 @@ def likelihood(
 ) -> Likelihood:
     """Return the likelihood of contrasts for given variances, with the best amplitudes of effects.
 
-    Parameters
-    ----------
-    values : (contrasts,) float64 array
-        Contrasts of the means of one axis.
-    units : sequence of (contrasts, contrasts) float64 arrays
-        Covariance of the contrasts for unit variance of each process.
-    variances : (components,) float64 array
-        Variance of each process.
-    effects : (contrasts, effects) float64 array, optional
-        Contrasts of the effects on the mean, for an amplitude of 1.
+    ``values``, (contrasts,), are the contrasts of the means of one axis. Each noise process has one
+    of the ``variances`` and one of the ``units``: the covariance of the contrasts, (contrasts,
+    contrasts), for unit variance. ``effects``, (contrasts, effects), are the contrasts of effects
+    on the mean, for an amplitude of 1.
 
     Raises
     ------

@@ -105,19 +105,10 @@ def growth_interval(
     uncorrelated estimates. Estimates of neighbouring terms are negatively correlated, which makes
     the interval too wide rather than too narrow.
 
-    Parameters
-    ----------
-    model, low, high : ProcessModel
-        Models with the estimates, the lower ends and the upper ends of the 95 % intervals. They
-        have the same processes in the same order. A term that is not resolved is 0 in ``low`` and
-        at its upper limit in ``high``.
-    horizon, window, integrals
-        As in `predicted_growth`.
-
-    Returns
-    -------
-    low, high : float64 arrays
-        In the unit of the samples times s (or s^2).
+    ``model``, ``low`` and ``high`` contain the estimates, the lower ends and the upper ends of the
+    95 % intervals, with the same processes in the same order. A term that is not resolved is 0 in
+    ``low`` and at its upper limit in ``high``. The other parameters and the unit are those of
+    `predicted_growth`.
     """
     parts = [dict(growth_parts(one, horizon, window, integrals)) for one in (model, low, high)]
     zero = np.zeros(np.shape(horizon))

@@ -142,23 +142,13 @@ def reduce_axis(
     """Return the noise model of one axis, reduced to the states of a filter.
 
     Coefficients outside the selected model are set to 0, with two exceptions: N is replaced by its
-    upper limit, and so is K if the model has no drift.
+    upper limit, and so is K if the model has no drift. With ``expect_walk``, a K that is not
+    resolved is replaced by its expected value (see `expected_model`).
 
-    Parameters
-    ----------
-    axis : str
-        Name of the axis in messages.
-    fit : AxisFit
-        Fit of the axis.
-    states : one of `STATES`
-        States with which the filter models the bias.
-    horizons : Horizons
-        Range of times that the filter integrates without a correction.
-    strict : bool
-        Whether to reject upper limits, values without a 95 % interval, and poor reductions (see
-        `Reduction.poor`). Values that the reduction increased are accepted.
-    expect_walk : bool
-        Whether a K that is not resolved is replaced by its expected value (see `expected_model`).
+    ``states`` are the states with which the filter models the bias, and ``horizons`` the range of
+    times that it integrates without a correction. ``strict`` rejects upper limits, values without a
+    95 % interval, and poor reductions (see `Reduction.poor`), but accepts values that the reduction
+    increased. ``axis`` is the name of the axis in messages.
 
     Raises
     ------
@@ -290,18 +280,9 @@ def sample_variance(
     & Guttorp, Long-memory processes, the Allan variance and wavelets, 1994: the variance is the sum
     of the Haar wavelet variances). The factor n/(n - 1) makes it unbiased for white noise.
 
-    Parameters
-    ----------
-    m, adev : (factors,) arrays
-        Averaging factors, including all powers of two below n, and their Allan deviations.
-    tau0, window : float
-        Sample period and longest window in s.
-
-    Returns
-    -------
-    float or None
-        In the squared unit of ``adev``; None if the window is shorter than two samples or a
-        deviation is unknown.
+    The averaging factors ``m`` include all powers of two below n, and ``adev`` are their Allan
+    deviations. ``tau0`` is the sample period in s. The result is in the squared unit of ``adev``;
+    None if the window is shorter than two samples or a deviation is unknown.
     """
     levels = math.floor(math.log2(window / tau0 * (1.0 + 1e-9))) if tau0 <= window else 0
     known = {int(factor): float(deviation) for factor, deviation in zip(m, adev)}
