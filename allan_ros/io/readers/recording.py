@@ -308,7 +308,7 @@ def bag_files(path: Path) -> BagFiles:
 def _natural(path: Path) -> list[tuple[int, str]]:
     """Return a key that sorts file names by the numbers in them: 10 comes after 9."""
     parts = re.split(r'(\d+)', path.name)
-    return [(int(part), '') if part.isdigit() else (-1, part) for part in parts]
+    return [(int(part), '') if part.isdecimal() else (-1, part) for part in parts]
 
 
 def _no_bag_in(path: Path) -> AllanError:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.readers.recording import ReadOptions
+from allan_ros.io.readers.recording import ReadOptions, bag_files
 from allan_ros.io.writing import write_recording
 
 pytest.importorskip('rosbags')
@@ -107,6 +107,13 @@ def test_a_real_array_is_read(shared_data: Path, read: Any) -> None:
     truth = np.load(shared_data / 'mpu6050.npz')['imu']
     np.testing.assert_array_equal(back.samples, truth[:, 1:])
     np.testing.assert_array_equal(back.stamps_ns, np.rint(truth[:, 0] * 1e9).astype(np.int64))
+
+
+def test_bag_files_are_sorted_by_the_numbers_in_their_names(tmp_path: Path) -> None:
+    names = ['a_2.mcap', 'a_10.mcap', 'a_10²11.mcap']
+    for name in reversed(names):
+        (tmp_path / name).write_bytes(b'x')
+    assert [file.name for file in bag_files(tmp_path).files] == names
 
 
 @pytest.mark.parametrize(('name', 'storage'), [('m', 'mcap'), ('s', 'sqlite3'), ('r.bag', 'ros1')])
