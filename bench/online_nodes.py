@@ -165,7 +165,7 @@ class Client:
         qos = QoSProfile(history=HistoryPolicy.KEEP_ALL) if keep_all else QoSProfile(depth=1000)
         publisher = self.node.create_publisher(Imu, 'imu/data', qos)
         handshake = Handshake(self.node, publisher, wanted)
-        while not (handshake.update() and not handshake.silent()):
+        while not (handshake.update() and not handshake.unanswered()):
             self.spin(0.1)
         handshake.close()
         return publisher

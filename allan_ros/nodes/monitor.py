@@ -30,7 +30,7 @@ class Accumulator(AllanNode):
         imus = settings.imus()
         if len(imus) != 1:
             raise AllanError(
-                f'input.topics contains {len(imus)} topics, but allan_accumulator takes one: '
+                f'input.topics contains {len(imus)} topics, but allan_accumulator handles one: '
                 'use allan_monitor for several IMUs'
             )
         watch = ImuWatch(self, imus[0], settings)
@@ -73,14 +73,14 @@ class Monitor(AllanNode):
         imus = settings.imus()
         if push.node and len(imus) > 1:
             raise AllanError(
-                f'push.node with {len(imus)} IMUs: start a separate allan_monitor for the '
-                f'IMU of {push.node}'
+                f'push.node is set, but there are {len(imus)} IMUs: start a separate '
+                f'allan_monitor for the IMU of {push.node}'
             )
         units = settings.input.value
         if relay.value.enabled and (units.gyro_unit, units.accel_unit) != ('rad/s', 'm/s^2'):
             raise AllanError(
-                'relay.enabled with input.gyro_unit or input.accel_unit: a filter expects '
-                'relayed samples in rad/s and m/s^2; convert them in the driver'
+                'relay.enabled excludes input.gyro_unit and input.accel_unit, because filters '
+                'expect rad/s and m/s^2: convert the units in the driver'
             )
         parts: list[Part] = []
         described: list[str] = []

@@ -50,7 +50,7 @@ SIMULATED = (
 """Noise terms of the simulated gyro (rad/s) and accelerometer (m/s^2), as of a good MEMS IMU."""
 
 CALL_PERIOD_S = 1.0
-"""Period in s at which a call is repeated: an answer to an undiscovered client is lost."""
+"""Period in s at which a call is repeated, because answers to undiscovered clients are lost."""
 
 PATIENCE_S = 10.0
 """Longest time in s to wait for the answer of a subscriber."""
@@ -101,10 +101,10 @@ class Handshake:
                 done = done and now - subscriber.first_call > PATIENCE_S
         return done and self._wanted <= self._publisher.get_subscription_count() <= len(known)
 
-    def again(self) -> None:
-        """Start again: each remaining subscriber must answer another call.
+    def restart(self) -> None:
+        """Require another answer from each remaining subscriber.
 
-        The player does not wait again for a subscriber that did not answer before.
+        A subscriber that timed out before is not given more time.
         """
         self._wanted, now = 0, time.monotonic()
         # new objects, because an answer to an earlier call may still arrive
@@ -113,7 +113,7 @@ class Handshake:
             for gid, s in self._subscribers.items()
         }
 
-    def silent(self) -> tuple[str, ...]:
+    def unanswered(self) -> tuple[str, ...]:
         """Return the subscribing nodes that have not answered."""
         known = self._subscribers.values()
         return tuple(sorted(s.name or 'an unnamed node' for s in known if not s.answered))
@@ -189,7 +189,7 @@ class Player(Node):
             self._wait_for_answers('has missed the start')
             self._play()
             self._wait_for_acknowledgements()
-            self._handshake.again()
+            self._handshake.restart()
             self._wait_for_answers('has received the end')
             self._stop.wait(LINGER_S)
         except AllanError as error:
@@ -264,7 +264,7 @@ class Player(Node):
         self._asking = True
         while not (self._stop.is_set() or self._answered.wait(POLL_S)):
             pass
-        for name in () if self._stop.is_set() else self._handshake.silent():
+        for name in () if self._stop.is_set() else self._handshake.unanswered():
             self.get_logger().warning(
                 f'{name} subscribes but does not answer: it is unknown whether it {event}'
             )

@@ -238,7 +238,8 @@ def call_services(verb: str, args: Sequence[str]) -> int:
             executor.spin_once(timeout_sec=0.1)
         if not found:
             named = f' {wanted}' if wanted else ''
-            print(f'no allan_ros node{named} with a service {verb} is running')
+            remedy = 'check --node' if wanted else 'start allan_monitor'
+            print(f'no running allan_ros node{named} has a service {verb}: {remedy}')
         return max((_call(node, executor, name) for name in found), default=EXIT_FAILED)
     finally:
         executor.shutdown()

@@ -175,7 +175,7 @@ class Graph:
         from allan_ros.nodes.player import Handshake
 
         handshake = Handshake(self.node, publisher, wanted)
-        self.until(lambda: handshake.update() and not handshake.silent())
+        self.until(lambda: handshake.update() and not handshake.unanswered())
         handshake.close()
 
     def send(self, publisher: Any, batch: ImuBatch) -> None:

@@ -124,7 +124,7 @@ def test_parameters_are_set_rejected_and_restored(graph, still_imu, tmp_path, fi
     [
         ({'push.node': 'imu_filter'}, 'give a full name'),
         ({'push.node': '/a', 'push.filter': 'none-such'}, 'no filter mapping'),
-        ({'input.topics': ('a', 'b'), 'push.filter': 'noise_densities'}, 'push.node with 2 IMUs'),
+        ({'input.topics': ('a', 'b'), 'push.filter': 'noise_densities'}, 'there are 2 IMUs'),
     ],
 )
 def test_bad_settings_are_rejected_at_start(graph, given, reason):

@@ -124,7 +124,7 @@ def test_units_of_the_driver_are_converted(graph, still_imu, tmp_path: Path) -> 
 
 def test_the_relay_of_other_units_is_rejected(graph) -> None:
     node = graph.start('monitor', **{'relay.enabled': True, 'input.accel_unit': 'g'})
-    assert node.wait() == 1 and 'relay.enabled with input.gyro_unit' in node.output
+    assert node.wait() == 1 and 'relay.enabled excludes input.gyro_unit' in node.output
 
 
 def test_the_relay_names_the_serial_number_given(graph) -> None:

@@ -350,7 +350,7 @@ class SampleClock:
         if self.clock.bursty:
             return len(step)
         usual = self.clock.step_ns
-        # without the samples from which the period was learned: learning could repeat without end
+        # excludes the samples from which the period was learned, or learning could repeat forever
         for at in range(max(0, LEARN - self._blocks * CLOCK_BLOCK), len(step), CLOCK_BLOCK):
             steps, indices = step[at : at + CLOCK_BLOCK], advance[at : at + CLOCK_BLOCK]
             if len(steps) < CLOCK_BLOCK // 4:

@@ -49,8 +49,8 @@ class Topic:
     """A topic of one bag file: its number in the file, name, and type (``package/msg/Name``).
 
     ``encoding`` is the serialization of the messages: 'cdr', 'ros1', or one that cannot be read.
-    ``schema`` is the text that defines the message type, in the format 'ros2msg', 'ros2idl' or
-    'ros1msg'. Both are '' if the file has none. Raises ValueError when a name contains control
+    ``schema`` is the text that defines the message type, and ``schema_format`` its format, such as
+    'ros2msg'; both are '' if the file has none. Raises ValueError when a name contains control
     characters, because then the file is damaged.
     """
 

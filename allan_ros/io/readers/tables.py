@@ -61,8 +61,8 @@ class _Table:
 def open_table(path: Path, options: ReadOptions) -> Recording:
     """Open a table of numbers in a text file as a recording.
 
-    Raises AllanError when it has no rows, when no column is an axis of a sensor, or when the times
-    are unknown.
+    Raises AllanError when it has no rows, when an axis of a sensor or both sensors are missing, or
+    when the times are unknown.
     """
     with _text(path) as file:
         table = _read_layout(path, file, options)

@@ -38,7 +38,7 @@ INVALID = 0x7FFFFFFF
 """Value of accelerometer_timestamp_relative in a sample without acceleration."""
 
 MICROSECOND = 1000
-"""In ns."""
+"""Length of a microsecond in ns."""
 
 DECIMATED = 1.5
 """Ratio of sample period to integration time above which the logger left out samples."""
@@ -49,8 +49,8 @@ REMEDY = 'copy the log again'
 def open_ulog(path: Path, options: ReadOptions) -> Recording:
     """Open a PX4 log as a recording of one IMU.
 
-    Raises AllanError when it cannot be read or has no IMU, or when it has several and the options
-    select none.
+    If the options select no topic, ``sensor_combined`` is preferred. Raises AllanError when the log
+    cannot be read, has no IMU, or has several instances of ``vehicle_imu`` and no selection.
     """
     log = _parsed(path)
     found = {_label(data, log): data for data in log.data_list if data.name in TOPICS}
@@ -122,7 +122,9 @@ def _chosen(path: Path, names: list[str], wanted: str) -> str:
         raise AllanError(f'{path}: has no topic {" or ".join(TOPICS)}: log one of them')
     if wanted:
         if wanted not in names:
-            raise AllanError(f'{path}: has no topic {wanted}; it has {", ".join(names)}')
+            raise AllanError(
+                f'{path}: has no topic {wanted}; it has {", ".join(names)}: check --topic'
+            )
         return wanted
     if TOPICS[0] in names:
         return TOPICS[0]
