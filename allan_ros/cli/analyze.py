@@ -3,9 +3,9 @@
 """Measure the noise of an IMU from its recordings.
 
 An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz, .npy or .ulg. Several
-inputs are recordings of the same IMU: their sums are added. A folder of separate recordings is a
-batch: each recording has its own results, and a summary lists all. A bag with several Imu topics is
-a batch of these topics.
+inputs must be recordings of the same IMU: their sums are added. A folder of separate recordings is
+analyzed as a batch: each recording has its own results, and a summary lists all. The same applies
+to a bag with several Imu topics.
 
   allan analyze my_bag -o results
   allan analyze monday.mcap tuesday.mcap -o results --export openvins,px4
@@ -25,7 +25,7 @@ from typing import Any
 
 from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError
-from ..core.findings import SEVERITIES, Finding
+from ..core.findings import Finding
 from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
 from ..io.datasheets import load_sensor
@@ -36,13 +36,21 @@ from ..io.plot_style import PictureSettings, check_pictures
 from ..io.readers.recording import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.results import Results
-from ..io.verdict import WORDS, Verdict, verdict_of
-from .batch import fit_and_write, on_cluster, recordings_in, run_batch, split_by_topic
+from ..io.verdict import WORDS, verdict_of
+from .batch import (
+    EXIT_FAILED,
+    fails,
+    fit_and_write,
+    on_cluster,
+    recordings_in,
+    run_batch,
+    split_by_topic,
+)
 from .console import Console, coloured, painted, width
 from .options import Command, Settings, settings_of
 from .tables import LEVEL_COLOURS, findings_lines, results_lines
 
-EXIT_UNKNOWN, EXIT_FAILED = 1, 3
+EXIT_UNKNOWN = 1
 
 EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
 """Exit codes in addition to those of every verb."""
@@ -156,18 +164,10 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
         print('\n'.join(results_lines(results, verdict, settings.units, *style)))
         if written:
             print(f'\n{written}')
-    if fails(verdict, results, args.fail_on):
+    if fails(results, args.fail_on):
         return EXIT_FAILED
     known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
     return 0 if any(c.value is not None for c in known) else 1
-
-
-def fails(verdict: Verdict, results: Results, severity: str | None) -> bool:
-    """Return whether ``--fail-on`` applies: a finding of this severity, or an exceeded limit."""
-    if severity is None:
-        return False
-    enough = SEVERITIES[: SEVERITIES.index(severity) + 1]
-    return verdict.level == 'failed' or any(f.severity in enough for f in results.findings)
 
 
 def _read_all(
@@ -187,10 +187,10 @@ def _settings_text(*settings: Any) -> str:
 
 
 def _recording_text(recorded: RecordingSums) -> str:
-    """Return path, received and used samples, format and topic of one recording as text."""
+    """Return one line with path, sample counts, format and topic of a recording."""
     (source,) = recorded.provenance.sources
     what = ' '.join(word for word in (source.topic, source.type) if word)
-    # sensors with equal numbers are combined
+    # one entry for sensors with the same number of samples
     used = {f'{s.samples:,}': sensor_of(s.axes[0]) for s in recorded.sums}
     each = (f'{number} of {sensor}' if len(used) > 1 else number for number, sensor in used.items())
     return (
@@ -207,7 +207,7 @@ def check(args: argparse.Namespace) -> int:
     results = _input_results(args, settings, console)
     verdict = verdict_of(results, units=settings.units)
     code = 0
-    if verdict.level == 'failed' or fails(verdict, results, args.fail_on):
+    if verdict.level == 'failed' or fails(results, args.fail_on):
         code = EXIT_FAILED
     elif verdict.level == 'unknown':
         code = EXIT_UNKNOWN

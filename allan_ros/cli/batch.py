@@ -20,7 +20,7 @@ from typing import Any
 
 from ..api import ResultSettings, fit_recorded
 from ..core.errors import AllanError, one_line
-from ..core.findings import Finding, finding
+from ..core.findings import SEVERITIES, Finding, finding
 from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
 from ..io.documents import results_to_document
@@ -34,6 +34,8 @@ from ..io.verdict import WORDS, verdict_of
 from .console import Console
 from .main import RECORDINGS
 from .options import settings_of
+
+EXIT_FAILED = 3
 
 METADATA = 'metadata.yaml'
 
@@ -60,9 +62,10 @@ class Outcome:
 
 
 def recordings_in(path: str) -> list[str]:
-    """Return the paths of the separate recordings in a folder, or the path itself if it is one.
+    """Return the paths of all recordings in a folder, or only ``path`` if it is one recording.
 
-    A folder is one recording if it has a metadata.yaml, or only a single bag or its numbered parts.
+    A folder is one recording if it has a metadata.yaml, or contains only one bag or its numbered
+    parts.
     """
     folder = Path(path)
     if not folder.is_dir() or (folder / METADATA).exists():
@@ -82,7 +85,8 @@ def recordings_in(path: str) -> list[str]:
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write its files, and print and write a summary of all.
 
-    The exit code is 1 if any recording could not be analyzed, else 0.
+    The exit code is 3 if ``--fail-on`` applies to any recording, 1 if any could not be analyzed,
+    else 0.
     """
     console = Console.of(args)
     outcomes: list[Outcome] = []
@@ -100,11 +104,21 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
         print(_markdown(outcomes, units), end='')
     if args.output:
         console.say(f'written to {args.output}: one folder each, {", ".join(SUMMARY)}')
+    if any(o.results is not None and fails(o.results, args.fail_on) for o in outcomes):
+        return EXIT_FAILED
     return 1 if any(outcome.error for outcome in outcomes) else 0
 
 
+def fails(results: Results, severity: str | None) -> bool:
+    """Return whether ``--fail-on`` applies: a finding of this severity, or an exceeded limit."""
+    if severity is None:
+        return False
+    enough = SEVERITIES[: SEVERITIES.index(severity) + 1]
+    return results.verdict.level == 'failed' or any(f.severity in enough for f in results.findings)
+
+
 def _outcomes(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outcome]:
-    """Yield the outcomes of the jobs in order, run here, in processes, or on a Dask cluster."""
+    """Yield the outcomes in the order of the jobs; several processes or a cluster may run them."""
     names = names_of(jobs)
     if args.scheduler:
         read = on_cluster(jobs, args.scheduler, Console.of(args))
@@ -127,10 +141,10 @@ def _outcomes(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Out
 def analyze_one(
     job: ReadJob, name: str, args: argparse.Namespace, recorded: RecordingSums | None = None
 ) -> Outcome:
-    """Fit one recording, and write its files to its folder.
+    """Fit one recording, write its files to its folder, and return its results or the error.
 
-    ``name`` is the name of the recording in the summary. The recording is read unless ``recorded``
-    has its sums.
+    ``name`` is the name of the recording in the summary. ``recorded`` has its sums; if None, the
+    recording is read.
     """
     outcome = Outcome(job.path, name)
     folder = Path(args.output) / outcome.folder if args.output else None
@@ -144,7 +158,7 @@ def analyze_one(
 def fit_and_write(
     recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
 ) -> tuple[Results, list[str]]:
-    """Fit the sums, and write the files if there is a folder; return results and file names."""
+    """Fit the sums; write the files if ``folder`` is given. Return results and file names."""
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     with console.timed(f'fitted by {settings.method}'):
         results = fit_recorded(recorded, settings)
@@ -249,7 +263,7 @@ def _markdown(outcomes: Sequence[Outcome], units: str) -> str:
 
 
 def _html(outcomes: Sequence[Outcome], units: str) -> str:
-    """Return the summary as a page with a link to each report."""
+    """Return the summary as an HTML page with a link to each report."""
     body = ''
     for outcome, row in zip(outcomes, _rows(outcomes, units)):
         name, *cells = row

@@ -87,6 +87,19 @@ def test_json_and_merge(folder: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert 'give each recording once' in capsys.readouterr().err
 
 
+def test_fail_on_applies_to_a_batch(folder: Path, tmp_path: Path) -> None:
+    strict = tmp_path / 'strict.yaml'
+    strict.write_text(
+        'schema: allan_ros/sensor/1\nname: TEST\nmaker: M\n'
+        'sources: {d: {title: t, url: "https://example.org", seen: datasheet}}\n'
+        'gyro:\n  arw: {value: 1e-6, unit: deg/sqrt(h)}\n'
+    )
+    words = ['analyze', str(folder), '--sensor', str(strict)]
+    assert main(words) == 0
+    assert main([*words, '--fail-on', 'error']) == 3
+    assert main([*words[:2], '--fail-on', 'error']) == 0
+
+
 def test_each_imu_topic_of_a_bag_has_its_results(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
