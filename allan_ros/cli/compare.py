@@ -46,7 +46,7 @@ EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, o
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read and compare the inputs, print the comparison, and write the files."""
+    """Compare the inputs, print the comparison, and write the files; return the exit code."""
     console = Console.of(args)
     pictures = settings_of(PictureSettings, args)
     check_pictures(pictures, bool(args.output))
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def inflate(args: argparse.Namespace) -> int:
-    """Read both recordings, print the factors, and write the files."""
+    """Print and write how much running motors increase the noise; return the exit code."""
     console = Console.of(args)
     if not 0.0 < args.horizon < float('inf'):
         raise AllanError(f'--horizon {args.horizon:g}: give a time above 0 s')
@@ -98,7 +98,7 @@ def inflate(args: argparse.Namespace) -> int:
 
 
 def fit(args: argparse.Namespace) -> int:
-    """Fit the curves of a file, and print coefficients, processes and warnings."""
+    """Fit the Allan curves of a file, and print coefficients, noise processes and warnings."""
     from ..io.user_files import contradictions, read_curves, read_published
 
     console = Console.of(args)
@@ -125,7 +125,7 @@ def fit(args: argparse.Namespace) -> int:
 
 
 def _process_lines(axis: str, fit: AxisFit) -> list[str]:
-    """Return a line for each process of an axis, and one for the largest deviation of the model."""
+    """Return a line for each noise process, and one for the largest misfit of the model."""
     unit = SI_UNITS[sensor_of(axis)]['B']
     lines = [
         f'{axis}: Gauss-Markov, {p.sigma:.3g} {unit}, {p.correlation_time:.3g} s'

@@ -31,7 +31,7 @@ from .options import Command, Settings, settings_of
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read results, and write or print a file for a filter, or list the targets."""
+    """Write or print a file for a filter, or list the targets."""
     console = Console.of(args)
     if args.list and console.json:
         console.document({'targets': TARGETS})
@@ -77,11 +77,11 @@ DIGITS = 3
 """Significant digits of a limit."""
 
 SEEN = {
-    'datasheet': 'the document itself was read',
-    'secondary': 'read where it is quoted',
+    'datasheet': 'read in the document itself',
+    'secondary': 'quoted by another document',
     '': '',
 }
-"""Code of how the figures of a source were obtained -> text."""
+"""Where the figures of a source were read -> text."""
 
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
 """Columns of the list of datasheets. The name of a limit has sensor, term and unit."""
@@ -135,7 +135,7 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
 
 
 def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
-    """Yield the stated figures of a datasheet, the limits in both units, and the sources."""
+    """Yield the lines of one datasheet: figures, limits in datasheet units and SI, and sources."""
     yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
     if sheet.carries:
         yield f'contains {sheet.carries}; the figures are from this sensor'

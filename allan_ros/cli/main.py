@@ -60,10 +60,10 @@ MODULES = {
 DESCRIPTION = """
 Measure the noise of an IMU by its Allan variance.
 
-  allan analyze my_bag -o results        a recording in, a report out
-  allan check my_bag --sensor mpu-6050   one line and an exit code
-  allan export results --to openvins     a file with its numbers for a filter
-  allan simulate my_bag --preset paper   a simulated recording to try it
+  allan analyze my_bag -o results        analyze a recording and write a report
+  allan check my_bag --sensor mpu-6050   print one line and set the exit code
+  allan export results --to openvins     write a file for a filter
+  allan simulate my_bag --preset paper   write a simulated recording
 """
 """Description above the list of verbs."""
 
@@ -284,7 +284,7 @@ def _attach(parser: argparse.ArgumentParser) -> None:
 
 
 def _names(what: str, prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:
-    """Return the names that can complete an argument; an empty list if they are unknown.
+    """Return the names that can complete an argument; an empty list if they cannot be read.
 
     ``what`` is the name of the argument, ``prefix`` the word to complete.
     """
@@ -304,7 +304,7 @@ def _names(what: str, prefix: str, parsed_args: argparse.Namespace, **_: Any) ->
 
 
 def _topics(parsed_args: argparse.Namespace) -> list[str]:
-    """Return the Imu topics of the bags on the command line; all topics if there is none."""
+    """Return the Imu topics of the bags on the command line, or all topics if none is Imu."""
     from ..io.readers.cdr import IMU_TYPE
     from ..io.readers.recording import bag_files, open_storage
 
@@ -336,7 +336,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         return _stopped(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:
-        # The reader (head, less) has closed the pipe; writing at exit must not fail, either.
+        # The reader (head, less) has closed the pipe. Writing at exit must not fail either.
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
@@ -355,7 +355,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
     except MemoryError:
         return _stopped(
-            f'{name}: not enough memory: use a larger machine or fewer --jobs', EXIT_ERROR
+            f'{name}: not enough memory: use fewer --jobs or a larger machine', EXIT_ERROR
         )
     except Exception as error:
         return _stopped(f'{name}: {_fault_text(error)}', EXIT_FAULT)
@@ -406,7 +406,7 @@ def console() -> None:
         getattr(sys, name).reconfigure(errors='backslashreplace')
     if '_ARGCOMPLETE' in os.environ:
         complete()
-    # on SIGTERM, clean up as after Ctrl-C
+    # handle SIGTERM like Ctrl-C
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(main())
 

@@ -233,7 +233,7 @@ def words_with_config(
 
 
 def find_config(folder: Path) -> tuple[Path, Mapping[str, Any]]:
-    """Return the config file of a folder and its settings; the folder and {} if there is none."""
+    """Return the path and the settings of the config file in a folder; (folder, {}) if none."""
     for name in (FILE, PROJECT):
         path = folder / name
         if not path.is_file():

@@ -57,7 +57,7 @@ LIMIT_DIGITS = 3
 def datasheet_lines(
     comparison: DatasheetComparison, units: str, columns: int, judged: bool = True
 ) -> Iterator[str]:
-    """Yield a comparison with a datasheet as text: a headline, then one entry per limit.
+    """Yield the lines of a comparison with a datasheet: a headline, then one entry per limit.
 
     ``units`` is 'datasheet' or 'si', ``columns`` the width of the text. ``judged`` is False if the
     results are too short for a verdict.
@@ -192,7 +192,7 @@ def axis_cells(axis: str, noise: Mapping[str, Coefficient], units: str) -> list[
 
 
 def coefficient_cell(coefficient: Coefficient, unit: ShownUnit) -> str:
-    """Return the value and its interval, aligned in two columns."""
+    """Return the value, padded to a fixed width, and its interval."""
     return f'{value_text(coefficient, unit):9} {interval_text(coefficient, unit)}'
 
 
@@ -205,7 +205,7 @@ def _deviation(results: Results, axis: str) -> str:
 def table_lines(
     labels: Sequence[str], columns: Sequence[Sequence[str]], width: int
 ) -> Iterator[str]:
-    """Yield a table with a first column of labels; columns beyond the width follow below."""
+    """Yield a table with a first column of labels, split into blocks of at most ``width``."""
     if not columns:
         return
     label = max(LABEL, *(len(text) + GAP for text in labels))
@@ -258,7 +258,7 @@ def _run_labels(comparison: RunComparison, sensor: str, units: str) -> Iterator[
 
 
 def _run_cells(comparison: RunComparison, axis: str, units: str) -> Iterator[str]:
-    """Yield the column of one axis: values and ratios of each term, then deviations that differ."""
+    """Yield the cells of one axis: values and ratios, then counts of significant deviations."""
     for term in TERMS:
         unit = shown_unit(axis, term, units)
         for subject in comparison.runs:

@@ -37,7 +37,7 @@ SCHEMA = 'allan_ros/comparison/1'
 
 @dataclass(frozen=True)
 class Subject:
-    """The results of one recording with a label; control characters in it are escaped."""
+    """The results of one recording and its label, in which control characters are escaped."""
 
     label: str
     results: Results
@@ -48,7 +48,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Pair:
-    """The labels of the first and of another recording, and the differences between them."""
+    """The differences between the first recording and another one, with the labels of both."""
 
     first: str
     second: str
@@ -60,7 +60,7 @@ class Pair:
         return tuple(d for d in self.differences if d.significant)
 
     def of(self, axis: str, quantity: str) -> Difference | None:
-        """Return the difference of a coefficient of an axis; None if a recording lacks it."""
+        """Return the difference of a coefficient such as 'N', or None if an axis is missing."""
         known = (d for d in self.differences if (d.axis, d.quantity) == (axis, quantity))
         return next(known, None)
 
@@ -69,9 +69,9 @@ class Pair:
 class RunComparison:
     """Several recordings, their differences from the first one, and comparisons with datasheets.
 
-    ``pairs`` has one element for each recording after the first. An element of
-    ``datasheets`` has the label of a recording and its comparison with a datasheet.
-    ``family_error`` is the probability that equal noise has at least one significant difference.
+    ``pairs`` has one element for each recording after the first. An element of ``datasheets`` has
+    the label of a recording and its comparison with a datasheet. ``family_error`` is the
+    probability of any significant difference if all recordings have equal noise.
     """
 
     runs: tuple[Subject, ...]
@@ -119,7 +119,7 @@ def compare_runs(
 
 
 def comparison_document(comparison: RunComparison) -> dict[str, Any]:
-    """Return the comparison as ``allan_ros/comparison/1``, in SI."""
+    """Return the comparison as a JSON object of the schema ``allan_ros/comparison/1``, in SI."""
     return {
         'schema': SCHEMA,
         'family_error': comparison.family_error,
@@ -180,7 +180,7 @@ def ratio_text(difference: Difference) -> str:
 
 
 def verdict_text(difference: Difference) -> str:
-    """Return how the second recording compares: alike, higher, lower, or not comparable."""
+    """Return 'alike', 'higher' or 'lower' for the second recording, or 'not comparable'."""
     return 'not comparable' if difference.verdict == 'open' else difference.verdict
 
 
@@ -224,7 +224,7 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
 
 
 def _ratio_above_one(difference: Difference) -> tuple[float | None, float, float]:
-    """Return the ratio (or None) and its 95 % interval, inverted if the second is quieter."""
+    """Return the ratio (or None) and its 95 % interval, inverted unless the second is noisier."""
     (low, high), ratio = difference.ci95 or (1.0, 1.0), difference.ratio
     if difference.verdict == 'higher':
         return ratio, low, high
@@ -397,9 +397,9 @@ SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
 class Inflation:
     """Ratio of the noise of an IMU at rest with motors on to its noise with motors off.
 
-    ``axes`` has N and K for a filter with motors off and on, and the factors between them. These N
-    and K bound the growth of the integrated error over ``horizons`` (s). ``comparison`` has the
-    ratios of the Allan deviations with intervals.
+    ``axes`` has N and K for a filter with motors off and on, and their ratios. These N and K bound
+    the growth of the integrated error over ``horizons`` (s). ``comparison`` has the ratios of the
+    Allan deviations with intervals.
     """
 
     axes: dict[str, AxisInflation]
@@ -411,7 +411,7 @@ class Inflation:
 
     @property
     def factor(self) -> float:
-        """The largest factor on N of all axes, for ``allan export --inflate``."""
+        """Largest factor for N of all axes, the value for ``allan export --inflate``."""
         return max(axis.white.factor for axis in self.axes.values())
 
     def ratios(self, axis: str) -> list[Difference]:
@@ -421,9 +421,10 @@ class Inflation:
 
 
 def inflate(rest: Results, running: Results, horizon: float = 30.0) -> Inflation:
-    """Compare the noise of an IMU at rest with motors off (``rest``) and on (``running``).
+    """Return how much running motors increase the noise of an IMU at rest.
 
-    ``horizon`` is the longest time in s that the filter integrates without correction.
+    ``rest`` are the results with motors off, ``running`` those with motors on. ``horizon`` is the
+    longest time in s that the filter integrates without correction.
     """
     horizons = Horizons.up_to(horizon)
     fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (rest, running)]
@@ -433,7 +434,7 @@ def inflate(rest: Results, running: Results, horizon: float = 30.0) -> Inflation
 
 
 def inflation_document(inflation: Inflation) -> dict[str, Any]:
-    """Return the document ``allan_ros/inflation/1``, in SI."""
+    """Return the result as a JSON object of the schema ``allan_ros/inflation/1``, in SI."""
     return {
         'schema': INFLATION_SCHEMA,
         'horizon_s': list(inflation.horizons),
@@ -464,7 +465,7 @@ def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
 
 
 def inflation_lines(inflation: Inflation) -> Iterator[str]:
-    """Yield the lines of two tables: N and K for a filter, and the ratios of the deviations."""
+    """Yield the lines of two tables: N and K for a filter, and ratios of Allan deviations."""
     yield f'N and K for a filter, over {inflation.horizons}'
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():

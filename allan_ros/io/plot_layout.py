@@ -67,14 +67,14 @@ PNG_LEVEL = 1
 
 
 class _ShownFigure(Figure):
-    """A figure that Jupyter displays although it was made without pyplot."""
+    """A figure that Jupyter displays, although it was not created by pyplot."""
 
     def _repr_png_(self) -> bytes:
         return render_figure(self, 'png')
 
 
 def render_figure(figure: Figure, form: str, style: Mapping[str, Any] = STYLES['page']) -> bytes:
-    """Return the figure as a file: 'png', 'svg' or 'pdf', drawn with a style of matplotlib."""
+    """Return the figure as the bytes of a 'png', 'svg' or 'pdf' file, drawn with ``style``."""
     options: dict[str, dict[str, Any]] = {
         'png': {
             'metadata': {'Software': 'allan_ros'},
@@ -204,7 +204,7 @@ def draw_key(panel: Axes, entries: Sequence[Entry], wide: bool) -> None:
 def _draw_entry(owner: Figure | Axes, inches: Any, left: float, top: float, entry: Entry) -> None:
     """Draw an entry of a legend, three times as fast as matplotlib.
 
-    ``left`` and ``top`` are its position, ``inches`` is the transform from inches to the figure.
+    ``left`` and ``top`` are its position in the coordinates of the transform ``inches``.
     """
     text, style = entry
     if style:

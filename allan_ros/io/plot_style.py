@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The curves of plots and report as numbers, and the settings of plots, without matplotlib."""
+"""Settings of plots, and the numbers of the drawn curves. Does not import matplotlib."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class DrawnCurve(NamedTuple):
 
 
 def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
-    """Return the curve and the model of an axis, multiplied by ``factor``; None without a curve."""
+    """Return the curve and the model of an axis, times ``factor``; None if it has no curve."""
     curve = axis.curve
     if curve is None:
         return None
@@ -122,7 +122,11 @@ def check_pictures(settings: PictureSettings, drawn: bool) -> None:
 
 
 def load_style(name: str) -> Mapping[str, Any]:
-    """Return the settings of a style: of `STYLES`, of matplotlib, or the path of a style sheet."""
+    """Return the matplotlib settings of a style.
+
+    ``name`` is one of `STYLES`, a style of matplotlib, or the path of a style sheet. Raises
+    AllanError when it is unknown.
+    """
     if name in STYLES:
         return STYLES[name]
     path = Path(name)

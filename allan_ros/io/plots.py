@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a sensor: Allan deviation with model and raw signal, or of several recordings."""
+"""Figures of one sensor: its Allan deviation and raw signal, or a comparison of recordings."""
 
 from __future__ import annotations
 
@@ -111,11 +111,11 @@ def sensor_figure(
     units: str = 'datasheet',
     style: Mapping[str, Any] = STYLES['page'],
 ) -> Figure | None:
-    """Return the figure of one sensor with a row for each axis; None without any curve.
+    """Return the figure of one sensor with a row for each axis; None if no axis has a curve.
 
     The raw signal is drawn next to the curves if ``summary`` is given and the figure is wide.
-    ``units`` is 'datasheet' or 'si'. ``style`` has settings of matplotlib, in which
-    ``figure.figsize`` is the size for three axes.
+    ``units`` is 'datasheet' or 'si'. ``style`` are settings of matplotlib; their ``figure.figsize``
+    is the size for three axes.
     """
     known = {a: results.axes[a] for a in AXES[SENSORS[sensor]] if a in results.axes}
     axes = {name: axis for name, axis in known.items() if axis.curve is not None}
@@ -161,7 +161,7 @@ def comparison_figure(
     units: str = 'datasheet',
     style: Mapping[str, Any] = STYLES['page'],
 ) -> Figure | None:
-    """Return the figure of one sensor with a row for each axis; None without any curve.
+    """Return the figure of one sensor with a row for each axis; None if no axis has a curve.
 
     The left panel shows the deviations with their 68.3 % limits. In a wide figure, the right panel
     shows the ratios to the first recording with 95 % intervals; significant ones are filled. Units
@@ -204,7 +204,7 @@ def comparison_figure(
 
 
 def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datasheet') -> None:
-    """Draw curves and models into a panel; for a single axis, also the parts of the model."""
+    """Draw the curves and models of axes; for a single axis, also the parts of its model."""
     for name, axis in axes.items():
         if len(axes) == 1:
             _draw_axis(panel, name, axis, units, wide=False)
@@ -224,7 +224,7 @@ def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datashe
 
 
 def _set_up(panel: Axes, name: str, curves: Iterable[DrawnCurve], units: str) -> bool:
-    """Set labels and limits of a panel for curves of an axis; return whether any is positive."""
+    """Set labels and limits of a panel for curves of one axis; return False if all are empty."""
     unit = pretty_unit(shown_unit(name, 'B', units).name)
     panel.set_ylabel(f'{name.replace("_", " ")}  [{unit}]')
     some = [curve for curve in curves if curve.any]
@@ -316,7 +316,7 @@ def _clock(summary: SignalSummary) -> tuple[float, str]:
 
 
 def _hatch_text(summary: SignalSummary) -> str:
-    """Return the legend of the hatching of the signal, or '' if nothing is hatched."""
+    """Return text that explains the hatching of excluded samples, or '' if there are none."""
     moved = {out.why == 'motion' for out in summary.left_out}
     meanings = {True: 'the IMU moved', False: 'not used for another reason'}
     texts = [f'{HATCHES[why]} {text}' for why, text in meanings.items() if why in moved]

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read recordings and compute their Allan sums, in one or in several processes.
 
-The number of processes does not change the sums, bit for bit.
+The sums are bit for bit the same for any number of processes.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Provenance:
     """The origin of sums, stored with them in `sums.json` and `results.json`.
 
     Segments are in the order of time. Findings come from the reader and the stream. Settings are
-    plain values. ``last_stamp_ns`` is the latest stamp in sums of a node. With simulated time,
-    samples before it mean that the recording is played again.
+    plain values. ``last_stamp_ns`` is the latest stamp in the sums of a node. With simulated
+    time, earlier samples show that the recording is played again.
     """
 
     sources: tuple[SourceInfo, ...] = ()
@@ -49,7 +49,7 @@ class Provenance:
     last_stamp_ns: int | None = None
 
     def __add__(self, other: Provenance) -> Provenance:
-        """Return the combined provenance, with equal findings once and the settings of ``self``."""
+        """Return the combined provenance without repeated findings; settings are of ``self``."""
         counts = deepcopy(self.counts)
         counts.add(other.counts)
         stamps = [t for t in (self.last_stamp_ns, other.last_stamp_ns) if t is not None]
@@ -176,7 +176,7 @@ def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
-    """Return whether both contain a segment with the same sums: noise never repeats exactly."""
+    """Return whether both contain the same segment, judged by its sums: noise never repeats."""
     return any(
         one.order == other.order and (one.phase == other.phase).all()
         for one in a.segments
@@ -189,11 +189,14 @@ class Observer(Protocol):
     """Receives the progress of reading recordings."""
 
     def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
-        """Return a context around reading ``total`` samples; its value has ``advance(samples)``."""
+        """Return a context manager that yields an object with the method ``advance(samples)``.
+
+        ``label`` describes the input, ``total`` is its number of samples, or None if unknown.
+        """
         return contextlib.nullcontext(self)
 
     def timed(self, what: str) -> AbstractContextManager[None]:
-        """Return a context around the step ``what``, whose duration may be reported."""
+        """Return a context manager around the step ``what``, to measure its duration."""
         return contextlib.nullcontext()
 
 
@@ -250,7 +253,7 @@ def read_in_processes(
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT; processes that are started within the context never receive it."""
+    """Block SIGINT, also in all processes that are started within the context."""
     if not hasattr(signal, 'pthread_sigmask'):  # not on Windows
         yield
         return

@@ -81,7 +81,7 @@ class SignalEnvelope:
         return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
 
     def _put(self, batch: ImuBatch) -> None:
-        """Add samples; there must be room for them in the bins."""
+        """Add samples, for which the bins must have room."""
         first = self._samples
         bins = (first + np.arange(len(batch))) // self._step
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
@@ -206,7 +206,7 @@ class SignalTemperature:
 
 @dataclass(frozen=True)
 class SignalSummary:
-    """Signals of all recordings on one time axis, on which they directly follow one another."""
+    """Signals of all recordings, one directly after the other on a common time axis."""
 
     time_s: Floats  # start of each bin in s since the first sample of the first recording, (bins,)
     # lowest sample, SI, (bins, 6); NaN at the start of a recording or without the sensor
@@ -241,7 +241,7 @@ def summarize_signal(
     cuts: Mapping[str, int] | None = None,
     temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> SignalSummary | None:
-    """Return the summary of all recordings in about ``bins`` bins, or None if none has two bins.
+    """Return the summary of all recordings in about ``bins`` bins; None if none has two bins.
 
     ``signals`` has the signal, and ``temperatures`` the temperature or None, of each recording.
     ``segments`` are the used parts of all recordings. ``cuts`` (reason -> number of times the data
@@ -321,7 +321,7 @@ def _recording(
 def _segment_times(
     segments: Sequence[Segment], first_ns: int, length: float
 ) -> list[tuple[float, float, str]]:
-    """Return (start, end, reason for the gap before) of the segments of one recording, in s."""
+    """Return (start in s, end in s, ``Segment.cut``) of the segments of one recording."""
     seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s, s.cut) for s in segments]
     return [(at, at + of, cut) for at, of, cut in seconds if at < length and at + of > 0.0]
 

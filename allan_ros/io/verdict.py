@@ -67,8 +67,8 @@ class Verdict:
     Attributes
     ----------
     level : 'healthy', 'attention', 'unknown' or 'failed'
-        'attention' for a warning; 'unknown' if nothing could be measured, or there is nothing to
-        compare with.
+        'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, an error,
+        or no decided comparison with a datasheet or earlier run; 'attention' for a warning.
     summary : str
         One sentence.
     reasons : tuple of str
@@ -83,7 +83,7 @@ class Verdict:
     next_steps: tuple[str, ...]
 
     def to_document(self) -> dict[str, Any]:
-        """Return the object ``verdict`` of results.json."""
+        """Return the verdict as a JSON object, as in results.json."""
         return asdict(self)
 
 
@@ -131,7 +131,7 @@ def too_short(results: Results) -> bool:
 
 
 def _within_limits(comparisons: Sequence[Comparison]) -> bool:
-    """Return whether every N, or every number if no N has a limit, is within its limit."""
+    """Return whether all N with limits are within them; if no N has one, all other terms."""
     # the other terms often need a longer recording
     required = [c for c in comparisons if c.term == 'N'] or comparisons
     return bool(required) and all(c.verdict == 'within' for c in required)
@@ -212,7 +212,7 @@ def _axis_differences(results: Results) -> Iterator[str]:
 
 
 def _resolved_terms(results: Results) -> Iterator[str]:
-    """Yield a sentence with the resolved terms and the number of their axes."""
+    """Yield a sentence with the number of axes on which N, B and K are resolved."""
     axes = results.axes
     if not measured(results):
         return
@@ -237,9 +237,9 @@ def _warnings(results: Results) -> Iterator[str]:
 
 
 def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
-    """Return the recommended length of a recording in s and the terms it resolves.
+    """Return the recommended length of a recording in s and the terms that it resolves.
 
-    None if the present length suffices, or the method gives no intervals.
+    None if the present length suffices, or the method is not 'gls'.
     """
     if results.method != 'gls':
         return None
@@ -278,10 +278,10 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
 
 
 def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
-    """Return the findings that are always shown, and the other notes.
+    """Return the findings that are always shown, and the remaining notes (severity 'info').
 
-    Equal findings of several axes are merged. The first list has notes on the used data, then the
-    findings by severity, the most severe first.
+    Equal findings of several axes are merged. The first list begins with notes on the used data;
+    errors and warnings follow.
     """
     found = grouped(results.findings)
     notes = [f for f in found if f.severity == 'info' and f.id not in CHANGES_NUMBERS]

@@ -171,7 +171,10 @@ class Row(NamedTuple):
 
 
 def rows(table: str) -> tuple[Row, ...]:
-    """Parse lines ``key sensor what [unit [low..high]]``; the default unit is 'density'."""
+    """Return the rows of a table with a line ``key sensor what [unit [low..high]]`` for each.
+
+    These are the attributes of `Row`; the default unit is 'density'.
+    """
     found = []
     for line in table.strip().splitlines():
         key, sensor, what, *rest = line.split()
@@ -197,7 +200,10 @@ class Form(ABC):
         """Return the text of a file with the header and these entries."""
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return the user's text with these entries and the header, or raise AllanError."""
+        """Return the user's text with these entries and the header.
+
+        Raises AllanError when this format does not support it.
+        """
         raise AllanError(self.no_merge)
 
 
@@ -250,11 +256,12 @@ def make_export(
     options: ExportOptions = ExportOptions(),
     existing: str | None = None,
 ) -> Export:
-    """Return the file of a target, or the user's file with the numbers of the target in it.
+    """Return the text of a file with the measured noise for a filter or simulator.
 
-    ``name`` is one of `TARGETS`, ``existing`` the text of the user's file. Raises AllanError when
-    the target is unknown, an option does not fit it, the results lack a required number, or the
-    existing text cannot be changed.
+    ``name`` is one of `TARGETS`. ``existing`` is the text of the user's file, into which the
+    numbers are merged, or None for a new file. Raises AllanError when the target is unknown, an
+    option does not apply to it, the results lack a required number, or the existing text cannot be
+    changed.
     """
     from .model import FilterNoise, header_lines
 

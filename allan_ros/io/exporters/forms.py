@@ -232,7 +232,7 @@ def _composed(body: str) -> yaml.Node | None:
 
 
 def _write_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str, Path | None]:
-    """Write an entry into the text; return the text and the value's path (None if kept)."""
+    """Return the text with the entry, and its path (None if the value of the file is kept)."""
     places = dict(_mappings(_composed(body)))
     path = _parent(places, entry, siblings)
     if path not in places:
@@ -255,7 +255,7 @@ def _write_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[st
 
 
 def _parent(places: dict[Path, yaml.MappingNode], entry: Entry, siblings: Sequence[Entry]) -> Path:
-    """Return the path of the mapping that an entry belongs to; it may not exist yet."""
+    """Return the path of the mapping for an entry, which may not exist yet."""
     parent = entry.path[:-1]
     if parent in places and (parent or _item(places[parent], entry.key)):
         return parent
@@ -286,7 +286,7 @@ def _holds(node: yaml.MappingNode, key: str) -> bool:
 
 
 def _end(node: yaml.Node) -> int:
-    """Return the index of the end of a node in the text; for a block, that of its last item."""
+    """Return the index in the text at which a node, or the last item of a block, ends."""
     if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
@@ -325,7 +325,7 @@ def _add_entry(body: str, places: dict[Path, yaml.MappingNode], entry: Entry) ->
 
 
 def _flat(node: yaml.Node | None, path: Path = ()) -> dict[Path, str]:
-    """Return path -> tag and text of all scalars below a node."""
+    """Return a mapping from the path of each scalar below a node to its tag and text."""
     if isinstance(node, yaml.CollectionNode):
         pairs = (
             [(str(key.value), value) for key, value in node.value]

@@ -72,7 +72,7 @@ class SensorProcess(NamedTuple):
 
     @property
     def driving(self) -> tuple[float, ...]:
-        """Density sigma sqrt(2/tau) of the white noise that drives each process."""
+        """Density sigma sqrt(2/tau) of the white noise that drives each process, in SI."""
         return tuple(sigma * math.sqrt(2.0 / tau) for sigma, tau in zip(self.sigma, self.tau))
 
 
@@ -264,7 +264,7 @@ class FilterNoise:
 
     @cached_property
     def common_tau(self) -> float:
-        """Correlation time in s for the drift of all axes: the geometric mean of the axes."""
+        """Geometric mean in s of the correlation times that describe the drift of all axes."""
         models = [self._drifting(name) for name in self.results.axes]
         return common_correlation_time(models, self.horizons)
 
@@ -279,7 +279,7 @@ class FilterNoise:
         return pair
 
     def reduction_lines(self) -> list[str]:
-        """Return lines for the header comment that state how N and K were obtained."""
+        """Return the lines of the header comment on how N and K were computed."""
         if self.options.fidelity == 'coefficients':
             return ['fidelity: bare coefficients; N and K alone underestimate flicker and drift']
         if not self._used:
@@ -304,7 +304,7 @@ class FilterNoise:
 
 
 def level_words(level: Level) -> str:
-    """Return term, axis, value and 95 % interval of a noise level as text, in SI."""
+    """Return the term, axis, value and 95 % interval of a noise level as text, in SI."""
     unit = SI_UNITS[sensor_of(level.axis)]['B' if level.term == 'sigma' else level.term]
     words = f'{level.term} of {level.axis}'
     if level.is_limit:
@@ -324,7 +324,7 @@ def level_words(level: Level) -> str:
 
 
 def _origin(walk: Level | None) -> str:
-    """Return a note if a process is computed from a limit of K or a K without interval, or ''."""
+    """Return a note if the process is computed from an uncertain K, else ''."""
     if walk is None or not (walk.is_limit or walk.no_interval):
         return ''
     return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'
@@ -342,7 +342,7 @@ def clamped(entry: Entry, low: float, high: float) -> Entry:
 
 
 def divided(factor: float) -> Convert:
-    """Return a function that converts SI to a unit of ``factor`` SI units."""
+    """Return a `Convert` function for a unit that equals ``factor`` SI units."""
     return lambda value, rate: value / factor
 
 

@@ -60,7 +60,7 @@ def _document(noise: FilterNoise) -> Iterator[Entry]:
 
 
 def _axis(noise: FilterNoise, axis: str, space: StateSpace, limits: list[str]) -> dict[str, Any]:
-    """Return the document of one axis."""
+    """Return the object of one axis in the state space document."""
     result = noise.results.axes[axis]
     processes = [f'gauss_markov {i}' for i in range(len(space.gauss_markov))]
     step = 1.0 / noise.rate
@@ -229,7 +229,7 @@ stability / sqrt(tau) has an effect."""
 
 
 def _airsim(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the Imu settings of AirSim, whose bias is a random walk of stability / sqrt(tau)."""
+    """Yield the Imu settings of AirSim, whose bias is a random walk: K = stability / sqrt(tau)."""
     parent = noise.target.parent
     yield Entry((*parent, 'SensorType'), 2)
     yield Entry((*parent, 'Enabled'), True)

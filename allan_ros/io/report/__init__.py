@@ -207,7 +207,7 @@ def _items(texts: Iterable[str]) -> str:
 
 
 def _text(text: str) -> str:
-    """Return a sentence as HTML in both systems of units; the page shows one of them."""
+    """Return a sentence as HTML in datasheet units and in SI; the page shows one of them."""
     return in_units(lambda units: escape(text_in_units(text, units, typeset=True)))
 
 

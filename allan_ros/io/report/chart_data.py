@@ -87,8 +87,8 @@ def rounded(values: ArrayLike, digits: int = CHART_DIGITS) -> list[float | None]
 def to_script(data: object) -> str:
     """Return plain values as JSON that is safe inside a ``<script>`` element.
 
-    A ``<`` in a frame_id could end the element, and two separators of Unicode end a line in older
-    JavaScript. They occur only in JSON strings, where they are escaped.
+    A ``<`` in a frame_id could end the element, and two Unicode separators end a line in older
+    JavaScript. These characters occur only in JSON strings, where they are escaped.
     """
     text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(',', ':'))
     for character in '<>&\u2028\u2029':
@@ -215,7 +215,8 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
     It is twice the two-sided density of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C. For
     samples of period tau0 and w = 2 pi f, this is 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w and
     K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) for a Gauss-Markov process. The
-    ramp is left out because the mean of a block is subtracted, a sinusoid because it has no width.
+    ramp is left out because the mean of a block is subtracted, a sinusoid because its density is
+    infinite at one frequency and 0 elsewhere.
     """
     terms = axis.fit.selected.terms
     omega = 2.0 * np.pi * frequency
@@ -272,7 +273,7 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
 
 
 def _starts(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Recording, float]]:
-    """Return the recordings in the order of time, each with its start in s on the time axis."""
+    """Return the recordings in order of time, each with its start in s on the time axis."""
     placed, end = [], 0.0
     for recording in sorted(sums.history.recordings, key=lambda r: r.start_ns):
         start = end
@@ -285,7 +286,7 @@ def _starts(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Record
 
 
 def _bias(recording: Recording, start: float, tau0: float) -> Trend:
-    """Return the means over equal intervals, NaN unless more than half of the samples are used."""
+    """Return the mean signal in equal intervals; NaN unless over half of the samples are used."""
     cells = recording.coarser(MEANS, recording.period_begin)
     span = cells.step * tau0
     known = cells.cell_samples[:, None] > cells.step / 2
@@ -308,7 +309,7 @@ def _noise(recording: Recording, start: float, tau0: float) -> Trend:
 
 
 def _joined(parts: Sequence[Trend], columns: Sequence[int]) -> Trend:
-    """Return some columns of all recordings one after the other, separated by NaN."""
+    """Return the selected axes (``columns``) of all recordings as one trend, separated by NaN."""
     times, values = [np.zeros(0)], [np.zeros((0, len(columns)))]
     for part in parts:
         if len(part.x):

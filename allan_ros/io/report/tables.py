@@ -60,7 +60,7 @@ COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
 
 
 def in_units(html_of: Callable[[str], str]) -> str:
-    """Return HTML with a text in both systems of units; the page shows one of them.
+    """Return HTML with a text in datasheet units and in SI; the page shows one of them.
 
     ``html_of`` returns the text for 'datasheet' or 'si'.
     """
@@ -110,9 +110,9 @@ def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Itera
 
 
 def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
-    """Yield HTML of the predicted error of the angle or velocity without correction.
+    """Yield an HTML table of the predicted angle or velocity error without correction.
 
-    If it is known, the scatter of the bias between recordings follows.
+    The scatter of the bias between recordings follows if it is known.
     """
     rows: list[Row] = []
     for growth in zip(*(axis.growth for axis in axes.values())):
@@ -165,7 +165,7 @@ def _size(
 
 
 def datasheet_table(sensor: str, axes: Axes, comparison: DatasheetComparison) -> Iterator[str]:
-    """Yield an HTML table of the limits of a datasheet for this sensor; nothing without limits."""
+    """Yield an HTML table of the limits of a datasheet; nothing if it has none for this sensor."""
     stated, notes = {}, []
     for term in TERMS:
         checks = [c for axis in axes if (c := comparison.of(axis, term)) is not None]
@@ -205,8 +205,8 @@ def _checks_table(
 ) -> Iterator[str]:
     """Yield an HTML table of comparisons with limits, and its notes; nothing without comparisons.
 
-    ``stated`` has an additional text for the heading of some terms. With ``baseline``, cells show
-    its values instead of the fraction of the limit.
+    ``stated`` maps a term to HTML that replaces its name in the heading. With ``baseline``, cells
+    show the values of this earlier run instead of the fraction of the limit.
     """
     rows: list[Row] = []
     for term in TERMS:
@@ -301,7 +301,7 @@ def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str
 
 
 def _ends(interval: str) -> str:
-    """Return an interval as a second line that wraps only before its dots."""
+    """Return an interval as HTML in small type, which can break only before the two dots."""
     return f'<small>{interval.replace("..", "<wbr>..")}</small>' if interval else ''
 
 
@@ -310,9 +310,9 @@ def _note(text: str) -> str:
 
 
 def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
-    """Return the coefficients of some axes as text: name of a format (TSV, Markdown, YAML) -> text.
+    """Return the coefficients of some axes as text in three formats: TSV, Markdown and YAML.
 
-    The units are in ASCII, for any editor.
+    The keys are the names of the formats. Names of units are ASCII.
     """
     lines, table = ['\t'.join(COLUMNS)], []
     tree: dict[str, dict[str, dict[str, object]]] = {}
