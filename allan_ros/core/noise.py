@@ -48,7 +48,8 @@ class NoiseTerms:
     def __post_init__(self) -> None:
         for name, value in zip('QNBKR', astuple(self)):
             if not math.isfinite(value) or (value < 0.0 and name != 'R'):
-                raise AllanError(f'{name} is {value}: give a finite number, not below 0')
+                least = '' if name == 'R' else ' of 0 or above'
+                raise AllanError(f'{name} is {value}: give a finite number{least}')
 
     def in_sample_units(self, tau0: float) -> tuple[float, float, float, float, float]:
         """Return the coefficients (q, w, b, k, r) with the sample period ``tau0`` (s) as time unit.

@@ -30,10 +30,17 @@ def test_a_random_walk_of_unit_steps_is_exact_at_one_sample():
     assert term_avar(1, 1.0, NoiseTerms(K=1.0))[3] == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize('bad', [{'N': -1.0}, {'B': math.nan}, {'R': math.inf}])
-def test_invalid_coefficients_are_rejected(bad):
-    with pytest.raises(AllanError, match=f'^{next(iter(bad))} is'):
-        NoiseTerms(**bad)
+@pytest.mark.parametrize(
+    ('name', 'value', 'advice'),
+    [
+        ('N', -1.0, 'a finite number of 0 or above'),
+        ('B', math.nan, 'a finite number of 0 or above'),
+        ('R', math.inf, 'a finite number'),  # a ramp may be negative
+    ],
+)
+def test_invalid_coefficients_are_rejected(name, value, advice):
+    with pytest.raises(AllanError, match=f'^{name} is {value}: give {advice}$'):
+        NoiseTerms(**{name: value})
 
 
 def two_mean_variance(covariance, points: int) -> float:

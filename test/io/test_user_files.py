@@ -47,7 +47,7 @@ def test_the_truth_file_is_exact(tmp_path):
     [
         ('gyros: {N: 1}', "'gyros' is unknown, use gyro, accel, gyro_x"),
         ('gyro: {n: 1}', r"gyro: 'n' is unknown, use Q, N, B, K, R"),
-        ('gyro: {N: -1}', r'gyro: N is -0.0002\d*: give a finite number, not below 0'),
+        ('gyro: {N: -1}', r'gyro: N is -0.0002\d*: give a finite number of 0 or above'),
         ('gyro: {N: .inf}', r'gyro.N is a number beyond 1.8e308: a number within'),
         ('gyro: {N: {value: 1}}', r'gyro.N: unit is missing'),
         ('gyro: {N: {value: 1, unit: ug}}', r"gyro.N: unit 'ug' cannot be used here"),
