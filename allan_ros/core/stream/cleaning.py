@@ -180,6 +180,19 @@ REPEATED_SHARE = 0.1
 """Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled
 sensor."""
 
+LEAST_REPEATS, CHANCE_SHARE = 5, 0.15
+"""Smallest number of separate runs of repeated samples, among the first samples, that indicates a
+driver that repeats samples, and the largest share of them that may be equal by chance."""
+
+REGULAR_REPEATS, LARGEST_RANDOM_SHARE = 0.03, 0.6
+"""Below the first share, repeats are regarded as random, because too few are known to decide; above
+the second, as those of a slower sensor."""
+
+REGULAR_VARIANCE, REGULAR_VARIANCE_RATIO = 0.5, 0.01
+"""Repeats are regular if the number of repeats up to a sample deviates from a straight line with
+less than this variance, or with less than this ratio of the variance of a binomial count. Below the
+ratio are less than 0.1 % of random repeats."""
+
 TOGETHER_LOG_RATIO = 2.0 / 3.0
 """Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this, where p is the
 share of samples in which all axes repeat and p_i that of axis i. For three axes, the ratio is 1 if
@@ -191,11 +204,13 @@ class SensorPlan:
     """The axes of a sensor stream, and which of its samples to drop.
 
     ``drop`` is '' for none, 'repeated' for samples that repeat the previous one on all axes, or
-    'zero' for samples that are zero on all axes.
+    'zero' for samples that are zero on all axes. ``random_repeats`` are groups of axes. A sample
+    that repeats the previous one on all axes of a group is interpolated on these axes.
     """
 
     axes: tuple[str, ...]
     drop: Literal['', 'repeated', 'zero'] = ''
+    random_repeats: tuple[tuple[str, ...], ...] = ()
 
 
 class SampleHoldFilter:
@@ -285,27 +300,81 @@ def plan_sensors(
             plan = SensorPlan(axes, 'zero')
             share = float(zeros.all(axis=0).mean())
             findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
-        elif _coincide(repeats[present]):
-            plan = SensorPlan(axes, 'repeated')
-            share = float(repeats[present].all(axis=0).mean())
-            findings.append(finding('held', axes, sensor=sensor, share=share))
+        elif _are_repeated(rows[present]):
+            flags = repeats[present].all(axis=0)
+            if _are_regular(flags):
+                plan = SensorPlan(axes, 'repeated')
+                findings.append(finding('held', axes, sensor=sensor, share=float(flags.mean())))
+            else:
+                plan = SensorPlan(axes, random_repeats=(axes,))
         for axis, samples in zip(axes, rows[present]):
             if share := clipped_share(samples):
                 findings.append(finding('clipped', (axis,), share=share))
         plans.append(plan)
-    if len(plans) == len(SENSORS) and _sampled_together(plans, repeats):
-        plans = [SensorPlan(plans[0].axes + plans[1].axes, plans[0].drop)]
+    random = [plan for plan in plans if plan.random_repeats]
+    if random:
+        flags = np.array([_all_repeat(plan, repeats) for plan in random])
+        axes = tuple(axis for plan in random for axis in plan.axes)
+        findings.append(finding('repeated', axes, share=float(flags.any(axis=0).mean())))
+    if len(plans) == len(SENSORS):
+        both = plans[0].axes + plans[1].axes
+        groups = plans[0].random_repeats + plans[1].random_repeats
+        if not any(plan.drop for plan in plans):
+            together = len(groups) == len(SENSORS) and _repeat_together(plans, repeats)
+            plans = [SensorPlan(both, random_repeats=(both,) if together else groups)]
+        elif {plan.drop for plan in plans} == {'repeated'} and _repeat_together(plans, repeats):
+            plans = [SensorPlan(both, 'repeated')]
     return tuple(plans), tuple(findings)
 
 
-def _sampled_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bool:
-    """Return whether both sensors have new values in the same messages."""
-    drops = {plan.drop for plan in plans}
-    if drops == {'repeated'}:
-        gyro, accel = (repeats[[AXES.index(axis) for axis in plan.axes]] for plan in plans)
-        differ = gyro.all(axis=0) != accel.all(axis=0)
-        return bool(differ.mean() < REPEATED_SHARE)
-    return drops == {''}
+def _all_repeat(plan: SensorPlan, repeats: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    return np.asarray(repeats[[AXES.index(axis) for axis in plan.axes]].all(axis=0))
+
+
+def _repeat_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> bool:
+    """Return whether both sensors repeat their samples in the same messages."""
+    gyro, accel = (_all_repeat(plan, repeats) for plan in plans)
+    most = min(REPEATED_SHARE, 0.5 * float(gyro.mean()), 0.5 * float(accel.mean()))
+    return bool((gyro != accel).mean() < most)
+
+
+def _are_repeated(values: Floats) -> bool:
+    """Return whether samples, (axes, n), repeat the previous one more often than by chance.
+
+    Samples that are equal only in a part of the time are no repeats: the noise is lower there.
+    Chance is estimated from the shares of single axes, as if these were independent, and from the
+    share of changed samples that equal the one before the previous one.
+    """
+    flags = values[:, 1:] == values[:, :-1]
+    both = flags.all(axis=0)
+    share = float(both.mean()) if both.size else 0.0
+    runs = np.count_nonzero(both[1:] & ~both[:-1])
+    if runs < LEAST_REPEATS or _line_variance(both) > share * (1.0 - share) * len(both):
+        return False
+    if _coincide(flags):
+        return True
+    least = (1.0 - CHANCE_SHARE) * share
+    by_chance = (1.0 - least) * np.prod((flags.mean(axis=1) - least) / (1.0 - least))
+    equal_second = (values[:, 2:] == values[:, :-2]).all(axis=0)[~both[1:]].mean()
+    return bool(max(by_chance, equal_second) <= CHANCE_SHARE * share)
+
+
+def _are_regular(repeats: NDArray[np.bool_]) -> bool:
+    """Return whether flagged samples, (n,), repeat as those of a sensor with a lower, even rate.
+
+    The repeats of such a sensor follow each other evenly. If a driver repeats samples at random
+    instead, new samples have the rate of the messages, and the repeats replace lost samples.
+    """
+    share = float(repeats.mean())
+    if not REGULAR_REPEATS <= share <= LARGEST_RANDOM_SHARE:
+        return share > LARGEST_RANDOM_SHARE
+    binomial = len(repeats) * share * (1.0 - share)
+    return _line_variance(repeats) < max(REGULAR_VARIANCE, REGULAR_VARIANCE_RATIO * binomial)
+
+
+def _line_variance(flags: NDArray[np.bool_]) -> float:
+    """Return the variance of the deviation of the number of flags up to a sample from a line."""
+    return float(np.var(np.cumsum(flags - flags.mean())))
 
 
 def _coincide(flags: NDArray[np.bool_]) -> bool:

@@ -39,7 +39,7 @@ from .health import (
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
-from .timing import LEARN, Block, Clock, SampleClock, learn_clock
+from .timing import LEARN, Block, Clock, RepeatFilter, SampleClock, learn_clock
 
 KEPT_FRAMES = 8
 """Largest number of frame_ids (that is, of IMUs) in one stream whose sums are kept."""
@@ -270,7 +270,8 @@ class SensorStream:
     """Computes the sums of axes that are sampled together, from their samples at rest.
 
     These are all six axes, or the axes of one sensor if the sensors have different rates. The
-    stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `MotionGate`, `RunningAllan`.
+    stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `RepeatFilter` (if the driver
+    repeats samples at random), `MotionGate`, `RunningAllan`.
     ``relearned`` counts how often the sums were discarded because the IMU had been moving.
     """
 
@@ -278,6 +279,8 @@ class SensorStream:
         self.counts = Counts()
         self.relearned = 0
         self._axes = plan.axes
+        self._polled = bool(plan.drop)
+        self._repeated = [[plan.axes.index(a) for a in group] for group in plan.random_repeats]
         self._former: list[StreamSums] = []  # one per earlier rate
         self._identity = identity
         self._options = options
@@ -289,6 +292,7 @@ class SensorStream:
         """Begin to learn the sample period, from samples that are not processed yet."""
         self._learning = [(stamps, rows, np.zeros(len(stamps), bool))]
         self._clock: SampleClock | None = None
+        self._repeats = RepeatFilter(self._repeated, len(self._axes)) if self._repeated else None
         self._gate: MotionGate | None = None
         self._clear()
 
@@ -377,7 +381,7 @@ class SensorStream:
         parts, self._learning = self._learning, []
         stamps, jumped = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
         rows = np.concatenate([part[1] for part in parts], axis=1)
-        clock = learn_clock(stamps[:LEARN])
+        clock = learn_clock(stamps[:LEARN], self._polled)
         if clock is None:
             # equal stamps contain no time, and buffering them would fill the memory
             self.counts.untimed += len(stamps)
@@ -409,12 +413,17 @@ class SensorStream:
         self._start(stamps.copy(), rows.copy())
 
     def _flush_gate(self) -> None:
+        if self._repeats is not None:
+            self._feed_gate(self._repeats.flush())
         if self._gate is not None:
             for block in self._gate.flush():
                 self._accumulate(block)
         self._close_segment()
 
     def _gate_blocks(self, blocks: list[Block]) -> None:
+        self._feed_gate(blocks if self._repeats is None else self._repeats.feed(blocks))
+
+    def _feed_gate(self, blocks: list[Block]) -> None:
         for block in blocks if self._gate is None else self._gate.feed(blocks):
             self._accumulate(block)
 

@@ -48,6 +48,10 @@ REGULAR_SHARE = 0.6
 """Stamps are regular if this share of the steps lies within 50 % of the median step, and if the
 mean of these steps is at least this share of the mean of all steps."""
 
+POLLED_SHARE = 0.95
+"""Stamps of polled samples are evenly spaced on average if this share of the steps is between 0.4
+and 2.2 mean steps."""
+
 JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
 
@@ -94,10 +98,12 @@ class Clock:
         return max(0.5, BURST_PAUSE_S * 1e9 / self.period_ns) if self.bursty else 0.5
 
 
-def learn_clock(stamps: Stamps) -> Clock | None:
+def learn_clock(stamps: Stamps, polled: bool = False) -> Clock | None:
     """Estimate the sample period of a stream from its first stamps, (n,), in ns.
 
-    Backward stamps are ignored. Returns None if all stamps are equal.
+    Backward stamps are ignored. If ``polled`` is set, the stamps are those of the messages in which
+    a slower sensor had a new sample. The steps between them are multiples of the period of the
+    messages, and only their mean is the sample period. Returns None if all stamps are equal.
     """
     step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
     if not step.any():
@@ -108,6 +114,10 @@ def learn_clock(stamps: Stamps) -> Clock | None:
     mean = mean or float(step.mean())
     median = float(np.median(step))
     near = step[np.abs(step - median) <= 0.5 * median]
+    if polled and len(near) < POLLED_SHARE * len(step):
+        polls = np.count_nonzero((step > 0.4 * mean) & (step < 2.2 * mean))
+        if polls >= POLLED_SHARE * len(step):
+            return Clock(mean, mean, bursty=False)
     if median > 0.0 and len(near) >= REGULAR_SHARE * len(step):
         period = float(near.mean())
         if period >= REGULAR_SHARE * mean:
@@ -183,6 +193,87 @@ class Block:
             parts[0].cut,
             filled,
         )
+
+
+LONGEST_REPEAT = 16
+"""Largest number of consecutive repeated samples that are interpolated; a sensor that repeats more
+may be stuck."""
+
+
+class RepeatFilter:
+    """Interpolates samples that repeat the previous one, in evenly spaced blocks.
+
+    ``groups`` are the positions of the axes of each group: a sample is repeated if it equals the
+    previous one on all axes of a group. At most `LONGEST_REPEAT` + 1 samples are buffered.
+    """
+
+    def __init__(self, groups: list[list[int]], axes: int) -> None:
+        self._groups = groups
+        self._empty = Block(np.empty(0, np.int64), np.empty((axes, 0)))
+        self._restart()
+
+    def _restart(self) -> None:
+        # the last samples: up to the first whose interpolation needs the next samples
+        self._held = self._empty
+        self._repeated = np.zeros((len(self._groups), 0), bool)  # held, to be interpolated
+        self._last: Floats = np.full(len(self._empty.rows), np.nan)  # the last values received
+        self._skipping = np.zeros(len(self._groups), bool)  # whether a run is too long
+
+    def feed(self, blocks: list[Block]) -> list[Block]:
+        """Add blocks, and return the samples for which no more samples are needed."""
+        out: list[Block] = []
+        for block in blocks:
+            if block.cut:
+                out += self.flush()
+            if len(block):
+                out += self._add(block)
+        return out
+
+    def flush(self) -> list[Block]:
+        """Return the buffered samples at the end of a segment; the last repeats are kept."""
+        held = self._held
+        self._restart()
+        return [held] if len(held) else []
+
+    def _add(self, block: Block) -> list[Block]:
+        have = Block.joined([self._held, block]) if len(self._held) else block
+        old, n = len(self._held), len(have)
+        rows = have.rows.copy()
+        filled = np.zeros(rows.shape, bool) if have.filled is None else have.filled.copy()
+        before = np.concatenate([self._last[:, None], block.rows[:, :-1]], axis=1)
+        equal = block.rows == before
+        self._last = block.rows[:, -1].copy()
+        repeated = np.zeros((len(self._groups), n), bool)
+        repeated[:, :old] = self._repeated
+        index, keep = np.arange(n), n - 1
+        for flags, group, i in zip(repeated, self._groups, range(n)):
+            flags[old:] = equal[group].all(axis=0)
+            new = np.flatnonzero(~flags[old:])
+            if self._skipping[i]:
+                flags[old : old + int(new[0]) if len(new) else n] = False
+                self._skipping[i] = not len(new)
+            if not flags.any():
+                continue
+            left = np.maximum.accumulate(np.where(flags, -1, index))
+            right = np.minimum.accumulate(np.where(flags, n, index)[::-1])[::-1]
+            length = right - left - 1
+            at = np.flatnonzero(flags & (right < n) & (length <= LONGEST_REPEAT))
+            low, high = left[at], right[at]
+            fraction = (at - low) / (high - low)
+            for axis in group:
+                first = have.rows[axis, low]
+                rows[axis, at] = first + fraction * (have.rows[axis, high] - first)
+                filled[axis, at] = True
+            flags[right < n] = False
+            if flags[-1] and length[-1] > LONGEST_REPEAT:
+                flags[:] = False
+                self._skipping[i] = True
+            elif flags[-1]:
+                keep = min(keep, int(left[-1]))
+        done = Block(have.stamps, rows, have.cut, filled if filled.any() else None)
+        self._held = done.part(slice(keep, None), done.cut if keep == 0 else '').copy()
+        self._repeated = repeated[:, keep:].copy()
+        return [done.part(slice(keep), done.cut)] if keep else []
 
 
 TRACK_BLOCKS = 16

@@ -38,7 +38,7 @@ NEVER_STILL_S = 10.0
 LIVE_FINDINGS = (
     *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'axis_absent'),
     *('sensor_all_zero', 'zero_filled', 'held', 'never_still', 'no_noise', 'gyro_unit'),
-    *('accel_unit', 'accel_scale', 'clipped', 'stamps_mixed'),
+    *('accel_unit', 'accel_scale', 'clipped', 'stamps_mixed', 'repeated'),
 )
 """Ids of findings about a complete stream that a node also reports while the stream continues."""
 
