@@ -44,7 +44,8 @@ MEANINGS = {
         'two': (1.0, ''),
         'unknown': (
             1.0,
-            'the source does not state one- or two-sided: N is this, or this / sqrt(2)',
+            'the source does not state whether the density is one- or two-sided: N is this value, '
+            'or this value / sqrt(2)',
         ),
     },
     'stated_as': {
@@ -52,7 +53,8 @@ MEANINGS = {
         'minimum': (FROM_MINIMUM, 'minimum of the curve, divided by 0.664'),
         'unknown': (
             FROM_MINIMUM,
-            'the source does not state B or minimum: treated as the minimum, divided by 0.664',
+            'the source does not state whether this is B or the minimum of the curve: used as the '
+            'minimum, divided by 0.664',
         ),
     },
 }
