@@ -116,13 +116,13 @@ def run(args: argparse.Namespace) -> int:
         if len(separate) > 1:
             return run_batch(separate, args)
     outcomes = list(_read_all(jobs, args, console))
-    lost = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
+    failed = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
     recordings = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
     if not recordings:
-        raise AllanError('; '.join(str(finding) for finding in lost))
+        raise AllanError('; '.join(str(finding) for finding in failed))
     for recorded in recordings:
         console.detail(_recording_text(recorded))
-    return show_results(add_recordings(recordings).with_findings(lost), args)
+    return show_results(add_recordings(recordings).with_findings(failed), args)
 
 
 def check_result_arguments(args: argparse.Namespace) -> None:

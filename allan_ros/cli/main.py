@@ -328,13 +328,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except AllanError as error:
-        return _stopped(f'{name}: {error}', EXIT_ERROR)
+        return _print_error(f'{name}: {error}', EXIT_ERROR)
     except KeyboardInterrupt:
         if argv is None and hasattr(signal, 'pthread_sigmask'):  # not on Windows
             # After an interrupt within an import, Python sends itself the signal at exit. It ends
             # with the exit code only if the signal is blocked.
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        return _stopped(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
+        return _print_error(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:
         # The reader (head, less) has closed the pipe. Writing at exit must not fail either.
         for stream in (sys.stdout, sys.stderr):
@@ -342,23 +342,23 @@ def main(argv: Sequence[str] | None = None) -> int:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return EXIT_NO_READER
     except OSError as error:
-        return _stopped(
+        return _print_error(
             f'{name}: {error}: check the path, its permissions and the disk', EXIT_ERROR
         )
     except ModuleNotFoundError as error:
         if (error.name or '').split('.')[0] == __package__.split('.')[0]:
-            return _stopped(f'{name}: {_fault_text(error)}', EXIT_FAULT)
-        return _stopped(
+            return _print_error(f'{name}: {_fault_text(error)}', EXIT_FAULT)
+        return _print_error(
             f'{name}: needs the Python package {error.name}, which is not installed: install it '
             'with pip or apt',
             EXIT_ERROR,
         )
     except MemoryError:
-        return _stopped(
+        return _print_error(
             f'{name}: not enough memory: use fewer --jobs or a larger machine', EXIT_ERROR
         )
     except Exception as error:
-        return _stopped(f'{name}: {_fault_text(error)}', EXIT_FAULT)
+        return _print_error(f'{name}: {_fault_text(error)}', EXIT_FAULT)
 
 
 def _run(words: Sequence[str]) -> int:
@@ -392,7 +392,7 @@ def _fault_text(error: Exception) -> str:
     )
 
 
-def _stopped(line: str, code: int) -> int:
+def _print_error(line: str, code: int) -> int:
     print(line, file=sys.stderr)
     return code
 

@@ -108,7 +108,7 @@ def compare_runs(
     found = differences((first.results.measured, other.results.measured) for other in others)
     return RunComparison(
         tuple(runs),
-        tuple(Pair(first.label, other.label, of) for other, of in zip(others, found)),
+        tuple(Pair(first.label, other.label, changes) for other, changes in zip(others, found)),
         tuple(
             (run.label, checked)
             for datasheet in datasheets
@@ -458,7 +458,7 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
 def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
     """Yield (heading, text) for each axis: N and K to use in a filter, and their factors."""
     for name, axis in inflation.axes.items():
-        (n, n_unit), (k, k_unit) = _to_use(name, axis)
+        (n, n_unit), (k, k_unit) = _filter_values(name, axis)
         factors = axis.white.factor, axis.walk.factor
         text = f'N {n} {n_unit} (x{factors[0]:.2f}); K {k} {k_unit} (x{factors[1]:.2f})'
         yield f'{name}, motors on', f'{text} over {inflation.horizons}'
@@ -469,7 +469,7 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
     yield f'N and K for a filter, over {inflation.horizons}'
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():
-        n, k = (f'{value} {unit:16}' for value, unit in _to_use(name, axis))
+        n, k = (f'{value} {unit:16}' for value, unit in _filter_values(name, axis))
         factors = axis.white.factor, axis.walk.factor
         yield f'{name:9}{n:>34}  {factors[0]:6.2f}{k:>36}  {factors[1]:6.2f}'.rstrip()
     yield ''
@@ -481,7 +481,7 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
         yield f'{name:9}{"  ".join(cells)}'
 
 
-def _to_use(name: str, axis: AxisInflation) -> list[tuple[str, str]]:
+def _filter_values(name: str, axis: AxisInflation) -> list[tuple[str, str]]:
     units = SI_UNITS[sensor_of(name)]
     return [(significant(t.use, 4), units[k]) for k, t in (('N', axis.white), ('K', axis.walk))]
 

@@ -72,7 +72,7 @@ HATCHES = {True: '///', False: 3 * '\\'}
 FADE = 0.75
 """Opacity of the background colour over samples that are not used."""
 
-CLOCKS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
+TIME_UNITS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
 """Units of the time axis: smallest length of a recording in s, seconds per unit, name."""
 
 SIGNAL_RANGE = 1.15
@@ -140,7 +140,7 @@ def sensor_figure(
             _draw_axis(row[0], name, axis, units, wide)
             if len(row) > 1 and summary is not None:
                 _draw_signal(row[1], name, summary, units)
-                row[1].set_xlabel(f'time [{_clock(summary)[1]}]' * (row is panels[-1]))
+                row[1].set_xlabel(f'time [{_time_unit(summary)[1]}]' * (row is panels[-1]))
         ink = rcParams['text.color']
         points = {'ls': '', 'marker': 'o', 'ms': 3, 'mfc': 'none', 'mec': ink, 'mew': 0.7}
         entries = [
@@ -286,7 +286,7 @@ def _draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> 
     unit, column = shown_unit(axis, 'signal', units), AXES.index(axis)
     middle = summary.middle[column]
     low, high = ((a[:, column] - middle) * unit.factor for a in (summary.low, summary.high))
-    scale, _ = _clock(summary)
+    scale, _ = _time_unit(summary)
     panel.fill_between(
         *(summary.time_s / scale, low, high), color=TERM_STYLES['N'][0], ec='none', step='post'
     )
@@ -309,10 +309,10 @@ def _draw_signal(panel: Axes, axis: str, summary: SignalSummary, units: str) -> 
     panel.margins(x=0.01)
 
 
-def _clock(summary: SignalSummary) -> tuple[float, str]:
+def _time_unit(summary: SignalSummary) -> tuple[float, str]:
     """Return the seconds per unit of the time axis, and the name of the unit."""
     length = float(summary.time_s[-1])
-    return next((scale, name) for least, scale, name in CLOCKS if length >= least)
+    return next((scale, name) for least, scale, name in TIME_UNITS if length >= least)
 
 
 def _hatch_text(summary: SignalSummary) -> str:

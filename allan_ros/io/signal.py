@@ -46,7 +46,7 @@ class SignalEnvelope:
             if not room:
                 self._join_neighbours()
                 continue
-            self._put(batch[:room])
+            self._add_to_bins(batch[:room])
             batch = batch[room:]
 
     @property
@@ -80,8 +80,8 @@ class SignalEnvelope:
         stamps = self.start_ns.astype(float)  # int64 may overflow when subtracted
         return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
 
-    def _put(self, batch: ImuBatch) -> None:
-        """Add samples, for which the bins must have room."""
+    def _add_to_bins(self, batch: ImuBatch) -> None:
+        """Add samples that fit into the bins."""
         first = self._samples
         bins = (first + np.arange(len(batch))) // self._step
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
@@ -322,23 +322,24 @@ def _segment_times(
     segments: Sequence[Segment], first_ns: int, length: float
 ) -> list[tuple[float, float, str]]:
     """Return (start in s, end in s, ``Segment.cut``) of the segments of one recording."""
-    seconds = [((s.start_ns - first_ns) * 1e-9, s.duration_s, s.cut) for s in segments]
-    return [(at, at + of, cut) for at, of, cut in seconds if at < length and at + of > 0.0]
+    starts = [((s.start_ns - first_ns) * 1e-9, s) for s in segments]
+    times = [(start, start + s.duration_s, s.cut) for start, s in starts]
+    return [(start, end, cut) for start, end, cut in times if start < length and end > 0.0]
 
 
 def _left_out(
-    counted: Sequence[tuple[float, float, str]],
+    used: Sequence[tuple[float, float, str]],
     holes: Sequence[tuple[float, float]],
     length: float,
     cuts: Mapping[str, int],
 ) -> Iterator[LeftOut]:
     """Yield the periods of one recording that are neither in a segment nor in a gap."""
-    if not counted:
+    if not used:
         return
     ends = {reason for reason in REASONS if cuts.get(reason)}
     last = ends.pop() if len(ends) == 1 else ''
     before = 0.0
-    for start, end, cut in [*sorted(counted), (length, length, last)]:
+    for start, end, cut in [*sorted(used), (length, length, last)]:
         for part in _subtracted((before, start), holes) if start > before else ():
             yield LeftOut(*part, cut if cut in REASONS else '')
         before = max(before, end)

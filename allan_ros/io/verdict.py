@@ -325,8 +325,8 @@ REPORTED_LEFT_OUT = 0.01
 def used_samples(results: Results) -> str:
     """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part is left out."""
     used, received = results.samples, results.provenance.counts.received
-    of = f' of {received:,}' if used < (1.0 - REPORTED_LEFT_OUT) * received else ''
-    return f'{used:,}{of} samples'
+    total = f' of {received:,}' if used < (1.0 - REPORTED_LEFT_OUT) * received else ''
+    return f'{used:,}{total} samples'
 
 
 def headline(results: Results) -> str:

@@ -50,7 +50,7 @@ class JsonForm(Form):
 
     def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
         try:
-            document = json.loads(existing, parse_constant=_refuse)
+            document = json.loads(existing, parse_constant=_reject_constant)
         except (ValueError, RecursionError) as error:
             raise AllanError(f'the file to merge into is not JSON ({error})') from None
         if not isinstance(document, dict):
@@ -61,7 +61,7 @@ class JsonForm(Form):
         return json.dumps(document, indent=4, ensure_ascii=False, allow_nan=False) + '\n'
 
 
-def _refuse(constant: str) -> None:
+def _reject_constant(constant: str) -> None:
     raise ValueError(f'{constant} is not a JSON number')
 
 
@@ -171,14 +171,14 @@ class YamlForm(Form):
         start = _START.match(text)
         head = start.group() if start else ''
         body = text[len(head) :]
-        before = _flat(_composed(body))
+        before = _flat(_parse_mapping(body))
         wanted: dict[Path, Value] = {}
         try:
             for entry in entries:
                 body, place = _write_entry(body, entry, entries)
                 if place is not None:
                     wanted[place] = entry.value
-            after = _flat(_composed(body))
+            after = _flat(_parse_mapping(body))
         except _NotYamlError:
             raise AllanError(
                 f'no keys can be added to a file in this YAML style: {_BY_HAND}'
@@ -216,7 +216,7 @@ def _inline(value: Value) -> str:
     return _dump(value, default_flow_style=True).removesuffix('\n').removesuffix('\n...')
 
 
-def _composed(body: str) -> yaml.Node | None:
+def _parse_mapping(body: str) -> yaml.Node | None:
     """Return the mapping of a YAML text, None if it is empty; raise `_NotYamlError` otherwise."""
     try:
         node: yaml.Node | None = yaml.compose(body, Loader=yaml.SafeLoader)
@@ -233,7 +233,7 @@ def _composed(body: str) -> yaml.Node | None:
 
 def _write_entry(body: str, entry: Entry, siblings: Sequence[Entry]) -> tuple[str, Path | None]:
     """Return the text with the entry, and its path (None if the value of the file is kept)."""
-    places = dict(_mappings(_composed(body)))
+    places = dict(_mappings(_parse_mapping(body)))
     path = _parent(places, entry, siblings)
     if path not in places:
         return _add_entry(body, places, entry), entry.path
@@ -260,7 +260,7 @@ def _parent(places: dict[Path, yaml.MappingNode], entry: Entry, siblings: Sequen
     if parent in places and (parent or _item(places[parent], entry.key)):
         return parent
     keys = {other.key for other in siblings if other.path[:-1] == parent and not other.keep}
-    found = [path for path, node in places.items() if any(_holds(node, key) for key in keys)]
+    found = [path for path, node in places.items() if any(_has_value(node, key) for key in keys)]
     if len(found) > 1:
         where = ', '.join('/'.join(path) or 'the top' for path in found)
         raise AllanError(f'{entry.key} could belong to {where} of the file: {_BY_HAND}')
@@ -279,7 +279,7 @@ def _item(node: yaml.MappingNode, key: str) -> tuple[yaml.Node, yaml.Node] | Non
     return next(((name, value) for name, value in node.value if name.value == key), None)
 
 
-def _holds(node: yaml.MappingNode, key: str) -> bool:
+def _has_value(node: yaml.MappingNode, key: str) -> bool:
     """Return whether a mapping has the key with a value that is not a mapping."""
     found = _item(node, key)
     return found is not None and not isinstance(found[1], yaml.MappingNode)

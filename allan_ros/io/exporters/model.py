@@ -150,10 +150,10 @@ class FilterNoise:
     def _term_entry(self, path: tuple[str, ...], row: Row) -> Entry:
         """Return the entry of N or K."""
         units, name = SI_UNITS[row.sensor], row.unit
-        halves = self.target.exact and row.what == 'N'
-        if halves and self.options.exact:
+        midpoint = self.target.exact and row.what == 'N'
+        if midpoint and self.options.exact:
             name = 'midpoint'
-        formula, unit, convert = QUANTITIES.get(name) or ('', name, divided(UNITS[name].factor))
+        formula, unit, convert = QUANTITIES.get(name) or ('', name, converter(UNITS[name].factor))
         std = units['B' if row.what == 'N' else 'R']
         entry = self.entry(
             path,
@@ -162,7 +162,7 @@ class FilterNoise:
             unit.format(density=units[row.what], std=std, bias=units['B']),
             convert,
         )
-        if halves and not self.options.exact:
+        if midpoint and not self.options.exact:
             note = finding('export_half_of_noise', keys='acc_n and gyr_n')
             return replace(entry, findings=(note,))
         return entry if row.limits is None else clamped(entry, *row.limits)
@@ -230,7 +230,7 @@ class FilterNoise:
     @property
     def _used(self) -> dict[str, AxisReduction]:
         """Axis -> reduction whose N and K are written to the file."""
-        return {axis: of for (axis, states, _), of in self._reductions.items() if states == 'walk'}
+        return {axis: r for (axis, states, _), r in self._reductions.items() if states == 'walk'}
 
     def _axis_level(self, axis: str, term: str) -> Level:
         reduces = term == 'K' or (term == 'N' and self.target.walk)
@@ -341,7 +341,7 @@ def clamped(entry: Entry, low: float, high: float) -> Entry:
     return replace(entry, value=value, words=words, findings=(*entry.findings, note))
 
 
-def divided(factor: float) -> Convert:
+def converter(factor: float) -> Convert:
     """Return a `Convert` function for a unit that equals ``factor`` SI units."""
     return lambda value, rate: value / factor
 

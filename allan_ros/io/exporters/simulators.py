@@ -30,7 +30,7 @@ from . import (
     rows,
 )
 from .forms import JsonForm, LineForm, XmlForm
-from .model import FilterNoise, divided, rounded
+from .model import FilterNoise, converter, rounded
 
 SCHEMA = 'allan_ros/state_space/1'
 
@@ -102,11 +102,11 @@ def _axis(noise: FilterNoise, axis: str, space: StateSpace, limits: list[str]) -
     }
 
 
-def _levels(of: Reduction | StateSpace) -> dict[str, Any]:
-    pairs = rounded(of.gauss_markov)
+def _levels(model: Reduction | StateSpace) -> dict[str, Any]:
+    pairs = rounded(model.gauss_markov)
     return {
-        'white': rounded(of.white),
-        'walk': rounded(of.walk),
+        'white': rounded(model.white),
+        'walk': rounded(model.walk),
         'gauss_markov': [{'sigma': sigma, 'tau': tau} for sigma, tau in pairs],
     }
 
@@ -236,7 +236,7 @@ def _airsim(noise: FilterNoise) -> Iterator[Entry]:
     for sensor, (white, white_unit, stability, unit, tau) in AIRSIM_ROWS.items():
         yield noise.row_entry(Row(white, sensor, 'N', white_unit))
         walk, path = noise.level(sensor, 'K'), (*parent, stability)
-        scaled = divided(UNITS[unit].factor / math.sqrt(tau))
+        scaled = converter(UNITS[unit].factor / math.sqrt(tau))
         yield noise.entry(path, walk, f'K sqrt({tau:g} s)', unit, scaled)
         yield Entry((*parent, f'{stability}Tau'), tau)
 

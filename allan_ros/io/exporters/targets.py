@@ -17,7 +17,7 @@ import numpy as np
 from ...core.filters.noise_parameters import MADGWICK_FACTOR, madgwick_gain
 from . import INS_HORIZON_S, Entry, Row, Target, Value, noise_rows, rows
 from .forms import JsonForm, LineForm, YamlForm, matlab_literal
-from .model import FilterNoise, clamped, divided, rounded
+from .model import FilterNoise, clamped, converter, rounded
 
 ANY_NODE = ('/**', 'ros__parameters')
 """Top-level keys of ROS 2 parameters for any node that loads the file by --params-file."""
@@ -103,7 +103,7 @@ def _madgwick(noise: FilterNoise) -> Iterator[Entry]:
         term, formula = 'K', f'sqrt(3/4) K / sqrt(h) with h = {horizon:g} s'
         scale = MADGWICK_FACTOR / math.sqrt(horizon)
     path, level = (*ANY_NODE, 'zeta'), noise.level('gyro', term)
-    zeta = noise.entry(path, level, formula, 'rad/s^2', divided(1.0 / scale))
+    zeta = noise.entry(path, level, formula, 'rad/s^2', converter(1.0 / scale))
     yield clamped(zeta, -1.0, 1.0)
 
 

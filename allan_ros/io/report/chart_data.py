@@ -98,13 +98,13 @@ def to_script(data: object) -> str:
 
 def _units(sensor: str, units: str) -> dict[str, Any]:
     """Return quantity -> [name of its unit, factor from SI to this unit]."""
-    of = {
+    shown = {
         'curve': shown_unit(sensor, 'B', units),
         'signal': shown_unit(sensor, 'signal', units),
         'density': shown_unit(sensor, 'density', units),
         **{term: shown_unit(sensor, term, units) for term in TERMS},
     }
-    return {what: [pretty_unit(unit.name), unit.factor] for what, unit in of.items()}
+    return {what: [pretty_unit(unit.name), unit.factor] for what, unit in shown.items()}
 
 
 def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
