@@ -68,7 +68,7 @@ class ImuWatch(Part):
         self._checkpoint = Checkpoint(imu.checkpoint, self._log)
         self._noted: tuple[Finding, ...] = ()
         now = time.monotonic()
-        self._health = TransportMonitor(self._input.topic, now)
+        self._monitor = TransportMonitor(self._input.topic, now)
         self._last_stamp_ns: int | None = None
         self.frame_id = ''
         self._axes: tuple[str, ...] = ()  # axes with a finite value so far
@@ -97,7 +97,7 @@ class ImuWatch(Part):
     def tick(self, now: float) -> None:
         """Fetch the queued messages, and run the tasks that are due."""
         self._input.drain()
-        self._health.set_received(now, self._input.received)
+        self._monitor.set_received(now, self._input.received)
         if self._update_due.due(now):
             self._update()
         if self._sums_due.due(now):
@@ -119,7 +119,7 @@ class ImuWatch(Part):
             self._publish(self._total())
         statistics, (publishers, graph) = self._input.statistics(), self._input.publishers()
         stale_after = self._settings.input.value.stale_after
-        found = self._health.observe(
+        found = self._monitor.observe(
             now, statistics, health, publishers, stale_after, stream_findings, graph
         )
         # the findings of a live input replace those of a complete stream
@@ -138,7 +138,7 @@ class ImuWatch(Part):
             publishers=publishers,
             declared_rate=self._settings.segmenter.value.declared_rate,
             receiver='a timer' if self._input.polled else 'a callback',
-            received_age_s=self._health.silence_s(now) if statistics.received else None,
+            received_age_s=self._monitor.silence_s(now) if statistics.received else None,
             stamp_age_s=stamp_age,
             checkpoint=self._checkpoint.path,
             checkpoint_age_s=self._checkpoint.age_s(now),

@@ -239,7 +239,7 @@ def call_services(verb: str, args: Sequence[str]) -> int:
         if not found:
             named = f' {wanted}' if wanted else ''
             remedy = 'check --node' if wanted else 'start allan_monitor'
-            print(f'no running allan_ros node{named} has a service {verb}: {remedy}')
+            print(f'no allan_ros node{named} with a service {verb} is running: {remedy}')
         return max((_call(node, executor, name) for name in found), default=EXIT_FAILED)
     finally:
         executor.shutdown()

@@ -231,8 +231,8 @@ class NoiseFloor:
     def updated(self, block: Windows, still: NDArray[np.bool_], rotating: bool) -> NoiseFloor:
         """Return the noise floor updated by a block of k windows.
 
-        ``still``, (k,), flags windows at rest. ``rotating`` is True if all windows differ from the
-        floor only in their mean angular rate.
+        ``still``, (k,), flags windows at rest, of which half are needed. If all windows differ from
+        the floor only in their mean angular rate (``rotating``), only the mean is updated.
         """
         if np.count_nonzero(still) >= len(still) // 2:
             rest = block if still.all() else block[still]

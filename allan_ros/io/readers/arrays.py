@@ -98,7 +98,7 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
 
 _LIBRARY_ERRORS = (
     *(zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, EOFError, OSError),
-    RuntimeError,  # encrypted; NotImplementedError for other compressions
+    RuntimeError,  # encrypted file, or unknown compression (NotImplementedError)
     *(OverflowError, MemoryError, SyntaxError, TokenError, TypeError),
 )
 """Exceptions of zipfile and numpy for damaged files."""
