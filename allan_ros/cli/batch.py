@@ -339,7 +339,7 @@ def on_cluster(
                 continue
             outcomes[job] = recorded
             progress.advance(recorded.provenance.counts.received)
-        # a crash also loses the queued jobs of the worker: repeat each alone to find its cause
+        # a crash also loses the queued jobs of the worker: repeat each alone to find the cause
         for job in interrupted:
             try:
                 outcomes[job] = _result(client, client.submit(work, job, pure=False))

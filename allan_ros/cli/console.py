@@ -68,7 +68,7 @@ def _bar(total: int | None) -> Any:
 
 
 NARROWEST = 40
-"""Width in columns below which text is not wrapped here, but by the terminal."""
+"""Smallest width in columns of wrapped text; narrower terminals wrap it again."""
 
 SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
 """ANSI colours (ECMA-48) of the severity of a finding: cyan, yellow, red."""

@@ -84,7 +84,7 @@ SEEN = {
 """Where the figures of a source were read -> text."""
 
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
-"""Columns of the list of datasheets. The name of a limit has sensor, term and unit."""
+"""Columns of the list of datasheets: the name, then sensor, term and unit of each limit."""
 
 
 def sensors(args: argparse.Namespace) -> int:

@@ -240,12 +240,12 @@ def read_in_processes(
                 progress.advance(recorded.provenance.counts.received)
                 yield recorded
     except KeyboardInterrupt:
-        for child in active_children():  # no task writes files
+        for child in active_children():  # safe, because no task writes files
             child.terminate()
         raise
     except BrokenProcessPool as error:
         raise AllanError(
-            f'one of {workers} processes died, probably for lack of memory: reduce --jobs'
+            f'one of {workers} processes died, probably because memory ran out: reduce --jobs'
         ) from error
     finally:
         pool.shutdown(cancel_futures=True)

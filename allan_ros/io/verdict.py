@@ -53,7 +53,7 @@ ODD_AXIS = 2.0
 of many accelerometers reaches 1.5."""
 
 CHANGES_NUMBERS = ('settled_part',)
-"""Ids of notes that are always shown, first: they state which part of the data was used."""
+"""Ids of notes that are shown before all other findings: they name the part of the data used."""
 
 NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
 """Ids of findings whose remedy is not a next step: they need no action, or only a longer recording,

@@ -262,7 +262,7 @@ def _parent(places: dict[Path, yaml.MappingNode], entry: Entry, siblings: Sequen
     keys = {other.key for other in siblings if other.path[:-1] == parent and not other.keep}
     found = [path for path, node in places.items() if any(_has_value(node, key) for key in keys)]
     if len(found) > 1:
-        where = ', '.join('/'.join(path) or 'the top' for path in found)
+        where = ', '.join('/'.join(path) or 'the top level' for path in found)
         raise AllanError(f'{entry.key} could belong to {where} of the file: {_BY_HAND}')
     return found[0] if found else parent
 

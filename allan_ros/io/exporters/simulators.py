@@ -277,7 +277,7 @@ SIMULATORS = {
     'webots': _python(
         'webots_imu_noise.py',
         f'{CONTENT}; the lookupTable of the Gyro and Accelerometer nodes scales noise with the '
-        'value, none at rest, so the controller adds it',
+        'value (no noise at rest), so the controller adds it',
         'noise = ImuNoise(); gyro, accel = noise.add(gyro.getValues(), accelerometer.getValues(), '
         'timestep / 1000)',
     ),

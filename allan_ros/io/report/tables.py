@@ -44,7 +44,7 @@ SYSTEMS = ('datasheet', 'si')
 """Systems of units between which the page can switch."""
 
 WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
-"""Sensor -> quantities of which N and K are the random walks (IEEE Std 952 and 1293)."""
+"""Sensor -> quantities whose random walks are N and K (IEEE Std 952 and 1293)."""
 
 MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
 """Verdict on one limit -> its symbol."""
