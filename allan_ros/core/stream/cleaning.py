@@ -185,13 +185,13 @@ LEAST_REPEATS, CHANCE_SHARE = 5, 0.15
 driver that repeats samples, and the largest share of them that may be equal by chance."""
 
 REGULAR_REPEATS, LARGEST_RANDOM_SHARE = 0.03, 0.6
-"""Below the first share, repeats are regarded as random, because too few are known to decide; above
-the second, as those of a slower sensor."""
+"""If the share of repeats is below the first value, they are regarded as random, because they are
+too few to decide. Above the second, they are regarded as those of a slower sensor."""
 
 REGULAR_VARIANCE, REGULAR_VARIANCE_RATIO = 0.5, 0.01
-"""Repeats are regular if the number of repeats up to a sample deviates from a straight line with
-less than this variance, or with less than this ratio of the variance of a binomial count. Below the
-ratio are less than 0.1 % of random repeats."""
+"""Repeats are regular if the variance of their cumulative number about a straight line is less than
+this, or less than this fraction of the variance of a binomial count. Less than 0.1 % of random
+repeats have a variance below the fraction."""
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
 """Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this, where p is the
@@ -341,7 +341,7 @@ def _repeat_together(plans: list[SensorPlan], repeats: NDArray[np.bool_]) -> boo
 def _are_repeated(values: Floats) -> bool:
     """Return whether samples, (axes, n), repeat the previous one more often than by chance.
 
-    Samples that are equal only in a part of the time are no repeats: the noise is lower there.
+    If all equal samples are in one part of the data, they are no repeats: it has a lower noise.
     Chance is estimated from the shares of single axes, as if these were independent, and from the
     share of changed samples that equal the one before the previous one.
     """
@@ -360,7 +360,7 @@ def _are_repeated(values: Floats) -> bool:
 
 
 def _are_regular(repeats: NDArray[np.bool_]) -> bool:
-    """Return whether flagged samples, (n,), repeat as those of a sensor with a lower, even rate.
+    """Return whether the flagged repeats, (n,), are those of a sensor with a lower, constant rate.
 
     The repeats of such a sensor follow each other evenly. If a driver repeats samples at random
     instead, new samples have the rate of the messages, and the repeats replace lost samples.
@@ -373,7 +373,7 @@ def _are_regular(repeats: NDArray[np.bool_]) -> bool:
 
 
 def _line_variance(flags: NDArray[np.bool_]) -> float:
-    """Return the variance of the deviation of the number of flags up to a sample from a line."""
+    """Return the variance of the cumulative number of flags about a straight line."""
     return float(np.var(np.cumsum(flags - flags.mean())))
 
 

@@ -49,8 +49,8 @@ REGULAR_SHARE = 0.6
 mean of these steps is at least this share of the mean of all steps."""
 
 POLLED_SHARE = 0.95
-"""Stamps of polled samples are evenly spaced on average if this share of the steps is between 0.4
-and 2.2 mean steps."""
+"""Polled samples are evenly spaced on average if this share of the steps between their stamps is
+between 0.4 and 2.2 mean steps."""
 
 JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
@@ -213,14 +213,14 @@ class RepeatFilter:
         self._restart()
 
     def _restart(self) -> None:
-        # the last samples: up to the first whose interpolation needs the next samples
+        # the last new sample, and the repeats after it, which need the next new sample
         self._held = self._empty
         self._repeated = np.zeros((len(self._groups), 0), bool)  # held, to be interpolated
         self._last: Floats = np.full(len(self._empty.rows), np.nan)  # the last values received
         self._skipping = np.zeros(len(self._groups), bool)  # whether a run is too long
 
     def feed(self, blocks: list[Block]) -> list[Block]:
-        """Add blocks, and return the samples for which no more samples are needed."""
+        """Add blocks, and return the samples whose interpolation is complete."""
         out: list[Block] = []
         for block in blocks:
             if block.cut:
