@@ -72,7 +72,7 @@ faults: $(VENV)/.ready  ## inject faults into running nodes (half an hour; some 
 soak: $(VENV)/.ready  ## process a simulated month, then half an hour in real time
 	$(VENV)/bin/python bench/bench_soak.py
 
-audit: $(VENV)/.ready  ## list what is installed with its licences, ask PyPI for vulnerabilities
+audit: $(VENV)/.ready  ## list what is installed with its licenses, ask PyPI for vulnerabilities
 	$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable '.[audit]'
 	$(VENV)/bin/python scripts/audit.py
 

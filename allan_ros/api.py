@@ -48,7 +48,7 @@ from .io.recorded import (
     read_in_turn,
     read_recording,
 )
-from .io.results import Results, analyse_recorded, with_earlier_datasheet
+from .io.results import Results, analyze_recorded, with_earlier_datasheet
 from .io.user_files import stated_noise
 
 NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]
@@ -62,7 +62,7 @@ class ResultSettings(CheckedSettings):
 
     method: str = parameter(
         'gls',
-        'Method of the fit: gls (generalised least squares, with confidence intervals), relative '
+        'Method of the fit: gls (generalized least squares, with confidence intervals), relative '
         '(least squares on relative residuals) or paper (plain least squares, as in Cong et al. '
         '2019).',
         choices=tuple(METHODS),
@@ -106,7 +106,7 @@ def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSetti
     Raises AllanError when there are too few data, or the datasheet or the earlier run cannot be
     read.
     """
-    results = analyse_recorded(recorded, settings.method)
+    results = analyze_recorded(recorded, settings.method)
     if not settings.sensor:
         results = with_earlier_datasheet(results)
     return results.compared(settings.sensor, settings.baseline, settings.stated_margin)
@@ -132,7 +132,7 @@ def results_of(
     if is_folder or place.suffix.lower() == '.json':
         return load(path, method)
     (recorded,) = read_in_turn([ReadJob(str(path), segmenter=segmenter)], observer)
-    return analyse_recorded(recorded, method)
+    return analyze_recorded(recorded, method)
 
 
 def analyze(
@@ -169,7 +169,7 @@ def analyze(
         Units of the samples, such as 'deg/s' and 'g', if the source does not state them. By default
         rad/s and m/s^2.
     method : str
-        Method of the fit: 'gls' (generalised least squares, with confidence intervals), 'relative'
+        Method of the fit: 'gls' (generalized least squares, with confidence intervals), 'relative'
         (least squares on relative residuals) or 'paper' (plain least squares, as in Cong et al.
         2019).
     sensor : str
@@ -236,7 +236,7 @@ def analyze(
         recorded = read_recording(job, recording)
         findings = without_absent(recorded.provenance.findings, recording.axes)
         recorded = replace(recorded, provenance=replace(recorded.provenance, findings=findings))
-    return analyse_recorded(recorded, method).compared(sensor, baseline, margin)
+    return analyze_recorded(recorded, method).compared(sensor, baseline, margin)
 
 
 def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Results:

@@ -129,7 +129,7 @@ SCENARIOS = {
     'no_flicker': Scenario(gyro(N=0.242, K=31.807), 100.0, 2 * HOUR, 4),
     'no_ramp': Scenario(replace(X, R=0.0), 100.0, 2 * HOUR, 5),
     'ramp_no_walk': Scenario(replace(X, K=0.0), 100.0, 2 * HOUR, 8),
-    'quantised': Scenario(gyro(Q=4.0, N=0.242, K=31.807), 100.0, 2 * HOUR, 7),
+    'quantized': Scenario(gyro(Q=4.0, N=0.242, K=31.807), 100.0, 2 * HOUR, 7),
     'five_minutes': Scenario(X, 100.0, 300.0, 0),
     'three_hours': Scenario(gyro(N=0.6, B=8.0, K=40.0), 200.0, 3 * HOUR, 13),
     'six_segments': Scenario(X, 100.0, 2 * HOUR, 9, segments=6),

@@ -25,7 +25,7 @@ from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import PRESETS, simulate_axis
 from allan_ros.io.comparison import Subject, compare_runs
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results, analyse_sums
+from allan_ros.io.results import Results, analyze_sums
 
 RATE = 50.0
 """Hz."""
@@ -43,7 +43,7 @@ def simulated_run(seconds: float, rng: np.random.Generator) -> Results:
     engine = RunningAllan(axes=AXES)
     engine.update(rows, 0, round((n - 1) * 1e9 / RATE))
     engine.end_segment()
-    return analyse_sums([engine.sums], Provenance())
+    return analyze_sums([engine.sums], Provenance())
 
 
 def main() -> None:

@@ -99,7 +99,7 @@ def draw(
     return white, samples
 
 
-def analysed(samples: Any) -> ar.Results:
+def analyzed(samples: Any) -> ar.Results:
     """Return the results of samples at rest, (n, 3), as gyro and as accelerometer."""
     return ar.analyze(np.hstack([samples, samples]), rate=RATE, motion_gate=False, skip=0.0)
 
@@ -126,7 +126,7 @@ def nees(names: list[str], axes: int, write: bool) -> None:
     for name in names:
         began, title = time.monotonic(), SENSORS[name][0]
         rng = np.random.default_rng(20 + list(SENSORS).index(name))
-        results = analysed(draw(name, SENSORS[name][3], rng, 3)[1])
+        results = analyzed(draw(name, SENSORS[name][3], rng, 3)[1])
         found: dict[str, list[list[float]]] = {}
         per_axis = max(axes // 3, 1)
         for axis in AXES[:3]:
@@ -321,7 +321,7 @@ def graph(runs: int) -> None:
     import gtsam
 
     rng = np.random.default_rng(8)
-    results = analysed(draw('x', SECONDS, rng, 3)[1])
+    results = analyzed(draw('x', SECONDS, rng, 3)[1])
     noise, drift = [], []
     for _ in range(runs):
         white, samples = draw('x', GRAPH_S + 1, rng, 6)
@@ -394,7 +394,7 @@ def figure() -> None:
     from matplotlib import pyplot
 
     rng = np.random.default_rng(3)
-    results = analysed(draw('x', SECONDS, rng, 3)[1])
+    results = analyzed(draw('x', SECONDS, rng, 3)[1])
     _, samples = draw('x', SECONDS, rng, 12)
     models = exported(results, 'gyro_x')
     window = 30.0

@@ -4,7 +4,7 @@
 
     python bench/bench_gtsam.py             about 1 min
 
-An IMU whose noise is known is recorded at rest for two hours, analysed, and exported. Then it
+An IMU whose noise is known is recorded at rest for two hours, analyzed, and exported. Then it
 moves: GTSAM integrates noisy samples of a turning, accelerating IMU many times over, and the
 variances of angle, position, velocity and biases are compared with the covariance it predicts from
 the file. "true" is a file of the true coefficients; its ratios must be within 5 % of 1.
@@ -35,7 +35,7 @@ from allan_ros.core.simulate import simulate_axis, simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.exporters import ExportOptions, make_export
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results, analyse_sums
+from allan_ros.io.results import Results, analyze_sums
 
 Floats = NDArray[np.float64]
 
@@ -49,13 +49,13 @@ MOVE_S, RUNS = 5.0, 6000
 NAMES = ('angle', 'position', 'velocity', 'accel bias', 'gyro bias')
 
 
-def analysed() -> Results:
+def analyzed() -> Results:
     """Return the results of two hours at rest."""
     accumulator = ImuStream()
     for batch in simulate_imu(REST_S, RATE_HZ, [GYRO] * 3, [ACCEL] * 3, seed=1):
         accumulator.update(batch)
     accumulator.end()
-    return analyse_sums(accumulator.result().sums, Provenance())
+    return analyze_sums(accumulator.result().sums, Provenance())
 
 
 def with_truth(results: Results) -> Results:
@@ -119,7 +119,7 @@ def actual_variances(params: Any) -> Floats:
 def main() -> None:
     """Print the ratios of actual to predicted variance."""
     start = time.monotonic()
-    results = analysed()
+    results = analyzed()
     steps = round(MOVE_S * RATE_HZ)
     still = np.tile(TURN, (steps, 1)), np.tile(PUSH, (steps, 1))
     files = {'true': params_of(with_truth(results)), 'measured': params_of(results)}

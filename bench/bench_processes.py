@@ -270,7 +270,7 @@ def _print_growth(name: str, errors: dict[str, list[float]]) -> None:
 
 
 def adis(skip: float, with_gmwm: bool) -> None:
-    """Print measured over modelled Allan deviation of the shared recordings, and growth errors."""
+    """Print measured over modeled Allan deviation of the shared recordings, and growth errors."""
     sys.path.insert(0, str(SHARED / 'data' / 'adis16405'))
     from load import load
 

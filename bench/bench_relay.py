@@ -30,7 +30,7 @@ from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.documents import results_to_document
 from allan_ros.io.readers.cdr import CovariancePatch, encode_imus
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import analyse_sums
+from allan_ros.io.results import analyze_sums
 
 RATES_HZ = (200, 1000)
 MEASURE_S = 10.0
@@ -92,7 +92,7 @@ def message() -> tuple[bytearray, str]:
         accumulator.update(batch)
         payload = bytearray(encode_imus(batch[:1], 'cdr')[0])
     accumulator.end()
-    results = analyse_sums(accumulator.result().sums, Provenance())
+    results = analyze_sums(accumulator.result().sums, Provenance())
     return payload, json.dumps(results_to_document(results, curves=False))
 
 

@@ -88,7 +88,7 @@ def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
     # A process that is killed while it has a lock in the shared memory of Fast DDS 2.14 blocks the
     # other processes permanently, including the player: observed at the 16th of 20 kills.
     os.environ.update(TRANSPORT)
-    # reliable, but the player must not wait for acknowledgements of killed nodes
+    # reliable, but the player must not wait for acknowledgments of killed nodes
     forgetful = [
         f'qos_overrides./imu/data.publisher.{p}' for p in ('history:=keep_last', 'depth:=5000')
     ]

@@ -115,7 +115,7 @@ class Robot:
         self.monitor.end(number)
         self.client.node.destroy_publisher(self.publisher)
         # A killed node counts as a subscriber for about 20 s more. A publisher would wait for its
-        # acknowledgements, and a new node could miss messages sent meanwhile.
+        # acknowledgments, and a new node could miss messages sent meanwhile.
         while self.client.node.count_subscribers('imu/data'):
             self.client.spin(0.5)
 

@@ -30,7 +30,7 @@ from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.documents import sums_file_from_document, sums_file_to_document
 from allan_ros.io.files import read_json
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import analyse_sums
+from allan_ros.io.results import analyze_sums
 
 RATE_HZ = 200.0
 DAYS = 30
@@ -133,7 +133,7 @@ def month() -> None:
                 save_s.append(_save_and_read(checkpoint, path, known))
                 if hour % FIT_EVERY_H == FIT_EVERY_H - 1:
                     at = time.process_time()
-                    results = analyse_sums(known.sums, Provenance(findings=known.findings))
+                    results = analyze_sums(known.sums, Provenance(findings=known.findings))
                     fit_s.append(time.process_time() - at)
             way_s, sent = way_s + day_way_s, sent + day_sent
             ratios = [results.axes[a].fit.noise['N'].value / N[i] for i, a in enumerate(AXES)]

@@ -30,7 +30,7 @@ from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.files import parse_json, read_json, to_json
 from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import analyse_sums
+from allan_ros.io.results import analyze_sums
 
 from .damage import any_bytes, as_utf8, damaged_json
 from .harness import BrokenRule, Target, check_document, check_line, refused_or_valid
@@ -55,7 +55,7 @@ def seeds() -> tuple[dict[str, Any], dict[str, Any]]:
     provenance = Provenance(
         (source,), known.segments, known.findings, known.health.counts, {'skip': 0.0, 'topic': ''}
     )
-    results = analyse_sums(known.sums, provenance)
+    results = analyze_sums(known.sums, provenance)
     return sums_file_to_document(known.sums, provenance), results_to_document(results)
 
 
@@ -117,7 +117,7 @@ def _use_sums(document: object, choice: int) -> None:
         recent_noise(one + one, 100.0)
     if choice % FITTED:
         return
-    results = analyse_sums(sums, provenance)
+    results = analyze_sums(sums, provenance)
     check_document(to_json(results_to_document(results, curves=bool(choice % 2))))
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""List the packages that allan_ros installs, with version and licence, and query known
+"""List the packages that allan_ros installs, with version and license, and query known
 vulnerabilities.
 
     python scripts/audit.py             # exit 1: something is vulnerable; 2: some was not audited
@@ -28,8 +28,8 @@ PACKAGE = 'allan_ros'
 VULNERABLE, NOT_AUDITED = 1, 2
 CLASSIFIER = 'License :: OSI Approved :: '
 REQUIREMENT = re.compile(r'([A-Za-z0-9._-]+)')
-LONGEST_LICENCE = 60
-"""Longest licence name in characters; some packages contain the complete text instead."""
+LONGEST_LICENSE = 60
+"""Longest license name in characters; some packages contain the complete text instead."""
 
 TOOL = [sys.executable, '-m', 'pip_audit']
 ASKED = ['--no-deps', '--disable-pip', '--format', 'json', '--requirement']
@@ -57,14 +57,14 @@ def _requirements(distribution: metadata.Distribution) -> Iterator[str]:
             yield re.sub(r'[-_.]+', '-', name[1]).lower()
 
 
-def licence(distribution: metadata.Distribution) -> str:
-    """Return the name of the licence, from the metadata fields of old and new packages."""
+def license(distribution: metadata.Distribution) -> str:
+    """Return the name of the license, from the metadata fields of old and new packages."""
     about = distribution.metadata
     # get_all: newer readers of metadata raise an error for a missing field, older ones return None
     classifiers = [c for c in about.get_all('Classifier') or () if c.startswith(CLASSIFIER)]
     named = [*(about.get_all('License-Expression') or ()), *(about.get_all('License') or ())]
     named += [classifier.removeprefix(CLASSIFIER) for classifier in classifiers]
-    short = [name for name in named if name and len(name) <= LONGEST_LICENCE]
+    short = [name for name in named if name and len(name) <= LONGEST_LICENSE]
     return short[0] if short else 'see the package'
 
 
@@ -75,7 +75,7 @@ def main() -> int:
     options = parser.parse_args()
     packages = required()
     for name, distribution in packages.items():
-        print(f'{name:20} {distribution.version:16} {licence(distribution)}')
+        print(f'{name:20} {distribution.version:16} {license(distribution)}')
     if options.offline:
         print(f'{len(packages)} packages; vulnerabilities were not checked')
         return 0

@@ -37,7 +37,7 @@ UG = 1.0 / UNITS['ug'].factor
 
 DPI = 100
 FONT = {'font.size': 9.0, 'axes.grid': False}
-GREY = '0.6'
+GRAY = '0.6'
 ON_WHITE = {'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}
 """Background of text that is drawn on lines."""
 
@@ -77,7 +77,7 @@ SHAPES = (
 )
 
 
-def analysed(hours: float, seed: int = 0, **faults: object) -> ar.Results:
+def analyzed(hours: float, seed: int = 0, **faults: object) -> ar.Results:
     """Return the results of the simulated IMU of the paper, with the faults given."""
     recording = ar.simulate(hours, RATE, seed=seed, **faults)
     return ar.analyze(recording, rate=RATE, motion_gate=False, skip=0)
@@ -98,9 +98,9 @@ def draw_parts(panel: Axes, result: ar.AxisResult, factor: float, lowest: float)
     curve = result.curve
     assert curve is not None
     for name, part in result.part_adev(curve.m).items():
-        colour, dashes = TERM_STYLES.get(name, (GREY, '-'))
+        color, dashes = TERM_STYLES.get(name, (GRAY, '-'))
         shown = np.where(factor * part > lowest, factor * part, np.nan)
-        panel.plot(curve.tau, shown, color=colour, ls=dashes, lw=1.5, label=name)
+        panel.plot(curve.tau, shown, color=color, ls=dashes, lw=1.5, label=name)
     model, upper = (factor * line for line in result.model_line())
     panel.plot(curve.tau, model, color='black', lw=1.0, label='fit', zorder=1.9)
     panel.fill_between(curve.tau, model, upper, color='black', alpha=LIMIT_ALPHA, lw=0)
@@ -130,17 +130,17 @@ def five_slopes() -> Figure:
         'R': ('R  rate ramp\nslope +1', 1.5e3, 14.0),
     }
     for term, part in zip('QNBKR', np.sqrt(avar).T):
-        colour, dashes = TERM_STYLES[term]
-        panel.plot(tau, part, color=colour, ls=dashes, lw=1.5)
+        color, dashes = TERM_STYLES[term]
+        panel.plot(tau, part, color=color, ls=dashes, lw=1.5)
         text, x, y = names[term]
-        panel.text(x, y, text, color=colour, bbox=ON_WHITE)
+        panel.text(x, y, text, color=color, bbox=ON_WHITE)
     panel.set(ylim=(0.25, 120.0), ylabel='Allan deviation [deg/h]', xlim=(tau[0], tau[-1]))
     return figure
 
 
 def paper_gyro() -> Figure:
     """Draw the curve and coefficients of the z gyro for two simulated hours."""
-    result = analysed(2.0).axes['gyro_z']
+    result = analyzed(2.0).axes['gyro_z']
     figure, (panel,) = new_figure(7.2, 4.0)
     draw_measured(panel, result.curve, DEG_H)
     draw_parts(panel, result, DEG_H, 2.0)
@@ -166,7 +166,7 @@ def paper_gyro() -> Figure:
 
 def wrong_shape(shape: Shape) -> Figure:
     """Draw a curve with a fault over the same curve without it."""
-    bad, good = analysed(shape.hours, **shape.faults), analysed(shape.hours)
+    bad, good = analyzed(shape.hours, **shape.faults), analyzed(shape.hours)
     figure, (panel,) = new_figure(5.2, 3.2)
     clean = good.axes[shape.axis].curve
     assert clean is not None
@@ -184,7 +184,7 @@ def held_samples() -> Figure:
     faults = {'accel_rate': 62.5}
     figure, (panel,) = new_figure(5.2, 3.2)
     repeated = ar.adev(ar.simulate(0.5, RATE, **faults).samples[:, 5], RATE)
-    fresh = analysed(0.5, **faults)['accel_z'].curve
+    fresh = analyzed(0.5, **faults)['accel_z'].curve
     draw_measured(panel, repeated, UG, label='every message counted')
     draw_measured(
         panel, fresh, UG, label='fresh samples only', mfc='#0072B2', mec='#0072B2', ms=2.5
@@ -199,7 +199,7 @@ def more_time() -> Figure:
     """Draw the same gyro after ten minutes, an hour and eight hours."""
     figure, panels = new_figure(9.0, 3.1, 3)
     for panel, (hours, name) in zip(panels, ((1 / 6, '10 min'), (1.0, '1 h'), (8.0, '8 h'))):
-        result = analysed(hours, seed=1).axes['gyro_z']
+        result = analyzed(hours, seed=1).axes['gyro_z']
         draw_measured(panel, result.curve, DEG_H)
         draw_parts(panel, result, DEG_H, 2.0)
         seen = ', '.join(t for t in 'QNBKR' if result.fit.noise[t].status == 'estimated')

@@ -22,7 +22,7 @@ import allan_ros
 from allan_ros.cli.console import OPTIONS
 from allan_ros.cli.main import EXITS, VERBS, command_of
 from allan_ros.cli.options import add_options
-from allan_ros.core.findings import CATALOGUE, PLURAL
+from allan_ros.core.findings import CATALOG, PLURAL
 from allan_ros.core.settings import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS
 
@@ -84,7 +84,7 @@ terminal only.
 |---|---|
 {exits}
 
-`NO_COLOR` and `FORCE_COLOR` turn colours off and on ([no-color.org](https://no-color.org)),
+`NO_COLOR` and `FORCE_COLOR` turn colors off and on ([no-color.org](https://no-color.org)),
 `COLUMNS` sets the width. By default, colors and width are those of the terminal.
 
 **Completion** of verbs, options, datasheets, targets and topics of a bag, by
@@ -275,7 +275,7 @@ def troubleshooting_page(text: str) -> str:
     """
     head, *entries = re.split(r'^### ', text, flags=re.MULTILINE)
     ids = [entry.split('\n', 1)[0].strip() for entry in entries]
-    wrong = sorted({id for id in ids if ids.count(id) > 1} | (set(ids) ^ set(CATALOGUE)))
+    wrong = sorted({id for id in ids if ids.count(id) > 1} | (set(ids) ^ set(CATALOG)))
     if wrong:
         raise SystemExit(f'docs/troubleshooting.md: each finding once, as ### id: {wrong}')
     return head + ''.join(f'### {_with_words(entry)}' for entry in entries)
@@ -285,7 +285,7 @@ def _with_words(entry: str) -> str:
     """Return an entry with the current message below its heading."""
     id, _, rest = entry.partition('\n')
     rest = '\n'.join(line for line in rest.lstrip('\n').split('\n') if not line.startswith('> '))
-    words = CATALOGUE[id.strip()]
+    words = CATALOG[id.strip()]
     message, remedy = (_without_numbers(text) for text in (words.message, words.remedy))
     return f'{id}\n\n> *{words.severity}:* {message} **{remedy}**\n\n{rest.lstrip()}'
 

@@ -26,8 +26,8 @@ BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 WINDOW = (1120, 1560)
 """Size of the screenshot in pixels: verdict, curve and coefficients of the gyro."""
 
-COLOURS = 96
-"""Number of colours of a picture: enough for smooth text, at a third of the file size."""
+COLORS = 96
+"""Number of colors of a picture: enough for smooth text, at a third of the file size."""
 
 RUNS = {
     'monday': ['--seed', '1'],
@@ -70,7 +70,7 @@ def main() -> int:
         photograph(scratch / 'tuesday/report.html', scratch / 'report.png', scratch / 'browser')
         for name, picture in (('report', 'report.png'), ('compare', 'compare_gyro.png')):
             path = folder / f'{name}.png'
-            Image.open(scratch / picture).convert('RGB').quantize(COLOURS).save(path, optimize=True)
+            Image.open(scratch / picture).convert('RGB').quantize(COLORS).save(path, optimize=True)
             print(f'{path}: {path.stat().st_size / 1000:.0f} kB')
     return 0
 

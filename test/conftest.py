@@ -23,7 +23,7 @@ from allan_ros.core.simulate import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results, analyse_sums
+from allan_ros.io.results import Results, analyze_sums
 
 # The time an example takes depends on the machine, not on the law that is tested.
 settings.register_profile('allan_ros', deadline=None)
@@ -125,4 +125,4 @@ def small_run() -> tuple[AllanSums, Provenance]:
 def small_results(small_run: tuple[AllanSums, Provenance]) -> Results:
     """Return the results of `small_run` by the default method."""
     sums, provenance = small_run
-    return analyse_sums([sums], provenance)
+    return analyze_sums([sums], provenance)

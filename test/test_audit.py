@@ -37,7 +37,7 @@ def answer(audit: ModuleType, monkeypatch: pytest.MonkeyPatch, **of_numpy: objec
     monkeypatch.setattr(audit, 'TOOL', [sys.executable, '-c', code])
 
 
-def test_each_package_is_listed_with_version_and_licence(
+def test_each_package_is_listed_with_version_and_license(
     audit: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, 'argv', ['audit.py', '--offline'])

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The package as a whole: one version, a licence header everywhere, metadata that colcon finds."""
+"""The package as a whole: one version, a license header everywhere, metadata that colcon finds."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def tracked_files() -> list[Path]:
 
 
 @pytest.mark.parametrize('words', HEADER)
-def test_every_source_file_has_a_licence_header(words: str) -> None:
+def test_every_source_file_has_a_license_header(words: str) -> None:
     files = [
         path
         for path in tracked_files()
@@ -87,11 +87,11 @@ def test_every_console_script_is_there() -> None:
         assert re.search(rf'^(def |class )?{name}( =|\()', source.read_text(encoding='utf-8'), re.M)
 
 
-def test_every_licence_that_is_named_is_there_and_every_configuration_is_installed() -> None:
+def test_every_license_that_is_named_is_there_and_every_configuration_is_installed() -> None:
     setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
-    licences = ElementTree.parse(ROOT / 'package.xml').findall('license')
-    assert f"license='{' AND '.join(str(each.text) for each in licences)}'" in setup
-    assert all((ROOT / each.attrib['file']).is_file() for each in licences)
+    licenses = ElementTree.parse(ROOT / 'package.xml').findall('license')
+    assert f"license='{' AND '.join(str(each.text) for each in licenses)}'" in setup
+    assert all((ROOT / each.attrib['file']).is_file() for each in licenses)
     folders = [path.name for path in (ROOT / 'config').iterdir() if path.is_dir()]
     assert len(folders) > 2
     assert [name for name in folders if f"glob('config/{name}/" not in setup] == []

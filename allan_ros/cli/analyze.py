@@ -46,9 +46,9 @@ from .batch import (
     run_batch,
     split_by_topic,
 )
-from .console import Console, coloured, painted, width
+from .console import Console, colored, painted, width
 from .options import Command, Settings, settings_of
-from .tables import LEVEL_COLOURS, findings_lines, results_lines
+from .tables import LEVEL_COLORS, findings_lines, results_lines
 
 EXIT_UNKNOWN = 1
 
@@ -155,12 +155,12 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     if console.json:
         console.document(results_to_document(results, units=settings.units))
         if not console.quiet:
-            lines = findings_lines(results, settings.units, width(), coloured(sys.stderr), True)
+            lines = findings_lines(results, settings.units, width(), colored(sys.stderr), True)
             print('\n'.join(lines).strip(), file=sys.stderr)
         if written:
             console.say(written)
     elif not (console.quiet and written):
-        style = width(), coloured(sys.stdout), console.verbose
+        style = width(), colored(sys.stdout), console.verbose
         print('\n'.join(results_lines(results, verdict, settings.units, *style)))
         if written:
             print(f'\n{written}')
@@ -216,7 +216,7 @@ def check(args: argparse.Namespace) -> int:
     elif not console.quiet:
         word = WORDS['failed' if code == EXIT_FAILED else verdict.level].lower()
         line = f'{word}: {args.inputs[0]}: {verdict.summary}'
-        print(painted(line, word, LEVEL_COLOURS[verdict.level], coloured(sys.stdout)))
+        print(painted(line, word, LEVEL_COLORS[verdict.level], colored(sys.stdout)))
         for reason in verdict.reasons if console.verbose else ():
             print(f'  {text_in_units(reason, settings.units)}')
     return code

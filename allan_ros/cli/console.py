@@ -70,8 +70,8 @@ def _bar(total: int | None) -> Any:
 NARROWEST = 40
 """Smallest width in columns of wrapped text; narrower terminals wrap it again."""
 
-SEVERITY_COLOURS = {'info': '36', 'warning': '33', 'error': '31'}
-"""ANSI colours (ECMA-48) of the severity of a finding: cyan, yellow, red."""
+SEVERITY_COLORS = {'info': '36', 'warning': '33', 'error': '31'}
+"""ANSI colors (ECMA-48) of the severity of a finding: cyan, yellow, red."""
 
 OPTIONS = """
 terminal:
@@ -128,10 +128,10 @@ def width() -> int:
     return max(shutil.get_terminal_size((WIDTH, 24)).columns, NARROWEST)
 
 
-def coloured(stream: TextIO) -> bool:
-    """Return whether to print colours to a stream, by default if it is a terminal.
+def colored(stream: TextIO) -> bool:
+    """Return whether to print colors to a stream, by default if it is a terminal.
 
-    A non-empty ``NO_COLOR`` turns colours off, a non-empty ``FORCE_COLOR`` turns them on
+    A non-empty ``NO_COLOR`` turns colors off, a non-empty ``FORCE_COLOR`` turns them on
     (no-color.org, force-color.org).
     """
     if os.environ.get('NO_COLOR'):
@@ -141,9 +141,9 @@ def coloured(stream: TextIO) -> bool:
     return stream.isatty() and os.environ.get('TERM') != 'dumb'
 
 
-def painted(line: str, word: str, colour: str, colours: bool) -> str:
-    """Return a line with the first occurrence of a word in an ANSI colour, if ``colours``."""
-    return line.replace(word, f'\x1b[{colour}m{word}\x1b[0m', 1) if colours else line
+def painted(line: str, word: str, color: str, colors: bool) -> str:
+    """Return a line with the first occurrence of a word in an ANSI color, if ``colors``."""
+    return line.replace(word, f'\x1b[{color}m{word}\x1b[0m', 1) if colors else line
 
 
 def wrapped(text: str, columns: int, indent: str = '') -> list[str]:

@@ -160,7 +160,7 @@ def build_parser(verb: str = '') -> AllanParser:
         add_help=False,  # the verbs come first
         epilog='`allan VERB --help` shows the options of a verb.\n\n'
         + _exits_text(EXITS)
-        + '\n\nNO_COLOR turns colours off, FORCE_COLOR on; COLUMNS sets the width. allan.toml, or '
+        + '\n\nNO_COLOR turns colors off, FORCE_COLOR on; COLUMNS sets the width. allan.toml, or '
         '[tool.allan] of pyproject.toml, in the current folder sets defaults of options.',
     )
     verbs = parser.add_subparsers(

@@ -33,15 +33,15 @@ from ..io.verdict import (
     headline,
     too_short,
 )
-from .console import SEVERITY_COLOURS, painted, wrapped
+from .console import SEVERITY_COLORS, painted, wrapped
 
-LEVEL_COLOURS: dict[Level, str] = {
+LEVEL_COLORS: dict[Level, str] = {
     'healthy': '1;32',
     'attention': '1;33',
     'unknown': '1;36',
     'failed': '1;31',
 }
-"""Level of a verdict -> ANSI colour: bold green, yellow, cyan, red."""
+"""Level of a verdict -> ANSI color: bold green, yellow, cyan, red."""
 
 HEADLINES: dict[LimitVerdict | None, str] = {
     'within': 'all stated limits are met',
@@ -101,16 +101,16 @@ def results_lines(
     verdict: Verdict,
     units: str,
     columns: int,
-    colours: bool = False,
+    colors: bool = False,
     complete: bool = False,
 ) -> Iterator[str]:
     """Yield the lines of the results: headline, verdict, tables, findings, next steps.
 
-    ``units`` is 'datasheet' or 'si', ``columns`` the width of the text, ``colours`` whether to
-    colour it; ``complete`` includes all findings and their remedies.
+    ``units`` is 'datasheet' or 'si', ``columns`` the width of the text, ``colors`` whether to
+    color it; ``complete`` includes all findings and their remedies.
     """
     yield from wrapped(headline(results), columns, '  ')
-    yield from verdict_lines(verdict, columns, colours)
+    yield from verdict_lines(verdict, columns, colors)
     for sensor, where in SENSORS.items():
         axes = [axis for axis in AXES[where] if axis in results.axes]
         cells = [
@@ -127,22 +127,22 @@ def results_lines(
         yield ''
         judged = not too_short(results)
         yield from datasheet_lines(results.datasheet, units, columns, judged)
-    yield from findings_lines(results, units, columns, colours, complete)
+    yield from findings_lines(results, units, columns, colors, complete)
     for i, step in enumerate(verdict.next_steps[:MOST_STEPS]):
         if i == 0:
             yield ''
         yield from wrapped(f'{"next:" if i == 0 else "     "} {step}', columns, ' ' * 6)
 
 
-def verdict_lines(verdict: Verdict, columns: int, colours: bool = False) -> list[str]:
+def verdict_lines(verdict: Verdict, columns: int, colors: bool = False) -> list[str]:
     """Return the lines of the level and the summary of a verdict, wrapped to ``columns``."""
     word = WORDS[verdict.level].lower()
     lines = wrapped(f'{word}: {verdict.summary}', columns, '  ')
-    return [painted(lines[0], word, LEVEL_COLOURS[verdict.level], colours), *lines[1:]]
+    return [painted(lines[0], word, LEVEL_COLORS[verdict.level], colors), *lines[1:]]
 
 
 def findings_lines(
-    results: Results, units: str, columns: int, colours: bool, complete: bool
+    results: Results, units: str, columns: int, colors: bool, complete: bool
 ) -> Iterator[str]:
     """Yield the first findings, one per line; with ``complete``, all with their remedies."""
     shown, notes = findings_and_notes(results)
@@ -153,13 +153,13 @@ def findings_lines(
     if len(first) > MOST_FINDINGS and not complete:
         first = shown[: MOST_FINDINGS - (bool(notes) or len(shown) > MOST_FINDINGS)]
     for finding in first:
-        colour = SEVERITY_COLOURS[finding.severity]
+        color = SEVERITY_COLORS[finding.severity]
         line = f'{finding.severity}: {text_in_units(finding_text(finding, results), units)}'
         if complete:
             lines = wrapped(f'{line} {finding.remedy}', columns, '  ')
         else:
             lines = [textwrap.shorten(line, columns - 1, placeholder=' ...')]
-        yield from (painted(lines[0], finding.severity, colour, colours), *lines[1:])
+        yield from (painted(lines[0], finding.severity, color, colors), *lines[1:])
     left = {
         'warning': sum(f not in first for f in shown),
         'note': sum(f not in first for f in notes),

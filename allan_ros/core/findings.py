@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings: messages to the user about a recording or a running node.
 
-All texts are in the catalogue ``findings.txt``. The message of a finding states the cause with its
+All texts are in the catalog ``findings.txt``. The message of a finding states the cause with its
 numbers, the remedy states the next step.
 """
 
@@ -40,7 +40,7 @@ class Finding:
         return f'{where}{self.message} {self.remedy}'
 
 
-def _catalogue(text: str) -> Iterator[Finding]:
+def _catalog(text: str) -> Iterator[Finding]:
     """Yield each kind of finding, with its texts as templates of `str.format`."""
     for entry in re.split(r'\n(?=\w)', re.sub(r'(?m)^(#.*)?\n', '', text)):
         head, _, words = entry.partition('\n')
@@ -51,7 +51,7 @@ def _catalogue(text: str) -> Iterator[Finding]:
 
 _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
 
-CATALOGUE = {one.id: one for one in _catalogue(_TEXT)}
+CATALOG = {one.id: one for one in _catalog(_TEXT)}
 """Finding by id; its texts are templates whose fields `finding` fills in."""
 
 PLURAL = re.compile(r'\{(\w+):([^{}|]*)\|([^{}|]*)\}')
@@ -65,12 +65,12 @@ def _filled(template: str, values: Mapping[str, object]) -> str:
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
-    """Return the finding ``id`` of the catalogue, with ``values`` inserted into its texts.
+    """Return the finding ``id`` of the catalog, with ``values`` inserted into its texts.
 
     ``axes`` are the affected axes; empty for all. ``values`` must contain every field of the
     templates. Only ``when``, a text such as ' in the last minute', is '' by default.
     """
-    known, values = CATALOGUE[id], {'when': '', **values}
+    known, values = CATALOG[id], {'when': '', **values}
     message, remedy = (_filled(text, values) for text in (known.message, known.remedy))
     return replace(known, message=message, remedy=remedy, axes=axes)
 

@@ -179,7 +179,7 @@ def _flicker_eigenvalues(half: int) -> Floats:
 def _flicker_autocovariance(lags: int) -> Floats:
     """Return the autocovariance of the differences of flicker noise, B = 1, at lags 0 to ``lags``.
 
-    The phase has the generalised autocovariance G(t) = t^2 ln|t| / (2 pi) (Greenhall, 34th PTTI,
+    The phase has the generalized autocovariance G(t) = t^2 ln|t| / (2 pi) (Greenhall, 34th PTTI,
     2002: flicker FM; scaled to an Allan variance of 2 ln2/pi). The differences of the samples are
     second differences of the phase. Their autocovariance is therefore the fourth central difference
     of G. At long lags this difference loses precision, so its expansion in derivatives is used

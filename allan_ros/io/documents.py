@@ -34,7 +34,7 @@ from .datasheets import comparison_from_document, comparison_to_document
 from .files import PATH, read_json
 from .readers.recording import SourceInfo
 from .recorded import Provenance, RecordingSums
-from .results import Results, analyse_recorded
+from .results import Results, analyze_recorded
 from .verdict import verdict_of
 
 RESULTS_SCHEMA = 'allan_ros/results/1'
@@ -181,7 +181,7 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
     document = read_json(place)
     if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
         recorded = RecordingSums(str(place), *sums_file_from_document(document, str(place)))
-        return analyse_recorded(recorded, method)
+        return analyze_recorded(recorded, method)
     results = results_from_document(document, str(place))
     if Path(path).is_dir() and (place.parent / SUMS).is_file():
         return replace(results, recorded=load_sums(path))

@@ -147,9 +147,9 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
     """
     panel.set(xscale='log', yscale='log', xlim=across, ylim=up)
     for direction, limits in ((panel.xaxis, across), (panel.yaxis, up)):
-        labelled, fine = ticks(*limits)
-        direction.set_major_locator(FixedLocator(labelled.tolist()))
-        direction.set_major_formatter(FixedFormatter([tick_text(value) for value in labelled]))
+        labeled, fine = ticks(*limits)
+        direction.set_major_locator(FixedLocator(labeled.tolist()))
+        direction.set_major_formatter(FixedFormatter([tick_text(value) for value in labeled]))
         direction.set_minor_locator(NullLocator())
         is_x = direction is panel.xaxis
         panel.add_collection(
@@ -157,7 +157,7 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
                 [[(v, e) if is_x else (e, v) for e in (0.0, 1.0)] for v in fine],
                 transform=panel.get_xaxis_transform() if is_x else panel.get_yaxis_transform(),
                 colors=rcParams['grid.color'],
-                linewidths=np.where(np.isin(fine, labelled), 0.6, 0.25),
+                linewidths=np.where(np.isin(fine, labeled), 0.6, 0.25),
                 zorder=0.5,
             ),
             autolim=False,
@@ -165,14 +165,14 @@ def log_axes(panel: Axes, across: tuple[float, float], up: tuple[float, float]) 
 
 
 def ticks(low: float, high: float) -> tuple[Floats, Floats]:
-    """Return the labelled values (at least three) and all grid lines of a logarithmic axis."""
+    """Return the labeled values (at least three) and all grid lines of a logarithmic axis."""
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)))
     digits = ([1], [1, 2, 5], [1, 1.2, 1.5, 2, 3, 5, 7], range(1, 10))
     choices = [np.outer(decades, some).ravel() for some in digits]
     choices.append(np.asarray(MaxNLocator(4).tick_values(low, high)))
     *labels, grid, even = (values[(values > low) & (values < high)] for values in choices)
-    labelled = next((values for values in labels if len(values) > 2), even)
-    return labelled[:: 1 + len(labelled) // 10], np.union1d(grid, labelled)
+    labeled = next((values for values in labels if len(values) > 2), even)
+    return labeled[:: 1 + len(labeled) // 10], np.union1d(grid, labeled)
 
 
 SUPERSCRIPT = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')

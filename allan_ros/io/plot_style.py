@@ -40,10 +40,10 @@ TERM_STYLES: dict[str, tuple[str, Any]] = {
     'K': ('#D55E00', (0, (9, 2))),
     'R': ('#E69F00', (0, (3, 1.2, 1, 1.2, 1, 1.2))),
 }
-"""Term -> colour and dashes of its line.
+"""Term -> color and dashes of its line.
 
-The colours of Okabe and Ito ("Color universal design", 2008) can be distinguished by colour-blind
-readers, the dashes without colours."""
+The colors of Okabe and Ito ("Color universal design", 2008) can be distinguished by color-blind
+readers, the dashes without colors."""
 
 BELOW_CURVE = 0.2
 """A part of the model is drawn above this fraction of the lowest point of the curve."""

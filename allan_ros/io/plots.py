@@ -64,13 +64,13 @@ LIMIT_STYLE: dict[str, Any] = {'ls': (0, (1, 3)), 'lw': 0.9}
 """Style of the 95 % upper limit of a term that is not resolved."""
 
 PROCESS_STYLE = ('0.5', (0, (2, 1)))
-"""Colour and dashes of a Gauss-Markov process or a sinusoid."""
+"""Color and dashes of a Gauss-Markov process or a sinusoid."""
 
 HATCHES = {True: '///', False: 3 * '\\'}
 """Whether the IMU moved -> hatching of the excluded samples."""
 
 FADE = 0.75
-"""Opacity of the background colour over samples that are not used."""
+"""Opacity of the background color over samples that are not used."""
 
 TIME_UNITS = ((7200.0, 3600.0, 'h'), (120.0, 60.0, 'min'), (0.0, 1.0, 's'))
 """Units of the time axis: smallest length of a recording in s, seconds per unit, name."""
@@ -89,7 +89,7 @@ RUN_STYLES: tuple[tuple[str, str, Any], ...] = (
     ('#CC79A7', 'v', (0, (5, 1, 1, 1, 1, 1))),
     ('#E69F00', 'P', (0, (8, 2))),
 )
-"""Colour of Okabe and Ito ('' for the text colour), marker and dashes of each recording."""
+"""Color of Okabe and Ito ('' for the text color), marker and dashes of each recording."""
 
 MARK_EVERY = 6
 """Points of a curve per marker; markers of different recordings are at different points."""
@@ -195,8 +195,8 @@ def comparison_figure(
             panels[-1][1].set_xlabel(TAU_LABEL)
         styles = [_run_style(i) for i in range(len(comparison.runs))]
         entries = [
-            (run.label, {'color': colour, 'marker': mark, 'ls': dashes, 'ms': 4.0, 'lw': 1.1})
-            for run, (colour, mark, dashes) in zip(comparison.runs, styles)
+            (run.label, {'color': color, 'marker': mark, 'ls': dashes, 'ms': 4.0, 'lw': 1.1})
+            for run, (color, mark, dashes) in zip(comparison.runs, styles)
         ]
         facts = f'right: ratio to {comparison.runs[0].label}, filled where significant'
         heading(figure, SENSOR_NAMES[sensor], facts if ratios else '', entries, columns)
@@ -214,9 +214,9 @@ def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datashe
         if curve is None:
             continue
         (points,) = panel.loglog(curve.tau, curve.adev, 'o', ms=3, label=name)
-        colour = points.get_color()
-        panel.fill_between(curve.tau, curve.low, curve.high, color=colour, alpha=BAND_ALPHA, lw=0)
-        panel.loglog(curve.tau, curve.model, color=colour, lw=1.0)
+        color = points.get_color()
+        panel.fill_between(curve.tau, curve.low, curve.high, color=color, alpha=BAND_ALPHA, lw=0)
+        panel.loglog(curve.tau, curve.model, color=color, lw=1.0)
         panel.set_ylabel(f'Allan deviation  [{pretty_unit(unit.name)}]')
     panel.set_xlabel(TAU_LABEL)
     if len(axes) > 1:
@@ -252,9 +252,9 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str, wide: bool)
     )  # fmt: skip
     entries: list[tuple[str, dict[str, Any]]] = []
     for part, adev in (*curve.parts.items(), *curve.limits.items()):
-        colour, dashes = TERM_STYLES.get(part, PROCESS_STYLE)
+        color, dashes = TERM_STYLES.get(part, PROCESS_STYLE)
         style = {'ls': dashes, 'lw': 1.1} if part in curve.parts else LIMIT_STYLE
-        entries.append((_part_text(part, name, axis, units), {'color': colour, **style}))
+        entries.append((_part_text(part, name, axis, units), {'color': color, **style}))
         panel.plot(curve.tau, adev, **entries[-1][1])
     panel.plot(curve.tau, curve.model, color=ink, lw=0.9, zorder=1.9)
     panel.fill_between(curve.tau, curve.model, curve.upper, color=ink, alpha=LIMIT_ALPHA, lw=0)
@@ -324,17 +324,17 @@ def _hatch_text(summary: SignalSummary) -> str:
 
 
 def _run_style(run: int) -> tuple[str, str, Any]:
-    """Return colour, marker and dashes of the recording with this index."""
-    colour, marker, dashes = RUN_STYLES[run % len(RUN_STYLES)]
-    return colour or rcParams['text.color'], marker, dashes
+    """Return color, marker and dashes of the recording with this index."""
+    color, marker, dashes = RUN_STYLES[run % len(RUN_STYLES)]
+    return color or rcParams['text.color'], marker, dashes
 
 
 def _draw_run(panel: Axes, run: int, curve: DrawnCurve) -> None:
     """Draw the deviation of one of several recordings."""
-    colour, marker, dashes = _run_style(run)
-    panel.fill_between(curve.tau, curve.low, curve.high, color=colour, alpha=BAND_ALPHA, lw=0)
+    color, marker, dashes = _run_style(run)
+    panel.fill_between(curve.tau, curve.low, curve.high, color=color, alpha=BAND_ALPHA, lw=0)
     marked = (run * MARK_EVERY // len(RUN_STYLES), MARK_EVERY)
-    style = {'color': colour, 'ls': dashes, 'marker': marker, 'ms': 3.0, 'lw': 1.0}
+    style = {'color': color, 'ls': dashes, 'marker': marker, 'ms': 3.0, 'lw': 1.0}
     panel.plot(curve.tau, curve.adev, markevery=marked, **style)
 
 
@@ -354,11 +354,11 @@ def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
     panel.axhline(1.0, color=rcParams['text.color'], lw=0.8)
     for run, filled in sorted({(int(point[0]), point[1]) for point in points}):
         some = (runs == run) & (significant == filled)
-        colour, marker, _ = _run_style(run)
+        color, marker, _ = _run_style(run)
         panel.errorbar(
             tau[some] * OFFSET ** (run - 1),
             ratio[some],
             yerr=[(ratio - low)[some], (high - ratio)[some]],
-            mfc=colour if filled else rcParams['axes.facecolor'],
-            **{**RATIO_STYLE, 'color': colour, 'marker': marker},
+            mfc=color if filled else rcParams['axes.facecolor'],
+            **{**RATIO_STYLE, 'color': color, 'marker': marker},
         )

@@ -402,7 +402,7 @@ class Results:
         return replace(self, datasheet=comparison, margin=margin, findings=(*others, *found))
 
 
-def analyse_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
+def analyze_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
     """Fit the Allan variance sums of one IMU, and return the results.
 
     A warm-up at the start is excluded, unless the settings of the recordings state a time to skip.
@@ -451,13 +451,13 @@ def with_earlier_datasheet(results: Results) -> Results:
     return results
 
 
-def analyse_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
+def analyze_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
     """Fit sums that are in memory, for example those of a running node, and return the results.
 
     ``sums`` has one item with all axes, or one item for each sensor if their rates differ. Raises
     AllanError if there are too few data.
     """
-    return analyse_recorded(RecordingSums('', tuple(sums), provenance), method)
+    return analyze_recorded(RecordingSums('', tuple(sums), provenance), method)
 
 
 def _table_row(axis: AxisResult, term: str, units: str) -> dict[str, Any]:

@@ -44,7 +44,7 @@ class SignalEnvelope:
         while len(batch):
             room = MAX_BINS * self._step - self._samples
             if not room:
-                self._join_neighbours()
+                self._join_neighbors()
                 continue
             self._add_to_bins(batch[:room])
             batch = batch[room:]
@@ -100,7 +100,7 @@ class SignalEnvelope:
         self._low[filled], self._high[filled], self._start_ns[filled] = low, high, start_ns
         self._samples += len(batch)
 
-    def _join_neighbours(self) -> None:
+    def _join_neighbors(self) -> None:
         half = MAX_BINS // 2
         self._low[:half] = np.fmin(self._low[::2], self._low[1::2])
         self._high[:half] = np.fmax(self._high[::2], self._high[1::2])

@@ -27,7 +27,7 @@ from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
 from ..io.checkpoint import Total
 from ..io.datasheets import Datasheet, load_sensor
 from ..io.documents import load, results_to_document
-from ..io.results import Results, analyse_sums
+from ..io.results import Results, analyze_sums
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
 from .messages import REPLACED_SHARE, AllanPlot, BiasPublisher, Snapshot, replaced_share
 from .node import AllanNode, ParameterGroup, Part
@@ -295,7 +295,7 @@ def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
     """Return the results of a fit, and its CPU time in s."""
     began = time.thread_time()
     try:
-        results = analyse_sums(*total, method)
+        results = analyze_sums(*total, method)
     finally:
         clear_cache()  # the next fit has longer segments and needs other tables
     return results, time.thread_time() - began

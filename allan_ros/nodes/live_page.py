@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from ..core.errors import AllanError
 from ..io.report import ReportContext, render_report
-from ..io.results import analyse_sums
+from ..io.results import analyze_sums
 from .messages import Snapshot
 from .shell import LATCHED
 
@@ -96,7 +96,7 @@ class LivePage:
 def _report(topic: str, text: str) -> str:
     try:
         snapshot = Snapshot.from_json(text)
-        results = analyse_sums(*snapshot.total)
+        results = analyze_sums(*snapshot.total)
         when = time.strftime('%H:%M:%S')
         context = ReportContext(method={'topic': topic, 'computed at': when})
         return render_report(results, context, 'datasheet')

@@ -225,7 +225,7 @@ class ParameterPush(Part):
         request = SetParameters.Request(parameters=wanted)
         self._call(self._set, [request], list.clear)
         answer = await self._calls[0]
-        if answer is None:  # cancelled by `tick`
+        if answer is None:  # canceled by `tick`
             response.message = f'{self.node} did not answer within {ANSWER_S:g} s'
             return response
         failed = [

@@ -188,7 +188,7 @@ class Player(Node):
         try:
             self._wait_for_answers('has missed the start')
             self._play()
-            self._wait_for_acknowledgements()
+            self._wait_for_acknowledgments()
             self._handshake.restart()
             self._wait_for_answers('has received the end')
             self._stop.wait(LINGER_S)
@@ -269,7 +269,7 @@ class Player(Node):
                 f'{name} subscribes but does not answer: it is unknown whether it {event}'
             )
 
-    def _wait_for_acknowledgements(self) -> None:
+    def _wait_for_acknowledgments(self) -> None:
         poll = Duration(seconds=POLL_S)
         while not (self._stop.is_set() or self._publisher.wait_for_all_acked(poll)):
             pass

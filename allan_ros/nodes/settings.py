@@ -90,7 +90,7 @@ class InputSettings(CheckedSettings):
             )
 
     def imus(self, checkpoint: str = '') -> list[WatchedImu]:
-        """Return one entry per topic; without ``labels``, several IMUs are labelled by topic.
+        """Return one entry per topic; without ``labels``, several IMUs are labeled by topic.
 
         ``checkpoint`` is the parameter ``checkpoint.path``: a file for one IMU, a folder for
         several, or ''.

@@ -29,7 +29,7 @@ WORDS = {
 
 STYLES = {'ERROR': 'bold reverse', 'STALE': 'bold magenta', 'WARN': 'black on yellow', 'ok': 'cyan'}
 """Level -> style of rich, in the order of the table. STALE comes early, because a node that stopped
-publishing may have an error. The styles also differ without colour."""
+publishing may have an error. The styles also differ without color."""
 
 STALE_S = 5.0
 """Age in s from which a status is shown as stale; nodes publish each status once a second."""

@@ -29,8 +29,8 @@ def read(path: Path) -> Any:
 
 
 @pytest.fixture(scope='module')
-def analysed(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp('analysed')
+def analyzed(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('analyzed')
     assert main(['analyze', str(recording), '-o', str(folder)]) == 0
     return folder
 
@@ -47,21 +47,21 @@ def halves(recording: Path, folder: Path) -> list[str]:
     return paths
 
 
-def test_all_files_are_written(analysed: Path) -> None:
-    assert {path.name for path in analysed.iterdir()} == FILES
+def test_all_files_are_written(analyzed: Path) -> None:
+    assert {path.name for path in analyzed.iterdir()} == FILES
 
 
 def test_plots_have_the_requested_formats_and_show_the_earlier_run(
-    recording: Path, analysed: Path, tmp_path: Path
+    recording: Path, analyzed: Path, tmp_path: Path
 ) -> None:
-    former = str(analysed / 'results.json')
+    former = str(analyzed / 'results.json')
     how = ['--plot-format', 'svg,pdf', '--plot-style', 'column', '--baseline', former]
     assert main(['analyze', str(recording), '-o', str(tmp_path), *how]) == 0
     names = {path.name for path in tmp_path.iterdir()}
     assert {'allan_gyro.svg', 'allan_gyro.pdf'} <= names
     assert 'allan_gyro.png' not in names
     page = (tmp_path / 'report.html').read_text()
-    assert f'Compared with {analysed.name}' in page
+    assert f'Compared with {analyzed.name}' in page
     assert 'are within' in page  # the baseline is the same run
     assert 'allan analyze' in page and '--plot-style column' in page
     assert '"spectrum":{"frequency"' in page
@@ -75,20 +75,20 @@ def test_invalid_plot_options_are_rejected_before_reading(
         assert how[1] in capsys.readouterr().err
 
 
-def test_intervals_of_results_contain_the_truth(analysed: Path, recording: Path) -> None:
+def test_intervals_of_results_contain_the_truth(analyzed: Path, recording: Path) -> None:
     # N of a gyro at 6 min, 50 Hz has a 95 % interval of 3 %: six standard deviations are 10 %.
-    axes = read(analysed / 'results.json')['axes']
+    axes = read(analyzed / 'results.json')['axes']
     truth = read_noise(truth_path(recording))
     for axis, result in axes.items():
         assert result['noise']['N']['value'] == pytest.approx(truth[axis].N, rel=0.1)
 
 
 def test_the_table_agrees_with_the_files(
-    recording: Path, analysed: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path, analyzed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['analyze', str(recording), '--units', 'si']) == 0
     said = capsys.readouterr().out
-    value = read(analysed / 'results.json')['axes']['gyro_y']['noise']['N']['value']
+    value = read(analyzed / 'results.json')['axes']['gyro_y']['noise']['N']['value']
     assert f'{value:.3e}' in said
     assert 'rad/s/sqrt(Hz)' in said
 
@@ -101,7 +101,7 @@ def test_no_file_is_written_by_default(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_merging_sums_is_analysing_together(recording: Path, tmp_path: Path) -> None:
+def test_merging_sums_is_analyzing_together(recording: Path, tmp_path: Path) -> None:
     parts = halves(recording, tmp_path)
     folders = [tmp_path / name for name in ('one', 'two', 'merged', 'together')]
     how = ['--method', 'relative', '-o']
@@ -148,9 +148,9 @@ ABSURD_SUMS: dict[str, tuple[list[Any], Any]] = {
 
 @pytest.mark.parametrize('what', ABSURD_SUMS)
 def test_absurd_sums_are_rejected_in_one_line(
-    what: str, analysed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    what: str, analyzed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    document = read(analysed / 'sums.json')
+    document = read(analyzed / 'sums.json')
     place, value = ABSURD_SUMS[what]
     home = document['sums'][0]
     for key in place[:-1]:
@@ -163,20 +163,20 @@ def test_absurd_sums_are_rejected_in_one_line(
     assert error.count('\n') == 1 and str(path) in error and 'Traceback' not in error
 
 
-def test_a_run_given_twice_is_rejected(analysed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sums = str(analysed / 'sums.json')
+def test_a_run_given_twice_is_rejected(analyzed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sums = str(analyzed / 'sums.json')
     assert main(['merge', sums, sums]) == 1
     assert 'give each recording once' in capsys.readouterr().err
 
 
 def test_different_imus_are_distinguished(
-    analysed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    analyzed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    document = read(analysed / 'sums.json')
+    document = read(analyzed / 'sums.json')
     document['sums'][0]['hardware_id'] = 'B'
     other = tmp_path / 'other.json'
     other.write_text(json.dumps(document))
-    assert main(['merge', str(analysed / 'sums.json'), str(other)]) == 1
+    assert main(['merge', str(analyzed / 'sums.json'), str(other)]) == 1
     error = capsys.readouterr().err
     assert str(other) in error
     assert 'different IMUs' in error
@@ -200,7 +200,7 @@ def test_constant_values_are_exit_1_with_the_reason(
     assert read(tmp_path / 'out' / 'results.json')['axes']['gyro_x']['noise']['N']['value'] is None
 
 
-def test_a_gyro_alone_is_analysed_without_an_imu_yaml(
+def test_a_gyro_alone_is_analyzed_without_an_imu_yaml(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     samples = np.full((6000, 7), np.nan)
@@ -213,7 +213,7 @@ def test_a_gyro_alone_is_analysed_without_an_imu_yaml(
     assert names == FILES - {'imu.yaml', 'allan_accel.png'}
 
 
-def test_real_recordings_are_analysed(
+def test_real_recordings_are_analyzed(
     shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['analyze', str(shared_data / 'mpu6050.npz'), '-o', str(tmp_path)]) == 0

@@ -14,16 +14,16 @@ from allan_ros.io.datasheets import sensor_names
 
 
 @pytest.fixture(scope='module')
-def analysed(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def analyzed(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of an analysis with the datasheet of the simulated IMU."""
-    folder = tmp_path_factory.mktemp('analysed') / 'run'
+    folder = tmp_path_factory.mktemp('analyzed') / 'run'
     words = ['analyze', str(recording), '-o', str(folder), '-q', '--sensor', 'adis16475-3']
     assert main(words) == 0
     return folder
 
 
-def test_analyze_keeps_the_comparison_with_a_datasheet(analysed: Path) -> None:
-    found = json.loads((analysed / 'results.json').read_text())['datasheet']
+def test_analyze_keeps_the_comparison_with_a_datasheet(analyzed: Path) -> None:
+    found = json.loads((analyzed / 'results.json').read_text())['datasheet']
     assert found['name'] == 'ADIS16475-3'
     assert found['axes']['gyro_x']['N']['verdict'] == 'within'
 
@@ -41,23 +41,23 @@ def test_an_unknown_datasheet_is_rejected_before_anything_is_read(capsys) -> Non
 
 
 def test_a_recording_and_its_results_compare_equally(
-    analysed: Path, recording: Path, capsys
+    analyzed: Path, recording: Path, capsys
 ) -> None:
-    words = ['compare', str(analysed), str(recording), '--label', 'kept', '--label', 'again']
+    words = ['compare', str(analyzed), str(recording), '--label', 'kept', '--label', 'again']
     assert main([*words, '--fail-on-difference']) == 0
     said = capsys.readouterr().out
     assert said.startswith('again and kept do not differ significantly')
     assert 'again ratio' in said
 
 
-def test_a_difference_fails_only_with_the_option(analysed: Path, tmp_path: Path, capsys) -> None:
-    document = json.loads((analysed / 'results.json').read_text())
+def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path, capsys) -> None:
+    document = json.loads((analyzed / 'results.json').read_text())
     noise = document['axes']['gyro_z']['noise']['N']
     noise['value'] *= 2
     noise['ci95'] = [2 * end for end in noise['ci95']]
     worse = tmp_path / 'worse.json'
     worse.write_text(json.dumps(document))
-    words = ['compare', str(analysed), str(worse)]
+    words = ['compare', str(analyzed), str(worse)]
     assert main(words) == 0
     assert capsys.readouterr().out.startswith('worse is 2.00x noisier than run in gyro z N (')
     assert main([*words, '--fail-on-difference', '--json']) == 3
@@ -85,9 +85,9 @@ def test_a_difference_fails_only_with_the_option(analysed: Path, tmp_path: Path,
     ],
 )
 def test_incomparable_inputs_give_one_line(
-    analysed: Path, capsys, words: list[str], said: str
+    analyzed: Path, capsys, words: list[str], said: str
 ) -> None:
-    assert main(['compare', *(word.format(run=analysed) for word in words)]) == 1
+    assert main(['compare', *(word.format(run=analyzed) for word in words)]) == 1
     error = capsys.readouterr().err
     assert said in error and error.count('\n') == 1
 
@@ -115,9 +115,9 @@ def test_one_datasheet_is_shown_with_its_sources(capsys) -> None:
 
 
 def test_a_report_draws_the_others_over_the_first(
-    analysed: Path, recording: Path, tmp_path: Path, capsys
+    analyzed: Path, recording: Path, tmp_path: Path, capsys
 ) -> None:
-    words = ['compare', str(analysed), str(recording), '--label', 'kept', '--label', 'again']
+    words = ['compare', str(analyzed), str(recording), '--label', 'kept', '--label', 'again']
     assert main([*words, '--report']) == 1
     assert '--report needs a folder' in capsys.readouterr().err
     assert main([*words, '--report', '-o', str(tmp_path)]) == 0
@@ -126,8 +126,8 @@ def test_a_report_draws_the_others_over_the_first(
     assert 'Compared with again' in page
 
 
-def test_a_measured_ratio_precedes_a_bound(analysed: Path, tmp_path: Path, capsys) -> None:
-    document = json.loads((analysed / 'results.json').read_text())
+def test_a_measured_ratio_precedes_a_bound(analyzed: Path, tmp_path: Path, capsys) -> None:
+    document = json.loads((analyzed / 'results.json').read_text())
     noise = document['axes']['gyro_z']['noise']
     noise['N']['value'] *= 10
     noise['N']['ci95'] = [10 * end for end in noise['N']['ci95']]
@@ -142,5 +142,5 @@ def test_a_measured_ratio_precedes_a_bound(analysed: Path, tmp_path: Path, capsy
     }
     worse = tmp_path / 'worse.json'
     worse.write_text(json.dumps(document))
-    assert main(['compare', str(analysed), str(worse)]) == 0
+    assert main(['compare', str(analyzed), str(worse)]) == 0
     assert capsys.readouterr().out.startswith('worse is 10.0x noisier than run in gyro z N (')

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What goes to stdout, what to stderr, and how much: --json, --quiet, --verbose, colours."""
+"""What goes to stdout, what to stderr, and how much: --json, --quiet, --verbose, colors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from allan_ros.cli.console import coloured, width
+from allan_ros.cli.console import colored, width
 from allan_ros.cli.main import main
 from allan_ros.io.exporters import TARGETS
 
@@ -24,7 +24,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture(scope='module')
 def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp('analysed')
+    folder = tmp_path_factory.mktemp('analyzed')
     assert main(['analyze', str(recording), '-q', '-o', str(folder)]) == 0
     return folder
 
@@ -99,7 +99,7 @@ def test_quiet_and_verbose_contradict_each_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ('environment', 'terminal', 'colours'),
+    ('environment', 'terminal', 'colors'),
     [
         ({}, True, True),
         ({}, False, False),
@@ -110,14 +110,14 @@ def test_quiet_and_verbose_contradict_each_other() -> None:
         ({'TERM': 'dumb'}, True, False),
     ],
 )
-def test_colours_follow_the_terminal_and_the_environment(
-    environment: dict[str, str], terminal: bool, colours: bool, monkeypatch: pytest.MonkeyPatch
+def test_colors_follow_the_terminal_and_the_environment(
+    environment: dict[str, str], terminal: bool, colors: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ('NO_COLOR', 'FORCE_COLOR', 'TERM'):
         monkeypatch.delenv(name, raising=False)
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    assert coloured(Terminal() if terminal else io.StringIO()) == colours
+    assert colored(Terminal() if terminal else io.StringIO()) == colors
 
 
 def test_the_width_is_set_by_columns(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from allan_ros.io.exporters import TARGETS, target_of
 
 @pytest.fixture(scope='module')
 def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp('analysed')
+    folder = tmp_path_factory.mktemp('analyzed')
     targets = 'vins_fusion,basalt,gtsam'
     assert main(['analyze', str(recording), '-o', str(folder), '--export', targets]) == 0
     return folder

@@ -89,14 +89,14 @@ def test_a_record_too_short_is_not_judged_by_its_datasheet(small_results: Result
     assert compared.endswith(': not judged')
 
 
-def test_findings_are_coloured_only_on_request(small_results: Results) -> None:
+def test_findings_are_colored_only_on_request(small_results: Results) -> None:
     results = replace(small_results, findings=(LONG,))
-    plain, coloured = (
-        list(findings_lines(results, 'si', 80, colours, True)) for colours in (False, True)
+    plain, colored = (
+        list(findings_lines(results, 'si', 80, colors, True)) for colors in (False, True)
     )
     assert plain[1].startswith('warning: gyro x: word')
-    assert coloured[1].startswith('\x1b[33mwarning\x1b[0m')
-    assert plain[2:] == coloured[2:]
+    assert colored[1].startswith('\x1b[33mwarning\x1b[0m')
+    assert plain[2:] == colored[2:]
 
 
 def test_five_lines_of_findings_at_most_and_all_on_demand(small_results: Results) -> None:

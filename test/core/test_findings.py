@@ -4,11 +4,11 @@ import re
 
 import pytest
 
-from allan_ros.core.findings import CATALOGUE, SEVERITIES, duration_text, finding
+from allan_ros.core.findings import CATALOG, SEVERITIES, duration_text, finding
 
 
 def test_every_kind_of_finding_has_a_severity_a_message_and_a_remedy():
-    for id, wording in CATALOGUE.items():
+    for id, wording in CATALOG.items():
         assert id.isidentifier() and wording.severity in SEVERITIES
         for text in (wording.message, wording.remedy):
             assert text and text == text.strip() and '>' not in text and '\n' not in text
@@ -24,7 +24,7 @@ def test_words_follow_their_number():
 def test_every_number_before_a_noun_has_the_singular():
     counts = 'count|times|lost|cuts|bridged|received|publishers|stated|read|points|samples'
     always_several = {'several_publishers', 'relay_several_publishers'}
-    for id, wording in CATALOGUE.items():
+    for id, wording in CATALOG.items():
         counted = re.search(rf'\{{({counts})\}}( lost| isolated)? [a-z]+s\b', wording.message)
         assert counted is None or id in always_several, wording.message
 

@@ -74,7 +74,7 @@ def test_the_seed_decides_everything():
     assert not np.array_equal(again[0], recording(seed=6)[1])
 
 
-def test_axes_are_independent_and_centred_on_the_mean():
+def test_axes_are_independent_and_centered_on_the_mean():
     """False alarm probability below 1e-5: 15 correlations of 20000 samples at 5 sigma."""
     _, samples = recording(200.0, mean=[1, 2, 3, 4, 5, 6])
     assert np.abs(samples.mean(axis=0) - [1, 2, 3, 4, 5, 6]).max() < 0.05

@@ -31,7 +31,7 @@ from allan_ros.io.documents import (
 from allan_ros.io.exporters import make_export
 from allan_ros.io.files import to_json
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results, analyse_sums
+from allan_ros.io.results import Results, analyze_sums
 from allan_ros.io.verdict import verdict_of
 
 ABSURD = [0, -1, 1, 1e-300, 1e12, 1e150, -1e150, 2**61, None, '\x1b[31m', [], {}, True]
@@ -105,8 +105,8 @@ def test_sums_are_used_or_rejected(small_run: tuple[AllanSums, Provenance]) -> N
         try:
             read, its_provenance = sums_file_from_document(changed)
             used += 1
-            repr(analyse_sums(read, its_provenance, 'relative'))
-            analyse_sums([sums + each for each in read], its_provenance, 'relative')
+            repr(analyze_sums(read, its_provenance, 'relative'))
+            analyze_sums([sums + each for each in read], its_provenance, 'relative')
         except AllanError:
             continue
     assert used

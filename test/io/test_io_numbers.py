@@ -22,7 +22,7 @@ from allan_ros.io.files import parse_json, to_json
 from allan_ros.io.plot_layout import render_figure
 from allan_ros.io.plots import sensor_figure
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results, analyse_sums
+from allan_ros.io.results import Results, analyze_sums
 from fuzz.harness import check_line
 
 SUMS = {'noisy': noisy_sums, 'noiseless': noiseless_sums}
@@ -32,7 +32,7 @@ SUMS = {'noisy': noisy_sums, 'noiseless': noiseless_sums}
 def results(request: pytest.FixtureRequest) -> Results:
     """Return the results of one method for axes with samples of very different sizes."""
     kind, method = request.param
-    return analyse_sums([SUMS[kind]()], Provenance(), method)
+    return analyze_sums([SUMS[kind]()], Provenance(), method)
 
 
 @pytest.mark.parametrize('kind', SUMS)

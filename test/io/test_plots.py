@@ -125,6 +125,6 @@ def test_unknown_styles_and_forms_are_rejected() -> None:
 def test_an_axis_has_at_least_three_labels(
     limits: tuple[float, float], labels: list[float]
 ) -> None:
-    labelled, grid = ticks(*limits)
-    assert labelled.tolist() == pytest.approx(labels)
-    assert set(labelled) <= set(grid)
+    labeled, grid = ticks(*limits)
+    assert labeled.tolist() == pytest.approx(labels)
+    assert set(labeled) <= set(grid)

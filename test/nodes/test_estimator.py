@@ -16,7 +16,7 @@ pytest.importorskip('rclpy')
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.documents import results_from_document, results_to_document
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import analyse_sums
+from allan_ros.io.results import analyze_sums
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 N = 1e-3 * 200.0**-0.5
@@ -108,7 +108,7 @@ def test_a_sensor_worse_than_it_was_is_warned_of(graph, still_imu, tmp_path: Pat
         accumulator = ImuStream()
         accumulator.update(batch)
         accumulator.end()
-        return analyse_sums(accumulator.result().sums, Provenance(), 'gls')
+        return analyze_sums(accumulator.result().sums, Provenance(), 'gls')
 
     baseline = tmp_path / 'results.json'
     baseline.write_text(json.dumps(results_to_document(results_of(still_imu(6000)))))

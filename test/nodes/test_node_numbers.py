@@ -18,7 +18,7 @@ from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.transport import TransportStatistics
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import analyse_sums
+from allan_ros.io.results import analyze_sums
 from allan_ros.nodes.diagnostics import AxisView, InputView, axis_status, input_status
 
 
@@ -31,7 +31,7 @@ def check_status(status: DiagnosticStatus) -> None:
 @pytest.mark.parametrize('make, method', [(noiseless_sums, 'relative'), (noisy_sums, 'paper')])
 def test_of_an_axis(make: Callable[[], AllanSums], method: str) -> None:
     sums = make()
-    results = analyse_sums([sums], Provenance(), method)
+    results = analyze_sums([sums], Provenance(), method)
     recent = recent_noise(sums, 10.0)
     for axis, result in results.axes.items():
         for fitted in (None, result):

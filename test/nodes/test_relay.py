@@ -25,7 +25,7 @@ from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.documents import results_to_document
 from allan_ros.io.readers.cdr import CovariancePatch, encode_imus, imu_dtype
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results, analyse_sums
+from allan_ros.io.results import Results, analyze_sums
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 OUT = 'imu/data_with_covariance'
@@ -48,7 +48,7 @@ def results() -> Results:
     accumulator = ImuStream()
     accumulator.update(ImuBatch(stamps, samples, frame_id='imu'))
     accumulator.end()
-    return analyse_sums(accumulator.result().sums, Provenance(), 'gls')
+    return analyze_sums(accumulator.result().sums, Provenance(), 'gls')
 
 
 def publish_model(graph: Any, results: Results) -> Any:

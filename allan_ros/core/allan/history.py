@@ -9,7 +9,7 @@ The age of a sample is the number of sample periods since the first sample of it
   which gives about 13 bins at any length. The early part of a recording (its warm-up) can be
   removed from the sums by leaving out the first bins.
 - `Recording`: the means over fewer than 512 cells (time intervals of equal length), and the sums of
-  squares over about 100 periods (time intervals that are shorter towards the end) at the averaging
+  squares over about 100 periods (time intervals that are shorter toward the end) at the averaging
   factors 1, 4, 16 ... The stationarity tests and the comparison of recent with earlier noise use
   them.
 

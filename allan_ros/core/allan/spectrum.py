@@ -40,10 +40,10 @@ PER_DECADE = 40
 
 OVERLAP_LOSS = 1.0 + 2.0 * (1.0 / 6.0) ** 2
 """Variance of the mean over half-overlapping Hann blocks, relative to as many independent blocks
-(Welch 1967, eq. 17; the amplitudes of neighbouring blocks have the correlation 1/6)."""
+(Welch 1967, eq. 17; the amplitudes of neighboring blocks have the correlation 1/6)."""
 
 BIN_LOSS = 1.0 + 2.0 * ((2.0 / 3.0) ** 2 + (1.0 / 6.0) ** 2)
-"""Variance of the mean over neighbouring frequency bins, relative to as many independent bins
+"""Variance of the mean over neighboring frequency bins, relative to as many independent bins
 (their amplitudes have the correlations 2/3 and 1/6 because of the Hann window)."""
 
 

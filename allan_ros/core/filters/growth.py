@@ -102,7 +102,7 @@ def growth_interval(
 
     The distances of the ends from the estimates are added in quadrature over the terms (method of
     variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine 2008). This assumes
-    uncorrelated estimates. Estimates of neighbouring terms are negatively correlated, which makes
+    uncorrelated estimates. Estimates of neighboring terms are negatively correlated, which makes
     the interval too wide rather than too narrow.
 
     ``model``, ``low`` and ``high`` contain the estimates, the lower ends and the upper ends of the

@@ -53,7 +53,7 @@ __all__ = [
 ]
 
 METHODS = {
-    'gls': 'generalised least squares with the covariance of the curve: intervals and verdicts',
+    'gls': 'generalized least squares with the covariance of the curve: intervals and verdicts',
     'relative': 'nonnegative least squares on relative residuals: no intervals',
     'paper': 'plain least squares over groups that do not overlap, as Cong et al. 2019',
 }

@@ -6,8 +6,8 @@ For Gaussian noise, the covariance of two Allan variances is a sum over lags (Is
 
     Cov(V_i, V_j) = 2/(M_i M_j) sum_s cnt_ij(s) C_ij(s)^2
 
-V_i is the mean of the squares of M_i normalised differences d_i/(sqrt2 m_i), where d_i is a second
-difference of the phase over m_i samples. C_ij(s) is the covariance of the normalised differences at
+V_i is the mean of the squares of M_i normalized differences d_i/(sqrt2 m_i), where d_i is a second
+difference of the phase over m_i samples. C_ij(s) is the covariance of the normalized differences at
 m_i and m_j at lag s, and cnt_ij(s) is the number of pairs of differences at this lag. C is linear
 in the variance coefficients q, w, b, k (the squares of Q, N, B, K with the sample period as unit of
 time). The sum therefore consists of ten matrices, each multiplied by a product of two coefficients.
@@ -71,7 +71,7 @@ PRODUCTS = len(_SMOOTH_PAIRS) + 3
 class PairSums:
     """Covariance of the Allan variances of one record, per product of two variance coefficients.
 
-    C_k(s) is the covariance of two normalised differences at lag s for a unit variance coefficient
+    C_k(s) is the covariance of two normalized differences at lag s for a unit variance coefficient
     k, and cnt(s) is the number of pairs of differences at this lag.
 
     Attributes
@@ -96,11 +96,11 @@ class PairSums:
 
 
 def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return the covariance of normalised second differences d/(sqrt2 m) of the phase, (3, ...).
+    """Return the covariance of normalized second differences d/(sqrt2 m) of the phase, (3, ...).
 
     The rows are white noise, flicker and a continuous random walk of unit variance coefficient. At
     lag s, the covariance is sum_ab c_a c_b G(s + a m_i - b m_j) / (2 m_i m_j) with a, b = 0, 1, 2,
-    c = (1, -2, 1), and the generalised covariance of the phase: G(t) = -|t|/2, t^2 ln|t|/(2 pi) or
+    c = (1, -2, 1), and the generalized covariance of the phase: G(t) = -|t|/2, t^2 ln|t|/(2 pi) or
     |t|^3/12.
     """
     out = np.zeros((3, *np.broadcast_shapes(np.shape(s), np.shape(mi), np.shape(mj))))
@@ -145,10 +145,10 @@ def _edges(mi: int, mj: int) -> Ints:
         reach.append(reach[-1] * PANEL_RATIO)
     around = np.concatenate([near, reach, np.negative(reach)])
     far = [2 * (mi + mj) * PANEL_RATIO**e for e in range(4)] + [TAIL * (mi + mj)]
-    centre = mj - mi
+    center = mj - mi
     lags = [around + b * mj - mi for b in range(3)]
     tail = np.minimum(far, _MAX_LAG)
-    lags.append(centre + np.concatenate([tail, -tail]))
+    lags.append(center + np.concatenate([tail, -tail]))
     return np.unique(np.concatenate(lags)).astype(np.int64)
 
 
@@ -333,8 +333,8 @@ def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
 def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     """Return the increase of the Allan variance of unit white noise due to interpolated samples.
 
-    Linear interpolation replaces the samples of a gap by weighted means of its two neighbours.
-    These neighbours get a larger weight in a second difference, which increases its variance. A
+    Linear interpolation replaces the samples of a gap by weighted means of its two neighbors.
+    These neighbors get a larger weight in a second difference, which increases its variance. A
     sample between two gaps gets a larger weight from both. Only the numbers of gaps are known, so
     their positions are assumed to be independent, as for random losses.
 

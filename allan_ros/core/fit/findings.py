@@ -79,7 +79,7 @@ SMALL_DEVIATION = 0.05
 """Relative deviation of the curve from the model below which the finding has severity info."""
 
 HUMP_RATIO = 1.5
-"""Neighbouring sinusoids with a smaller ratio of frequencies are reported as one broad hump."""
+"""Neighboring sinusoids with a smaller ratio of frequencies are reported as one broad hump."""
 
 SAME_LINE = 1.02
 """Sinusoids whose frequency ratio is smaller than this describe one strong vibration."""
@@ -229,7 +229,7 @@ def _first_imprecise_factor(selected: Selection) -> float:
 
 
 def _grouped(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
-    """Group sinusoids whose neighbours in frequency differ by less than the factor `HUMP_RATIO`."""
+    """Group sinusoids whose neighbors in frequency differ by less than the factor `HUMP_RATIO`."""
     groups: list[list[Sinusoid]] = []
     for line in lines:
         if groups and line.frequency < HUMP_RATIO * groups[-1][-1].frequency:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fit method 'gls': generalised least squares with the covariance of the Allan variances.
+"""Fit method 'gls': generalized least squares with the covariance of the Allan variances.
 
 It gives 95 % intervals and upper limits, adds processes to the five terms where the data need them,
 and reports findings.
@@ -58,7 +58,7 @@ END_TOLERANCE = 1e-9
 
 
 def fit_gls(sums: AllanSums, like: NoiseModel | None = None) -> NoiseModel:
-    """Estimate the five terms of every axis by generalised least squares.
+    """Estimate the five terms of every axis by generalized least squares.
 
     Too few data raise no error: a term that the data do not determine has no value and no limit. If
     ``like`` is given, the processes and shortest averaging times of that fit are used, and no model

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Iteratively reweighted generalised least squares on a table of Allan variances.
+"""Iteratively reweighted generalized least squares on a table of Allan variances.
 
 The covariance of the Allan variances depends on the coefficients. The solver therefore alternates:
 it computes the covariance from the coefficients, and the coefficients with that covariance
-(Davidian & Carroll, JASA 82 (1987)). Maximising the likelihood over the coefficients inside the
+(Davidian & Carroll, JASA 82 (1987)). Maximizing the likelihood over the coefficients inside the
 covariance as well would be biased.
 """
 
@@ -32,7 +32,7 @@ result is then a wide interval instead of a singular matrix."""
 def nonnegative_least_squares(
     columns: Floats, target: Floats, signed: Sequence[int] = ()
 ) -> Floats:
-    """Return x >= 0 that minimises |columns x - target|, (columns,).
+    """Return x >= 0 that minimizes |columns x - target|, (columns,).
 
     Coefficients of the columns ``signed`` may be negative. The columns may have any scale.
 
@@ -78,7 +78,7 @@ def nonnegative_least_squares(
             below = active & bound & (wanted <= 0.0)
             if not below.any():
                 break
-            # Move from x towards the solution until the first coefficient becomes 0.
+            # Move from x toward the solution until the first coefficient becomes 0.
             step = np.min(x[below] / (x[below] - wanted[below]))
             x = x + step * (wanted - x)
             active &= ~(bound & (x <= NNLS_TOLERANCE * np.max(np.abs(x))))
@@ -100,11 +100,11 @@ NNLS_TOLERANCE = 1e-10
 
 JITTER = 1e-4
 """Added to the diagonal of the correlation matrix of the table before its Cholesky decomposition.
-Neighbouring averaging factors are nearly identical, and the covariance is only accurate to about
+Neighboring averaging factors are nearly identical, and the covariance is only accurate to about
 this value."""
 
 TOLERANCE = 1e-3
-"""Relative change of the modelled Allan variance below which the iteration stops. The covariance
+"""Relative change of the modeled Allan variance below which the iteration stops. The covariance
 depends on this variance, and its error changes the coefficients only in second order."""
 
 ROUNDS = 12
@@ -222,7 +222,7 @@ def solve(
     signed: bool = False,
     misfit: Misfit = NO_MISFIT,
 ) -> Solution:
-    """Fit variance coefficients to Allan variances by iterated generalised least squares.
+    """Fit variance coefficients to Allan variances by iterated generalized least squares.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def solve(
             target = target - value * white[:, c]
         new = new.copy()
         new[free] = nonnegative_least_squares(white[:, free], target, negative)
-        # Only the modelled variance must converge: it determines the covariance, while the
+        # Only the modeled variance must converge: it determines the covariance, while the
         # coefficients of two similar terms may still change.
         change = table.terms @ with_noise_floor(table, new, floor) / before - 1.0
         if np.all(np.abs(change) <= TOLERANCE):

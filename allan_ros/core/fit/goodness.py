@@ -40,7 +40,7 @@ DEFICIT_LIMIT = -3.090232306167813
 the model: the quantile of `DEFICIT_FALSE_ALARM`."""
 
 POINTS_PER_TEST = 8.0
-"""Number of neighbouring averaging factors per independent test, because they are correlated."""
+"""Number of neighboring averaging factors per independent test, because they are correlated."""
 
 FEW_AVERAGES = 60.0
 """Degrees of freedom below which an Allan variance is too skewed for chi^2: it cannot be many
@@ -67,7 +67,7 @@ MARGIN = 0.05
 
 LEAST_FREEDOM = 6.0
 """Degrees of freedom above which averages are used by `precise_rows`. The likelihood assumes
-Gaussian averages and favours a bounded drift if the last few averages happen to be small."""
+Gaussian averages and favors a bounded drift if the last few averages happen to be small."""
 
 PROFILE_WALKS = (0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
 """Values of k for the profile likelihood, relative to the largest k that the curve allows."""
@@ -315,7 +315,7 @@ def precise_rows(fit: PointFit) -> NDArray[np.bool_]:
 
 
 def minus_log_profile(table: Table, fit: PointFit) -> float:
-    """Return -2 log profile likelihood of the Allan variances, maximised over the random walk k.
+    """Return -2 log profile likelihood of the Allan variances, maximized over the random walk k.
 
     At a single estimate of k, the likelihood would depend on chance: if a random walk dominates the
     longest averaging times, k depends on few degrees of freedom.

@@ -172,7 +172,7 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
 
 
 def _slope(curve: AllanCurve, axis: int, points: slice) -> float:
-    """Return the slope of log adev over log tau; a single point is extended by its neighbours."""
+    """Return the slope of log adev over log tau; a single point is extended by its neighbors."""
     if points.stop - points.start < 2:
         points = slice(max(points.start - 1, 0), points.stop + 1)
     adev, degrees = curve.adev[points, axis], curve.edf[points, axis]

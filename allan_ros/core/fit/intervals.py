@@ -148,7 +148,7 @@ def standard_errors(design: Floats) -> Floats:
 
 
 def normal_deviate(z: float, skewness: float) -> float:
-    """Convert the standardised value z of a gamma variable of given skewness to a normal deviate.
+    """Convert the standardized value z of a gamma variable of given skewness to a normal deviate.
 
     Cube root of Wilson & Hilferty with skewness g: ((1 + g z/2)^(1/3) - 1) 6/g + g/6.
     """
@@ -222,7 +222,7 @@ def find_crossing(
     """Return the value c at which a decreasing function z(c) reaches a target.
 
     ``known`` contains points (c, z) that are already computed, and ``guess`` is the first value at
-    which z is computed. The search starts at the last known point and moves towards ``limit``,
+    which z is computed. The search starts at the last known point and moves toward ``limit``,
     which is returned if z does not reach the target before. Each step goes to the intersection of
     the target with the hyperbola (alpha - c) / (beta + gamma c) through the last three points,
     which equals z if the standard error is linear in c. A step outside the bracket is replaced by

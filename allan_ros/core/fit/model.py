@@ -53,7 +53,7 @@ def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
 
 
 def phase_covariance(t: Floats) -> Floats:
-    """Return the generalised covariance of the phase of each random term at lags t, (4, ...).
+    """Return the generalized covariance of the phase of each random term at lags t, (4, ...).
 
     It is delta(t), -|t|/2, t^2 ln|t|/(2 pi) and (|t|^3 - |t|)/12 for unit variance coefficients
     q, w, b, k. It is valid for weighted sums of the phase that are 0 for a straight line, such as

@@ -328,7 +328,7 @@ def _with_searched_processes(
 
 
 def _scaled_covariance(table: Table) -> Floats:
-    """Return the covariance of the initial estimate, scaled by measured / modelled variances."""
+    """Return the covariance of the initial estimate, scaled by measured / modeled variances."""
     variances = initial_variances(table)
     model = table.terms @ variances
     growth = np.where(table.avar > 0.0, table.avar, model) / model

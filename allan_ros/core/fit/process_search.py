@@ -71,7 +71,7 @@ SWEEPS = 4
 """Largest number of rounds in which all shapes are adjusted in turn."""
 
 FINE = 8
-"""Number of shapes between two neighbours of the grid when the shape of a Gauss-Markov process is
+"""Number of shapes between two neighbors of the grid when the shape of a Gauss-Markov process is
 refined."""
 
 SINUSOID_FINE = 32

@@ -5,7 +5,7 @@
 None of them uses the covariance of the Allan variances. The methods 'relative' and 'paper' give no
 intervals.
 
-'relative' minimises the relative residuals of the overlapped curve with nonnegative coefficients,
+'relative' minimizes the relative residuals of the overlapped curve with nonnegative coefficients,
 as several open tools do. No decade of tau dominates. N is less precise than with method 'gls',
 because the short averaging times, which are the most precise, have no larger weight.
 

@@ -36,7 +36,7 @@ ROUNDING = 1e-13
 """A standard deviation below this fraction of the mean is a rounding error: no sensor has a
 resolution of 43 bits."""
 
-COLOURED_STEP = 3.0
+COLORED_STEP = 3.0
 """If the steps between window means exceed those of white noise by this factor, the noise is not
 white."""
 
@@ -204,7 +204,7 @@ class NoiseFloor:
     def is_plausible(self) -> bool:
         """Return whether a sensor at rest can have this noise; if not, it moved."""
         white = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
-        steps = (self.step > self.limits.step) & (self.step > COLOURED_STEP * white)
+        steps = (self.step > self.limits.step) & (self.step > COLORED_STEP * white)
         slow = (self.variance > self.limits.deviation**2) & (self.ratio < LOW_FREQUENCY)
         return not bool((steps | slow).any())
 
@@ -271,7 +271,7 @@ class NoiseFloor:
         sigma = np.sqrt(np.maximum(level, scale))
         white = np.sqrt(2.0 / self.size) * sigma
         steps = np.abs(np.diff(block.mean, axis=1))
-        largest_step = COLOURED_STEP * np.maximum(white, self.step)
+        largest_step = COLORED_STEP * np.maximum(white, self.step)
         if (MAD_TO_SIGMA * _quantile(steps, 0.5) > largest_step).any():
             return None
         change = np.abs(_quantile(block.mean, 0.5) - self.mean)

@@ -1,11 +1,11 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
 // The Allan deviation of one sensor: curves with limits, the selected model, and the parts of the
-// model of the curve nearest to the cursor. Colour is the axis, dashes and a letter are the term.
+// model of the curve nearest to the cursor. Color is the axis, dashes and a letter are the term.
 'use strict';
 
 const AllanChart = (() => {
-  const { colour, element, number } = Chart;
+  const { color, element, number } = Chart;
   const DASHES = { Q: [1, 3], N: [8, 3], B: [9, 3, 2, 3], K: [14, 4], R: [4, 3, 1, 3, 1, 3] };
   const PROCESS = [2, 4];
   const LIMIT = [1, 5];
@@ -15,7 +15,7 @@ const AllanChart = (() => {
   const caption = (term, likely = []) => (term === 'B' ? '0.664 B' : term) + (likely.includes(term) ? '?' : '');
   const isTerm = (name) => name in DASHES;
 
-  // A marker of an axis, so that axes differ in shape as well as in colour.
+  // A marker of an axis, so that axes differ in shape as well as in color.
   function mark(context, label, x, y, size) {
     context.beginPath();
     if (label === 'x') context.arc(x, y, size, 0, 2 * Math.PI);
@@ -42,13 +42,13 @@ const AllanChart = (() => {
     const series = axes.flatMap((a) => [
       { label: `${a.label} low`, width: 0, points: { show: false } },
       { label: `${a.label} high`, width: 0, points: { show: false } },
-      { label: `${a.label} fit`, stroke: () => colour(a.label), width: 1.6, points: { show: false } },
+      { label: `${a.label} fit`, stroke: () => color(a.label), width: 1.6, points: { show: false } },
       { label: a.label, bare: true, paths: () => null, points: { show: false } },
       { label: `${a.label} at limits`, width: 0, points: { show: false } },
     ]);
     const bands = axes.flatMap((a, i) => [
-      { series: [5 * i + 2, 5 * i + 1], fill: () => colour(`${a.label}-faint`) },
-      { series: [5 * i + 5, 5 * i + 3], fill: () => colour(`${a.label}-band`) },
+      { series: [5 * i + 2, 5 * i + 1], fill: () => color(`${a.label}-faint`) },
+      { series: [5 * i + 5, 5 * i + 3], fill: () => color(`${a.label}-band`) },
     ]);
 
     // The complete range: all visible curves, and the marks slightly below them.
@@ -93,7 +93,7 @@ const AllanChart = (() => {
       ctx.textBaseline = 'middle';
       ctx.lineWidth = 4 * devicePixelRatio;
       ctx.lineJoin = 'round';
-      ctx.strokeStyle = colour('paper');
+      ctx.strokeStyle = color('paper');
       ctx.strokeText(words, x, y);
       ctx.fillStyle = ink;
       ctx.fillText(words, x, y);
@@ -135,8 +135,8 @@ const AllanChart = (() => {
       ctx.font = `600 ${12 * ratio}px system-ui, sans-serif`;
       const wide = ctx.measureText(words).width;
       for (const [px, y] of spots) {
-        const centre = align === 'right' ? px - wide / 2 : px;
-        const x = Math.min(Math.max(centre, bbox.left + wide / 2 + 3 * ratio), bbox.left + bbox.width - wide / 2 - 3 * ratio);
+        const center = align === 'right' ? px - wide / 2 : px;
+        const x = Math.min(Math.max(center, bbox.left + wide / 2 + 3 * ratio), bbox.left + bbox.width - wide / 2 - 3 * ratio);
         if (y < bbox.top + 8 * ratio || y > bbox.top + bbox.height - 8 * ratio) continue;
         if (occupied.some(([ox, oy, ow]) => Math.abs(ox - x) < (ow + wide) / 2 + 4 * ratio && Math.abs(oy - y) < 15 * ratio)) continue;
         occupied.push([x, y, wide]);
@@ -158,7 +158,7 @@ const AllanChart = (() => {
         return [Math.min(0.8 * width * ratio, ...near), x, y];
       });
       spots.sort((a, b) => b[0] - a[0]);
-      label(u, words, spots.map(([, x, y]) => [x, y]), colour('ink-2'), 'center');
+      label(u, words, spots.map(([, x, y]) => [x, y]), color('ink-2'), 'center');
     }
 
     // The part of a line that is in the picture.
@@ -173,14 +173,14 @@ const AllanChart = (() => {
       const references = sensor.references.filter((r) => r.axis === near.name && shown.has('references'));
       const drawn = shown.has(near.label) ? Object.entries(near.parts).filter(([name]) => shown.has(isTerm(name) ? name : 'other')) : [];
       if (shown.has(near.label)) {
-        if (shown.has('upper')) for (const values of Object.values(near.upper)) line(u, values, LIMIT, 1, colour(near.label));
-        references.forEach((other, i) => line(u, other.adev, REFERENCE[i % REFERENCE.length], 1.4, colour('ink-2')));
-        for (const [term, values] of drawn) line(u, values, DASHES[term] || PROCESS, 1.2, colour(near.label));
+        if (shown.has('upper')) for (const values of Object.values(near.upper)) line(u, values, LIMIT, 1, color(near.label));
+        references.forEach((other, i) => line(u, other.adev, REFERENCE[i % REFERENCE.length], 1.4, color('ink-2')));
+        for (const [term, values] of drawn) line(u, values, DASHES[term] || PROCESS, 1.2, color(near.label));
       }
       for (const a of visible()) {
         ctx.lineWidth = 1.3 * ratio;
-        ctx.strokeStyle = colour(a.label);
-        ctx.fillStyle = colour('paper');
+        ctx.strokeStyle = color(a.label);
+        ctx.fillStyle = color('paper');
         a.adev.forEach((v, i) => {
           if (!(v > 0)) return;
           const x = u.valToPos(sensor.tau[i], 'x', true);
@@ -191,7 +191,7 @@ const AllanChart = (() => {
           ctx.stroke();
         });
       }
-      for (const [term, values] of drawn) letter(u, term, values, colour(near.label));
+      for (const [term, values] of drawn) letter(u, term, values, color(near.label));
       if (shown.has(near.label) && shown.has('upper')) for (const [term, values] of Object.entries(near.upper)) name(u, `${term} limit`, values, [14, 34, 60], 30);
       if (shown.has(near.label)) references.forEach((other) => name(u, other.name, other.adev, [-14, 14], 50));
       visible().forEach((a, row) => strip(u, a, row));
@@ -205,19 +205,19 @@ const AllanChart = (() => {
       const left = u.bbox.left;
       const right = left + u.bbox.width;
       ctx.save();
-      text(u, a.label, left - 10 * ratio, top + STRIP * ratio / 2, colour(a.label), 'right');
+      text(u, a.label, left - 10 * ratio, top + STRIP * ratio / 2, color(a.label), 'right');
       (a.regions || []).forEach(([low, high, term], i) => {
         const from = Math.max(left, u.valToPos(low, 'x', true));
         const to = Math.min(right, u.valToPos(high, 'x', true));
         if (to <= from) return;
-        ctx.fillStyle = colour(`${a.label}-${i % 2 ? 'tint' : 'faint'}`);
+        ctx.fillStyle = color(`${a.label}-${i % 2 ? 'tint' : 'faint'}`);
         ctx.fillRect(from, top, to - from - ratio, (STRIP - 2) * ratio);
         ctx.font = `600 ${11 * ratio}px system-ui, sans-serif`;
         // the label of a narrow part contains only the kinds of its processes
         const kinds = term.replace(/ [^+]*/g, '');
         const words = [term, kinds].find((text) => ctx.measureText(text).width + 4 * ratio < to - from);
         if (!words) return;
-        ctx.fillStyle = colour('ink');
+        ctx.fillStyle = color('ink');
         ctx.textAlign = 'center';
         ctx.textBaseline = 'middle';
         ctx.fillText(words, (from + to) / 2, top + (STRIP - 1) * ratio / 2);
@@ -246,7 +246,7 @@ const AllanChart = (() => {
       const lines = [[`τ ${number(sensor.tau[at])} s`, null]];
       for (const a of visible()) {
         if (!(a.adev[at] > 0)) continue;
-        lines.push([`${a.label}  ${number(a.adev[at] * factor)} ${name}  (${number(a.low[at] * factor, 3)}..${number(a.high[at] * factor, 3)})`, colour(a.label)]);
+        lines.push([`${a.label}  ${number(a.adev[at] * factor)} ${name}  (${number(a.low[at] * factor, 3)}..${number(a.high[at] * factor, 3)})`, color(a.label)]);
       }
       if (shown.has(near.label)) {
         const parts = Object.entries(near.parts)

@@ -1,6 +1,6 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// Common parts of all charts: colours of the theme, numbers, logarithmic axes, zoom, cursor and its note.
+// Common parts of all charts: colors of the theme, numbers, logarithmic axes, zoom, cursor and its note.
 'use strict';
 
 const Chart = (() => {
@@ -9,8 +9,8 @@ const Chart = (() => {
   const FONT = '12px system-ui, sans-serif';
   const LABEL_ROOM = { x: 46, y: 26 };  // pixels that a label of a logarithmic axis takes along it
 
-  // A colour of the current theme of the page: light, dark or printed.
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  // A color of the current theme of the page: light, dark or printed.
+  const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
   // Four significant digits, with a power of ten where zeros would hide them.
   function number(value, digits = 4) {
@@ -56,8 +56,8 @@ const Chart = (() => {
     return values;
   }
 
-  // The labelled values of a logarithmic axis with a given length in pixels: at least three if they fit.
-  function labelled(min, max, pixels, room) {
+  // The labeled values of a logarithmic axis with a given length in pixels: at least three if they fit.
+  function labeled(min, max, pixels, room) {
     const log = (v) => (Math.log10(v) * pixels) / Math.log10(max / min);
     const fits = (values) => values.every((v, i) => i === 0 || log(v) - log(values[i - 1]) >= room);
     const choices = [
@@ -73,7 +73,7 @@ const Chart = (() => {
     return even(min, max, 3);
   }
 
-  // Grid lines of a logarithmic axis: every digit of every decade, and all labelled values.
+  // Grid lines of a logarithmic axis: every digit of every decade, and all labeled values.
   function splits(min, max, labels) {
     const fine = Math.log10(max / min) > 7 ? round(min, max, [1]) : round(min, max, [1, 2, 3, 4, 5, 6, 7, 8, 9]);
     return [...new Set([...fine, ...labels])].sort((a, b) => a - b);
@@ -94,16 +94,16 @@ const Chart = (() => {
     let labels = [];
     return {
       ...(label ? { label, labelFont: FONT, labelSize: 22, labelGap: 2 } : {}),
-      stroke: () => colour('ink-2'),
-      grid: { stroke: () => colour('grid'), width: 1 },
-      ticks: { stroke: () => colour('grid'), width: 1, size: 5 },
+      stroke: () => color('ink-2'),
+      grid: { stroke: () => color('grid'), width: 1 },
+      ticks: { stroke: () => color('grid'), width: 1, size: 5 },
       font: FONT,
       size,
       ...(log ? {
         filter: (u, values) => values,
         splits(u, index, min, max) {
           const pixels = (which === 'x' ? u.bbox.width : u.bbox.height) / devicePixelRatio;
-          labels = labelled(min, max, pixels || 300, LABEL_ROOM[which]);
+          labels = labeled(min, max, pixels || 300, LABEL_ROOM[which]);
           return splits(min, max, labels);
         },
         values: (u, values) => values.map((v) => (labels.includes(v) ? tick(v) : '')),
@@ -120,7 +120,7 @@ const Chart = (() => {
   }
 
   // Create a chart that fills its host, follows the theme, and shows its numbers at the cursor.
-  //   options.describe(u, index) returns the lines of the note: [text, colour or null] each.
+  //   options.describe(u, index) returns the lines of the note: [text, color or null] each.
   //   options.x.full and options.y.full return the complete range.
   function create(host, options, data) {
     const height = options.height || 360;
@@ -265,5 +265,5 @@ const Chart = (() => {
     return svg;
   }
 
-  return { all, colour, create, element, labelled, number, redrawAll, toggles };
+  return { all, color, create, element, labeled, number, redrawAll, toggles };
 })();

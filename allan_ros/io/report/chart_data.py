@@ -165,7 +165,7 @@ def _references(
 
 
 def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> dict[str, Any] | None:
-    """Return measured and modelled noise density (SI/sqrt(Hz)) of all axes; None if unknown."""
+    """Return measured and modeled noise density (SI/sqrt(Hz)) of all axes; None if unknown."""
     spectrum = next((s for s in spectra if set(axes) & set(s.axes)), None)
     if spectrum is None:
         return None

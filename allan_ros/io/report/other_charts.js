@@ -4,7 +4,7 @@
 'use strict';
 
 const OtherCharts = (() => {
-  const { colour, element, number } = Chart;
+  const { color, element, number } = Chart;
 
   function spectrum(host, sensor, units) {
     const { frequency, axes } = sensor.spectrum;
@@ -15,8 +15,8 @@ const OtherCharts = (() => {
     const scaled = (values) => values.map((v) => (v === null ? null : v * unit()[1]));
     const columns = () => [frequency, ...axes.flatMap((a) => [scaled(a.density), scaled(a.fit)])];
     const series = axes.flatMap((a) => [
-      { label: label(a), stroke: () => colour(label(a)), width: 1.3, points: { show: false } },
-      { label: `${label(a)} model`, stroke: () => colour(label(a)), width: 1.6, dash: [7, 4], points: { show: false } },
+      { label: label(a), stroke: () => color(label(a)), width: 1.3, points: { show: false } },
+      { label: `${label(a)} model`, stroke: () => color(label(a)), width: 1.6, dash: [7, 4], points: { show: false } },
     ]);
     const heading = element('h3', {}, 'Noise density');
     const axisName = () => `noise density [${unit()[0]}]`;
@@ -30,7 +30,7 @@ const OtherCharts = (() => {
         [`${number(frequency[at])} Hz`, null],
         ...axes.filter((a) => shown.has(a.name) && a.density[at] > 0).map((a) => [
           `${label(a)}  ${number(a.density[at] * factor)} ${name}  (${number(a.low[at] * factor, 3)}..${number(a.high[at] * factor, 3)})`,
-          colour(label(a)),
+          color(label(a)),
         ]),
       ];
     }
@@ -69,11 +69,11 @@ const OtherCharts = (() => {
     context.clip();
     for (const [veil, ink] of [[0.75, 'paper'], [0.15, HATCHES[why]]]) {
       context.globalAlpha = veil;
-      context.fillStyle = colour(ink);
+      context.fillStyle = color(ink);
       context.fillRect(from, top, Math.max(to - from, 2 * ratio), height);
     }
     context.globalAlpha = 1;
-    context.strokeStyle = colour(HATCHES[why]);
+    context.strokeStyle = color(HATCHES[why]);
     context.lineWidth = ratio;
     for (let x = from - height; x < to + ratio; x += 7 * ratio) {
       context.beginPath();
@@ -119,18 +119,18 @@ const OtherCharts = (() => {
         // The used samples fill the picture; an excluded knock may exceed it.
         y: { full: () => [-1.15 * a.reach * unit()[1], 1.15 * a.reach * unit()[1]], axis: { space: 24 } },
         series: [
-          { label: 'low', stroke: () => colour(label), width: 0.6, points: { show: false } },
-          { label: 'high', stroke: () => colour(label), width: 0.6, points: { show: false } },
+          { label: 'low', stroke: () => color(label), width: 0.6, points: { show: false } },
+          { label: 'high', stroke: () => color(label), width: 0.6, points: { show: false } },
         ],
-        bands: [{ series: [2, 1], fill: () => colour(label) }],
+        bands: [{ series: [2, 1], fill: () => color(label) }],
         above(chart) {
           const { ctx, bbox } = chart;
           const at = (t) => Math.min(Math.max(chart.valToPos(t / scale, 'x', true), bbox.left), bbox.left + bbox.width);
           for (const [from, to] of gaps) {  // over the line that joins its two sides
-            ctx.fillStyle = colour('gap');
+            ctx.fillStyle = color('gap');
             ctx.fillRect(at(from), bbox.top, Math.max(at(to) - at(from), devicePixelRatio), bbox.height);
           }
-          ctx.fillStyle = colour('ink-2');
+          ctx.fillStyle = color('ink-2');
           for (const start of starts.slice(1)) ctx.fillRect(at(start), bbox.top, devicePixelRatio, bbox.height);
           for (const [from, to, why] of leftOut) hatch(ctx, at(from), at(to), bbox.top, bbox.height, why);
         },
@@ -140,7 +140,7 @@ const OtherCharts = (() => {
           const celsius = temperatures ? nearest(temperatures, time[i]) : null;
           return [
             [`${number(shownTime[i])} ${name}`, null],
-            [`${label}  ${number(a.low[i] * factor, 3)}..${number(a.high[i] * factor, 3)} ${what}`, colour(label)],
+            [`${label}  ${number(a.low[i] * factor, 3)}..${number(a.high[i] * factor, 3)} ${what}`, color(label)],
             ...(celsius === null ? [] : [[`${number(celsius, 3)} °C`, null]]),
             ...(out ? [[WHY[out[2]], null]] : []),
           ];
@@ -153,8 +153,8 @@ const OtherCharts = (() => {
     const reasons = new Set(leftOut.map(([, , why]) => why));
     if (reasons.has('motion')) note.push('Hatched to the upper right: left out because the IMU moved.');
     if (reasons.has('stuck')) note.push('Hatched to the lower right, red: left out because an axis repeated one value.');
-    if (reasons.has('')) note.push('Hatched to the lower right, grey: left out (warm-up, or another rate).');
-    if (gaps.length) note.push('Grey: no samples.');
+    if (reasons.has('')) note.push('Hatched to the lower right, gray: left out (warm-up, or another rate).');
+    if (gaps.length) note.push('Gray: no samples.');
     if (starts.length > 1) note.push('Vertical lines: start of the next recording.');
     inner.append(element('p', { class: 'note' }, note.join(' ')));
     return { units(next) { made.forEach((update) => update(next)); } };
@@ -185,7 +185,7 @@ const OtherCharts = (() => {
       padding: [4, 14, 0, 0],
       x: { axis: { size: 26 }, label: `time [${name}]`, full: () => [0, end / scale] },
       y: { full: () => [low - room, high + room], axis: { space: 24 } },
-      series: [{ label: 'temperature', stroke: () => colour('ink'), width: 1.3, points: { show: false } }],
+      series: [{ label: 'temperature', stroke: () => color('ink'), width: 1.3, points: { show: false } }],
       describe: (chart, i) => [[`${number(shownTime[i])} ${name}`, null], [`${number(temperatures.celsius[i])} °C`, null]],
     }, [shownTime, temperatures.celsius]);
     heading.append(element('span', { class: 'grow' }), Picture.buttons(u, () => 'Temperature', 'temperature'));
@@ -237,12 +237,12 @@ const OtherCharts = (() => {
       x: { label: points ? 'temperature [°C]' : `time [${name}]` },
       y: { full: rangeY, label: axisName() },
       series: data.lines.map((line) => ({
-        label: label(line), stroke: () => colour(label(line)), width: points ? 0 : 1.3, dots: points, spanGaps: false,
-        ...(points ? { paths: () => null, points: { show: true, size: 5, fill: () => colour(label(line)) } } : { points: { show: false } }),
+        label: label(line), stroke: () => color(label(line)), width: points ? 0 : 1.3, dots: points, spanGaps: false,
+        ...(points ? { paths: () => null, points: { show: true, size: 5, fill: () => color(label(line)) } } : { points: { show: false } }),
       })),
       describe: (chart, i) => [
         [`${number(x[i])} ${name}`, null],
-        ...data.lines.filter((line) => line.values[i] !== null).map((line) => [`${label(line)}  ${number(line.values[i] * unit()[1])} ${unit()[0]}`, colour(label(line))]),
+        ...data.lines.filter((line) => line.values[i] !== null).map((line) => [`${label(line)}  ${number(line.values[i] * unit()[1])} ${unit()[0]}`, color(label(line))]),
       ],
     }, columns());
     heading.append(...data.lines.map((line) => element('span', { class: 'key', style: `color: var(--${label(line)})` }, label(line))));

@@ -4,7 +4,7 @@
 'use strict';
 
 const Picture = (() => {
-  const { colour } = Chart;
+  const { color } = Chart;
   const HEAD = 30;  // pixels above the chart, for the title
 
   let pens = 0;
@@ -64,12 +64,12 @@ const Picture = (() => {
   function draw(pen, u, title) {
     const ratio = devicePixelRatio;
     const { left, top, width, height } = u.bbox;
-    pen.fillStyle = colour('paper');
+    pen.fillStyle = color('paper');
     pen.fillRect(0, -HEAD * ratio, u.ctx.canvas.width, u.ctx.canvas.height + HEAD * ratio);
     pen.textBaseline = 'middle';
     pen.textAlign = 'left';
     pen.font = `600 ${14 * ratio}px system-ui, sans-serif`;
-    pen.fillStyle = colour('ink');
+    pen.fillStyle = color('ink');
     pen.fillText(title, left, -HEAD * ratio / 2);
     for (const [i, axis] of u.axes.entries()) ticks(pen, u, axis, i === 0, ratio);
     pen.save();
@@ -102,20 +102,20 @@ const Picture = (() => {
     pen.font = `${12 * ratio}px system-ui, sans-serif`;
     values.forEach((value, i) => {
       const at = u.valToPos(value, isX ? 'x' : 'y', true);
-      pen.strokeStyle = colour('grid');
+      pen.strokeStyle = color('grid');
       pen.lineWidth = ratio;
       pen.beginPath();
       pen.moveTo(isX ? at : left, isX ? top : at);
       pen.lineTo(isX ? at : left + width, isX ? top + height : at);
       pen.stroke();
       if (!words[i]) return;
-      pen.fillStyle = colour('ink-2');
+      pen.fillStyle = color('ink-2');
       pen.textAlign = isX ? 'center' : 'right';
       pen.fillText(words[i], isX ? at : left - 8 * ratio, isX ? top + height + 14 * ratio : at);
     });
     if (!axis.label) return;
     pen.textAlign = 'center';
-    pen.fillStyle = colour('ink-2');
+    pen.fillStyle = color('ink-2');
     if (isX) pen.fillText(axis.label, left + width / 2, top + height + 38 * ratio);
     else {
       pen.save();
@@ -167,7 +167,7 @@ const Picture = (() => {
     pen.fill();
   }
 
-  // Pictures are always drawn in the light colours, because paper is white.
+  // Pictures are always drawn in the light colors, because paper is white.
   function onPaper(work) {
     const root = document.documentElement.classList;
     const already = root.contains('printing');

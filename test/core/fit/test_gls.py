@@ -66,7 +66,7 @@ def test_poor_records_give_finite_numbers_or_null(samples):
         assert coefficient.status == 'estimated' or coefficient.ci95 is None
 
 
-def test_constant_axis_does_not_disturb_its_neighbour():
+def test_constant_axis_does_not_disturb_its_neighbor():
     rng = np.random.default_rng(3)
     white = simulate_axis(20000, TAU0, NoiseTerms(N=1e-3), rng)
     both = fit_gls(

@@ -76,7 +76,7 @@ def test_the_expectation_without_the_ramp_is_exact(variances):
 
 
 def process_covariance(t, time):
-    """Return the generalised covariance of the phase of a process of unit variance."""
+    """Return the generalized covariance of the phase of a process of unit variance."""
     slope, size = (float(x[0]) for x in gauss_markov_sums(time))
     t = np.abs(t)
     return -0.5 * (slope * t + size * np.expm1(-t / time))

@@ -65,7 +65,7 @@ def test_constant_stamps_have_no_rate(stamps):
     assert learn_clock(np.array(stamps, np.int64)) is None
 
 
-def test_isolated_losses_are_bridged_on_the_line_between_their_neighbours():
+def test_isolated_losses_are_bridged_on_the_line_between_their_neighbors():
     stamps = even(3000)
     lost = np.array([500, 501, 1700])
     keep = np.delete(np.arange(3000), lost)

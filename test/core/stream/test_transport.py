@@ -121,7 +121,7 @@ def test_samples_that_the_driver_never_sent_are_counted_separately():
     source.second()
     assert source.second(messages=190, lost=10) == []
     assert source.second() == ['samples_missing']
-    # of the latest samples the judgement may be taken back, as where the rate changes
+    # of the latest samples the judgment may be taken back, as where the rate changes
     assert source.second(lost=90) == source.second(lost=-90) == ['samples_missing']
     # what is dropped, or lost on the way, is missing by the stamps as well
     source = Input()

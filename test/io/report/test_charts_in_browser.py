@@ -15,7 +15,7 @@ from support.chromium import Chromium
 from allan_ros.core.allan.spectrum import spectrum_of
 from allan_ros.io.recorded import ReadJob, read_recording
 from allan_ros.io.report import ReportContext, render_report
-from allan_ros.io.results import analyse_recorded
+from allan_ros.io.results import analyze_recorded
 from allan_ros.io.signal import summarize_signal
 
 ADIS_LSB = np.repeat([0.05 * np.pi / 180.0, 0.00333 * 9.80665], 3)
@@ -45,7 +45,7 @@ def pages(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     for name, path in recordings(shared_data, folder).items():
         recorded = read_recording(ReadJob(str(path), with_context=True))
         # only the first page needs a complete fit, which takes most of the time of these tests
-        results = analyse_recorded(recorded, 'gls' if name == 'adis16405' else 'relative')
+        results = analyze_recorded(recorded, 'gls' if name == 'adis16405' else 'relative')
         known = results.provenance
         signal = summarize_signal(recorded.signals, known.segments, 1000, known.counts.cuts)
         spectra = [spectrum_of(s, results.tau0) for s in recorded.spectra]

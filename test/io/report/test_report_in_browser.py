@@ -27,7 +27,7 @@ HOSTILE = '</script><script>document.title = "taken"</script>'
 INK = """(() => {
   const {width, height} = CANVAS, data = CANVAS.getContext('2d').getImageData(0, 0, width, height);
   return new Set(new Uint32Array(data.data.buffer)).size; })()"""
-"""Expression for the number of colours of a canvas; 1 if nothing was drawn."""
+"""Expression for the number of colors of a canvas; 1 if nothing was drawn."""
 
 
 @pytest.fixture(scope='module')
