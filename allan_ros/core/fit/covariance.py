@@ -96,13 +96,13 @@ class PairSums:
 
 
 def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return the covariance of normalized second differences d/(sqrt2 m) of the phase, (3, ...).
+    """Return the covariance at lag s of phase differences over mi and over mj samples, (3, ...).
 
-    The rows are white noise, flicker and a continuous random walk of unit variance coefficient. At
-    lag s, the covariance is sum_ab c_a c_b G(s + a m_i - b m_j) / (2 m_i m_j) with a, b = 0, 1, 2,
-    c = (1, -2, 1), and the generalized covariance of the phase: G(t) = -|t|/2, t^2 ln|t|/(2 pi) or
-    |t|^3/12.
+    The differences are second differences of the phase divided by sqrt(2) m. The rows contain unit
+    white noise, unit flicker and a unit continuous random walk.
     """
+    # The sum over a, b = 0, 1, 2 of c_a c_b G(s + a m_i - b m_j) / (2 m_i m_j), c = (1, -2, 1),
+    # where G is the generalised covariance of the phase: -|t|/2, t^2 ln|t|/(2 pi), |t|^3/12.
     out = np.zeros((3, *np.broadcast_shapes(np.shape(s), np.shape(mi), np.shape(mj))))
     for a, ca in enumerate(DIFFERENCE):
         for b, cb in enumerate(DIFFERENCE):
@@ -117,27 +117,28 @@ def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
     return np.asarray(out / (2.0 * mi * mj))
 
 
-def _products(s: Floats, mi: Floats, mj: Floats) -> Floats:
-    """Return the products of all pairs of rows of `lag_covariance`, then these rows, (9, ...)."""
+def _covariance_products(s: Floats, mi: Floats, mj: Floats) -> Floats:
+    """Return the six products of two rows of `lag_covariance` and the three rows, (9, ...)."""
     c = lag_covariance(s, mi, mj)
     return np.stack([*(c[a] * c[b] for a, b in _SMOOTH_PAIRS), *c])
 
 
 def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
-    """Return the sums of `_products` and of lag times `_products` over the lags a..b, (2, 9, n)."""
-    # The first and the last lag count half.
+    """Return the sums over the lags a..b of f and of lag * f, (2, 9, n)."""
+    # f is `_covariance_products`. The first and the last lag count half.
     width = (b - a)[:, None]
     k = np.arange(EXACT_POINTS + 1)
     exact = width <= EXACT_POINTS
     ones = (k <= width) - 0.5 * (k == 0) - 0.5 * (k == width)
     s = a[:, None] + np.where(exact, np.minimum(k, width), width * (1.0 + _NODES) / 2.0)
     weight = np.where(exact, ones * (width > 0), _WEIGHTS * width / 2.0)
-    f = _products(s, mi[:, None], mj[:, None])
+    f = _covariance_products(s, mi[:, None], mj[:, None])
     return np.stack([np.einsum('fnk,nk->fn', f, weight), np.einsum('fnk,nk->fn', f, weight * s)])
 
 
-def _edges(mi: int, mj: int) -> Ints:
-    """Return the limits of the lag ranges to sum over; they are short where C is not smooth."""
+def _lag_limits(mi: int, mj: int) -> Ints:
+    """Divide the lags into ranges and return the limits of the ranges."""
+    # Ranges are short where the covariance is not smooth.
     span = EXACT_POINTS * EXACT_PANELS
     near = np.arange(-EXACT_PANELS, EXACT_PANELS + 1) * EXACT_POINTS
     reach = [span]
@@ -167,7 +168,7 @@ class _LagTable:
         self.row[tuple(np.array(rows).T)] = np.arange(len(rows))
         self.mi = m[[i for i, _ in rows]].astype(float)
         self.mj = m[[j for _, j in rows]].astype(float)
-        edges = [_edges(int(a), int(b)) for a, b in zip(self.mi, self.mj)]
+        edges = [_lag_limits(int(a), int(b)) for a, b in zip(self.mi, self.mj)]
         size = np.array([len(e) for e in edges])
         owner = np.repeat(np.arange(len(rows)), size)
         self.edge = np.concatenate(edges)
@@ -248,7 +249,7 @@ def clear_pair_sums() -> None:
 def _smooth_sums(
     table: _LagTable, i: Ints, j: Ints, stride: Ints, count: Ints
 ) -> tuple[Floats, Floats]:
-    """Return ``squares`` and ``singles`` of `PairSums`, without quantization noise."""
+    """Return the covariance sums of all noise terms except quantization: squares, singles."""
     # With increasing lag, the number of pairs cnt rises from 1 by one every s_j samples to M_j,
     # remains constant, and falls to 1. A step is ``ratio`` = s_j/s_i lags wide. The sum over the
     # steps is that over a straight line ``fall`` = (1 - 1/ratio)/2 below their edges, plus
@@ -272,12 +273,12 @@ def _smooth_sums(
     bend = np.where(ratio <= mi, (ratio - 1.0 / ratio) / 12.0, fall / 2.0)
     outer, inner = (1.0 - fall) / 2.0 + bend, fall / 2.0 - bend
     for lag, weight in zip(lags, (outer, inner, inner, outer)):
-        f += weight * _products(lag.astype(float), mi, mj)
+        f += weight * _covariance_products(lag.astype(float), mi, mj)
     return _assemble(f, 2.0 ** -level.astype(float))
 
 
 def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Convert sums of `_products` for factors of level 0 to ``squares`` and ``singles``."""
+    """Scale sums over lags to the octave of each pair and combine them to squares, singles."""
     # On level a, lags and factors are 2^a times those of level 0. The covariance of white noise is
     # multiplied by 2^-a (``scale``), that of flicker by 1 and that of the cubic part by 2^a.
     nn, nb, nc, bb, bc, cc = f[:6] * np.stack(
@@ -300,7 +301,7 @@ def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
 def _add_quantization(
     squares: Floats, singles: Floats, i: Ints, j: Ints, m: Ints, stride: Ints, count: Ints
 ) -> None:
-    """Add the contribution of quantization noise to the sums, in place."""
+    """Add the contribution of quantization noise to squares and singles, in place."""
     # Its covariance differs from 0 only at the nine lags b m_j - a m_i.
     mi, mj = m[i], m[j]
     norm = 2.0 * mi.astype(float) * mj
@@ -310,7 +311,7 @@ def _add_quantization(
         for b, cb in enumerate(DIFFERENCE)
     ]
     for weight, lag in lags:
-        pairs = _pairs_at(lag, (count[i] - 1) * stride[i], (count[j] - 1) * stride[j], stride[j])
+        pairs = _count_pairs(lag, (count[i] - 1) * stride[i], (count[j] - 1) * stride[j], stride[j])
         pairs *= weight / norm
         # Lags coincide if m_j/m_i is 1 or 2; their weights are then added.
         here = sum(other * (lag == at) for other, at in lags) / norm
@@ -322,8 +323,8 @@ def _add_quantization(
         singles[0] += pairs
 
 
-def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
-    """Return the number of pairs of differences at lags that are multiples of the stride of i."""
+def _count_pairs(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
+    """Return the number of pairs of differences at each lag, a multiple of the stride of i."""
     first = np.maximum(0, -lag)
     last = np.minimum(end_j, end_i - lag)
     number = last // stride_j + (-first) // stride_j + 1
@@ -333,10 +334,8 @@ def _pairs_at(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
 def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     """Return the increase of the Allan variance of unit white noise due to interpolated samples.
 
-    Linear interpolation replaces the samples of a gap by weighted means of its two neighbors.
-    These neighbors get a larger weight in a second difference, which increases its variance. A
-    sample between two gaps gets a larger weight from both. Only the numbers of gaps are known, so
-    their positions are assumed to be independent, as for random losses.
+    The samples of a gap are interpolated linearly between its two neighbours. Only the numbers of
+    gaps are known; their positions are assumed to be random and independent.
 
     Parameters
     ----------
@@ -351,6 +350,8 @@ def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     -------
     (factors, ...) float64 array
     """
+    # The neighbours of a gap get a larger weight in a second difference, which increases its
+    # variance. A sample between two gaps gets a larger weight from both.
     # Summed over all start positions, the squared weights increase linearly with m if m exceeds the
     # length of the gap.
     out = np.zeros((len(m), *filled.shape[1:]))
@@ -358,7 +359,7 @@ def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     for k, number in enumerate(filled, start=1):
         if number.any():
             slope = 2.0 * (k + k * k / 2.0)
-            extra = np.array([_excess(k, min(int(f), k)) + slope * max(f - k, 0) for f in m])
+            extra = np.array([_gap_excess(k, min(int(f), k)) + slope * max(f - k, 0) for f in m])
             out += np.multiply.outer(extra / scale, number / samples)
     lengths = np.arange(1, len(filled) + 1)
     recorded = np.maximum(samples - np.tensordot(lengths, filled, 1), 1)
@@ -367,7 +368,7 @@ def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
             neighbors = number * (others / recorded / samples)
             if np.any(neighbors > NEGLIGIBLE_NEIGHBORS):
                 both = k + after
-                extra = np.array([_neighbor_excess(k, after, min(int(f), both)) for f in m])
+                extra = np.array([_adjacent_gap_excess(k, after, min(int(f), both)) for f in m])
                 extra += k * after * np.maximum(m - both, 0)
                 out += np.multiply.outer(extra / scale, neighbors)
     return out
@@ -378,26 +379,26 @@ NEGLIGIBLE_NEIGHBORS = 1e-5
 
 
 @lru_cache(maxsize=1024)
-def _neighbor_excess(k: int, after: int, m: int) -> float:
-    """Return the change in addition to `_excess` if one sample separates gaps of both lengths."""
-    base = _weights(m, k + after + 3)
+def _adjacent_gap_excess(k: int, after: int, m: int) -> float:
+    """Return the additional change if only one sample separates gaps of k and ``after`` samples."""
+    base = _difference_weights(m, k + after + 3)
     left = np.correlate(base, np.arange(1, k + 1) / (k + 1))
     right = np.correlate(base, np.arange(after, 0, -1) / (after + 1))
     n = len(right) - k - 1
     return float(2.0 * left[:n] @ right[k + 1 :])
 
 
-def _weights(m: int, margin: int) -> Floats:
-    """Return the weights of the samples in a second difference, with zeros on both sides."""
+def _difference_weights(m: int, margin: int) -> Floats:
+    """Return the weight of each sample in a second difference, padded with zeros."""
     outside = np.zeros(margin)
     return np.concatenate([outside, -np.ones(m), np.ones(m), outside])
 
 
 @lru_cache(maxsize=1024)
-def _excess(k: int, m: int) -> float:
-    """Return the change of the squared weights, summed over all starts, due to a gap."""
+def _gap_excess(k: int, m: int) -> float:
+    """Return the change of the sum of squared weights due to a gap of k interpolated samples."""
     length = k + 2
-    base = _weights(m, length)
+    base = _difference_weights(m, length)
     share = np.arange(1, k + 1) / (k + 1)
     change = 0.0
     for at in range(len(base) - length + 1):

@@ -33,11 +33,10 @@ of some step by chance."""
 
 
 def common_step(phase: Floats, deviation: float) -> float | None:
-    """Return the quantization step of a phase, or None if its values have no common step.
+    """Return the largest step of which all phase values are multiples, or None if there is none.
 
-    The phase (cumulative sum) of samples that are rounded to a step consists of multiples of this
-    step. ``phase`` contains the phase at some samples. ``deviation`` is the standard deviation of
-    the white noise per sample; steps far below it are ignored.
+    ``phase`` contains cumulative sums of samples. If the samples are rounded, this is the rounding
+    step. Steps far below ``deviation``, the white noise per sample, are ignored.
     """
     least = NEGLIGIBLE_STEP * deviation
     moved = np.unique(np.abs(phase[np.abs(phase) > least]))
@@ -60,7 +59,7 @@ def common_step(phase: Floats, deviation: float) -> float | None:
 
 
 def _common_divisor(a: float, b: float, least: float) -> float:
-    """Return the greatest common divisor; a remainder below ``least`` is taken as 0."""
+    """Return the greatest common divisor of two floats; remainders below ``least`` count as 0."""
     while b >= least:
         remainder = a % b
         a, b = b, min(remainder, b - remainder)
@@ -123,9 +122,9 @@ def rounding_step(phase: Floats, white: float) -> float | None:
 
 
 def findings_without_estimates(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
-    """Return a list of one finding that explains why an axis has no estimates.
+    """Return the finding that explains why an axis has no estimates, as a list.
 
-    The reason is samples without noise if ``constant``, and otherwise too few data.
+    The reason is that the samples have no noise (``constant``), or that there are too few samples.
     """
     name = (pooled.sums.axes[axis],)
     longest = max((s.samples for s in pooled.segments), default=0)
@@ -208,7 +207,11 @@ def _shape_findings(
         found.append(finding('gauss_markov', name, sigma=process.sigma, unit=unit, time=time))
     if selected.levels_off:
         found.append(
-            finding('levels_off', name, tau=duration_text(_first_imprecise_factor(selected) * tau0))
+            finding(
+                'levels_off',
+                name,
+                tau=duration_text(_first_factor_of_few_averages(selected) * tau0),
+            )
         )
     return found
 
@@ -222,14 +225,14 @@ def _filtered_fraction(selected: Selection) -> float:
     )
 
 
-def _first_imprecise_factor(selected: Selection) -> float:
-    """Return the smallest averaging factor at which the curve has few degrees of freedom."""
+def _first_factor_of_few_averages(selected: Selection) -> float:
+    """Return the smallest averaging factor whose Allan variance has few degrees of freedom."""
     few = few_averages(selected.fit.table, selected.fit.variances)
     return float(selected.fit.table.m[few].min(initial=selected.fit.table.m[-1]))
 
 
 def _grouped(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
-    """Group sinusoids whose neighbors in frequency differ by less than the factor `HUMP_RATIO`."""
+    """Group sinusoids (sorted by frequency) whose frequencies are close together."""
     groups: list[list[Sinusoid]] = []
     for line in lines:
         if groups and line.frequency < HUMP_RATIO * groups[-1][-1].frequency:

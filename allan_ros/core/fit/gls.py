@@ -100,7 +100,7 @@ def _fit_axis(
         else replace(each, high=limit_of_averages(selected.fit.table, t, longest))
         for t, each in enumerate(intervals)
     ]
-    values = _consistent(table, variances, intervals, options.misfit)
+    values = _refit_outside_intervals(table, variances, intervals, options.misfit)
     noise = {
         name: _coefficient(name, float(values[t]), intervals[t], tau0)
         for t, name in enumerate(RANDOM_TERMS)
@@ -114,7 +114,9 @@ def _fit_axis(
         alone = solve(
             selected.fit.table, variances[: len(sizes)], columns=others, misfit=options.misfit
         )
-        value = _consistent(selected.fit.table, alone.variances, intervals, options.misfit)[N]
+        value = _refit_outside_intervals(
+            selected.fit.table, alone.variances, intervals, options.misfit
+        )[N]
         noise['N'] = _coefficient('N', float(value), intervals[N], tau0)
     if options.misfit.size and any(isinstance(e, SinusoidTerm) for e in options.extras):
         # A small relative error of a strong sinusoid is as large as the white noise.
@@ -145,10 +147,10 @@ def _options_of(fit: AxisFit, tau0: float) -> FitOptions | None:
     return FitOptions(fit.m_min, fit.signed, extras=(*extras, *lines), walk=walk)
 
 
-def _consistent(
+def _refit_outside_intervals(
     table: Table, variances: Floats, intervals: list[CoefficientInterval], misfit: Misfit
 ) -> Floats:
-    """Replace coefficients outside their interval by those of a fit with unconstrained q."""
+    """Replace coefficients outside their interval by those of a fit in which q may be negative."""
     # The intervals of the other terms allow a negative q, but the estimates do not. In about one
     # record in a hundred, an estimate therefore lies outside its interval.
     above, below = 1.0 + END_TOLERANCE, 1.0 - END_TOLERANCE

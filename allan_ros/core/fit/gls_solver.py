@@ -34,13 +34,12 @@ def nonnegative_least_squares(
 ) -> Floats:
     """Return x >= 0 that minimizes |columns x - target|, (columns,).
 
-    Coefficients of the columns ``signed`` may be negative. The columns may have any scale.
-
-    The active set is guessed from the signs of the unconstrained solution, which is usually
-    correct. Otherwise the method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch. 23)
-    finds it. `scipy.optimize.nnls` is not used, because its import takes longer than all fits of an
-    IMU.
+    Elements of x at the indices ``signed`` may be negative. The columns may have any scale.
     """
+    # The active set is guessed from the signs of the unconstrained solution, which is usually
+    # correct. Otherwise the method of Lawson & Hanson (Solving Least Squares Problems, 1974, ch.
+    # 23) finds it. `scipy.optimize.nnls` is not used, because its import takes longer than all fits
+    # of an IMU.
     scale = np.sqrt(np.einsum('ij,ij->j', columns, columns))
     scale[scale == 0.0] = 1.0
     scaled = columns / scale
@@ -128,7 +127,7 @@ class Misfit:
     m_min: int = 1
 
     def at(self, m: NDArray[np.int64]) -> Floats:
-        """Return the relative model error at each averaging factor, (factors,)."""
+        """Return the relative model error at the averaging factors m, (factors,)."""
         return np.where(m >= self.m_min, self.size, 0.0)
 
 
@@ -136,7 +135,8 @@ NO_MISFIT = Misfit()
 
 
 def initial_variances(table: Table) -> Floats:
-    """Return a first estimate of q, w, b, k from relative residuals with the weights 1/sqrt(m)."""
+    """Return a first estimate of q, w, b, k by nonnegative weighted least squares, (4,)."""
+    # Residuals are relative, with the weights 1/sqrt(m).
     weight = np.sqrt(1.0 / table.m) / np.where(table.avar > 0.0, table.avar, np.inf)
     terms = table.terms[:, : len(RANDOM_TERMS)]
     return nonnegative_least_squares(terms * weight[:, None], table.avar * weight)
@@ -155,7 +155,7 @@ class Whitening:
 
     @classmethod
     def of(cls, covariance: Floats) -> Whitening:
-        """Return the whitening of a covariance, with `JITTER` on the diagonal of its correlation.
+        """Return the whitening of a covariance; `JITTER` is added to its correlation for stability.
 
         A slightly indefinite matrix is replaced by the nearest positive semidefinite one (Higham,
         LAA 103, 1988).
@@ -185,11 +185,11 @@ class Whitening:
         return np.asarray(lapack.dtrtrs(self.lower, columns / self.deviation[:, None], lower=1)[0])
 
     def weights(self, contrast: Floats) -> Floats:
-        """Convert weights of the whitened values to weights of the original values."""
+        """Convert a weighted sum of whitened values to weights of the original values."""
         return np.asarray(lapack.dtrtrs(self.lower, contrast, lower=1, trans=1)[0] / self.deviation)
 
     def covariance_with(self, contrast: Floats) -> Floats:
-        """Return the covariance of each original value with a weighted sum of whitened values."""
+        """Return the covariance of each value with a weighted sum of whitened values."""
         return np.asarray(self.lower @ contrast * self.deviation)
 
 
@@ -285,13 +285,13 @@ def noise_floor(table: Table) -> float:
 
 
 def with_noise_floor(table: Table, variances: Floats, floor: float | None = None) -> Floats:
-    """Return the coefficients with negative ones set to 0, and with w of at least ``floor``.
+    """Return coefficients for which the covariance of the Allan variances is not singular.
 
-    The covariance of the Allan variances is then not singular. ``floor`` is `noise_floor` by
-    default. The coefficients of derivatives of columns (see `Table`) become 0.
+    Negative coefficients are set to 0, and the white noise w to at least ``floor`` (by default a
+    negligible value).
     """
     p = np.maximum(variances, 0.0)
-    p[table.noises + table.lines :] = 0.0
+    p[table.noises + table.lines :] = 0.0  # columns that are derivatives
     p[N] = max(p[N], noise_floor(table) if floor is None else floor)
     return p
 
@@ -301,8 +301,8 @@ def covariance_at(
 ) -> Floats:
     """Return the covariance of the Allan variances for given coefficients, (factors, factors).
 
-    It includes the relative model error ``misfit``. Negative coefficients are set to 0, and w is at
-    least ``floor`` (`noise_floor` by default).
+    It includes the relative model error ``misfit``. The coefficients are first limited by
+    `with_noise_floor`.
     """
     p = with_noise_floor(table, variances, floor)
     covariance = table.covariance(p)
@@ -383,7 +383,7 @@ class PointFit:
 
     @property
     def ramp_variance(self) -> Floats:
-        """Variance of the estimated linear drift of each segment, (segments,); 0 if none."""
+        """Variance of the linear drift of each segment, (segments,); 0 if it is not estimated."""
         return np.asarray(self.table.ramp_variance @ self.options.noise(self.variances).variances)
 
 

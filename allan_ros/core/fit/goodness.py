@@ -98,7 +98,7 @@ class Goodness:
 
     @property
     def z(self) -> float:
-        """The test statistic as a normal deviate, (chi^2 - nu) / sqrt(2 nu)."""
+        """Standardised chi^2, (chi^2 - nu) / sqrt(2 nu)."""
         return float((self.chi_squared - self.freedom) / np.sqrt(2.0 * self.freedom))
 
     @property
@@ -108,12 +108,13 @@ class Goodness:
 
 
 def goodness(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> Goodness:
-    """Return the chi^2 test of a model after a linear fit of its nonzero terms.
+    """Return the chi^2 test of the model that contains the terms with nonzero coefficients.
 
-    The covariance remains that of the given variance coefficients and model error. The degrees of
-    freedom are the effective number of independent points, minus the number of nonzero terms and of
-    shapes (correlation times and frequencies).
+    These terms are fitted again by linear least squares, with the covariance of the given
+    coefficients ``variances`` and relative model error ``misfit``.
     """
+    # Degrees of freedom: effective number of independent points, minus the fitted parameters
+    # (coefficients, correlation times and frequencies).
     covariance = covariance_at(table, variances, misfit)
     active = np.flatnonzero(variances != 0.0)
     white = Whitening.of(covariance).apply(np.column_stack([table.terms[:, active], table.avar]))
@@ -126,10 +127,10 @@ def goodness(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> Goo
 
 
 def degrees_of_freedom(covariance: Floats) -> float:
-    """Return the effective number of independent values among values with this covariance.
+    """Return the effective number of independent values among correlated values.
 
-    It is the sum of lambda/(lambda + jitter) over the eigenvalues lambda of the correlation matrix.
-    The jitter removes directions without information.
+    It is the sum of lambda/(lambda + `JITTER`) over the eigenvalues lambda of their correlation
+    matrix.
     """
     deviation = np.sqrt(np.diag(covariance))
     eigenvalues = np.linalg.eigvalsh(covariance / np.outer(deviation, deviation))
@@ -140,12 +141,12 @@ def degrees_of_freedom(covariance: Floats) -> float:
 def long_tau_deficit(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> float:
     """Test whether Allan variances at long averaging times are lower than the model.
 
-    Returns the normal deviate of the least likely Allan variance, or 0 if none is tested. Normal
-    deviates below `DEFICIT_LIMIT` are significant. Only Allan variances of few degrees of freedom
-    are tested: such a value is distributed as V chi^2_nu / nu (NIST SP 1065 eq. 45), where nu =
-    2 V^2 / Var V of the model. The smallest probability is multiplied by the number of independent
-    tests (Bonferroni).
+    Returns a normal deviate <= 0, corrected for the number of tests (Bonferroni). A value of
+    `DEFICIT_LIMIT` or less is significant. Only Allan variances with few degrees of freedom are
+    tested; the result is 0 if there are none.
     """
+    # An Allan variance of expectation V is distributed as V chi^2_nu / nu with nu = 2 V^2 / Var V
+    # (NIST SP 1065 eq. 45).
     model = table.terms @ variances
     few = few_averages(table, variances, misfit) & (model > 0.0)
     if not few.any():
@@ -157,7 +158,7 @@ def long_tau_deficit(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT
 
 
 def few_averages(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) -> NDArray[np.bool_]:
-    """Return which averaging factors have few degrees of freedom (< `FEW_AVERAGES`), (factors,)."""
+    """Return a mask of Allan variances with few degrees of freedom, (factors,)."""
     model = table.terms @ variances
     return np.asarray(
         2.0 * model**2 < FEW_AVERAGES * np.diag(covariance_at(table, variances, misfit))
@@ -165,12 +166,12 @@ def few_averages(table: Table, variances: Floats, misfit: Misfit = NO_MISFIT) ->
 
 
 def best_case_goodness(table: Table, variances: Floats) -> Goodness:
-    """Return the better of two chi^2 tests: with the fitted random walk and with its upper limit.
+    """Return the better of two chi^2 tests: with the fitted random walk k and with its upper limit.
 
-    If a random walk dominates the longest averages, k depends on few degrees of freedom. If it is
-    estimated too low by chance, the other averages seem too large. The test is then repeated with
-    the upper limit of k.
+    The second test is only made if the first fails narrowly.
     """
+    # If a random walk dominates the longest averages, k depends on few degrees of freedom. If it is
+    # estimated too low by chance, the other averages seem too large.
     first = goodness(table, variances)
     if not first.fails or first.z > Z_GIVE_UP:
         return first
@@ -185,13 +186,13 @@ def best_case_goodness(table: Table, variances: Floats) -> Goodness:
 def misfit_of_long_averages(
     table: Table, variances: Floats, signed: bool, misfit: Misfit
 ) -> Misfit:
-    """Return the smallest model error for which `long_tau_deficit` is not significant.
+    """Return the smallest relative model error that explains low values at long averaging times.
 
-    The error applies to the averaging factors of ``misfit``. If ``misfit`` is 0, it applies only
-    from the first factor with few degrees of freedom. Terms that are determined by shorter
-    averaging times then keep their values and intervals. ``variances`` are initial coefficients;
-    ``signed`` allows a negative q.
+    With it, `long_tau_deficit` is not significant. The result is at least ``misfit``. ``variances``
+    are initial coefficients; ``signed`` allows a negative q.
     """
+    # Without an earlier model error, only averaging factors with few degrees of freedom get one.
+    # Terms that shorter averaging times determine then keep their values and intervals.
     m_min = int(table.m[few_averages(table, variances)].min())
     if misfit.size > 0.0:
         m_min = misfit.m_min
@@ -208,13 +209,13 @@ def misfit_of_long_averages(
 
 
 def misfit_of_table(table: Table, variances: Floats, signed: bool) -> Misfit:
-    """Return the relative model error for which chi^2 has its expected value.
+    """Return the relative model error that makes chi^2 equal to its degrees of freedom.
 
-    If the terms describe the Allan variances at short averaging times, only longer times get an
-    error: causes of deviations there, such as a daily cycle, do not affect N. This error is at most
-    `MISFIT_GROWTH` times the error that all averaging times would need. ``variances`` are initial
-    coefficients; ``signed`` allows a negative q.
+    If the model describes the short averaging times, only longer ones get an error. ``variances``
+    are initial coefficients; ``signed`` allows a negative q.
     """
+    # Deviations at long averaging times, such as a daily cycle, do not affect N. An error of only
+    # these times is at most `MISFIT_GROWTH` times the error that all averaging times would need.
     misfit = _misfit_from(table, variances, signed, 1)
     most = MISFIT_GROWTH * misfit.size
     octaves = 2 ** np.arange(1, int(table.m.max()).bit_length())
@@ -235,7 +236,7 @@ def misfit_of_table(table: Table, variances: Floats, signed: bool) -> Misfit:
 
 
 def _misfit_from(table: Table, variances: Floats, signed: bool, m_min: int) -> Misfit:
-    """Return the relative model error from ``m_min`` on for which chi^2 has its expected value."""
+    """Return the error of averaging factors >= m_min that makes chi^2 equal to its mean."""
     # chi^2 decreases about as the inverse square of the error.
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
     for _ in range(MISFIT_STEPS):
@@ -251,34 +252,31 @@ def _misfit_from(table: Table, variances: Floats, signed: bool, m_min: int) -> M
 
 
 def passes(fit: PointFit) -> bool:
-    """Return whether a model passes the chi^2 test and the test of long averaging times."""
+    """Return whether a fit passes the chi^2 test and has no deficit at long averaging times."""
     if goodness_z(fit) >= Z_FAIL:
         return False
     return long_tau_deficit(fit.table, fit.variances) > DEFICIT_LIMIT
 
 
 def goodness_z(fit: PointFit) -> float:
-    """Return the chi^2 test of a fit as a normal deviate.
-
-    If the fit fails narrowly, this is the result of `best_case_goodness`.
-    """
+    """Return the standardised chi^2 of a fit; for narrow failures that of `best_case_goodness`."""
     z = goodness(fit.table, fit.variances).z
     return best_case_goodness(fit.table, fit.variances).z if Z_FAIL <= z < Z_EXCLUDE_SHORT else z
 
 
 def passes_unfiltered(fit: PointFit) -> bool:
-    """Return whether a model passes the tests and the samples do not seem low-pass filtered."""
+    """Return whether a fit passes both tests and the samples do not seem low-pass filtered."""
     return passes(fit) and not looks_filtered(fit)
 
 
 def looks_filtered(fit: PointFit) -> bool:
-    """Return whether short Gauss-Markov processes replace the white noise.
+    """Return whether the fitted processes indicate that the samples are low-pass filtered.
 
-    This indicates that the samples are low-pass filtered.
+    Gauss-Markov processes of short correlation time then replace part of the white noise.
     """
     white = max(float(fit.variances[N]), 0.0)
     levels = [
-        (e.shape / fit.options.m_min, float(p) * e.white())
+        (e.shape / fit.options.m_min, float(p) * e.equivalent_white())
         for e, p in zip(fit.options.extras, fit.variances[len(RANDOM_TERMS) :])
         if isinstance(e, GaussMarkovTerm)
     ]
@@ -309,17 +307,18 @@ def minus_log_likelihood(table: Table, variances: Floats, misfit: Misfit = NO_MI
 
 
 def precise_rows(fit: PointFit) -> NDArray[np.bool_]:
-    """Return which averaging factors have at least `LEAST_FREEDOM` degrees of freedom."""
+    """Return a mask of Allan variances with enough degrees of freedom, (factors,)."""
     variance = np.diag(covariance_at(fit.table, fit.variances, NO_MISFIT))
     return np.asarray(2.0 * (fit.table.terms @ fit.variances) ** 2 >= LEAST_FREEDOM * variance)
 
 
 def minus_log_profile(table: Table, fit: PointFit) -> float:
-    """Return -2 log profile likelihood of the Allan variances, maximized over the random walk k.
+    """Return -2 log likelihood of the Allan variances, minimised over the random walk k.
 
-    At a single estimate of k, the likelihood would depend on chance: if a random walk dominates the
-    longest averaging times, k depends on few degrees of freedom.
+    The other coefficients are fitted again for each k. A constant is omitted.
     """
+    # If a random walk dominates the longest averaging times, k depends on few degrees of freedom.
+    # The likelihood at a single estimate of k would depend on chance.
     signed = fit.options.signed
     fits = [solve(table, fit.variances, columns=fit.options.columns, signed=signed)]
     if fit.options.walk:
@@ -331,7 +330,7 @@ def minus_log_profile(table: Table, fit: PointFit) -> float:
 
 
 def with_model_error(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with the relative model error for which chi^2 has its expected value."""
+    """Repeat a fit with the relative model error that `misfit_of_table` returns."""
     misfit = misfit_of_table(fit.table, fit.variances, fit.options.signed)
     return point_fit(pooled, axis, replace(fit.options, misfit=misfit), fit.variances)
 

@@ -54,11 +54,12 @@ def model_line(
 ) -> ModelLine:
     """Return the Allan deviation of the selected model at the points of a measured curve.
 
-    The line begins at the shortest averaging time of the fit. If the samples are low-pass filtered,
-    it begins where the filter no longer decreases the measured values. ``tau0`` is the sample
-    period in s. ``adev`` is the Allan deviation measured at the averaging factors ``m``, and
-    ``high`` its upper 68.3 % limit.
+    It is NaN below the shortest averaging time of the fit. ``tau0`` is the sample period in s,
+    ``adev`` the Allan deviation measured at the averaging factors ``m``, and ``high`` its upper
+    68.3 % limit.
     """
+    # The model does not describe the effect of a low-pass filter. Short averaging times at which
+    # the measured values are significantly below it are therefore also NaN.
     line, upper = (
         np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.selected, fit.selected_at_limits)
     )
@@ -114,7 +115,7 @@ class Region:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Consecutive points, and the term or terms that dominate there."""
+    """Range of consecutive points of a curve with its dominant terms."""
 
     terms: tuple[str, ...]
     points: slice
@@ -148,7 +149,7 @@ def dominant_regions(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]
 
 
 def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Stretch]:
-    """Return consecutive ranges of points with their dominant terms; narrow ranges are merged."""
+    """Divide a curve into ranges with their dominant terms; narrow ranges are merged."""
     simple = []
     for k, same in groupby(range(len(shares)), key=lambda j: int(np.argmax(shares[j]))):
         run = list(same)
@@ -172,7 +173,8 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
 
 
 def _slope(curve: AllanCurve, axis: int, points: slice) -> float:
-    """Return the slope of log adev over log tau; a single point is extended by its neighbors."""
+    """Return the slope d log adev / d log tau at the given points of a curve."""
+    # A single point has no slope: its neighbours are added.
     if points.stop - points.start < 2:
         points = slice(max(points.start - 1, 0), points.stop + 1)
     adev, degrees = curve.adev[points, axis], curve.edf[points, axis]
@@ -281,7 +283,7 @@ def _known(term: str, fit: AxisFit) -> float:
 
 
 def _negligible(term: str, fit: AxisFit) -> float:
-    """Return the largest coefficient with a negligible effect at averaging time `HORIZON_S`."""
+    """Return the size below which a term has no relevant effect at averaging time `HORIZON_S`."""
     n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
     known = n**2 / HORIZON_S + FLICKER_FLOOR * b**2 + k**2 * HORIZON_S / 3.0
     unit = FLICKER_FLOOR if term == 'B' else HORIZON_S / 3.0
@@ -289,7 +291,7 @@ def _negligible(term: str, fit: AxisFit) -> float:
 
 
 def _seconds_for(term: str, size: float, fit: AxisFit) -> float:
-    """Return the length in s of a record that resolves a term of the given size."""
+    """Return the length in s of a record that resolves a term of a given SI coefficient."""
     n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
     if term == 'K':
         return max(K_RESOLVED * n / size, (K_RESOLVED_WITH_B * b / size) ** 2)

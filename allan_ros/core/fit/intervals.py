@@ -107,7 +107,10 @@ class ScoreTest:
         self._start = variances
 
     def __call__(self, c: float, at_least: float = -np.inf) -> float:
-        """Return the normal deviate of the value c; a lower estimate is set to ``at_least``."""
+        """Return the test of the value c as a normal deviate.
+
+        An estimate below ``at_least`` is replaced by ``at_least``.
+        """
         variances, whitening, white = solve(
             self.table,
             self._start,
@@ -128,7 +131,7 @@ class ScoreTest:
 
 
 def _inverse(design: Floats) -> tuple[Floats, Floats]:
-    """Return the inverse information matrix of the columns scaled to norm 1, and their norms."""
+    """Return (X'X)^-1 of the columns X scaled to norm 1, and the norms."""
     size = np.linalg.norm(design, axis=0)
     size[size == 0.0] = 1.0
     unit = design / size
@@ -136,21 +139,21 @@ def _inverse(design: Floats) -> tuple[Floats, Floats]:
 
 
 def _contrast(design: Floats, at: int) -> Floats:
-    """Return the weights of the whitened values in the estimate of one coefficient."""
+    """Return weights w such that w @ y is the least-squares estimate of one coefficient."""
     inverse, size = _inverse(design)
     return np.asarray(design / size @ inverse[:, at] / size[at])
 
 
 def standard_errors(design: Floats) -> Floats:
-    """Return the standard errors of least-squares estimates for whitened columns, (columns,)."""
+    """Return the standard errors of a least-squares fit to values of unit variance, (columns,)."""
     inverse, size = _inverse(design)
     return np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
 
 
 def normal_deviate(z: float, skewness: float) -> float:
-    """Convert the standardized value z of a gamma variable of given skewness to a normal deviate.
+    """Convert a standardised gamma variable z of given skewness to a normal deviate.
 
-    Cube root of Wilson & Hilferty with skewness g: ((1 + g z/2)^(1/3) - 1) 6/g + g/6.
+    The cube root transformation of Wilson & Hilferty (1931) is used.
     """
     if abs(skewness) < NEGLIGIBLE_SKEWNESS:
         return z
@@ -190,16 +193,14 @@ ramp that is subtracted from the averages affects longer ones."""
 
 
 def limit_of_averages(table: Table, term: int, samples: int) -> float:
-    """Return a 95 % upper limit of one variance coefficient, without an assumption on other terms.
+    """Return an upper limit of one variance coefficient that does not depend on other terms.
 
-    The expected Allan variance is at least that of the term alone, V. A measured Allan variance is
-    distributed as V chi^2_nu / nu with nu = 2 V^2 / Var V (NIST SP 1065 eq. 45). Each averaging
-    factor therefore gives a limit. The smallest one is returned, for a probability of 2.5 % divided
-    by the number of factors (Bonferroni). It is infinite if there are no factors.
-
-    ``term`` is the column of the term in the table. ``samples`` is the length of the longest
-    segment, which limits the averaging factors.
+    It is the largest coefficient with which the term alone does not significantly exceed any
+    measured Allan variance (one-sided 2.5 %, Bonferroni), or infinity without data. ``term`` is
+    its column in the table, and ``samples`` the length of the longest segment.
     """
+    # An Allan variance of expectation V is distributed as V chi^2_nu / nu with nu = 2 V^2 / Var V
+    # (NIST SP 1065 eq. 45).
     used = (table.m <= samples / LONGEST_IN_LIMIT) & (table.avar > 0.0)
     if not used.any():
         return np.inf
@@ -219,15 +220,15 @@ def find_crossing(
     guess: float,
     limit: float,
 ) -> float:
-    """Return the value c at which a decreasing function z(c) reaches a target.
+    """Return the value c at which a decreasing function z(c) equals ``target``.
 
-    ``known`` contains points (c, z) that are already computed, and ``guess`` is the first value at
-    which z is computed. The search starts at the last known point and moves toward ``limit``,
-    which is returned if z does not reach the target before. Each step goes to the intersection of
-    the target with the hyperbola (alpha - c) / (beta + gamma c) through the last three points,
-    which equals z if the standard error is linear in c. A step outside the bracket is replaced by
-    bisection or, without a bracket, by twice the distance.
+    ``known`` contains points (c, z) that are already computed. The search starts at the last of
+    them, continues at ``guess``, and ends at ``limit``, which is returned if z does not reach the
+    target.
     """
+    # Each step goes to the target on the hyperbola (alpha - c) / (beta + gamma c) through the last
+    # three points, which equals z if the standard error is linear in c. A step outside the bracket
+    # is replaced by bisection or, without a bracket, by a larger step.
     points = list(known)
     start, value = points[-1]
     side = 1.0 if limit > start else -1.0
@@ -259,7 +260,7 @@ def find_crossing(
 
 
 def _hyperbola(points: Sequence[tuple[float, float]], target: float) -> float:
-    """Return c at the target on the hyperbola (or line) through the points, or NaN."""
+    """Return c at which the hyperbola through the points (c, z) equals the target, or NaN."""
     c, z = np.array(points).T
     columns = [np.ones_like(c), -z, -c * z][: len(points)]
     try:
@@ -337,7 +338,7 @@ class RampInterval:
     observable : bool
         Whether the value 0 is rejected.
     shared : bool
-        Whether all segments can have the same ramp.
+        Whether the ramps of all segments agree within their uncertainty.
     """
 
     value: float

@@ -43,21 +43,19 @@ def avar_terms(m: NDArray[np.int64]) -> Floats:
 
 
 def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
-    """Return the covariance function (|t|^3 - |t|)/12 of a sampled random walk.
+    """Return the covariance of a sampled random walk, from that of a continuous one (``cubic``).
 
-    It is ``cubic`` + ``white``/6, where ``cubic`` = |t|^3/12 is that of a continuous random walk
-    and ``white`` = -|t|/2 that of white noise. The relation is linear: it also holds for sums of
-    these functions over lags, and for their products with another function.
+    ``white`` is the covariance of unit white noise. Sums of covariances can be given as well.
     """
+    # (|t|^3 - |t|)/12 = |t|^3/12 + (-|t|/2)/6 for the phase.
     return cubic + white / 6.0
 
 
 def phase_covariance(t: Floats) -> Floats:
     """Return the generalized covariance of the phase of each random term at lags t, (4, ...).
 
-    It is delta(t), -|t|/2, t^2 ln|t|/(2 pi) and (|t|^3 - |t|)/12 for unit variance coefficients
-    q, w, b, k. It is valid for weighted sums of the phase that are 0 for a straight line, such as
-    second differences (Matheron 1973).
+    The variance coefficients q, w, b, k are 1. The result gives the covariance of weighted sums of
+    the phase whose weights cancel a straight line, such as second differences (Matheron 1973).
     """
     a = np.abs(t)
     white = -a / 2
@@ -241,8 +239,9 @@ class AxisFit:
         """Model for drawing and prediction: resolved and likely terms, and the processes.
 
         A term that is not resolved is likely if its squared estimate is more than one standard
-        deviation above zero. A model without likely drift terms would predict too little drift.
+        deviation above zero.
         """
+        # Without likely drift terms, the model would predict too little drift.
         values = {
             term: c.value * (c.sign or 1)
             for term, c in self.noise.items()
@@ -279,7 +278,7 @@ class AxisFit:
 
 
 def _is_likely(term: str, c: Coefficient) -> bool:
-    """Return whether a term is resolved, or its squared estimate exceeds one standard deviation."""
+    """Return whether a term is resolved, or its square is one standard deviation above zero."""
     if c.status == 'estimated':
         return True
     if term not in 'NBK' or c.value is None or c.upper95 is None:

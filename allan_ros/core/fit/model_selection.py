@@ -108,8 +108,8 @@ class Selection:
     first : Goodness
         Chi^2 test of the five terms at all averaging times.
     z_quantization : float
-        q in a fit of the five terms, divided by its standard error; far below 0 for filtered
-        samples.
+        Test of q = 0 in a fit of the five terms, as a normal deviate. It is far below 0 if the
+        samples are low-pass filtered.
     filtered : bool
         Whether a low-pass filter affects the shortest averaging times.
     hint : float or None
@@ -144,33 +144,33 @@ def select_model(pooled: PooledTable, axis: int, known: FitOptions | None = None
     if known is not None:
         fit = point_fit(pooled, axis, known, selected.fit.variances)
         selected = replace(selected, fit=fit, filtered=known.signed)
-        return selected if passes(selected.fit) else _with_needed_misfit(pooled, axis, selected)
+        return selected if passes(selected.fit) else _with_model_error(pooled, axis, selected)
     if first.fails or not passes(selected.fit):
         selected = _with_processes(pooled, axis, selected)
     if selected.fit.options.misfit.size == 0.0:
-        selected = replace(selected, fit=_with_likely_processes(pooled, axis, selected.fit))
+        selected = replace(selected, fit=_add_significant_processes(pooled, axis, selected.fit))
     return selected
 
 
-def _with_likely_processes(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Return the fit with further processes, each confirmed by a likelihood ratio test."""
+def _add_significant_processes(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
+    """Add processes as long as a likelihood ratio test finds them significant."""
     # The chi^2 test of all averages has little power against a single process, because flicker and
     # a random walk together have nearly the same curve.
     for _ in range(sum(MAX_PROCESSES.values())):
-        more = _one_more(pooled, axis, fit, GaussMarkovTerm)
-        more = more or _one_more(pooled, axis, fit, SinusoidTerm)
+        more = _add_process(pooled, axis, fit, GaussMarkovTerm)
+        more = more or _add_process(pooled, axis, fit, SinusoidTerm)
         if more is None or looks_filtered(more):
             break
         fit = more
     return fit
 
 
-def _one_more(
+def _add_process(
     pooled: PooledTable, axis: int, fit: PointFit, kind: type[Process]
 ) -> PointFit | None:
-    """Return the fit with one more process of a kind, or None if it is not significant."""
+    """Add one process of the given kind; return None if none is significant."""
     is_line = kind is SinusoidTerm
-    search = _search_with_covariance_of(pooled, axis, fit)
+    search = _search_at(pooled, axis, fit)
     found = search.fitted(fit.options.extras)
     more = search.with_one_more(found, (kind,))
     least = SINUSOID_RATIO if is_line else LEAST_DECREASE
@@ -178,7 +178,7 @@ def _one_more(
         return None
     try:
         new = point_fit(pooled, axis, replace(fit.options, extras=more.extras), more.variances)
-        search = _search_with_covariance_of(pooled, axis, new)
+        search = _search_at(pooled, axis, new)
         more = search.adjusted(search.fitted(more.extras), 2)
         new = point_fit(pooled, axis, replace(fit.options, extras=more.extras), more.variances)
         before = fit.options.table(pooled, axis, new.options.noise(new.variances))
@@ -196,8 +196,8 @@ def _one_more(
     return new if gain > (SINUSOID_RATIO if is_line else GAUSS_MARKOV_RATIO) else None
 
 
-def _search_with_covariance_of(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch:
-    """Return a process search that uses the covariance of the Allan variances of a given fit."""
+def _search_at(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch:
+    """Return a process search with the covariance of the Allan variances fixed at a given fit."""
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.variances))
     used = fit.table.rows(np.isin(fit.table.m, table.m))
@@ -216,40 +216,38 @@ def _with_processes(pooled: PooledTable, axis: int, selected: Selection) -> Sele
     """Return the simplest fit with processes that passes the tests, else one with a model error."""
     plain = replace(selected.fit, options=replace(selected.fit.options, signed=False))
     # Filtered samples usually need a negative q, which only the next search allows.
-    best = _with_searched_processes(
-        pooled, axis, plain, Z_STOP_SEARCH if selected.filtered else np.inf
-    )
+    best = _search_processes(pooled, axis, plain, Z_STOP_SEARCH if selected.filtered else np.inf)
     if passes_unfiltered(best):
-        best = _with_bounded_drift(pooled, axis, best)
+        best = _prefer_bounded_drift(pooled, axis, best)
         return replace(selected, fit=best, filtered=False)
     filtered = selected.filtered or looks_filtered(best)
     tried = [] if looks_filtered(best) else [best]
     if selected.filtered:
-        tried.append(_with_searched_processes(pooled, axis, selected.fit))
+        tried.append(_search_processes(pooled, axis, selected.fit))
     good = [fit for fit in tried if passes_unfiltered(fit)]
     if not good and (filtered or goodness_z(best) > Z_EXCLUDE_SHORT):
-        good, tried = _excluding_short_averages(pooled, axis, selected.fit, tried or [best])
+        good, tried = _exclude_short_averages(pooled, axis, selected.fit, tried or [best])
     if good:
         best_fit = next((fit for fit in good if goodness_z(fit) < Z_GOOD), good[0])
     else:
         best_fit = min(tried, key=lambda fit: (looks_filtered(fit), goodness_z(fit)))
-    best_fit = _with_bounded_drift(pooled, axis, best_fit)
+    best_fit = _prefer_bounded_drift(pooled, axis, best_fit)
     lines = [e.shape for e in best.options.extras if isinstance(e, SinusoidTerm)]
     hidden = [f for f in lines if 1.0 / f < 2.0 * best_fit.options.m_min]
     hint = hidden[0] if hidden and best_fit.options.m_min > 1 else None
     selected = replace(selected, fit=best_fit, filtered=filtered, hint=hint)
     if good and goodness_z(best_fit) < Z_FAIL + Z_SLACK:
         return selected
-    return _with_needed_misfit(pooled, axis, selected)
+    return _with_model_error(pooled, axis, selected)
 
 
-def _with_bounded_drift(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
-    """Replace the random walk by a long Gauss-Markov process if this is much more likely."""
+def _prefer_bounded_drift(pooled: PooledTable, axis: int, fit: PointFit) -> PointFit:
+    """Replace the random walk by slow Gauss-Markov processes if this fits much better."""
     # Both models describe the short averages equally well, so the few long averages decide.
     if not fit.variances[K] > 0.0:
         return fit
     without = replace(fit, options=replace(fit.options, walk=False))
-    other = _with_searched_processes(pooled, axis, without)
+    other = _search_processes(pooled, axis, without)
     z = goodness_z(fit)
     # A model that fails the test gets a model error anyway, so z is less important.
     most = max(z, Z_FAIL) + Z_SLACK if z < Z_FAIL + Z_SLACK else 2.0 * z
@@ -258,7 +256,7 @@ def _with_bounded_drift(pooled: PooledTable, axis: int, fit: PointFit) -> PointF
     if not more and goodness_z(other) <= most and aic(other) + BOUNDED_MARGIN < aic(fit):
         return other
     # The search also fits errors of the short averages, which the model error should cover.
-    others = _with_process_for_walk(pooled, axis, fit) if fit.options.misfit.size > 0.0 else []
+    others = _replace_walk(pooled, axis, fit) if fit.options.misfit.size > 0.0 else []
     other = min([fit, *others], key=lambda each: aic(each, fit.options.misfit))
     gain = aic(fit, fit.options.misfit) - aic(other, fit.options.misfit)
     return other if gain > BOUNDED_MARGIN else fit
@@ -268,8 +266,8 @@ def _sinusoids(fit: PointFit) -> int:
     return sum(isinstance(extra, SinusoidTerm) for extra in fit.options.extras)
 
 
-def _with_process_for_walk(pooled: PooledTable, axis: int, fit: PointFit) -> list[PointFit]:
-    """Return fits with one more, long Gauss-Markov process and without a random walk."""
+def _replace_walk(pooled: PooledTable, axis: int, fit: PointFit) -> list[PointFit]:
+    """Return fits in which one slow Gauss-Markov process replaces the random walk."""
     extras = fit.options.extras
     count = sum(isinstance(extra, GaussMarkovTerm) for extra in extras)
     if count == MAX_PROCESSES[GaussMarkovTerm]:
@@ -286,8 +284,8 @@ def _with_process_for_walk(pooled: PooledTable, axis: int, fit: PointFit) -> lis
     return out
 
 
-def _with_needed_misfit(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
-    """Return the selection with a model error at the averaging times that need one."""
+def _with_model_error(pooled: PooledTable, axis: int, selected: Selection) -> Selection:
+    """Repeat the fit with a relative model error that makes it pass the tests."""
     fit, misfit = selected.fit, NO_MISFIT
     signed = fit.options.signed
     if goodness_z(fit) >= Z_FAIL:
@@ -300,10 +298,10 @@ def _with_needed_misfit(pooled: PooledTable, axis: int, selected: Selection) -> 
     return replace(selected, fit=with_error, levels_off=levels_off)
 
 
-def _with_searched_processes(
+def _search_processes(
     pooled: PooledTable, axis: int, fit: PointFit, largest_z: float = np.inf
 ) -> PointFit:
-    """Return the fit with the processes that a search finds, if any."""
+    """Search for processes and repeat the fit with them."""
     # The covariance of a model is wrong where the model fails. The first search therefore uses that
     # of the five terms, scaled to the measured curve. It is not repeated if its normal deviate
     # exceeds ``largest_z``.
@@ -323,12 +321,12 @@ def _with_searched_processes(
             break
         if settled or search.z(found) > largest_z:
             break
-        search = _search_with_covariance_of(pooled, axis, fit)
+        search = _search_at(pooled, axis, fit)
     return fit
 
 
 def _scaled_covariance(table: Table) -> Floats:
-    """Return the covariance of the initial estimate, scaled by measured / modeled variances."""
+    """Return the covariance of a first estimate, scaled to the measured Allan variances."""
     variances = initial_variances(table)
     model = table.terms @ variances
     growth = np.where(table.avar > 0.0, table.avar, model) / model
@@ -336,19 +334,20 @@ def _scaled_covariance(table: Table) -> Floats:
 
 
 def _same_shapes(new: tuple[Process, ...], old: tuple[Process, ...]) -> bool:
-    """Return whether both lists have the same processes with nearly equal times and frequencies."""
+    """Return whether both lists contain the same processes with nearly equal shapes."""
     return len(new) == len(old) and all(
         type(a) is type(b) and abs(a.shape - b.shape) <= SAME_SHAPE * b.shape
         for a, b in zip(new, old)
     )
 
 
-def _excluding_short_averages(
+def _exclude_short_averages(
     pooled: PooledTable, axis: int, fit: PointFit, tried: list[PointFit]
 ) -> tuple[list[PointFit], list[PointFit]]:
-    """Return passing fits without short averages, best first, and fits to use if none passes."""
-    # ``tried`` contains fits of all averages, which fail. With a small model error, such a fit may
-    # still determine N far better than a fit of a part of the averages.
+    """Return the fits without short averaging times that pass (best first), and alternatives."""
+    # The alternatives are used if no fit passes. ``tried`` contains fits of all averages, which
+    # fail. With a small model error, such a fit may still determine N far better than a fit of a
+    # part of the averages.
     with_error = {
         relative_error_of_n(pooled, axis, each): each
         for each in (with_model_error(pooled, axis, t) for t in tried if not looks_filtered(t))
@@ -358,9 +357,7 @@ def _excluding_short_averages(
     cuts = _fits_excluding_short(pooled, axis, start, most)
     good = {relative_error_of_n(pooled, axis, cut): cut for cut in cuts if passes_unfiltered(cut)}
     most = min(most, FILTER_LIKE_ERROR_RATIO * min(good, default=np.inf))
-    best_first = sorted(
-        (_filter_like_processes(cut), cut.options.m_min, e) for e, cut in good.items()
-    )
+    best_first = sorted((_count_filter_like(cut), cut.options.m_min, e) for e, cut in good.items())
     usable = [good[e] for _, _, e in best_first if e < most]
     return usable, [with_error[min(with_error)]] if with_error else [*tried, *cuts]
 
@@ -368,7 +365,7 @@ def _excluding_short_averages(
 def _fits_excluding_short(
     pooled: PooledTable, axis: int, start: PointFit, largest_error: float
 ) -> list[PointFit]:
-    """Return fits with increasing smallest averaging factor, up to one that clearly passes."""
+    """Return fits that exclude more and more short averaging times, until one clearly passes."""
     out: list[PointFit] = []
     for m_min in M_MIN:
         if np.count_nonzero(start.table.m >= m_min) <= 2 * len(RANDOM_TERMS):
@@ -381,13 +378,13 @@ def _fits_excluding_short(
             kept = tuple(e for e in start.options.extras if e.scale > KEPT_SCALE * m_min)
             variances = np.append(fit.variances, np.zeros(len(kept)))
             known = PointFit(variances, fit.table, replace(options, extras=kept))
-            fit = _with_searched_processes(pooled, axis, known, Z_STOP_SEARCH)
+            fit = _search_processes(pooled, axis, known, Z_STOP_SEARCH)
         out.append(fit)
-        if passes_unfiltered(fit) and goodness_z(fit) < Z_GOOD and not _filter_like_processes(fit):
+        if passes_unfiltered(fit) and goodness_z(fit) < Z_GOOD and not _count_filter_like(fit):
             break
     return out
 
 
-def _filter_like_processes(fit: PointFit) -> int:
-    """Return the number of processes that may describe a filter."""
+def _count_filter_like(fit: PointFit) -> int:
+    """Return the number of processes that may be the effect of a low-pass filter."""
     return sum(e.scale < FILTER_LIKE_SCALE * fit.options.m_min for e in fit.options.extras)

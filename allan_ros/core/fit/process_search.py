@@ -146,13 +146,13 @@ class ProcessSearch:
         lines = _spaced(SINUSOID_PERIODS / samples, FASTEST_SINUSOID / float(table.m[0]))
         self._grid: list[Process] = [GaussMarkovTerm(float(t)) for t in drifts]
         self._grid += [SinusoidTerm(float(f)) for f in lines]
-        self._columns = self._white(self._grid)
+        self._columns = self._whitened_columns(self._grid)
         self._of_kind = {
             kind: np.array([isinstance(e, kind) for e in self._grid], bool)
             for kind in (GaussMarkovTerm, SinusoidTerm)
         }
 
-    def _white(self, extras: Sequence[Process]) -> Floats:
+    def _whitened_columns(self, extras: Sequence[Process]) -> Floats:
         """Return the whitened columns of processes, (rows, processes)."""
         if not extras:
             return np.zeros((len(self._target), 0))
@@ -160,7 +160,7 @@ class ProcessSearch:
 
     def fitted(self, extras: Sequence[Process]) -> ProcessFit:
         """Return the fit of given processes and the four random terms."""
-        design = np.column_stack([self._terms, self._white(extras)])
+        design = np.column_stack([self._terms, self._whitened_columns(extras)])
         variances = nonnegative_least_squares(design, self._target, (Q,) if self.signed else ())
         residual = self._target - design @ variances
         return ProcessFit(tuple(extras), variances, float(residual @ residual))
@@ -168,22 +168,22 @@ class ProcessSearch:
     def search(self, start: Sequence[Process] = ()) -> ProcessFit:
         """Return the fit with the fewest processes that describe the data.
 
-        The search begins with the processes ``start``; those that are not significant are removed.
+        The search begins with the processes ``start`` and removes insignificant ones.
         """
-        found = self._pruned(self.adjusted(self.fitted(start)))
+        found = self._remove_insignificant(self.adjusted(self.fitted(start)))
         while True:
             more = self.with_one_more(found)
-            if more is None or found.chi_squared - more.chi_squared < self._needed(found):
-                return self.adjusted(self._with_drift_process(found), SWEEPS)
+            if more is None or found.chi_squared - more.chi_squared < self._least_decrease(found):
+                return self.adjusted(self._add_drift_process(found), SWEEPS)
             found = more
 
-    def _pruned(self, found: ProcessFit) -> ProcessFit:
-        """Return the fit without the processes that are not significant."""
+    def _remove_insignificant(self, found: ProcessFit) -> ProcessFit:
+        """Remove the processes that are not significant."""
         while found.extras:
-            without = [self._without(found, out) for out in range(len(found.extras))]
+            without = [self._remove_process(found, out) for out in range(len(found.extras))]
             gains = [less.chi_squared - found.chi_squared for less in without]
             excess = [
-                gain - self._needed(less, extra)
+                gain - self._least_decrease(less, extra)
                 for gain, less, extra in zip(gains, without, found.extras)
             ]
             if min(excess) > 0.0:
@@ -191,31 +191,32 @@ class ProcessSearch:
             found = self.adjusted(without[int(np.argmin(excess))])
         return found
 
-    def _without(self, found: ProcessFit, out: int) -> ProcessFit:
-        """Return the fit without one process; a sinusoid close to a removed one is adjusted."""
+    def _remove_process(self, found: ProcessFit, out: int) -> ProcessFit:
+        """Remove the process at index ``out`` and fit again."""
+        # A sinusoid close to a removed one is adjusted.
         kept = [e for k, e in enumerate(found.extras) if k != out]
         less = self.fitted(kept)
         gone = found.extras[out]
         for k, other in enumerate(kept):
             near = abs(np.log2(other.shape / gone.shape)) * SHAPES_PER_OCTAVE < 1.0
             if isinstance(gone, SinusoidTerm) and isinstance(other, SinusoidTerm) and near:
-                less = self._with_best_shape(less, k, everywhere=False)
+                less = self._adjust_process(less, k, everywhere=False)
         return less
 
-    def _with_drift_process(self, found: ProcessFit) -> ProcessFit:
-        """Add a Gauss-Markov process if the model has no random walk and chi^2 decreases enough."""
+    def _add_drift_process(self, found: ProcessFit) -> ProcessFit:
+        """Add a Gauss-Markov process to a model without random walk, if chi^2 decreases enough."""
         if self._walk:
             return found
         more = self.with_one_more(found, (GaussMarkovTerm,))
-        pays = more is not None and found.chi_squared - more.chi_squared > NO_WALK_GAIN
-        return more if more is not None and pays else found
+        enough = more is not None and found.chi_squared - more.chi_squared > NO_WALK_GAIN
+        return more if more is not None and enough else found
 
     def z(self, found: ProcessFit) -> float:
-        """Return the chi^2 test of a fit as a normal deviate."""
+        """Return the standardised chi^2 of a fit, (chi^2 - nu) / sqrt(2 nu)."""
         freedom = max(self.freedom - np.count_nonzero(found.variances) - len(found.extras), 1.0)
         return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
 
-    def _needed(self, found: ProcessFit, extra: Process | None = None) -> float:
+    def _least_decrease(self, found: ProcessFit, extra: Process | None = None) -> float:
         """Return the decrease of chi^2 above which one more process is significant."""
         if isinstance(extra, GaussMarkovTerm) and not self._walk:
             return NO_WALK_GAIN
@@ -248,29 +249,29 @@ class ProcessSearch:
             lowest = (chi_squared <= around[:-2]) & (chi_squared <= around[2:])
             minima = np.flatnonzero(lowest & np.isfinite(chi_squared))
             tried = minima[np.argsort(chi_squared[minima])][:STRONG_STARTS].tolist()
-        more = [self._with(found, self._grid[at[k]], refined=len(tried) > 1) for k in tried]
+        more = [self._add_process(found, self._grid[at[k]], refined=len(tried) > 1) for k in tried]
         return self.adjusted(min(more, key=lambda each: each.chi_squared))
 
-    def _with(self, found: ProcessFit, extra: Process, refined: bool) -> ProcessFit:
-        """Return the fit with a given process added, with its best shape if ``refined``."""
+    def _add_process(self, found: ProcessFit, extra: Process, refined: bool) -> ProcessFit:
+        """Add a process and fit again; adjust its correlation time or frequency if refined."""
         extras = _sorted([*found.extras, extra])
         more = self.fitted(extras)
         if not refined:
             return more
-        return self._with_best_shape(more, extras.index(extra), everywhere=False)
+        return self._adjust_process(more, extras.index(extra), everywhere=False)
 
     def adjusted(self, found: ProcessFit, sweeps: int = 1) -> ProcessFit:
-        """Return the fit with all correlation times and frequencies adjusted in turn."""
+        """Improve each correlation time and frequency in turn, up to ``sweeps`` times."""
         for sweep in range(sweeps):
             before = found.chi_squared
             for k in range(len(found.extras)):
-                found = self._with_best_shape(found, k, everywhere=sweep == 0)
+                found = self._adjust_process(found, k, everywhere=sweep == 0)
             if before - found.chi_squared < NEGLIGIBLE_GAIN:
                 break
         return found
 
-    def _with_best_shape(self, found: ProcessFit, k: int, everywhere: bool) -> ProcessFit:
-        """Return the fit with the best correlation time or frequency of process k."""
+    def _adjust_process(self, found: ProcessFit, k: int, everywhere: bool) -> ProcessFit:
+        """Choose the best correlation time or frequency of process k and fit again."""
         # Without ``everywhere``, only values near the present one are searched.
         best = found.extras[k]
         others = [e for n, e in enumerate(found.extras) if n != k]
@@ -294,7 +295,9 @@ class ProcessSearch:
             reach = step ** (ZOOM**-zoom)
             shapes = best.shape * np.geomspace(1.0 / reach, reach, 2 * points + 1)
             fine = [replace(best, shape=float(s)) for s in np.clip(shapes, low, high)]
-            chi_squared = self._chi_squared_with(others, variances, self._white(fine), (active,))
+            chi_squared = self._chi_squared_with(
+                others, variances, self._whitened_columns(fine), (active,)
+            )
             least = float(chi_squared.min())
             if not np.isfinite(least):
                 break
@@ -312,10 +315,10 @@ class ProcessSearch:
         candidates: Floats,
         actives: Sequence[tuple[int, ...]] = ((), (B,), (K,), (B, K)),
     ) -> Floats:
-        """Return chi^2 with each candidate column added; inf if a coefficient becomes negative."""
-        # Each of ``actives`` lists which of flicker and random walk may differ from 0; the smallest
-        # chi^2 is returned.
-        known = np.column_stack([self._terms, self._white(extras)])
+        """Return chi^2 of the fit with each candidate column added, (candidates,)."""
+        # It is infinite if a coefficient becomes negative. Each of ``actives`` lists which of
+        # flicker and random walk may differ from 0; the smallest chi^2 is returned.
+        known = np.column_stack([self._terms, self._whitened_columns(extras)])
         least = np.full(candidates.shape[1], np.inf)
         # A small white noise coefficient could become negative next to another process.
         white = self.table.terms[:, N] * variances[N]
@@ -347,7 +350,7 @@ class ProcessSearch:
 
 
 def _spaced(low: float, high: float) -> Floats:
-    """Return values that are evenly spaced in their logarithm; none if low >= high."""
+    """Return logarithmically spaced values; none if low >= high."""
     if low >= high:
         return np.zeros(0)
     return np.geomspace(low, high, int(np.log2(high / low) * SHAPES_PER_OCTAVE) + 2)

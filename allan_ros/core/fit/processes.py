@@ -45,11 +45,14 @@ class GaussMarkovTerm:
 
     @property
     def scale(self) -> float:
-        """Averaging factor at which the process is largest relative to white noise."""
+        """Averaging factor at which the Allan variance is largest relative to white noise."""
         return 1.89 * self.shape
 
-    def white(self) -> float:
-        """Return the variance of white noise with the low-frequency density of a unit process."""
+    def equivalent_white(self) -> float:
+        """Return the variance of white noise with the same spectral density at low frequencies.
+
+        The process has unit variance.
+        """
         return float(gauss_markov_sums(self.shape)[0][0])
 
 
@@ -74,12 +77,13 @@ def correlation_times(extras: Sequence[Process]) -> tuple[float, ...]:
 
 
 def amplitude_variance(samples: int, times: Sequence[float], lines: Sequence[Process]) -> Floats:
-    """Return the variance of the estimated squared amplitudes of sinusoids, (sinusoids, 4 + times).
+    """Return the variance of estimated squared amplitudes due to noise, (sinusoids, 4 + times).
 
-    White noise of two-sided density S adds 8 A^2 S / n to this variance for an amplitude A and n
-    ``samples``. The result is relative to A^2, per unit of each variance coefficient. ``lines`` are
-    the sinusoids, and ``times`` the correlation times of Gauss-Markov processes in samples.
+    It is divided by the squared amplitude, and given per unit coefficient of the four random terms
+    and of Gauss-Markov processes with the correlation times ``times`` in samples. ``lines`` are the
+    sinusoids, and ``samples`` is the length of the record.
     """
+    # Noise of two-sided density S adds 8 A^2 S / n for an amplitude A and n samples.
     rows = []
     for line in lines:
         omega = 2.0 * np.pi * line.shape
@@ -97,23 +101,23 @@ def amplitude_variance(samples: int, times: Sequence[float], lines: Sequence[Pro
 def independent_variance(
     m: Ints, stride: Ints, count: Ints, samples: int, segments: int, lines: Sequence[Process]
 ) -> Floats:
-    """Return the variance that sinusoids add to each Allan variance, uncorrelated between factors.
+    """Return the variance of each Allan variance due to sinusoids, (2, sinusoids, factors).
 
-    An Allan variance contains the means of l d and l^2, where l are the differences of a sinusoid
-    and d those of white noise, at C = ``count`` start positions with a distance of s = ``stride``
-    samples.
+    Only the part that is uncorrelated between averaging factors is included.
 
-    - Row 0: the variance of mean(l d) is E[l^2]/C sum_k (1 - |k|/C) cos(omega s k) R_d(s k), where
-      R_d is the autocovariance of d. The part of `amplitude_variance` is subtracted; noise at the
-      aliases of the sinusoid remains.
-    - Row 1: mean(l^2) depends on the phase of the sinusoid. Its relative standard deviation is
-      about sqrt(``segments``)/(2 C sin(omega s)), and 1/sqrt2 if all starts have the same phase.
+    - Row 0: due to white noise at aliases of the sinusoid, per A^2 w for the amplitude A and the
+      white noise coefficient w.
+    - Row 1: due to the random phase of the sinusoid, per A^4.
 
-    Returns
-    -------
-    (2, sinusoids, factors) float64 array
-        Relative to the squared amplitude times w, and to the square of the squared amplitude.
+    The arguments are the averaging factors, the samples between two start positions, the numbers
+    of differences, the numbers of samples and of segments, and the sinusoids.
     """
+    # An Allan variance contains the means of l d and l^2 over C = ``count`` starts at a distance of
+    # s = ``stride`` samples, where l are the differences of the sinusoid and d those of the noise.
+    # Row 0: mean(l d) has the variance E[l^2]/C sum_k (1 - |k|/C) cos(omega s k) R_d(s k), with the
+    # autocovariance R_d of d. The part of `amplitude_variance` is subtracted.
+    # Row 1: mean(l^2) has the relative standard deviation sqrt(``segments``)/(2 C sin(omega s)), or
+    # 1/sqrt2 if all starts have the same phase.
     out = np.zeros((2, len(lines), len(m)))
     if not lines:
         return out
@@ -182,10 +186,9 @@ def process_squares(
     lengths: Sequence[tuple[float, int]],
     times: Sequence[float],
 ) -> Floats:
-    """Return the covariance of the sums of d^2/(2 m^2) due to unit Gauss-Markov processes.
+    """Return the covariance that Gauss-Markov processes add to Allan sums, per unit coefficients.
 
-    It is the sum of 2 C_a C_b over all pairs of differences. C_a and C_b are the covariances of the
-    differences of two processes, or of a random term and a process.
+    An Allan sum is the sum of d^2/(2 m^2) over all differences d at an averaging factor m.
 
     Parameters
     ----------
@@ -199,9 +202,10 @@ def process_squares(
     Returns
     -------
     (products, pairs) float64 array
-        For the `process_pairs`, at the pairs of factors i <= j of `numpy.triu_indices`. Doubled if
-        a and b differ.
+        One row for each of the `process_pairs` of coefficients, one column for each pair of
+        factors i <= j of `numpy.triu_indices`.
     """
+    # Sums of 2 C_a C_b over all pairs of differences, doubled if a and b differ.
     i, j = np.triu_indices(len(m))
     segments = _Segments(lengths)
     products = process_pairs(len(times))
@@ -214,7 +218,7 @@ def process_squares(
 
 
 class _Segments:
-    """Numbers and total lengths of the segments that are longer than given lengths."""
+    """Counts of segments and of their differences, from (samples, number of segments) pairs."""
 
     def __init__(self, lengths: Sequence[tuple[float, int]]) -> None:
         by_length = sorted(lengths)
@@ -225,27 +229,27 @@ class _Segments:
         self._total = np.append(total, 0.0)
 
     def longer(self, than: Floats) -> tuple[Floats, Floats]:
-        """Return the number of segments longer than ``than`` samples, and their total length."""
+        """Return the number and the total length of segments longer than ``than`` samples."""
         at = np.searchsorted(self.samples, than, side='right')
         return self._number[at], self._total[at]
 
     def differences(self, reach: Floats, stride: Floats) -> Floats:
-        """Return the number of differences that span ``reach`` samples, one per ``stride``."""
+        """Return the number of differences over ``reach`` samples that start every ``stride``."""
         each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
         return np.asarray(np.maximum(each, 0.0) @ self.number)
 
     def unused(self, reach: Floats, stride: Floats, least: Floats) -> Floats:
-        """Return the mean length after the last difference, for segments of at least ``least``."""
+        """Return the mean number of samples after the last difference of a segment.
+
+        Segments shorter than ``least`` samples are ignored.
+        """
         enough = (self.samples >= least[:, None]) * self.number
         remainder = np.mod(self.samples - reach[:, None], stride[:, None])
         return np.asarray((remainder * enough).sum(axis=1) / np.maximum(enough.sum(axis=1), 1.0))
 
 
 class _Lags:
-    """Sums over lags of products of covariances, for given pairs of averaging factors.
-
-    The covariance of two differences is smooth between certain lags, called corners.
-    """
+    """Sums over lags of products of covariances, for given pairs of averaging factors."""
 
     def __init__(self, mi: Ints, mj: Ints, si: Ints, sj: Ints, segments: _Segments) -> None:
         self.mi, self.mj = mi.astype(float), mj.astype(float)
@@ -303,7 +307,7 @@ class _Lags:
         return np.stack(out)
 
     def sums(self, times: Sequence[float], products: Sequence[tuple[int, int]]) -> Floats:
-        """Return covariances of sums of d^2/(2 m^2) for the ``products``, (products, pairs)."""
+        """Return the covariances of Allan sums per product of coefficients, (products, pairs)."""
         u, weight = self._weights(max(times))
         c = self.covariances(u, times)
         corners = np.stack([np.zeros_like(self.mi), self.mi, self.mj, self.near, self.far], axis=1)
@@ -333,7 +337,7 @@ class _Lags:
         return out
 
     def _weights(self, longest: float) -> tuple[Floats, Floats]:
-        """Return lags and their weights in the quadrature, (pairs, nodes) each."""
+        """Return the lags and weights of the quadrature, (pairs, nodes) each."""
         # The slope of the number of pairs changes where a segment ends. A segment that ends between
         # two corners is integrated up to its end, with the polynomial through the nodes.
         lags, weights = [], []
@@ -357,7 +361,7 @@ class _Lags:
         return u, weight
 
     def _add_ends(self, weight: Floats, low: Floats, high: Floats, u: Floats) -> None:
-        """Add the weights of segments whose longest lag is between low and high, in place."""
+        """Add to ``weight``, in place, segments whose longest lag is between low and high."""
         _, outer = self._step_corrections()
         width = (high - low)[:, None]
         first = np.maximum(np.maximum(low, self.near) + self.less, 2.0 * self.mj - 1.0)
@@ -376,7 +380,7 @@ class _Lags:
             weight[at] += 2.0 * number * outer[at, None] * (powers[:, :NODES] @ _AT)
 
     def _bounds(self, longest: float) -> list[Floats]:
-        """Return the lags between which the covariance is smooth, in increasing order."""
+        """Return the limits of the lag ranges in which the covariance is smooth."""
         corners = np.sort(
             np.stack([np.zeros_like(self.mi), self.mi, self.near, self.mj, self.far]), axis=0
         )
@@ -384,7 +388,7 @@ class _Lags:
         return [np.minimum(lag, np.maximum(self.end, 0.0)) for lag in (*corners, *tail)]
 
     def _step_corrections(self) -> tuple[Floats, Floats]:
-        """Return corrections of the quadrature because the number of pairs decreases in steps."""
+        """Return corrections of the quadrature for the stepwise decrease of the number of pairs."""
         # A step is ``ratio`` lags wide. The corrections are the differences between a sum over the
         # steps and the integral of a straight line at the beginning and at the end of the decrease,
         # in units of the squared covariance.
@@ -396,5 +400,6 @@ class _Lags:
 
 
 def _square_log(t: Floats, scale: Floats) -> Floats:
-    """Return t^2 ln(t/scale), where ``scale`` has no effect on the covariance of differences."""
+    """Return t^2 ln(t/scale)."""
+    # ``scale`` has no effect on the covariance of differences.
     return np.asarray(t * t * np.log(np.maximum(t, 1e-9) / scale))

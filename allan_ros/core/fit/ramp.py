@@ -74,10 +74,10 @@ class Noise(NamedTuple):
     variances: Floats = WHITE
     times: tuple[float, ...] = ()
 
-    def white(self) -> Floats:
-        """Return q, w, b, k >= 0 with the Gauss-Markov processes replaced by white noise.
+    def without_processes(self) -> Floats:
+        """Return q, w, b, k >= 0 with each Gauss-Markov process replaced by white noise.
 
-        The white noise has the same spectral density at low frequencies.
+        The white noise has the spectral density of the process at low frequencies.
         """
         variances = np.maximum(self.variances, 0.0)
         four = variances[: len(RANDOM_TERMS)].copy()
@@ -88,9 +88,9 @@ class Noise(NamedTuple):
 
 @dataclass(frozen=True)
 class RampEffect:
-    """Variance of an estimated linear drift (ramp), and its covariance with the mean differences.
+    """Variance of an estimated linear drift (ramp), and its covariance with mean differences.
 
-    Both are per unit coefficient of the four random terms and of the processes.
+    Both are per unit coefficient; ``noises`` are the four random terms and the processes.
 
     Attributes
     ----------
@@ -104,9 +104,9 @@ class RampEffect:
     variance: Floats
 
     def shift(self, m: Ints) -> Floats:
-        """Return the change of the Allan variances due to the removed ramp, (factors, noises).
+        """Return the change of the expected Allan variances due to the removal of the ramp.
 
-        Per unit coefficient, it is -sqrt2 m ``cross`` + m^2 ``variance`` / 2.
+        It is -sqrt2 m ``cross`` + m^2 ``variance`` / 2 per unit coefficient, (factors, noises).
         """
         factor = m.astype(float)
         added = np.outer(self.variance, factor**2 / 2.0) - np.sqrt(2.0) * factor * self.cross
@@ -166,7 +166,7 @@ class RampGeometry:
         return np.asarray(np.convolve(solution / solution.sum(), DIFFERENCE) / self.step**2)
 
     def effect(self, weights: Floats, times: Sequence[float] | Floats = ()) -> RampEffect:
-        """Return the `RampEffect` of a ramp estimate with given weights of the phase points.
+        """Return variance and covariances of the ramp estimate ``weights @ phase``.
 
         ``times`` are the correlation times, in samples, of processes that follow the four terms.
         """
@@ -176,10 +176,9 @@ class RampGeometry:
         return RampEffect(cross, self.variance(weights, times))
 
     def variance(self, weights: Floats, times: Sequence[float] | Floats = ()) -> Floats:
-        """Return the variance of a ramp estimate per unit coefficient, (4 + times,).
+        """Return the variance of the ramp estimate ``weights @ phase`` per unit coefficient.
 
-        ``weights`` are the weights of the phase points, ``times`` the correlation times of
-        processes.
+        The shape is (4 + times,), where ``times`` are correlation times of processes in samples.
         """
         on_second = np.cumsum(np.cumsum(weights))[:-2]
         # w' Z w of a Toeplitz matrix Z is the sum of its lags times the autocorrelation of w.
@@ -191,7 +190,7 @@ class RampGeometry:
         return np.asarray(np.concatenate(rows) @ lags)
 
     def _process_differences(self, times: Sequence[float] | Floats) -> Floats:
-        """Return ``second_differences`` of unit Gauss-Markov processes, (processes, points - 2)."""
+        """Return ``second_differences`` for unit processes, (processes, points - 2)."""
         slope, size = gauss_markov_sums(times)
         lags = np.abs(np.arange(-2, max(self.points, 3))) * float(self.step)
         decay = np.exp(-lags / np.reshape(times, (-1, 1)))
@@ -205,7 +204,7 @@ class RampGeometry:
     def _process_cross(
         self, weights: Floats, times: Sequence[float] | Floats, white: Floats
     ) -> Floats:
-        """Return ``cross`` of `RampEffect` for Gauss-Markov processes, (processes, factors)."""
+        """Return the covariances `RampEffect.cross` of unit processes, (processes, factors)."""
         # The integral of exp(-|t|/T) is T sign(t) (1 - exp(-|t|/T)). The sum of its values at t - x
         # over the points x follows from sums of the weights before and after t, with and without an
         # exponential factor. These are computed as convolutions.
@@ -244,7 +243,7 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
         [np.convolve(g, _FOURTH_DIFFERENCE, mode='valid') for g in phase_covariance(lags)]
     )[:, : points - 2]
     at = np.arange(points) * float(step)
-    ends, shares = _ends(samples)
+    ends, shares = _integral_limits(samples)
     cross = np.zeros((len(RANDOM_TERMS), len(m), points))
     exact = np.zeros((len(m), points))
     for a, c in enumerate(DIFFERENCE):
@@ -261,14 +260,14 @@ def ramp_geometry(samples: int, step: int = 0) -> RampGeometry:
     norm = (np.sqrt(2.0) * m * count)[:, None]
     cross[0] /= norm
     for end, share in zip(ends.T, shares.T):
-        cross[1:] += share[:, None] * _integral(end[:, None] - at, at[-1], stride[:, None])
+        cross[1:] += share[:, None] * _phase_integrals(end[:, None] - at, at[-1], stride[:, None])
     excess = exact / norm - cross[N]
     cross[N:] += np.multiply.outer([1.0, 0.0, 1.0 / 6.0], excess)
     return RampGeometry(points, step, m, second_differences, cross, ends, shares, excess, stride)
 
 
 def _slope_correction(time: Floats, stride: Ints) -> Floats:
-    """Return the difference of sum and integral over starts, relative to that of white noise."""
+    """Return a correction of integrals over start positions, relative to that of white noise."""
     # The covariance of a Gauss-Markov process has a discontinuous slope at lag 0, where a sum over
     # starts at a distance of s samples differs from an integral. The sum of exp(-|t|/T) is
     # coth(s/2T), its integral 2T/s. For white noise, -|t|/2, sum and integral differ by s/12.
@@ -280,13 +279,13 @@ def _slope_correction(time: Floats, stride: Ints) -> Floats:
 
 
 def _sum_over_integral(time: Floats, stride: Ints) -> Floats:
-    """Return the sum of exp(-t/T) at steps of ``stride``, relative to its integral."""
+    """Return the ratio of the sum of exp(-t/time) at steps of ``stride`` to its integral."""
     half = np.minimum(stride / (2.0 * time), 300.0)
     return np.asarray(half / np.sinh(half))
 
 
-def _ends(samples: int) -> tuple[Floats, Floats]:
-    """Return limits and weights of integrals that replace means over all starts, (factors, 6)."""
+def _integral_limits(samples: int) -> tuple[Floats, Floats]:
+    """Return limits and weights of the integrals over start positions, (factors, 6) each."""
     # The sum over starts u = 0, s .. (M-1) s of sum_a c_a G(u + a m - x) is replaced by the
     # integral from -s/2 to (M - 1/2) s. G is the covariance of the phase.
     m, stride = grid_for(samples)
@@ -297,8 +296,8 @@ def _ends(samples: int) -> tuple[Floats, Floats]:
     return np.stack(ends, axis=1), np.stack(shares, axis=1)
 
 
-def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
-    """Return the integrals from 0 to t of the phase covariances of w, b and k, (3, ...)."""
+def _phase_integrals(t: Floats, unit: float, stride: Ints) -> Floats:
+    """Return the phase covariances of w, b and k integrated from 0 to t, (3, ...)."""
     # They are reduced by s^2/24 times the second derivative of the integral, which converts it to
     # the sum over starts (Euler-Maclaurin). ``unit`` scales the lags in the logarithm, which has no
     # effect on the result.
@@ -313,15 +312,16 @@ def _integral(t: Floats, unit: float, stride: Ints) -> Floats:
 
 @lru_cache(maxsize=256)
 def mean_covariances(samples: int, time: float) -> Floats:
-    """Return the covariances of mean differences S_i, S_j of a Gauss-Markov process, (pairs,).
+    """Return the covariances of the mean differences at two averaging factors, (pairs,).
 
-    The process has unit variance and the correlation time ``time`` in samples. The pairs are i <= j
-    of `numpy.triu_indices`. The double sum over the starts is computed as a double integral of the
-    covariance of the phase, whose second antiderivative is -A |t|^3/12 - B/2 (T^2 exp(-|t|/T) + T
-    |t|), with A and B of `gauss_markov_sums`.
+    The noise is a Gauss-Markov process of unit variance with the correlation time ``time`` in
+    samples. The pairs are the factors i <= j of `numpy.triu_indices`.
     """
+    # The double sum over the starts is computed as a double integral of the covariance of the
+    # phase, whose second antiderivative is -A |t|^3/12 - B/2 (T^2 exp(-|t|/T) + T |t|), with A and
+    # B of `gauss_markov_sums`.
     slope, size = (float(x[0]) for x in gauss_markov_sums(time))
-    ends, shares = _ends(samples)
+    ends, shares = _integral_limits(samples)
     t = np.abs(ends.reshape(-1, 1) - ends.ravel())
     stride = grid_for(samples)[1]
     end = np.repeat(stride**2 / 24.0, ends.shape[1])
@@ -342,7 +342,7 @@ def mean_covariances(samples: int, time: float) -> Floats:
 
 
 def least_squares_effect(samples: int, times: Sequence[float] | Floats = ()) -> RampEffect | None:
-    """Return the `RampEffect` of the least-squares line of a segment, or None if it is too short.
+    """Return the `RampEffect` of a least-squares ramp, or None if the segment is too short.
 
     ``times`` are correlation times of processes in samples.
     """
@@ -359,32 +359,33 @@ def pooled_shift(
     count: Ints,
     times: Sequence[float] | Floats = (),
 ) -> Floats:
-    """Return the change of the Allan sums of pooled segments due to removed linear drifts.
+    """Return the change of expected Allan sums due to linear drifts removed from short segments.
 
-    It is the change of the expected sums of d^2/(2 m^2) per unit coefficient, (factors, 4 +
-    processes). ``classes`` are groups of segments of similar length. ``m``, ``stride`` and
-    ``count`` are the averaging factors, the samples between two start positions and the
-    numbers of differences of all groups. ``times`` are correlation times of processes in samples.
+    An Allan sum is the sum of d^2/(2 m^2) over all differences d. The result is per unit
+    coefficient, (factors, 4 + processes). ``classes`` are groups of segments of similar length.
+    ``m``, ``stride`` and ``count`` are the averaging factors, the samples between two start
+    positions and the numbers of differences of all groups. ``times`` are correlation times of
+    processes in samples.
     """
     change = np.zeros((len(m), len(RANDOM_TERMS) + len(times)))
     number = np.zeros(len(m))
     partly = np.zeros(len(m), np.int64)
     for pool in classes:
-        mean, low, high = _lengths(pool)
+        mean, low, high = _length_bounds(pool)
         whole = np.flatnonzero(2 * m <= low)
-        here = pool.count * _differences(pool, mean, m[whole], stride[whole])
+        here = pool.count * _differences_per_segment(pool, mean, m[whole], stride[whole])
         number[whole] += here
-        change[whole] += here[:, None] * _shift(round(mean), times)[whole]
+        change[whole] += here[:, None] * _ramp_shift(round(mean), times)[whole]
         partly[(2 * m > low) & (2 * m < high)] = round(mean)
     for i in np.flatnonzero(partly):
         remaining = max(count[i] - number[i], 0.0)
         number[i] += remaining
-        change[i] += remaining * _shift(max(int(partly[i]), 2 * int(m[i])), times)[i]
+        change[i] += remaining * _ramp_shift(max(int(partly[i]), 2 * int(m[i])), times)[i]
     return np.asarray(change * (count / np.maximum(number, 1.0))[:, None])
 
 
-def _lengths(pool: LengthClass) -> tuple[float, float, float]:
-    """Return the mean length of the segments of a class, and the bounds of their lengths."""
+def _length_bounds(pool: LengthClass) -> tuple[float, float, float]:
+    """Return the mean, least and largest possible length of the segments of a length class."""
     mean = pool.samples / pool.count
     if pool.count == 1:
         return mean, mean, mean
@@ -392,27 +393,25 @@ def _lengths(pool: LengthClass) -> tuple[float, float, float]:
     return mean, min(low, mean), low * LENGTH_CLASS_RATIO
 
 
-def _differences(pool: LengthClass, mean: float, m: Ints, stride: Ints) -> Floats:
-    """Return the mean number of differences of a segment of a class at each factor."""
+def _differences_per_segment(pool: LengthClass, mean: float, m: Ints, stride: Ints) -> Floats:
+    """Return the mean number of differences per segment of a length class, (factors,)."""
     if pool.count == 1:
         return counts(pool.samples, m, stride).astype(float)
     # The mean of floor((n - 2 m)/s) + 1 over lengths n with any remainder.
     return np.asarray((mean - 2 * m) / stride + (1.0 + 1.0 / stride) / 2.0)
 
 
-def _shift(samples: int, times: Sequence[float] | Floats) -> Floats:
-    """Return the change of the Allan variances of a segment due to a removed ramp."""
+def _ramp_shift(samples: int, times: Sequence[float] | Floats) -> Floats:
+    """Return the change of Allan variances due to the removal of a ramp, (factors, noises)."""
     effect = least_squares_effect(samples, times)
     m = ramp_geometry(samples).m
     return np.zeros((len(m), len(RANDOM_TERMS) + len(times))) if effect is None else effect.shift(m)
 
 
 class ProcessShift:
-    """Change of the Allan variances of Gauss-Markov processes if linear drifts (ramps) are removed.
+    """Effect of the removal of linear drifts on the Allan variances of Gauss-Markov processes.
 
-    Divided by the spectral density of the process at low frequencies, the change is a smooth
-    function of the logarithm of the correlation time. It is computed once at `SHIFTS_PER_OCTAVE`
-    points and interpolated by cubics.
+    It is computed once at `SHIFTS_PER_OCTAVE` correlation times and interpolated for others.
 
     Parameters
     ----------
@@ -429,11 +428,13 @@ class ProcessShift:
     def _values(self) -> Floats:
         octaves = max(np.log2(self._samples / SHORTEST_SHIFT), 1.0)
         steps = np.arange(-1, int(octaves * SHIFTS_PER_OCTAVE) + 3)
+        # Divided by the spectral density at low frequencies, the change is a smooth function of the
+        # logarithm of the correlation time.
         times = SHORTEST_SHIFT * 2.0 ** (steps / SHIFTS_PER_OCTAVE)
         return np.asarray(self._compute(times) / gauss_markov_sums(times)[0])
 
     def __call__(self, times: Floats) -> Floats:
-        """Return the change for unit processes of given correlation times, (factors, processes)."""
+        """Return the change for unit processes, (factors, times); times are in samples."""
         u = SHIFTS_PER_OCTAVE * np.log2(times / SHORTEST_SHIFT)
         at = np.clip(np.floor(u).astype(np.int64), 0, self._values.shape[1] - 4)
         x = np.maximum(u - at, 0.0)

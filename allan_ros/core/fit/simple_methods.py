@@ -69,7 +69,7 @@ K^2/3, R^2/2 (the paper's eq. 3; IEEE Std 952-1997 annex C)."""
 
 
 def fit_relative(sums: AllanSums) -> NoiseModel:
-    """Fit all axes by least squares on relative residuals; a term of 0 is not resolved."""
+    """Fit all axes by nonnegative least squares on relative residuals."""
     findings: list[Finding] = []
     axes: dict[str, AxisFit] = {}
     tau0, signs = sample_period(sums), _signs_of_ramps(sums)
@@ -91,8 +91,8 @@ def fit_relative(sums: AllanSums) -> NoiseModel:
 def fit_paper(sums: AllanSums) -> NoiseModel:
     """Fit sum A_p tau^p to the Allan variances of all axes (Cong et al. 2019).
 
-    A term whose A_p is negative has no value, and a finding reports it. Another finding reports the
-    fit with overlapping groups and the reduction of its standard errors.
+    A term whose A_p is negative has no value, and a finding reports it. Another finding contains
+    the result with overlapping groups and its smaller standard errors.
     """
     groups, overlapped = fit_polynomials(sums)
     findings: list[Finding] = []
@@ -120,7 +120,7 @@ class Polynomial(NamedTuple):
 
 
 def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:
-    """Return the indices of the averaging times that method 'paper' fits: at most 1300 s."""
+    """Return the indices of the averaging times up to 1300 s, which method 'paper' fits."""
     tau = sums.m * sample_period(sums)
     return np.flatnonzero((tau <= LONGEST_TAU) & (sums.group_count > 0))
 
@@ -128,10 +128,10 @@ def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:
 def fit_polynomials(sums: AllanSums) -> tuple[Polynomial, Polynomial]:
     """Fit sum A_p tau^p to the Allan variances of groups without and with overlap.
 
-    The standard errors of A_p follow from the variance 2 sigma^4/edf of each point, with sigma^2
-    and the degrees of freedom edf of the overlapped curve; correlations of points are ignored. All
-    values are NaN with fewer than five points.
+    The standard errors ignore correlations between points. All values are NaN if there are fewer
+    than five points.
     """
+    # Variance of each point: 2 sigma^4/edf, with sigma^2 of the overlapped curve.
     some = fitted_factors(sums)
     m, stride = sums.m[some], sums.stride[some]
     group_avar, avar = sums.group_avar[some], sums.avar[some]
@@ -159,7 +159,7 @@ def _signs_of_ramps(sums: AllanSums) -> list[int]:
 
 
 def _axis_fit(squares: Floats, sign: int) -> AxisFit:
-    """Return the fit of an axis from its squared coefficients; those <= 0 have no value."""
+    """Return the fit of an axis; squared coefficients <= 0 give no value."""
     noise = {term: Coefficient(None, status='not_observable') for term in TERMS}
     for term, square in zip(TERMS, squares.tolist()):
         if square > 0.0:
@@ -174,7 +174,7 @@ def _too_few(axes: tuple[str, ...], points: int) -> Finding:
 def _overlap_finding(
     axis: str, error: Floats, a: Floats, error_overlapped: Floats
 ) -> list[Finding]:
-    """Return the finding about the fit with overlapping groups, if a coefficient is positive."""
+    """Return the finding about overlapping groups; none without positive coefficients."""
     values, gains = [], []
     for k, term in enumerate(TERMS):
         if a[k] > 0.0:

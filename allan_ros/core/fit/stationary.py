@@ -55,7 +55,7 @@ NAMED_CHANGES = 3
 
 @dataclass(frozen=True)
 class _Change:
-    """A coefficient estimated from all data and from the settled part."""
+    """A coefficient estimated from all data, and from the data after the early part."""
 
     axis: str
     term: str
@@ -73,7 +73,7 @@ class _Change:
 
     @property
     def is_relevant(self) -> bool:
-        """Whether the value differs by more than 2 %, or 0.5 % if it is outside the interval."""
+        """Whether the change is large enough to be reported."""
         a, b = self.complete, self.settled
         if a.status != 'estimated' or b.status != 'estimated' or not a.value or b.value is None:
             return self.is_outside
@@ -81,20 +81,20 @@ class _Change:
         return shift > (LEAST_SHIFT if self.is_outside else SHIFT)
 
     @property
-    def _sizes(self) -> list[float]:
-        """Both values; the upper limit of an unresolved term, or 0 without a limit."""
+    def _values_or_limits(self) -> list[float]:
+        """Both estimates; for an unresolved term its upper limit, or 0 if there is none."""
         both = self.complete, self.settled
         return [(c.value if c.status == 'estimated' else c.upper95) or 0.0 for c in both]
 
     @property
     def size(self) -> float:
         """Absolute logarithm of the ratio of both values."""
-        a, b = self._sizes
+        a, b = self._values_or_limits
         return abs(math.log(a / b)) if a and b else 0.0
 
     def text(self, after: str) -> str:
         """Return a sentence with both values; ``after`` is the duration that is left out."""
-        values, unit = _converted(self.axis, self.term, *self._sizes)
+        values, unit = _to_datasheet_units(self.axis, self.term, *self._values_or_limits)
         a, b = (
             f'{"" if c.status == "estimated" else "< "}{value:.3g}'
             for c, value in zip((self.complete, self.settled), values)
@@ -102,7 +102,7 @@ class _Change:
         return f'{self.axis} {self.term} is {a} {unit} in all data, {b} {unit} after {after}'
 
 
-def _converted(axis: str, term: str, *values: float) -> tuple[list[float], str]:
+def _to_datasheet_units(axis: str, term: str, *values: float) -> tuple[list[float], str]:
     """Return SI values of a term converted to its datasheet unit, and this unit."""
     shown = [to_datasheet(term, sensor_of(axis), value) for value in values]
     return [value for value, _ in shown], shown[0][1]
@@ -136,16 +136,19 @@ def fit_stationary(
     if method == 'paper' or not sums.tau0:
         return sums, fit_noise(sums, method)
     longest = sums.history.recordings[:TESTED_RECORDINGS]
-    parts = [part for one in longest for part in early_parts(one, _sensors(sums))]
+    parts = [part for one in longest for part in early_parts(one, _axes_by_sensor(sums))]
     used, model, found = _without_early_part(sums, method, settle, parts)
     age = max((part.age for part in parts), default=0)
-    found += [_steps_finding(sums, steps, model) for steps in _steps(sums, age)]
-    model, scattered = _with_scatter(sums, age, model)
+    found += [_steps_finding(sums, steps, model) for steps in _largest_bias_steps(sums, age)]
+    model, scattered = _widen_for_changes(sums, age, model)
     return used, replace(model, findings=(*found, *scattered, *model.findings))
 
 
-def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseModel, list[Finding]]:
-    """Return the model with intervals widened if noise changes after ``age`` samples; findings."""
+def _widen_for_changes(
+    sums: AllanSums, age: int, model: NoiseModel
+) -> tuple[NoiseModel, list[Finding]]:
+    """Widen the intervals for noise that changes with time; return the model and findings."""
+    # Only data after the first ``age`` samples are tested.
     recordings = sums.history.recordings
     which = 'between recordings' if len(recordings) > 1 else 'within the recording'
     found = []
@@ -155,13 +158,13 @@ def _with_scatter(sums: AllanSums, age: int, model: NoiseModel) -> tuple[NoiseMo
         axis = sums.axes[i]
         n = model.axes[axis].noise['N']
         if n.status == 'estimated' and n.value:
-            values, unit = _converted(
+            values, unit = _to_datasheet_units(
                 axis, 'N', *(n.value * r for r in (change.low, change.high, 1.0))
             )
             numbers = dict(zip(('low', 'high', 'value'), values))
             found.append(finding('level_changes', (axis,), which=which, unit=unit, **numbers))
-    tested = _tested(sums, len(recordings))
-    drift = dict(zip(sums.axes, drift_scatter(tested, _sensors(sums), age).tolist()))
+    tested = _recordings_to_test(sums, len(recordings))
+    drift = dict(zip(sums.axes, drift_scatter(tested, _axes_by_sensor(sums), age).tolist()))
     for axis, scatter in drift.items():
         model = _widened(model, axis, 'BK', scatter)
     # If the drift is not resolved, its relative change is unknown.
@@ -176,7 +179,7 @@ def _has_drift(model: NoiseModel, axis: str) -> bool:
     return any(model.axes[axis].noise[term].status == 'estimated' for term in 'BK')
 
 
-def _tested(sums: AllanSums, most: int = TESTED_RECORDINGS) -> list[Recording]:
+def _recordings_to_test(sums: AllanSums, most: int = TESTED_RECORDINGS) -> list[Recording]:
     """Return up to ``most`` of the longest recordings that are long enough for a test of drift."""
     least = LEAST_TESTED_S / (sums.tau0 or 1.0)
     return [one for one in sums.history.recordings[:most] if one.length >= least]
@@ -185,7 +188,7 @@ def _tested(sums: AllanSums, most: int = TESTED_RECORDINGS) -> list[Recording]:
 def _without_early_part(
     sums: AllanSums, method: str, settle: bool, parts: list[EarlyPart]
 ) -> tuple[AllanSums, NoiseModel, list[Finding]]:
-    """Return the sums to be used, their fit, and the finding about the early part."""
+    """Return the sums with or without the early part, their fit, and a finding about it."""
     if not parts or not sums.tau0:
         return sums, fit_noise(sums, method), []
     last = max(parts, key=lambda part: part.age)
@@ -221,10 +224,10 @@ def _without_early_part(
     return (remaining, settled, [found]) if certain else (sums, complete, [found])
 
 
-def _steps(sums: AllanSums, age: int) -> list[BiasSteps]:
-    """Return the most significant bias steps of each axis, after the first ``age`` samples."""
+def _largest_bias_steps(sums: AllanSums, age: int) -> list[BiasSteps]:
+    """Return the most significant bias steps of each axis after the first ``age`` samples."""
     best: dict[int, BiasSteps] = {}
-    for recording in _tested(sums):
+    for recording in _recordings_to_test(sums):
         for steps in bias_steps(recording, age):
             have = best.get(steps.axis)
             if steps.walk_after < STEPS_RATIO * steps.walk_before and (
@@ -238,13 +241,13 @@ def _steps_finding(sums: AllanSums, steps: BiasSteps, model: NoiseModel) -> Find
     """Return the finding about bias steps, or about a bias that differs between segments."""
     # Steps between two segments affect no coefficient.
     axis, tau0 = sums.axes[steps.axis], sums.tau0 or 1.0
-    (size,), size_unit = _converted(axis, 'B', float(np.abs(steps.sizes).max()))
+    (size,), size_unit = _to_datasheet_units(axis, 'B', float(np.abs(steps.sizes).max()))
     walks = [math.sqrt(walk / tau0) for walk in (steps.walk_before, steps.walk_after)]
     known = model.axes[axis].noise['K']
     most = known.ci95[1] if known.ci95 is not None else known.upper95
     if sum(each.samples > 0 for each in sums.segments) > 1 and most and most < walks[0]:
         return finding('bias_differs', (axis,), size=size, unit=size_unit)
-    (before, after), unit = _converted(axis, 'K', *walks)
+    (before, after), unit = _to_datasheet_units(axis, 'K', *walks)
     return finding(
         'bias_steps',
         (axis,),
@@ -257,7 +260,7 @@ def _steps_finding(sums: AllanSums, steps: BiasSteps, model: NoiseModel) -> Find
 
 
 def _widened(model: NoiseModel, axis: str, terms: str, scatter: float) -> NoiseModel:
-    """Return the model with intervals of one axis widened by a relative scatter."""
+    """Widen the intervals of some terms of one axis by a relative standard deviation."""
     if not scatter:
         return model
     fit = model.axes[axis]
@@ -278,15 +281,15 @@ def _widened(model: NoiseModel, axis: str, terms: str, scatter: float) -> NoiseM
     return replace(model, axes={**model.axes, axis: replace(fit, noise=noise)})
 
 
-def _sensors(sums: AllanSums) -> list[list[int]]:
-    """Return the positions of the axes of each sensor."""
+def _axes_by_sensor(sums: AllanSums) -> list[list[int]]:
+    """Return the indices of the axes of each sensor (gyroscope, accelerometer)."""
     names = [sensor_of(axis) for axis in sums.axes]
     return [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
 
 
 def _settled_part(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
-    """Return the sums after an age of at least ``age``, and this age; None if too few remain."""
-    # Sums can be divided only at some ages.
+    """Return the sums without the first samples and their number; None if too few remain."""
+    # The number is at least ``age``: sums can be divided only at some ages.
     edge = next((a for a in sums.history.ages if a >= age), None)
     if edge is None:
         return None
@@ -319,5 +322,7 @@ def _early_part_text(sums: AllanSums, parts: list[EarlyPart]) -> str:
         return 'larger drift'
     strongest = max(warm_ups, key=lambda part: part.excess)
     axis = max(strongest.axes, key=lambda i: abs(strongest.amplitudes[i]))
-    (value,), unit = _converted(sums.axes[axis], 'B', float(abs(strongest.amplitudes[axis])))
+    (value,), unit = _to_datasheet_units(
+        sums.axes[axis], 'B', float(abs(strongest.amplitudes[axis]))
+    )
     return f'warm-up by up to {value:.3g} {unit}'

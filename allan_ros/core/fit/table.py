@@ -112,7 +112,7 @@ class Table:
         return len(self.amplitude_variance)
 
     def columns(self, extras: Sequence[Process]) -> Floats:
-        """Return the expected ``avar`` of processes of unit size, (factors, processes)."""
+        """Return the expected Allan variances of processes of unit size, (factors, processes)."""
         drift = np.array([isinstance(e, GaussMarkovTerm) for e in extras], bool)
         shapes = np.array([e.shape for e in extras])
         out = np.empty((len(self.m), len(extras)))
@@ -134,15 +134,13 @@ class Table:
         return np.asarray((above - below) / np.log(SHAPE_STEP))
 
     def covariance(self, variances: Floats) -> Floats:
-        """Return the covariance of ``avar`` for given coefficients, (factors, factors).
-
-        Noise at the frequency of a sinusoid changes the amplitude of the sinusoid
-        (``amplitude_variance``). If the differences do not start at every sample, noise at its
-        aliases contributes as well (``independent_variance``).
-        """
+        """Return the covariance of the Allan variances for given coefficients."""
+        # Noise at the frequency of a sinusoid changes the amplitude of the sinusoid
+        # (``amplitude_variance``). If the differences do not start at every sample, noise at its
+        # aliases contributes as well (``independent_variance``).
         p = np.maximum(variances, 0.0)
-        a, b = _products(self.noises - len(RANDOM_TERMS))
-        covariance = ((p[a] * p[b]) @ self.squares)[_packing(len(self.m))]
+        a, b = _coefficient_indices(self.noises - len(RANDOM_TERMS))
+        covariance = ((p[a] * p[b]) @ self.squares)[_pair_positions(len(self.m))]
         for k, scatter in enumerate(self.amplitude_variance, start=self.noises):
             column = self.terms[:, k]
             covariance += p[k] * (scatter @ p[: self.noises]) * np.outer(column, column)
@@ -169,8 +167,8 @@ class Table:
 
 
 @lru_cache(maxsize=8)
-def _packing(size: int) -> Ints:
-    """Return the position of each element of a symmetric matrix in its list of pairs i <= j."""
+def _pair_positions(size: int) -> Ints:
+    """Return the index of element (i, j) of a symmetric matrix in its upper triangle."""
     at = np.empty((size, size), np.int64)
     i, j = np.triu_indices(size)
     at[i, j] = at[j, i] = np.arange(len(i))
@@ -179,8 +177,8 @@ def _packing(size: int) -> Ints:
 
 
 @lru_cache(maxsize=8)
-def _products(processes: int) -> tuple[Ints, Ints]:
-    """Return the indices of the first and of the second coefficient of each row of ``squares``."""
+def _coefficient_indices(processes: int) -> tuple[Ints, Ints]:
+    """Return the indices of the two coefficients of each row of `Table.squares`."""
     a, b = np.array((*TERM_PAIRS, *process_pairs(processes))).T
     return a, b
 
@@ -198,7 +196,7 @@ class _SegmentGroup:
     geometry : RampGeometry
         Covariances for the ramp estimate of one segment.
     at : (pairs,) int64 array
-        Positions of the pairs i <= j of its factors among those of the complete table.
+        Columns of `Table.squares` that correspond to the columns of ``pairs.squares``.
     """
 
     number: int
@@ -225,14 +223,14 @@ class _SegmentGroup:
         mean = np.stack([*(self.pairs.singles / number), *processes])
         removed = (effect.cross[:, j] * m[i] + effect.cross[:, i] * m[j]) / np.sqrt(2.0)
         reduced = removed - effect.variance[:, None] * (m[i] * m[j] / 2.0) - mean
-        a, b = _products(len(times))
+        a, b = _coefficient_indices(len(times))
         twice = np.where(a == b, 2.0, 4.0)[:, None]
         change = reduced[a] * reduced[b] - mean[a] * mean[b]
         return np.asarray(self.number * twice * number * change)
 
 
 class PooledTable:
-    """Data of all axes and segments from which the `Table` of an axis is computed."""
+    """Combined data of all segments, from which the `Table` of each axis is computed."""
 
     def __init__(self, sums: AllanSums) -> None:
         self.sums = sums
@@ -287,10 +285,10 @@ class PooledTable:
     def ramps(
         self, axis: int, noise: Noise, known: Floats | None = None
     ) -> tuple[Floats, list[Floats | None]]:
-        """Return the linear drift per sample of each segment, and the weights of the phase points.
+        """Return the linear drift per sample of each segment, and the weights that estimate it.
 
-        The drifts are estimated with the smallest variance for the given noise. Values in ``known``
-        that are not NaN are returned unchanged, with None as weights.
+        The estimate is ``weights @ phase``, with the least variance for the given noise. Drifts in
+        ``known`` that are not NaN are returned unchanged, with None as weights.
         """
         known = np.full(len(self._kept), np.nan) if known is None else known
         found = np.where(np.isfinite(known), known, 0.0)
@@ -316,10 +314,10 @@ class PooledTable:
                 out[s] = part.geometry.variance(w, times)
         return out
 
-    def _effects(
+    def _ramp_effects(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> list[tuple[_SegmentGroup, RampEffect]]:
-        """Return the segments with estimated ramps, and the effect of the removal of each ramp."""
+        """Return the segments whose ramp is estimated, each with its `RampEffect`."""
         return [
             (part, part.geometry.effect(w, times))
             for part, w in zip(self._kept, weights)
@@ -360,7 +358,7 @@ class PooledTable:
         # Rounded, so that similar correlation times share their sums.
         near = tuple(2.0 ** (round(np.log2(t) * SHARED) / SHARED) for t in times)
         squares = self._process_squares(near).copy()
-        for part, effect in self._effects(weights, near):
+        for part, effect in self._ramp_effects(weights, near):
             squares[:, part.at] += part.ramp_squares(effect, near)
         sum_sq = self._pooled_sums[:, axis].copy()
         for part, record, r in zip(self._kept, self.segments, found):
@@ -368,13 +366,13 @@ class PooledTable:
             signed = record.signed[:, axis]
             sum_sq[: len(m2)] += -2.0 * r * m2 * signed + part.pairs.count * (m2 * r) ** 2
         count = self.sums.count[:, None]
-        terms = self.terms + (self._pooled_terms + self._kept_shift(weights, ())) / count
+        terms = self.terms + (self._pooled_terms + self._stored_segment_shift(weights, ())) / count
         if self.sums.filled.any():
             terms[:, N] += self._filled[:, axis]
 
         def shift(times: Floats) -> Floats:
             added = self._pooled_drifts(times) if self._pooled else 0.0
-            return np.asarray((added + self._kept_shift(weights, times)[:, 4:]) / count)
+            return np.asarray((added + self._stored_segment_shift(weights, times)[:, 4:]) / count)
 
         smooth = ProcessShift(self.sums.segments[0].samples if self.segments else 1, shift)
         table = Table(
@@ -388,7 +386,9 @@ class PooledTable:
             len(RANDOM_TERMS) + len(times),
             process_shift=lambda m, t: smooth(t)[np.searchsorted(self.m, m)],
         )
-        table = table.rows((self.m >= m_min) & _informative(table, self.terms, noise.white()))
+        table = table.rows(
+            (self.m >= m_min) & _has_information(table, self.terms, noise.without_processes())
+        )
         if not extras:
             return table
         exact = replace(table, process_shift=lambda m, t: shift(t)[np.searchsorted(self.m, m)])
@@ -406,19 +406,19 @@ class PooledTable:
             ),
         )
 
-    def _kept_shift(
+    def _stored_segment_shift(
         self, weights: Sequence[Floats | None], times: Sequence[float] | Floats
     ) -> Floats:
-        """Return the change of sums of d^2/(2 m^2) due to ramps removed from stored segments."""
+        """Return the change of Allan sums due to ramps removed from stored segments."""
         out = np.zeros((len(self.m), len(RANDOM_TERMS) + len(times)))
-        for part, effect in self._effects(weights, times):
+        for part, effect in self._ramp_effects(weights, times):
             m, count = part.pairs.m, part.pairs.count
             out[: len(m)] += part.number * count[:, None] * effect.shift(m)
         return out
 
     def _process_squares(self, times: tuple[float, ...]) -> Floats:
-        """Return the covariance sums per product of two coefficients, (products, pairs)."""
-        # The ramps of separately stored segments are not removed.
+        """Return the covariance sums with the given processes, (products, pairs)."""
+        # They do not yet include the removal of ramps from separately stored segments.
         if times not in self._squares:
             while len(self._squares) > KEPT_PROCESS_SQUARES:
                 del self._squares[list(self._squares)[1]]
@@ -430,14 +430,14 @@ class PooledTable:
 
 
 def clear_cache() -> None:
-    """Free about 20 MB of cached covariances, which are computed again in 0.2 s when needed."""
+    """Free the cached covariances (about 20 MB); later fits compute them again in 0.2 s."""
     clear_pair_sums()
     ramp_geometry.cache_clear()
     mean_covariances.cache_clear()
 
 
-def _informative(table: Table, complete: Floats, variances: Floats) -> NDArray[np.bool_]:
-    """Return which factors keep more than `EMPTY_ROW` of their variance without the ramps."""
+def _has_information(table: Table, complete: Floats, variances: Floats) -> NDArray[np.bool_]:
+    """Return a mask of averaging factors that keep variance after the removal of ramps."""
     p = np.zeros(table.noises)
     p[: len(variances)] = np.maximum(variances, 0.0)
     keep = (table.count > 0) & (
