@@ -6,19 +6,21 @@ For Gaussian noise, the covariance of two Allan variances is a sum over lags (Is
 
     Cov(V_i, V_j) = 2/(M_i M_j) sum_s cnt_ij(s) C_ij(s)^2
 
-V_i is the mean of the squares of M_i normalized differences d_i/(sqrt2 m_i), where d_i is a second
-difference of the phase over m_i samples. C_ij(s) is the covariance of the normalized differences at
-m_i and m_j at lag s, and cnt_ij(s) is the number of pairs of differences at this lag. C is linear
-in the variance coefficients q, w, b, k (the squares of Q, N, B, K with the sample period as unit of
-time). The sum therefore consists of ten matrices, each multiplied by a product of two coefficients.
-The matrices depend only on the length of the record.
+- V_i is the mean of the squares of M_i normalised differences d_i/(sqrt2 m_i), where d_i is a
+  second difference of the phase over m_i samples.
+- C_ij(s) is the covariance of two normalised differences, at m_i and m_j, at lag s.
+- cnt_ij(s) is the number of pairs of differences at this lag.
 
-cnt is piecewise linear in s. The sum therefore follows from the cumulative sums of C_k C_l and of s
-C_k C_l at four lags, where C_k is C for the unit coefficient k. The averaging factors of an octave
-are twice those of the octave before: C of the pair (2^a m, 2^a m') at lag 2^a s equals C of (m, m')
-at lag s times a power of 2^a. One table of cumulative sums, for the pairs whose smaller factor is
-in the first octaves (level 0), is therefore enough for all pairs and all records.
+C is linear in the variance coefficients q, w, b, k: the squares of Q, N, B, K with the sample
+period as unit of time. The covariance is therefore a sum of ten matrices, each multiplied by a
+product of two coefficients. The matrices depend only on the length of the record.
 """
+
+# cnt is piecewise linear in s. The sum therefore follows from the cumulative sums of C_k C_l and of
+# s C_k C_l at four lags, where C_k is C for the unit coefficient k. The averaging factors of an
+# octave are twice those of the octave before: C of the pair (2^a m, 2^a m') at lag 2^a s equals C
+# of (m, m') at lag s times a power of 2^a. One table of cumulative sums, for the pairs whose
+# smaller factor is in the first octaves (level 0), is therefore enough for all pairs and records.
 
 from __future__ import annotations
 

@@ -5,15 +5,12 @@
 To test a value c of one variance coefficient, the coefficient is fixed at c and the others are
 fitted again. z(c) = (p - c)/se(c) compares the free estimate p with c, where the standard error
 se(c) is computed from the covariance of that fit. The 95 % interval contains the values with
-|z| < 1.96 (Rao 1948). The Wald interval, estimate +- 1.96 se, uses se at the estimate. If the
-estimate of K is too small in a short record, so is this se, and the interval misses the true value
-in 9 to 13 % of records instead of 5 %.
+|z| < 1.96 (Rao 1948). The Wald interval, estimate +- 1.96 se, would miss the true K of short
+records in 9 to 13 % of cases instead of 5 %.
 
 An estimate that depends on few long averaging times is skewed like a chi^2 variable of few degrees
-of freedom. It is a weighted sum of the Allan variances V_i, sum_i l_i V_i. If the V_i are treated
-as gamma variables with the covariance C, its third cumulant is 2 sum_i l_i (C l)_i^2 / V_i. With
-this skewness, the cube root transformation of Wilson & Hilferty (PNAS 17, 1931) converts z to a
-normal deviate.
+of freedom. The cube root transformation of Wilson & Hilferty (PNAS 17, 1931) therefore converts z
+to a normal deviate.
 """
 
 from __future__ import annotations
@@ -125,6 +122,8 @@ class ScoreTest:
         self.deviation = float(np.sqrt(contrast @ contrast))
         model = self.table.terms @ with_noise_floor(self.table, variances)
         weights, covariance = whitening.weights(contrast), whitening.covariance_with(contrast)
+        # Third cumulant of the estimate sum_i l_i V_i, if the Allan variances V_i are gamma
+        # variables with the covariance C: 2 sum_i l_i (C l)_i^2 / V_i.
         third = 2.0 * float(np.sum(weights * covariance**2 / model))
         z = (max(self.estimate, at_least) - c) / self.deviation
         return normal_deviate(z, third / self.deviation**3)

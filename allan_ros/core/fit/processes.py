@@ -5,20 +5,10 @@
 Their expected Allan variances are linear in the variance (or squared amplitude) and depend on a
 shape: a correlation time or a frequency.
 
-The covariance of two Allan variances is a sum of squared covariances of differences over all lags
+The covariance of two Allan variances is a sum over lags of squared covariances of differences
 (module `covariance`). Gauss-Markov processes add the products C_k C_g and C_g C_h to this sum,
 where C_k is the covariance of differences of a random term, and C_g and C_h are those of two
-processes. The scaling between octaves that `covariance` uses does not hold for a correlation time,
-so these sums are computed for each table. Three facts reduce the effort to about 50 ms:
-
-- C_g is A times the covariance of white noise, minus B/2 times a sum of nine exponentials, with A
-  and B of `gauss_markov_sums`.
-- C(u) and the number of pairs of differences are even functions of the lag u, counted from
-  m_j - m_i, so half of the lags is enough. The number of pairs depends only on max(2 m_j, m_i + m_j
-  + u) and decreases linearly until the segment ends, so all segments share the values of C.
-- C is smooth between the lags u = 0, m_i, m_j - m_i, m_j and m_i + m_j (called corners), and is
-  integrated there by Gauss-Legendre quadrature. The Euler-Maclaurin formula converts the integral
-  to the sum over lags: it adds 1/12 of the change of slope at each corner.
+processes.
 """
 
 from __future__ import annotations
@@ -139,6 +129,18 @@ def independent_variance(
 
 
 # --- covariance of Gauss-Markov processes ---------------------------------------------------------
+#
+# The scaling between octaves that `covariance` uses does not hold for a correlation time, so these
+# sums are computed for each table. Three facts reduce the effort to about 50 ms:
+#
+# - C_g is A times the covariance of white noise, minus B/2 times a sum of nine exponentials, with A
+#   and B of `gauss_markov_sums`.
+# - C(u) and the number of pairs of differences are even functions of the lag u, counted from
+#   m_j - m_i, so half of the lags is enough. The number of pairs depends only on max(2 m_j, m_i +
+#   m_j + u) and decreases linearly until the segment ends, so all segments share the values of C.
+# - C is smooth between the lags u = 0, m_i, m_j - m_i, m_j and m_i + m_j (called corners), and is
+#   integrated there by Gauss-Legendre quadrature. The Euler-Maclaurin formula converts the integral
+#   to the sum over lags: it adds 1/12 of the change of slope at each corner.
 
 NODES = 14
 """Number of quadrature points between two corners."""

@@ -17,11 +17,11 @@ variance V_i at the averaging factor m_i becomes V'_i with the expectation
 
 where S_i is the mean of d/(sqrt2 m_i). `RampEffect` contains Cov(S_i, r) and Var(r) per unit
 coefficient.
-
-The phase of a Gauss-Markov process of unit variance and correlation time T has the generalized
-covariance -A |t|/2 - B/2 exp(-|t|/T), with A and B of `gauss_markov_sums`: A times the covariance
-of white noise, plus an exponential part.
 """
+
+# The phase of a Gauss-Markov process of unit variance and correlation time T has the generalised
+# covariance -A |t|/2 - B/2 exp(-|t|/T), with A and B of `gauss_markov_sums`: A times the covariance
+# of white noise, plus an exponential part.
 
 from __future__ import annotations
 
