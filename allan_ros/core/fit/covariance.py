@@ -6,9 +6,9 @@ For Gaussian noise, the covariance of two Allan variances is a sum over lags (Is
 
     Cov(V_i, V_j) = 2/(M_i M_j) sum_s cnt_ij(s) C_ij(s)^2
 
-- V_i is the mean of the squares of M_i normalised differences d_i/(sqrt2 m_i), where d_i is a
+- V_i is the mean of the squares of M_i normalized differences d_i/(sqrt2 m_i), where d_i is a
   second difference of the phase over m_i samples.
-- C_ij(s) is the covariance of two normalised differences, at m_i and m_j, at lag s.
+- C_ij(s) is the covariance of two normalized differences, at m_i and m_j, at lag s.
 - cnt_ij(s) is the number of pairs of differences at this lag.
 
 C is linear in the variance coefficients q, w, b, k: the squares of Q, N, B, K with the sample
@@ -104,7 +104,7 @@ def lag_covariance(s: Floats, mi: Floats, mj: Floats) -> Floats:
     white noise, unit flicker and a unit continuous random walk.
     """
     # The sum over a, b = 0, 1, 2 of c_a c_b G(s + a m_i - b m_j) / (2 m_i m_j), c = (1, -2, 1),
-    # where G is the generalised covariance of the phase: -|t|/2, t^2 ln|t|/(2 pi), |t|^3/12.
+    # where G is the generalized covariance of the phase: -|t|/2, t^2 ln|t|/(2 pi), |t|^3/12.
     out = np.zeros((3, *np.broadcast_shapes(np.shape(s), np.shape(mi), np.shape(mj))))
     for a, ca in enumerate(DIFFERENCE):
         for b, cb in enumerate(DIFFERENCE):
@@ -336,7 +336,7 @@ def _count_pairs(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
 def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     """Return the increase of the Allan variance of unit white noise due to interpolated samples.
 
-    The samples of a gap are interpolated linearly between its two neighbours. Only the numbers of
+    The samples of a gap are interpolated linearly between its two neighbors. Only the numbers of
     gaps are known; their positions are assumed to be random and independent.
 
     Parameters
@@ -352,7 +352,7 @@ def interpolation_excess(m: Ints, filled: Ints, samples: int) -> Floats:
     -------
     (factors, ...) float64 array
     """
-    # The neighbours of a gap get a larger weight in a second difference, which increases its
+    # The neighbors of a gap get a larger weight in a second difference, which increases its
     # variance. A sample between two gaps gets a larger weight from both.
     # Summed over all start positions, the squared weights increase linearly with m if m exceeds the
     # length of the gap.

@@ -98,7 +98,7 @@ class Goodness:
 
     @property
     def z(self) -> float:
-        """Standardised chi^2, (chi^2 - nu) / sqrt(2 nu)."""
+        """Standardized chi^2, (chi^2 - nu) / sqrt(2 nu)."""
         return float((self.chi_squared - self.freedom) / np.sqrt(2.0 * self.freedom))
 
     @property
@@ -259,7 +259,7 @@ def passes(fit: PointFit) -> bool:
 
 
 def goodness_z(fit: PointFit) -> float:
-    """Return the standardised chi^2 of a fit; for narrow failures that of `best_case_goodness`."""
+    """Return the standardized chi^2 of a fit; for narrow failures that of `best_case_goodness`."""
     z = goodness(fit.table, fit.variances).z
     return best_case_goodness(fit.table, fit.variances).z if Z_FAIL <= z < Z_EXCLUDE_SHORT else z
 
@@ -313,7 +313,7 @@ def precise_rows(fit: PointFit) -> NDArray[np.bool_]:
 
 
 def minus_log_profile(table: Table, fit: PointFit) -> float:
-    """Return -2 log likelihood of the Allan variances, minimised over the random walk k.
+    """Return -2 log likelihood of the Allan variances, minimized over the random walk k.
 
     The other coefficients are fitted again for each k. A constant is omitted.
     """

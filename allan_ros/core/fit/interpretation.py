@@ -174,7 +174,7 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
 
 def _slope(curve: AllanCurve, axis: int, points: slice) -> float:
     """Return the slope d log adev / d log tau at the given points of a curve."""
-    # A single point has no slope: its neighbours are added.
+    # A single point has no slope: its neighbors are added.
     if points.stop - points.start < 2:
         points = slice(max(points.start - 1, 0), points.stop + 1)
     adev, degrees = curve.adev[points, axis], curve.edf[points, axis]

@@ -150,7 +150,7 @@ def standard_errors(design: Floats) -> Floats:
 
 
 def normal_deviate(z: float, skewness: float) -> float:
-    """Convert a standardised gamma variable z of given skewness to a normal deviate.
+    """Convert a standardized gamma variable z of given skewness to a normal deviate.
 
     The cube root transformation of Wilson & Hilferty (1931) is used.
     """

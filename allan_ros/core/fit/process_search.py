@@ -212,7 +212,7 @@ class ProcessSearch:
         return more if more is not None and enough else found
 
     def z(self, found: ProcessFit) -> float:
-        """Return the standardised chi^2 of a fit, (chi^2 - nu) / sqrt(2 nu)."""
+        """Return the standardized chi^2 of a fit, (chi^2 - nu) / sqrt(2 nu)."""
         freedom = max(self.freedom - np.count_nonzero(found.variances) - len(found.extras), 1.0)
         return float((found.chi_squared - freedom) / np.sqrt(2.0 * freedom))
 

@@ -19,7 +19,7 @@ where S_i is the mean of d/(sqrt2 m_i). `RampEffect` contains Cov(S_i, r) and Va
 coefficient.
 """
 
-# The phase of a Gauss-Markov process of unit variance and correlation time T has the generalised
+# The phase of a Gauss-Markov process of unit variance and correlation time T has the generalized
 # covariance -A |t|/2 - B/2 exp(-|t|/T), with A and B of `gauss_markov_sums`: A times the covariance
 # of white noise, plus an exponential part.
 
