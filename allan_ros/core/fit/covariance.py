@@ -126,8 +126,8 @@ def _covariance_products(s: Floats, mi: Floats, mj: Floats) -> Floats:
 
 
 def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
-    """Return the sums over the lags a..b of f and of lag * f, (2, 9, n)."""
-    # f is `_covariance_products`. The first and the last lag count half.
+    """Return the sums of products, and of lag times products, over the lags a..b, (2, 9, n)."""
+    # The first and the last lag count half.
     width = (b - a)[:, None]
     k = np.arange(EXACT_POINTS + 1)
     exact = width <= EXACT_POINTS
@@ -139,7 +139,7 @@ def _panel_sums(mi: Floats, mj: Floats, a: Floats, b: Floats) -> Floats:
 
 
 def _lag_limits(mi: int, mj: int) -> Ints:
-    """Divide the lags into ranges and return the limits of the ranges."""
+    """Return the limits of the ranges into which the lags are divided for summation."""
     # Ranges are short where the covariance is not smooth.
     span = EXACT_POINTS * EXACT_PANELS
     near = np.arange(-EXACT_PANELS, EXACT_PANELS + 1) * EXACT_POINTS
@@ -251,7 +251,7 @@ def clear_pair_sums() -> None:
 def _smooth_sums(
     table: _LagTable, i: Ints, j: Ints, stride: Ints, count: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the covariance sums of all noise terms except quantization: squares, singles."""
+    """Return ``squares`` and ``singles`` of `PairSums` for all terms except quantization."""
     # With increasing lag, the number of pairs cnt rises from 1 by one every s_j samples to M_j,
     # remains constant, and falls to 1. A step is ``ratio`` = s_j/s_i lags wide. The sum over the
     # steps is that over a straight line ``fall`` = (1 - 1/ratio)/2 below their edges, plus
@@ -280,7 +280,7 @@ def _smooth_sums(
 
 
 def _assemble(f: Floats, scale: Floats) -> tuple[Floats, Floats]:
-    """Scale sums over lags to the octave of each pair and combine them to squares, singles."""
+    """Combine sums over lags to ``squares`` and ``singles`` of `PairSums`."""
     # On level a, lags and factors are 2^a times those of level 0. The covariance of white noise is
     # multiplied by 2^-a (``scale``), that of flicker by 1 and that of the cubic part by 2^a.
     nn, nb, nc, bb, bc, cc = f[:6] * np.stack(
@@ -326,7 +326,8 @@ def _add_quantization(
 
 
 def _count_pairs(lag: Ints, end_i: Ints, end_j: Ints, stride_j: Ints) -> Floats:
-    """Return the number of pairs of differences at each lag, a multiple of the stride of i."""
+    """Return the number of pairs of differences at each lag."""
+    # The lags are multiples of the stride of i.
     first = np.maximum(0, -lag)
     last = np.minimum(end_j, end_i - lag)
     number = last // stride_j + (-first) // stride_j + 1
@@ -382,7 +383,7 @@ NEGLIGIBLE_NEIGHBORS = 1e-5
 
 @lru_cache(maxsize=1024)
 def _adjacent_gap_excess(k: int, after: int, m: int) -> float:
-    """Return the additional change if only one sample separates gaps of k and ``after`` samples."""
+    """Return the correction of `_gap_excess` for two gaps with only one sample between them."""
     base = _difference_weights(m, k + after + 3)
     left = np.correlate(base, np.arange(1, k + 1) / (k + 1))
     right = np.correlate(base, np.arange(after, 0, -1) / (after + 1))

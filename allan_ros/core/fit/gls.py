@@ -197,7 +197,7 @@ def _ramp(ramp: RampInterval | None, tau0: float) -> Coefficient:
 
 
 def _unresolved(value: float | None, upper: float, sign: int = 0) -> Coefficient:
-    """Return a coefficient that is not resolved; an infinite limit becomes None."""
+    """Return a coefficient of status 'not_observable'; an infinite limit becomes None."""
     limit = upper if np.isfinite(upper) else None
     return Coefficient(value or None, None, limit, 'not_observable', sign)
 

@@ -185,11 +185,11 @@ class Whitening:
         return np.asarray(lapack.dtrtrs(self.lower, columns / self.deviation[:, None], lower=1)[0])
 
     def weights(self, contrast: Floats) -> Floats:
-        """Convert a weighted sum of whitened values to weights of the original values."""
+        """Convert weights of the whitened values to the same combination of original values."""
         return np.asarray(lapack.dtrtrs(self.lower, contrast, lower=1, trans=1)[0] / self.deviation)
 
     def covariance_with(self, contrast: Floats) -> Floats:
-        """Return the covariance of each value with a weighted sum of whitened values."""
+        """Return the covariance of each value with a linear combination of whitened values."""
         return np.asarray(self.lower @ contrast * self.deviation)
 
 
@@ -363,7 +363,7 @@ class FitOptions:
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """Positions of the coefficients that may differ from 0."""
+        """Indices of the coefficients that may differ from 0."""
         every = range(len(RANDOM_TERMS) + len(self.extras))
         return tuple(c for c in every if self.walk or c != K)
 

@@ -236,7 +236,7 @@ def misfit_of_table(table: Table, variances: Floats, signed: bool) -> Misfit:
 
 
 def _misfit_from(table: Table, variances: Floats, signed: bool, m_min: int) -> Misfit:
-    """Return the error of averaging factors >= m_min that makes chi^2 equal to its mean."""
+    """Return the error of averaging factors >= m_min that gives chi^2 its expected value."""
     # chi^2 decreases about as the inverse square of the error.
     low, high, eps = 0.0, MISFIT_LIMIT, MISFIT_START
     for _ in range(MISFIT_STEPS):
@@ -259,7 +259,10 @@ def passes(fit: PointFit) -> bool:
 
 
 def goodness_z(fit: PointFit) -> float:
-    """Return the standardized chi^2 of a fit; for narrow failures that of `best_case_goodness`."""
+    """Return the standardized chi^2 of a fit.
+
+    If the fit fails narrowly, a larger random walk is tested as well (`best_case_goodness`).
+    """
     z = goodness(fit.table, fit.variances).z
     return best_case_goodness(fit.table, fit.variances).z if Z_FAIL <= z < Z_EXCLUDE_SHORT else z
 
@@ -307,7 +310,7 @@ def minus_log_likelihood(table: Table, variances: Floats, misfit: Misfit = NO_MI
 
 
 def precise_rows(fit: PointFit) -> NDArray[np.bool_]:
-    """Return a mask of Allan variances with enough degrees of freedom, (factors,)."""
+    """Return a mask of Allan variances that are nearly Gaussian, (factors,)."""
     variance = np.diag(covariance_at(fit.table, fit.variances, NO_MISFIT))
     return np.asarray(2.0 * (fit.table.terms @ fit.variances) ** 2 >= LEAST_FREEDOM * variance)
 

@@ -144,7 +144,10 @@ def _contrast(design: Floats, at: int) -> Floats:
 
 
 def standard_errors(design: Floats) -> Floats:
-    """Return the standard errors of a least-squares fit to values of unit variance, (columns,)."""
+    """Return the standard errors of least-squares coefficients, (columns,).
+
+    The fitted values are uncorrelated and have unit variance.
+    """
     inverse, size = _inverse(design)
     return np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
 
@@ -192,7 +195,7 @@ ramp that is subtracted from the averages affects longer ones."""
 
 
 def limit_of_averages(table: Table, term: int, samples: int) -> float:
-    """Return an upper limit of one variance coefficient that does not depend on other terms.
+    """Return a 95 % upper limit of one variance coefficient, without assumptions on other terms.
 
     It is the largest coefficient with which the term alone does not significantly exceed any
     measured Allan variance (one-sided 2.5 %, Bonferroni), or infinity without data. ``term`` is

@@ -278,7 +278,7 @@ class AxisFit:
 
 
 def _is_likely(term: str, c: Coefficient) -> bool:
-    """Return whether a term is resolved, or its square is one standard deviation above zero."""
+    """Return whether a term is resolved, or its square exceeds 0 by one standard deviation."""
     if c.status == 'estimated':
         return True
     if term not in 'NBK' or c.value is None or c.upper95 is None:

@@ -197,7 +197,7 @@ def _add_process(
 
 
 def _search_at(pooled: PooledTable, axis: int, fit: PointFit) -> ProcessSearch:
-    """Return a process search with the covariance of the Allan variances fixed at a given fit."""
+    """Return a process search that uses the covariance of a given fit."""
     options = replace(fit.options, misfit=NO_MISFIT, extras=())
     table = options.table(pooled, axis, fit.options.noise(fit.variances))
     used = fit.table.rows(np.isin(fit.table.m, table.m))

@@ -236,7 +236,7 @@ class _Segments:
         return self._number[at], self._total[at]
 
     def differences(self, reach: Floats, stride: Floats) -> Floats:
-        """Return the number of differences over ``reach`` samples that start every ``stride``."""
+        """Return the number of differences over ``reach`` samples, with starts ``stride`` apart."""
         each = np.floor((self.samples - reach[:, None]) / stride[:, None]) + 1.0
         return np.asarray(np.maximum(each, 0.0) @ self.number)
 

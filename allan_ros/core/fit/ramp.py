@@ -166,7 +166,7 @@ class RampGeometry:
         return np.asarray(np.convolve(solution / solution.sum(), DIFFERENCE) / self.step**2)
 
     def effect(self, weights: Floats, times: Sequence[float] | Floats = ()) -> RampEffect:
-        """Return variance and covariances of the ramp estimate ``weights @ phase``.
+        """Return the variance and the covariances of the ramp estimate ``weights @ phase``.
 
         ``times`` are the correlation times, in samples, of processes that follow the four terms.
         """
@@ -411,7 +411,7 @@ def _ramp_shift(samples: int, times: Sequence[float] | Floats) -> Floats:
 class ProcessShift:
     """Effect of the removal of linear drifts on the Allan variances of Gauss-Markov processes.
 
-    It is computed once at `SHIFTS_PER_OCTAVE` correlation times and interpolated for others.
+    It is computed at `SHIFTS_PER_OCTAVE` correlation times per octave and interpolated for others.
 
     Parameters
     ----------

@@ -87,8 +87,8 @@ class Table:
         Variance of the squared amplitude of each sinusoid, relative to the squared amplitude, per
         unit of each noise coefficient. The columns of sinusoids follow those of random noise.
     independent_variance : (2, sinusoids, factors) float64 array
-        Variance that a sinusoid adds to each ``avar`` without correlation between them: relative to
-        the squared amplitude times w, and to the square of the squared amplitude.
+        Part of the variance of ``avar`` due to sinusoids that is uncorrelated between factors: per
+        A^2 w and per A^4, for the amplitude A.
     process_shift : callable or None
         Returns the change of the columns of Gauss-Markov processes due to the removal of ramps, for
         averaging factors and correlation times, (factors, processes); None for no change.
@@ -168,7 +168,7 @@ class Table:
 
 @lru_cache(maxsize=8)
 def _pair_positions(size: int) -> Ints:
-    """Return the index of element (i, j) of a symmetric matrix in its upper triangle."""
+    """Return the index of each element of a symmetric matrix in its packed upper triangle."""
     at = np.empty((size, size), np.int64)
     i, j = np.triu_indices(size)
     at[i, j] = at[j, i] = np.arange(len(i))
