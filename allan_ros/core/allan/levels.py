@@ -101,6 +101,7 @@ WhiteLevel = tuple[int, Floats, Ints]
 def _white_levels(recordings: Sequence[Recording], age: int, parts: int) -> dict[int, WhiteLevel]:
     """Return the white noise in each part of the recordings, for the axes that have white noise.
 
+    The keys are positions of axes. The first ``age`` samples of each recording are left out.
     ``parts`` is the number of equal parts of each recording; if it is 0, each period is a part.
     """
     split = [_level_parts(recording, age, parts) for recording in recordings]

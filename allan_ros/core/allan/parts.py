@@ -269,7 +269,11 @@ def _earlier_and_recent(
 
 
 def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
-    """Return the degrees of freedom per second difference at each factor, for ``total`` of them."""
+    """Return the degrees of freedom of the Allan variance, divided by the number of differences.
+
+    The arguments and the result are (factors,): the noise types (exponent of the spectral density),
+    the averaging factors and the numbers of second differences.
+    """
     return np.array(
         [
             edf(int(alpha), int(factor), max(1, int(factor) // LEVEL_FACTORS[0]), int(n)) / int(n)

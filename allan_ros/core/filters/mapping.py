@@ -132,12 +132,16 @@ class FilterParameter:
 
 @dataclass(frozen=True)
 class FilterMapping:
-    """The noise parameters of one kind of filter."""
+    """The noise parameters of one kind of filter, as expressions of the noise coefficients.
+
+    ``constants`` are named values for the expressions. ``horizon`` is the longest time in s that
+    the filter integrates without a correction.
+    """
 
     name: str  # name of the kind of filter
     parameters: tuple[FilterParameter, ...]
-    constants: Mapping[str, float] = field(default_factory=dict)  # named values for expressions
-    horizon: float = 30.0  # longest time in s that the filter integrates without a correction
+    constants: Mapping[str, float] = field(default_factory=dict)
+    horizon: float = 30.0
 
 
 @dataclass(frozen=True)

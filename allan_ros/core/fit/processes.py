@@ -339,7 +339,10 @@ class _Lags:
         return out
 
     def _weights(self, longest: float) -> tuple[Floats, Floats]:
-        """Return the lags and weights of the quadrature, (pairs, nodes) each."""
+        """Return lags and weights for numerical integration over the lag, (pairs, points) each.
+
+        ``longest`` is the longest correlation time in samples.
+        """
         # The slope of the number of pairs changes where a segment ends. A segment that ends between
         # two corners is integrated up to its end, with the polynomial through the nodes.
         lags, weights = [], []

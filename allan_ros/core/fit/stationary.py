@@ -188,7 +188,10 @@ def _recordings_to_test(sums: AllanSums, most: int = TESTED_RECORDINGS) -> list[
 def _without_early_part(
     sums: AllanSums, method: str, settle: bool, parts: list[EarlyPart]
 ) -> tuple[AllanSums, NoiseModel, list[Finding]]:
-    """Return the sums with or without the early part, their fit, and a finding about it."""
+    """Leave out an early part (warm-up) that changes a coefficient; return sums, fit, findings.
+
+    ``parts`` are the detected early parts. With ``settle`` False, none is left out, only reported.
+    """
     if not parts or not sums.tau0:
         return sums, fit_noise(sums, method), []
     last = max(parts, key=lambda part: part.age)

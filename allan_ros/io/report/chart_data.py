@@ -233,11 +233,11 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
 
 
 class Trend(NamedTuple):
-    """Values of all axes over time or over temperature."""
+    """Values of all axes, in SI, over time (s) or over temperature (degC)."""
 
     x: Floats  # time in s, or temperature in degC, (points,)
     values: Floats  # SI, (points, axes)
-    span: float  # averaging time of the values in s
+    tau: float  # averaging time of the values in s
 
 
 def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
@@ -255,13 +255,13 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
     placed = _starts(sums, summary)
     bias = _joined([_bias(recording, start, sums.tau0) for recording, start in placed], columns)
     levels = [_noise(recording, start, sums.tau0) for recording, start in placed]
-    noise = _joined([level for level in levels if level.span == levels[0].span], columns)
+    noise = _joined([level for level in levels if level.tau == levels[0].tau], columns)
     charts = []
     if np.isfinite(bias.values).any(axis=1).sum() >= LEAST_POINTS:
         bias = bias._replace(values=bias.values - np.nanmean(bias.values, axis=0))
         terms = [results.axes[name].fit.noise['N'] for name in names]
         known = [n.value if n.status == 'estimated' and n.value else math.nan for n in terms]
-        white = rounded([1.96 * density / math.sqrt(bias.span) for density in known])
+        white = rounded([1.96 * density / math.sqrt(bias.tau) for density in known])
         charts.append({**_document('bias', bias, names), 'white': white})
         against = _against_temperature(bias, summary)
         if against is not None:
@@ -288,11 +288,11 @@ def _starts(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Record
 def _bias(recording: Recording, start: float, tau0: float) -> Trend:
     """Return the mean signal in equal intervals; NaN unless over half of the samples are used."""
     cells = recording.coarser(MEANS, recording.period_begin)
-    span = cells.step * tau0
+    tau = cells.step * tau0
     known = cells.cell_samples[:, None] > cells.step / 2
     values = np.where(known, cells.cell_means + cells.reference, np.nan)
-    middles = np.asarray((np.arange(len(values)) + 0.5) * span + start, float)
-    return Trend(middles, values, span)
+    middles = np.asarray((np.arange(len(values)) + 0.5) * tau + start, float)
+    return Trend(middles, values, tau)
 
 
 def _noise(recording: Recording, start: float, tau0: float) -> Trend:
@@ -315,8 +315,8 @@ def _joined(parts: Sequence[Trend], columns: Sequence[int]) -> Trend:
         if len(part.x):
             times += [part.x, part.x[-1:] + 1e-3]
             values += [part.values[:, columns], np.full((1, len(columns)), np.nan)]
-    span = max((part.span for part in parts), default=0.0)
-    return Trend(np.concatenate(times)[:-1], np.concatenate(values)[:-1], span)
+    tau = max((part.tau for part in parts), default=0.0)
+    return Trend(np.concatenate(times)[:-1], np.concatenate(values)[:-1], tau)
 
 
 def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | None:
@@ -330,9 +330,9 @@ def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | 
     if known.sum() < LEAST_POINTS or np.ptp(celsius[known]) <= LEAST_RANGE_C:
         return None
     order = np.argsort(celsius[known], kind='stable')
-    return Trend(celsius[known][order], bias.values[known][order], bias.span)
+    return Trend(celsius[known][order], bias.values[known][order], bias.tau)
 
 
 def _document(kind: str, trend: Trend, names: Sequence[str]) -> dict[str, Any]:
     lines = [{'name': n, 'values': rounded(v)} for n, v in zip(names, trend.values.T)]
-    return {'kind': kind, 'x': rounded(trend.x), 'lines': lines, 'span': trend.span}
+    return {'kind': kind, 'x': rounded(trend.x), 'lines': lines, 'span': trend.tau}
