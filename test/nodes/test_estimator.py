@@ -61,7 +61,10 @@ def test_two_processes_make_a_noise_model(graph, still_imu):
 def test_an_estimator_without_sums_reports_it(graph):
     graph.start('estimator', **{'publish.sums_period': 0.1, 'publish.diagnostics_period': 0.2})
     status = graph.until(lambda: (s := graph.status('sums')) and s.level == ERROR and s)
-    assert 'No sums on /sums' in status.message and 'Start allan_accumulator' in status.message
+    assert (
+        'No Allan variance sums on /sums' in status.message
+        and 'Start allan_accumulator' in status.message
+    )
 
 
 def test_sums_that_cannot_be_read_do_not_stop_the_node(graph):

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..allan.curve import AllanCurve
 from ..findings import Finding, duration_text, finding
-from ..imu import SI_UNITS, sensor_of
+from ..imu import SI_UNITS, sensor_of, to_datasheet
 from .goodness import few_averages
 from .interpretation import largest_deviation, model_line, recommended_duration
 from .intervals import Z_DETECT, RampInterval, ScoreTest
@@ -154,8 +154,10 @@ def axis_findings(
     if step is not None:
         share = step * step / 12.0 / white
         found.append(finding('rounding', name, step=step, unit=unit, share=min(share, 1.0)))
-    if ramp is not None and not ramp.shared:
-        found.append(finding('ramps_differ', name))
+    if ramp is not None and ramp.other is not None:
+        longest, ramp_unit = to_datasheet('R', sensor_of(name[0]), ramp.value / tau0)
+        other, _ = to_datasheet('R', sensor_of(name[0]), ramp.other / tau0)
+        found.append(finding('ramps_differ', name, longest=longest, other=other, unit=ramp_unit))
     return [*found, *_time_findings(pooled, axis, selected, fit, tau0)]
 
 

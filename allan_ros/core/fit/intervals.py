@@ -339,15 +339,16 @@ class RampInterval:
         Ends of the interval.
     observable : bool
         Whether the value 0 is rejected.
-    shared : bool
-        Whether the ramps of all segments agree within their uncertainty.
+    other : float or None
+        Drift per sample of the segment that differs most significantly from the longest one, or
+        None if the ramps of all segments agree within their uncertainty.
     """
 
     value: float
     low: float
     high: float
     observable: bool
-    shared: bool
+    other: float | None
 
 
 def ramp_interval(
@@ -365,7 +366,10 @@ def ramp_interval(
     value, deviation = _mean(ramps, variance[counted])
     spread = float(np.sum((ramps - value) ** 2 / variance[counted]))
     shared = len(counted) == 1 or bool(special.chdtrc(len(counted) - 1, spread) > SAME_RAMP_P)
+    other = None
     if not shared:
+        difference = np.abs(ramps - ramps[0]) / np.sqrt(variance[counted] + variance[counted[0]])
+        other = float(ramps[np.argmax(difference)])
         counted, ramps = counted[:1], ramps[:1]
         value, deviation = _mean(ramps, variance[counted])
 
@@ -404,7 +408,7 @@ def ramp_interval(
     low = find_crossing(z, Z_95, start, value - half, value - reach)
     high = find_crossing(z, -Z_95, start, value + half, value + reach)
     observable = abs(value) > Z_DETECT_RAMP * bound or abs(start[0][1]) > Z_DETECT_RAMP
-    return RampInterval(value, low, high, observable, shared)
+    return RampInterval(value, low, high, observable, other)
 
 
 def _mean(ramps: Floats, variance: Floats) -> tuple[float, float]:
