@@ -291,7 +291,10 @@ def _axes_by_sensor(sums: AllanSums) -> list[list[int]]:
 
 
 def _settled_part(sums: AllanSums, age: int) -> tuple[AllanSums, int] | None:
-    """Return the sums without the first samples and their number; None if too few remain."""
+    """Leave out at least the first ``age`` samples; return the sums and how many are left out.
+
+    The result is None if too few samples remain.
+    """
     # The number is at least ``age``: sums can be divided only at some ages.
     edge = next((a for a in sums.history.ages if a >= age), None)
     if edge is None:
