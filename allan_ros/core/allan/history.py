@@ -143,7 +143,7 @@ class PeriodSums:
     sums: list[Floats]  # (axes,) of each period
 
     def shortest(self, length: int) -> int:
-        """Return the length in samples of the shortest period of a recording of ``length`` samples."""
+        """Return the length of the shortest period of a recording of ``length``, in samples."""
         return max(shortest_period(length), PERIOD_OVER_FACTOR * self.m)
 
     def add(self, begins: range, sums: Floats) -> None:
