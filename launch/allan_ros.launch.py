@@ -21,7 +21,10 @@ ARGUMENTS = {
     'namespace': ('', 'namespace of the nodes'),
     'sensor': ('', 'datasheet to compare with: a name in config/sensors, or a file'),
     'baseline': ('', 'results.json of an earlier run to compare with'),
-    'checkpoint': ('', 'file that keeps the sums over a restart; a folder for several IMUs'),
+    'checkpoint': (
+        '',
+        'file that keeps the Allan variance sums over a restart; a folder for several IMUs',
+    ),
     'hardware_id': ('', 'serial number of each IMU, separated by commas'),
     'relay': ('false', 'true: republish with covariances, on <imu>_with_covariance'),
     'apart': ('false', 'true: accumulator, estimator and relay in separate processes'),

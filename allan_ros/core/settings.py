@@ -151,8 +151,8 @@ class SegmenterSettings(CheckedSettings):
 
     stamps: str = fixed_parameter(
         'header',
-        'Times of the samples: header stamps (record times if these are all equal or zero), or '
-        'record times.',
+        'Sample times: header uses the header stamps, or the record times if all stamps are equal '
+        'or zero; record always uses the record times.',
         choices=('header', 'record'),
     )
     declared_rate: float = fixed_parameter(

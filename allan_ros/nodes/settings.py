@@ -63,7 +63,8 @@ class InputSettings(CheckedSettings):
     )
     plain_callback: bool = fixed_parameter(
         False,
-        'Receive each message in a callback instead of fetching queued messages; needs more CPU.',
+        'Receive each message in a callback instead of fetching queued messages; needs more CPU '
+        'time.',
     )
 
     def __post_init__(self) -> None:
@@ -110,7 +111,12 @@ class PublishSettings(CheckedSettings):
     """How often the nodes publish (group ``publish``)."""
 
     sums_period: float = parameter(
-        10.0, 'Period at which sums are published, and fitted if they have grown.', 's', 0.1, 3600.0
+        10.0,
+        'Period at which Allan variance sums are published, and fitted if they contain enough new '
+        'samples.',
+        's',
+        0.1,
+        3600.0,
     )
     diagnostics_period: float = parameter(
         1.0, 'Period at which every diagnostic status is published.', 's', 0.1, 60.0
@@ -119,7 +125,7 @@ class PublishSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class CheckpointSettings(CheckedSettings):
-    """Where and how often the sums are saved (group ``checkpoint``)."""
+    """Where and how often the Allan variance sums are saved (group ``checkpoint``)."""
 
     path: str = fixed_parameter(
         '',
@@ -131,7 +137,7 @@ class CheckpointSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class EstimatorSettings(CheckedSettings):
-    """How sums are fitted and results are compared (group ``estimator``)."""
+    """How Allan variance sums are fitted and results are compared (group ``estimator``)."""
 
     method: str = parameter(
         'gls', 'Method that fits the five terms.', choices=('gls', 'relative', 'paper')
@@ -168,7 +174,11 @@ class EstimatorSettings(CheckedSettings):
         0.0, 'Tolerance of the accel bias; 0: the width of its 95 % interval.', 'm/s^2', 0.0, 100.0
     )
     plot_period: float = parameter(
-        10.0, 'Shortest period of Allan plots, drawn only for subscribers.', 's', 1.0, 86400.0
+        10.0,
+        'Shortest time between two Allan plots, which are drawn only for subscribers.',
+        's',
+        1.0,
+        86400.0,
     )
 
 
@@ -228,7 +238,7 @@ class RelaySettings(CheckedSettings):
     )
     plain_callback: bool = fixed_parameter(
         False,
-        'Receive each message in a callback instead of a thread; needs more CPU.',
+        'Receive each message in a callback instead of a separate thread; needs more CPU time.',
     )
 
 
