@@ -124,7 +124,8 @@ def test_a_change_is_reported_in_the_dominant_coefficient(sums):
     status = status_of(sums, recent=recent, changes=(step,))
     assert status.level == DiagnosticStatus.WARN
     assert status.message.startswith(
-        'N rose from 0.200 to 0.300 deg/sqrt(h) 40 min ago (ratio 1.48..1.52)'
+        'N rose from 0.200 to 0.300 deg/sqrt(h) 40 min ago '
+        '(95 % interval of the ratio: 1.48 to 1.52)'
     )
     flicker = Coefficient(1.0, (0.9, 1.1))
     assert (
