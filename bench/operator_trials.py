@@ -221,7 +221,7 @@ def qos(client: Client) -> Cells:
     publisher = client.node.create_publisher(Imu, 'imu/data', best_effort)
     node = monitor('qos_overrides./imu/data.subscription.reliability:=reliable')
     first = until(client, lambda: status(client, 'input'))
-    took = until(client, says(client, 'does not fit the subscription'))
+    took = until(client, says(client, 'is incompatible with the subscription'))
     text = status(client, 'input')
     node.end()
     client.node.destroy_publisher(publisher)

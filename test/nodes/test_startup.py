@@ -78,7 +78,7 @@ def test_a_qos_that_does_not_fit_is_named_first(graph) -> None:
         Imu, 'imu/data', QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
     )
     graph.start('monitor', **QUICK, **RELIABLE)
-    told = 'The QoS of /test_client does not fit the subscription to /imu/data ('
+    told = 'The QoS of /test_client is incompatible with the subscription to /imu/data ('
     status = graph.until(lambda: (s := graph.status('input')) and s.message.startswith(told) and s)
     assert 'Best effort publisher and reliable subscription' in status.message
 

@@ -166,6 +166,7 @@ class StreamHealth:
     discarded: int = 0  # how often sums were discarded because the IMU had been moving
     # axis -> largest ratio of its noise at rest to the noise floor; empty if none became louder
     loudest: Mapping[str, float] = field(default_factory=dict)
+    discarded_s: float = 0.0  # total duration of the data in the discarded sums
 
     @property
     def still_share(self) -> float | None:
@@ -320,7 +321,7 @@ def stream_findings(
     add('bridged', bridged > REPORTED_BRIDGED_SHARE, bridged=counts.bridged, share=bridged)
     many = counts.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * counts.used)
     add('spikes', many, count=counts.spikes, share=counts.spikes / max(counts.used, 1))
-    add('relearned', health.discarded)
+    add('relearned', health.discarded, seconds=health.discarded_s)
     if health.rate_hz and counts.louder and health.loudest:
         ratio = max(health.loudest.values())
         axes = tuple(axis for axis, r in health.loudest.items() if r > LOUDER_SHARE * ratio)

@@ -175,6 +175,7 @@ class ImuStream:
             self._frame_changes,
             sum(stream.relearned for stream in streams),
             {axis: ratio for s in frame.sensors for axis, ratio in s.loudest.items()},
+            max((stream.discarded_s for stream in streams), default=0.0),
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
         found = [*notes, *stream_findings(health, longest, self._options.settings)]
@@ -272,12 +273,14 @@ class SensorStream:
     These are all six axes, or the axes of one sensor if the sensors have different rates. The
     stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `RepeatFilter` (if the driver
     repeats samples at random), `MotionGate`, `RunningAllan`.
-    ``relearned`` counts how often the sums were discarded because the IMU had been moving.
+    ``relearned`` counts how often the sums were discarded because the IMU had been moving, and
+    ``discarded_s`` is the total duration of the data in these sums.
     """
 
     def __init__(self, plan: SensorPlan, identity: ImuIdentity, options: StreamOptions) -> None:
         self.counts = Counts()
         self.relearned = 0
+        self.discarded_s = 0.0
         self._axes = plan.axes
         self._polled = bool(plan.drop)
         self._repeated = [[plan.axes.index(a) for a in group] for group in plan.random_repeats]
@@ -432,7 +435,9 @@ class SensorStream:
         if block.cut == RELEARNED:
             self.counts.moving += self._engine.samples
             self.counts.used -= self._engine.samples
+            assert self.clock is not None
             self.relearned += 1
+            self.discarded_s += self._engine.samples * self.clock.period_ns * 1e-9
             self._clear()
         elif block.cut:
             self._close_segment()
