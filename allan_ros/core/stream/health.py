@@ -166,7 +166,7 @@ class StreamHealth:
     discarded: int = 0  # how often sums were discarded because the IMU had been moving
     # axis -> largest ratio of its noise at rest to the noise floor; empty if none became louder
     loudest: Mapping[str, float] = field(default_factory=dict)
-    discarded_s: float = 0.0  # total duration of the data in the discarded sums
+    discarded_s: float = 0.0  # from the start of the discarded sums to the first sample kept
 
     @property
     def still_share(self) -> float | None:

@@ -274,13 +274,15 @@ class SensorStream:
     stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `RepeatFilter` (if the driver
     repeats samples at random), `MotionGate`, `RunningAllan`.
     ``relearned`` counts how often the sums were discarded because the IMU had been moving, and
-    ``discarded_s`` is the total duration of the data in these sums.
+    ``discarded_s`` is the time from the first sample at rest to the first one that was kept.
     """
 
     def __init__(self, plan: SensorPlan, identity: ImuIdentity, options: StreamOptions) -> None:
         self.counts = Counts()
         self.relearned = 0
         self.discarded_s = 0.0
+        self._first_ns: int | None = None
+        self._restarted = False
         self._axes = plan.axes
         self._polled = bool(plan.drop)
         self._repeated = [[plan.axes.index(a) for a in group] for group in plan.random_repeats]
@@ -435,14 +437,20 @@ class SensorStream:
         if block.cut == RELEARNED:
             self.counts.moving += self._engine.samples
             self.counts.used -= self._engine.samples
-            assert self.clock is not None
             self.relearned += 1
-            self.discarded_s += self._engine.samples * self.clock.period_ns * 1e-9
+            self._restarted = True
+            discarded_ns = self._end_ns - (self._first_ns or 0)  # until the next sample is kept
+            self.discarded_s = max(self.discarded_s, discarded_ns * 1e-9)
             self._clear()
         elif block.cut:
             self._close_segment()
         if not len(block):
             return
+        if self._first_ns is None:
+            self._first_ns = int(block.stamps[0])
+        if self._restarted:  # the gate released samples of the last discarded block again
+            self.discarded_s = (int(block.stamps[0]) - self._first_ns) * 1e-9
+            self._restarted = False
         if not self._engine.open_samples:
             self._start_ns, self._cut = int(block.stamps[0]), block.cut
         self._end_ns = int(block.stamps[-1])
