@@ -250,7 +250,7 @@ datasheet of --sensor, with the accepted earlier run of --baseline, or with both
 """
 
 MERGE = """
-Add the sums of several recordings of one IMU, and fit them together.
+Add the Allan variance sums of recordings of one IMU and fit the total.
 
 An input is the folder of an analysis, its sums.json, or a checkpoint of a node. The result equals
 that of one analysis of all recordings, up to rounding.

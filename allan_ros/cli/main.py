@@ -38,7 +38,7 @@ CLOSE = 0.6
 VERBS = {
     'analyze': 'compute coefficients, curves, plots and a report from recordings',
     'check': 'check one IMU: one line of output and an exit code',
-    'merge': 'add the sums of several recordings of one IMU and fit them together',
+    'merge': 'add the Allan variance sums of recordings of one IMU and fit the total',
     'compare': 'list significant differences between recordings, or from a datasheet',
     'sensors': 'list the known datasheets of IMUs, or show one with its sources',
     'export': 'write the measured noise to a file for a filter or simulator',
