@@ -353,6 +353,8 @@ def _are_repeated(values: Floats) -> bool:
         return False
     if _coincide(flags):
         return True
+    # If a share r of the samples is repeated and axis i is equal by chance with probability q, its
+    # share of equal samples is r + (1 - r) q. All axes are equal by chance in (1 - r) prod(q).
     least = (1.0 - CHANCE_SHARE) * share
     by_chance = (1.0 - least) * np.prod((flags.mean(axis=1) - least) / (1.0 - least))
     equal_second = (values[:, 2:] == values[:, :-2]).all(axis=0)[~both[1:]].mean()
@@ -373,7 +375,11 @@ def _are_regular(repeats: NDArray[np.bool_]) -> bool:
 
 
 def _line_variance(flags: NDArray[np.bool_]) -> float:
-    """Return the variance of the cumulative number of flags about a straight line."""
+    """Return the variance of the cumulative number of flags about a straight line.
+
+    For n independent flags of share p, it is n p (1 - p) times Watson's U^2, whose mean is 1/12
+    (G. S. Watson, Biometrika 48, 1961).
+    """
     return float(np.var(np.cumsum(flags - flags.mean())))
 
 

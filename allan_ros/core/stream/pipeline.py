@@ -39,7 +39,8 @@ from .health import (
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
-from .timing import LEARN, Block, Clock, RepeatFilter, SampleClock, learn_clock
+from .repeats import RepeatFilter
+from .timing import LEARN, Block, Clock, SampleClock, learn_clock
 
 KEPT_FRAMES = 8
 """Largest number of frame_ids (that is, of IMUs) in one stream whose sums are kept."""
