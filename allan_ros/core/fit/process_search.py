@@ -54,7 +54,8 @@ ACCEPTED_GAIN = 21.0
 """The same if the model is not rejected; it occurs by chance in one of 2000 records."""
 
 NO_WALK_GAIN = 6.0
-"""The same for a model without a random walk, which is later compared with a model that has one."""
+"""The same for a Gauss-Markov process of a model without a random walk, which is later compared
+with a model that has one."""
 
 STRONG_GAIN = 1000.0
 """Decrease of chi^2 above which several shapes are refined before one is chosen. Between the shapes
