@@ -33,8 +33,8 @@ from sensor_msgs.msg import Imu
 
 from ..core.errors import one_line
 from ..core.findings import Finding, finding
-from ..core.imu import ImuBatch, sample_factors
-from ..core.stream.transport import TransportStatistics
+from ..core.imu import NANOSECONDS, ImuBatch, sample_factors
+from ..core.stream.transport import Arrivals, ConstantAxes, TransportStatistics
 from ..io.readers.cdr import MalformedMessage, decode_imus, is_imu
 from .settings import InputSettings
 
@@ -170,6 +170,10 @@ class ImuInput:
         self._node = node
         self._payloads: list[bytes] = []
         self._received_ns: list[int] = []
+        self._arrived_s: list[float] = []  # on a steady clock
+        self._drained_s = steady_s()
+        self._arrivals = Arrivals(self._statistics)
+        self.constant = ConstantAxes()
         self._last_number: dict[bytes, int | None] = {}
         self._publisher_count, self._alone = 1, True
         self._scale = sample_factors(settings.gyro_unit, settings.accel_unit)
@@ -189,13 +193,19 @@ class ImuInput:
         self._publisher_count = count
         if not self._alone and b'' in self._last_number:
             self._last_number[b''] = None
-        handle = self._subscription.handle
+        handle, before = self._subscription.handle, len(self._received_ns)
         with handle:
             for _ in range(DRAIN_LIMIT):
                 message = handle.take_message(Imu, True)
                 if message is None:
-                    return
+                    break
                 self._collect(*message)
+        # the system clock of the times of reception may have been set since the last call
+        now_s = steady_s()
+        received_s = np.array(self._received_ns[before:], np.int64) / NANOSECONDS
+        arrived_s = np.clip(received_s - (time.time() - now_s), self._drained_s, now_s)
+        self._arrived_s += arrived_s.tolist()
+        self._drained_s = now_s
 
     def batches(self) -> Iterator[ImuBatch]:
         """Decode the messages received since the last call, in SI units, and yield them in order.
@@ -203,14 +213,18 @@ class ImuInput:
         All samples of a batch have the same frame_id. Malformed messages are counted and dropped.
         """
         payloads, received = self._payloads, np.array(self._received_ns, np.int64)
-        self._payloads, self._received_ns = [], []
+        arrived_s = np.array(self._arrived_s)
+        self._payloads, self._received_ns, self._arrived_s = [], [], []
         try:
             decoded = decode_imus(payloads, 'cdr')
         except MalformedMessage:
             valid = [is_imu(payload, 'cdr') for payload in payloads]
             self._statistics.malformed += valid.count(False)
             decoded = decode_imus(list(compress(payloads, valid)), 'cdr')
-            received = received[np.array(valid, bool)]
+            received, arrived_s = (x[np.array(valid, bool)] for x in (received, arrived_s))
+        self._arrivals.update(decoded.stamps_ns, arrived_s)
+        if len(received):
+            self.constant.update(decoded.samples)
         for batch in decoded.batches(received):
             yield replace(batch, samples=batch.samples * self._scale)
 
@@ -270,6 +284,7 @@ class ImuInput:
         self._payloads.append(payload)
         if info is None:  # called by the executor
             self._received_ns.append(time.time_ns())
+            self._arrived_s.append(steady_s())
             return
         self._received_ns.append(info['received_timestamp'])
         number = info.get('publication_sequence_number')
@@ -284,6 +299,12 @@ class ImuInput:
         # Before Kilted, messages of two publishers cannot be distinguished.
         if before is not None and (gid is not None or self._alone):
             self._statistics.skipped_numbers += max(0, number - before - 1)
+
+
+def steady_s() -> float:
+    """Return the time in s of a clock that is never set, and that runs on while the system sleeps."""
+    boot = getattr(time, 'CLOCK_BOOTTIME', None)
+    return time.monotonic() if boot is None else time.clock_gettime(boot)
 
 
 def full_name(endpoint: Any) -> str:

@@ -1,19 +1,29 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about a live input: no messages, lost messages, and events of the last minute.
+"""Findings about a live input: present faults first, then the events of the last minute.
 
 The counts of a stream never decrease, so an event would be reported as long as a node runs.
 Therefore, only recent events are reported.
+
+Three events look alike in the stamps: no message was sent for a while, messages were lost in
+transport, or the clock that stamps the messages was set. `Arrivals` separates them by the times of
+reception on a steady clock, the stamps, and the sequence numbers of the messages.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 
-from ..findings import Finding, finding
+import numpy as np
+from numpy.typing import NDArray
+
+from ..findings import SEVERITIES, Finding, finding
+from ..imu import AXES, NANOSECONDS
 from .cleaning import BACKWARD_RUN
-from .health import StreamHealth, event_findings, events
+from .health import EVENTS, StreamHealth, event_findings, events
 from .timing import LEARN
 
 LATELY_S = 60.0
@@ -25,22 +35,46 @@ LATELY = ' in the last minute'
 REPORTED_LOST_SHARE = 1e-3
 """Smallest share of messages lost in transport that is reported."""
 
-LEAP_S = 2.0
-"""If the stamps advance by this much more than the elapsed time, in s, the clock of the stamps was
-set forward."""
+PRESENT_S = 3.0
+"""Time in s since its last occurrence for which an event is a present fault, not a past one."""
+
+STEP_S = 0.2
+"""Smallest step in s of the clock of the stamps that is reported."""
+
+SILENCE_S = 1.0
+"""Shortest time in s without messages that is reported as an interruption."""
+
+ENVELOPE_S = 5.0
+"""Time in s over which the smallest delay between stamp and reception is determined."""
+
+LIVE_PACE = 0.2
+"""Largest relative difference between stamps and time of reception that is regarded as live. If a
+recording is played at another speed, clock steps cannot be told from gaps."""
+
+EXCUSED = 10
+"""Number of observations with usable samples after which a known cause of missing samples does not
+explain new ones."""
 
 STARTUP_S = 5.0
 """Missing messages are not reported during the first seconds, because discovery takes time."""
 
-NEVER_STILL_S = 10.0
-"""Time in s after which uninterrupted motion since the start is reported."""
+STUCK_S, STUCK_RUNS = 1.0, 20
+"""An axis is stuck if its value has not changed for this time in s, and for this many times the
+number of samples of its longest earlier run of equal values."""
 
 LIVE_FINDINGS = (
     *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'axis_absent'),
-    *('sensor_all_zero', 'zero_filled', 'held', 'never_still', 'no_noise', 'gyro_unit'),
+    *('sensor_all_zero', 'zero_filled', 'held', 'no_noise', 'gyro_unit'),
     *('accel_unit', 'accel_scale', 'clipped', 'stamps_mixed', 'repeated'),
 )
 """Ids of findings about a complete stream that a node also reports while the stream continues."""
+
+FAULTS = (
+    *('wrong_type', 'qos_incompatible', 'no_publisher', 'input_stopped', 'input_silent'),
+    *('input_unusable', 'stuck_now', 'gyro_unit', 'accel_unit', 'accel_scale', 'no_noise'),
+)
+"""Ids of findings that mean that present samples of their axes (all if none) must not be used. The
+first cause more damage than the later ones."""
 
 
 @dataclass
@@ -53,11 +87,113 @@ class TransportStatistics:
     reported_lost: int = 0  # losses reported by the middleware
     malformed: int = 0  # received messages that are not Imu messages
     incompatible_qos: int = 0  # publishers with an incompatible QoS, whose messages do not arrive
+    interruptions: int = 0  # times at least `SILENCE_S` long in which nothing was sent
+    silent_s: float = 0.0  # sum of these times
+    leapt_s: float = 0.0  # sum of the steps by which the clock of the stamps was set forward
 
     @property
     def lost(self) -> int:
         """Lost messages: the larger of ``skipped_numbers`` and ``reported_lost``."""
         return max(self.skipped_numbers, self.reported_lost)
+
+
+class Arrivals:
+    """Finds interruptions and forward steps of the clock of the stamps, and counts them.
+
+    Stamp minus time of reception is the offset of the clock minus the delay of a message. Its
+    maximum over a few seconds changes only if the clock is set. ``statistics`` is updated.
+    """
+
+    def __init__(self, statistics: TransportStatistics) -> None:
+        self._statistics = statistics
+        self._origin_ns = self._lost = 0
+        self._latest: tuple[float, float] | None = None  # stamp and reception of the latest message
+        # reception of the last message of a batch, and the largest offset in the batch
+        self._offsets: deque[tuple[float, float]] = deque()
+
+    def update(self, stamps_ns: NDArray[np.int64], received_s: NDArray[np.float64]) -> None:
+        """Process the next messages: stamps in ns, and times of reception on a steady clock in s.
+
+        The statistics already contain the messages that were lost before and between these.
+        """
+        lost, self._lost = self._statistics.lost - self._lost, self._statistics.lost
+        if not len(stamps_ns):
+            return
+        if self._latest is None:
+            self._origin_ns = int(stamps_ns[0])
+        stamps = (stamps_ns - self._origin_ns) / NANOSECONDS
+        latest = np.maximum.accumulate(stamps)
+        if self._latest is not None and latest[-1] > self._latest[0] - STEP_S:
+            latest = np.maximum(latest, self._latest[0])
+        before = latest[0] if self._latest is None else self._latest[0]
+        gaps = np.flatnonzero(np.diff(latest, prepend=before) > STEP_S)
+        for piece in np.split(np.arange(len(stamps)), gaps):
+            if not len(piece):
+                continue
+            first, last = piece[0], piece[-1]
+            if first in gaps and self._latest is not None:
+                self._judge(float(stamps[first]), float(received_s[first]), lost)
+            largest = float((stamps[piece] - received_s[piece]).max())
+            self._offsets.append((float(received_s[last]), largest))
+            self._latest = float(latest[last]), float(received_s[last])
+        while self._offsets[0][0] < received_s[-1] - ENVELOPE_S:
+            self._offsets.popleft()
+
+    def _judge(self, stamp: float, received_s: float, lost: int) -> None:
+        """Count the cause of a gap in the stamps before a message."""
+        assert self._latest is not None
+        silent_s = received_s - self._latest[1]
+        began, offset = self._offsets[0]
+        lasted = self._latest[1] - began
+        if lasted > 1.0 and abs(self._offsets[-1][1] - offset) > LIVE_PACE * lasted:
+            return
+        step = stamp - received_s - max(offset for _, offset in self._offsets)
+        if step > STEP_S:
+            self._statistics.leapt_s += step
+            self._offsets.clear()
+        if silent_s >= SILENCE_S and not lost:
+            self._statistics.interruptions += 1
+            self._statistics.silent_s += silent_s
+
+
+class ConstantAxes:
+    """Finds axes whose value has stopped changing although it changed before."""
+
+    def __init__(self) -> None:
+        self._last = np.full(len(AXES), np.nan)
+        self._run = np.zeros(len(AXES), np.int64)  # number of equal values up to the latest sample
+        self._longest = np.zeros(len(AXES), np.int64)  # longest run that has ended
+
+    def update(self, samples: NDArray[np.float64]) -> None:
+        """Process the next samples, (n, 6)."""
+        for i, column in enumerate(samples.T):
+            changes = np.flatnonzero(np.diff(column, prepend=self._last[i]) != 0.0)
+            if len(changes):
+                runs = np.diff(changes, prepend=-self._run[i])
+                if np.isfinite(self._last[i]) or len(changes) > 1:
+                    self._longest[i] = max(self._longest[i], int(runs.max()))
+                self._run[i] = 0
+            self._run[i] += len(column) - (changes[-1] if len(changes) else 0)
+        self._last = samples[-1].copy()
+
+    def stuck(self, rate_hz: float) -> dict[str, float]:
+        """Return the stuck axes, and for how many seconds each has been stuck."""
+        needed = np.maximum(STUCK_S * rate_hz, STUCK_RUNS * self._longest)
+        found = (self._longest > 0) & (self._run > needed) & np.isfinite(self._last)
+        return {AXES[i]: float(self._run[i] / rate_hz) for i in np.flatnonzero(found)}
+
+
+def ordered(present: Iterable[Finding], past: Iterable[Finding] = ()) -> tuple[Finding, ...]:
+    """Return findings in the order in which an operator needs them.
+
+    Present ones precede past ones; the most severe comes first, and of these the one with the worst
+    consequence.
+    """
+
+    def key(one: Finding) -> tuple[int, int]:
+        return SEVERITIES.index(one.severity), -(one.id in FAULTS)
+
+    return *sorted(present, key=key), *sorted(past, key=key)
 
 
 class TransportMonitor:
@@ -74,14 +210,13 @@ class TransportMonitor:
         self._messages = self._usable = self._samples = 0
         # (time, counts at this time) of the last minute
         self._history: deque[tuple[float, Counter[str]]] = deque()
-        # samples that are missing according to the stamps, in this pass; in total and by cause
-        self._missing = 0
-        self._leapt = 0  # the clock was set forward
-        self._other_frame = 0  # samples with another frame_id arrived instead
-        self._absent = 0  # never sent, as far as is known
-        self._absent_before = 0  # at the previous call
+        self._causes: Counter[str] = Counter()  # counts at the previous call
+        # number of samples that known causes explain, and that are not yet found to be missing, in
+        # the order of the calls
+        self._excused: deque[float] = deque([0.0], EXCUSED)
+        # missing samples without a known cause; at this call and the previous one, and reported
+        self._unexplained = self._unexplained_before = self._absent = 0.0
         self._frame_changes = 0
-        self._lost_before = 0  # messages lost in transport before this pass
 
     def set_received(self, time_s: float, messages: int) -> None:
         """Store the number of messages received since the start, and when it last increased."""
@@ -110,22 +245,18 @@ class TransportMonitor:
         publishers with an incompatible type or QoS; they are reported instead of missing messages.
         """
         self._update(time_s, transport, health)
-        found = [*graph] or self._silence(time_s, transport, publishers, stale_after)
+        present = [*graph] or self._silence(time_s, transport, publishers, stale_after)
         if len(publishers) > 1:
             names, count = ', '.join(publishers), len(publishers)
-            found.append(finding('several_publishers', count=count, topic=self._topic, names=names))
-        found += self._recent_findings(health)
-        present = {*LIVE_FINDINGS, *(('noise_louder',) if health.state == 'louder' else ())}
-        if health.rate_hz and health.counts.moving < NEVER_STILL_S * health.rate_hz:
-            present.discard('never_still')
-        # a warning instead of an error, because a robot may drive as soon as it is started
-        found += [
-            replace(f, severity='warning') if f.id == 'never_still' else f
-            for f in stream
-            if f.id in present
-        ]
-        order = ('error', 'warning', 'info')
-        return tuple(sorted(found, key=lambda f: order.index(f.severity)))
+            values = {'count': count, 'topic': self._topic, 'names': names}
+            present.append(finding('several_publishers', **values))
+        if health.frame_id != health.sums_frame_id:
+            shown = health.sums_frame_id
+            present.append(finding('frame_waits', present=health.frame_id, shown=shown))
+        live = {*LIVE_FINDINGS, *(('noise_louder',) if health.state == 'louder' else ())}
+        present += [f for f in stream if f.id in live]
+        events, past = self._recent_findings(health)
+        return ordered([*events, *present], past)
 
     def _update(self, time_s: float, transport: TransportStatistics, health: StreamHealth) -> None:
         c = health.counts
@@ -133,47 +264,59 @@ class TransportMonitor:
         usable = c.received - c.not_finite - c.duplicate - c.backward - c.untimed
         if health.rate_hz is None and c.received > 2 * LEARN:
             usable = self._usable  # no sensor has usable values: all are NaN, infinite or 0
-        passed_s = time_s - self._last_usable
-        if usable != self._usable:
+        progress = usable != self._usable
+        if progress:
             self._last_usable, self._usable = time_s, usable
-        if c.received < self._samples:
-            # a new pass: the counts of the stream start at 0, those of the transport continue
-            self._missing = self._leapt = self._other_frame = 0
-            self._absent = self._absent_before = 0
-            self._lost_before = transport.lost
-            begin = Counter(received=transport.received, lost=transport.lost)
-            self._history = deque([(time_s, begin)])
-        self._samples = c.received
-        self._attribute_missing(passed_s, transport, health)
         counts = events(health)
         counts.update(received=transport.received, lost=transport.lost)
-        counts.update(absent=self._absent, leapt=self._leapt)
+        counts.update(interruptions=transport.interruptions)
+        counts.update(silent_s=transport.silent_s, leapt_s=transport.leapt_s)  # type: ignore
+        if c.received < self._samples:
+            # a new pass: the counts of the stream start at 0, those of the transport continue
+            self._unexplained = self._unexplained_before = self._absent = 0.0
+            begin = Counter({id: n for id, n in counts.items() if id not in EVENTS})
+            self._causes = begin.copy()
+            self._excused.append(0.0)
+            self._history = deque([(time_s, begin)])
+        self._samples = c.received
+        self._attribute_missing(counts, health, progress)
+        counts.update(absent=round(self._absent))
         self._history.append((time_s, counts))
         while len(self._history) > 2 and self._history[1][0] <= time_s - LATELY_S:
             self._history.popleft()
 
     def _attribute_missing(
-        self, passed_s: float, transport: TransportStatistics, health: StreamHealth
+        self, counts: Counter[str], health: StreamHealth, progress: bool
     ) -> None:
-        """Update the number of missing samples by cause.
+        """Count the missing samples that no known cause explains.
 
-        ``passed_s`` is the time since the last usable samples, in s.
+        A cause is known before the samples are found to be missing, because the samples after a gap
+        must be classified first. ``progress`` tells whether usable samples arrived.
         """
         c = health.counts
-        missing, self._missing = c.lost - self._missing, c.lost
-        if health.frame_changes != self._frame_changes:
-            self._other_frame += max(0, missing)
+        causes = counts.copy()
+        causes.update(missing=c.lost, dropped=c.not_finite + c.backward)
+        more = causes.copy()
+        more.subtract(self._causes)
+        self._causes = causes
+        # a lost message is missing twice if there are two sensor streams
+        gone_s = more['silent_s'] + more['leapt_s']
+        excused = more['dropped'] + 2.0 * (more['lost'] + gone_s * (health.rate_hz or 0.0))
+        missing = float(more['missing'])
+        if health.frame_changes != self._frame_changes:  # samples with another frame_id arrived
             self._frame_changes = health.frame_changes
-        elif health.rate_hz and missing > (passed_s + LEAP_S) * health.rate_hz:
-            self._leapt += missing
-        # Dropped samples and messages lost in transport are also missing according to the stamps;
-        # a lost message counts twice if there are two sensor streams. They are known before the
-        # gap is found, so the difference first decreases, and its maximum is used. The decision on
-        # the latest samples may still change, so the smaller value of two calls is used.
-        explained = c.not_finite + c.backward + 2 * (transport.lost - self._lost_before)
-        absent = c.lost - self._leapt - self._other_frame - explained
-        self._absent = max(self._absent, min(absent, self._absent_before))
-        self._absent_before = absent
+            excused = math.inf
+        self._excused[-1] += max(0.0, excused)
+        for i, amount in enumerate(self._excused):
+            used = min(amount, max(0.0, missing))
+            self._excused[i] -= used
+            missing -= used
+        if progress:
+            self._excused.append(0.0)
+        # the decision on the latest samples may still change: use the smaller value of two calls
+        self._unexplained_before, self._unexplained = self._unexplained, self._unexplained + missing
+        settled = min(self._unexplained, self._unexplained_before)
+        self._absent = max(self._absent, settled)
 
     def _silence(
         self,
@@ -198,15 +341,24 @@ class TransportMonitor:
             return [finding('input_unusable', topic=topic, seconds=unusable)]
         return []
 
-    def _recent_findings(self, health: StreamHealth) -> list[Finding]:
-        """Return the findings about the last minute, ordered from causes to effects."""
-        more = self._history[-1][1].copy()
+    def _recent_findings(self, health: StreamHealth) -> tuple[list[Finding], list[Finding]]:
+        """Return the findings about events: those that still occur, and those of the last minute.
+
+        Both are ordered from causes to effects.
+        """
+        counts = self._history[-1][1]
+        start = self._history[-1][0] - PRESENT_S
+        former = [old for time_s, old in self._history if time_s <= start]
+        more, latest = counts.copy(), counts.copy()
         more.subtract(self._history[0][1])
+        latest.subtract(former[-1] if former else self._history[0][1])
         # these samples were dropped because the clock was set back
         more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
         found = event_findings(more, health, LATELY)
-        if more['leapt'] > 0 and health.rate_hz:
-            found.insert(0, finding('stamps_leapt', seconds=more['leapt'] / health.rate_hz))
+        if more['leapt_s'] > 0:
+            found.insert(0, finding('stamps_leapt', seconds=more['leapt_s']))
+        if times := more['interruptions']:
+            found.append(finding('interrupted', times=times, seconds=more['silent_s']))
         received, lost, absent = more['received'], more['lost'], more['absent']
         if lost and lost >= REPORTED_LOST_SHARE * (received + lost):
             found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
@@ -214,7 +366,7 @@ class TransportMonitor:
         if absent >= REPORTED_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
             share = absent / (received + absent)
             found.append(finding('samples_missing', count=absent, share=share))
-        if health.frame_id != health.sums_frame_id:
-            shown = health.sums_frame_id
-            found.append(finding('frame_waits', present=health.frame_id, shown=shown))
-        return found
+        count_of = {'stamps_leapt': 'leapt_s', 'interrupted': 'interruptions'}
+        count_of.update(messages_lost='lost', samples_missing='absent')
+        now = [f for f in found if latest[count_of.get(f.id, f.id)] > 0]
+        return now, [f for f in found if f not in now]

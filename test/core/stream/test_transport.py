@@ -7,9 +7,20 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 
+import numpy as np
+import pytest
+
 from allan_ros.core.findings import finding
+from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.health import Counts, StreamHealth
-from allan_ros.core.stream.transport import LATELY_S, TransportMonitor, TransportStatistics
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.core.stream.transport import (
+    LATELY_S,
+    Arrivals,
+    ConstantAxes,
+    TransportMonitor,
+    TransportStatistics,
+)
 
 ONE = ('/driver',)
 CUTS = {'rate_changes': 'rate change', 'jumps': 'clock jump'}
@@ -132,18 +143,12 @@ def test_samples_that_the_driver_never_sent_are_counted_separately():
     source.second()
     assert source.second(messages=190, lost=10, reported_lost=10) == ['messages_lost']
     assert source.second() == ['messages_lost']
-    # after a silence the samples of that time are missing, and no more
-    source = Input()
-    source.second()
-    for _ in range(100):
-        source.second(messages=0)
-    assert source.second(lost=20_000) == []
-    assert source.second() == ['samples_missing']
 
 
 def test_a_clock_step_is_reported_with_its_direction():
     source = Input()
     source.second()
+    source.reception.leapt_s += 3600.0
     assert source.second(lost=720_000) == ['stamps_leapt']
     source = Input()
     source.second()
@@ -206,23 +211,109 @@ def test_lost_messages_are_counted_by_the_better_witness():
     assert TransportStatistics(skipped_numbers=9, reported_lost=7).lost == 9
 
 
-def test_a_robot_that_drives_since_boot_is_a_warning():
-    source = Input()
-    source.second(stream=[finding('never_still', seconds=60.0)])
-    (found,) = source.watch.observe(
-        2.0,
-        source.reception,
-        StreamHealth(Counts()),
-        ONE,
-        2.0,
-        (finding('never_still', seconds=61.0),),
-    )
-    assert found.severity == 'warning'
+RATE = 100.0
 
 
-def test_motion_since_the_start_is_reported_after_ten_seconds():
+def live_findings(
+    stamps_s, arrival_s, kept, phase: float, samples=None
+) -> tuple[set[str], set[str]]:
+    """Return ids of the warnings of a watched stream, and those in the last 20 s.
+
+    Messages with ``kept`` are received. Their number is observed once a second, at a ``phase``.
+    """
+    statistics = TransportStatistics()
+    arrivals, stream = Arrivals(statistics), ImuStream()
+    watch = TransportMonitor('/imu', 0.0)
+    if samples is None:
+        samples = np.random.default_rng(1).normal(0.0, 1e-3, (len(stamps_s), 6)) + [0, 0, 0, 0, 0, 9.8]
+    stamps = np.round(np.asarray(stamps_s) * 1e9).astype(np.int64) + 10**18
+    seen: list[set[str]] = []
+    low = 0
+    for now in np.arange(phase, arrival_s[-1] + 3.0, 0.5):
+        high = int(np.searchsorted(arrival_s, now))
+        rows = np.arange(low, high)[kept[low:high]]
+        statistics.received += len(rows)
+        statistics.skipped_numbers += int((~kept[low : rows[-1] + 1]).sum()) if len(rows) else 0
+        low = rows[-1] + 1 if len(rows) else low
+        arrivals.update(stamps[rows], arrival_s[rows])
+        stream.update(ImuBatch(stamps[rows], samples[rows], frame_id='imu'))
+        if (now - phase) % 1.0:
+            continue
+        health, found = stream.present_health(())
+        found = watch.observe(now, statistics, health, ONE, 2.0, found)
+        seen.append({f.id for f in found if f.severity != 'info'} - {'short'})
+    return set().union(*seen), set().union(*seen[-20:])
+
+
+@pytest.mark.parametrize('phase', [0.03, 0.31, 0.77])
+@pytest.mark.parametrize(
+    'event, expected',
+    [
+        ('silence', {'interrupted', 'input_silent'}),
+        ('loss', {'messages_lost', 'input_silent'}),
+        ('step', {'stamps_leapt'}),
+        ('step and silence', {'stamps_leapt', 'interrupted', 'input_silent'}),
+        ('backlog', {'input_silent'}),
+        ('missing', {'samples_missing'}),
+        ('nothing', set()),
+    ],
+)
+def test_each_event_in_the_stamps_has_its_own_cause(event, expected, phase):
+    """Silence, loss in transport, clock steps and samples that were never sent look alike."""
+    rng = np.random.default_rng(round(100 * phase))
+    n = 6000
+    sent = np.arange(n) / RATE
+    delay = rng.exponential(2e-3, n)
+    kept = np.ones(n, bool)
+    at = 2000 + int(rng.integers(0, 100))
+    stamps = sent.copy()
+    arrival = sent + delay
+    if event in ('silence', 'step and silence'):
+        stamps[at:] += 6.0
+        arrival[at:] += 6.0
+    if event == 'loss':
+        kept[at : at + 600] = False
+    if event in ('step', 'step and silence'):
+        stamps[at:] += 2.0
+    if event == 'backlog':  # the network holds messages back, and then delivers them
+        arrival[at : at + 600] = arrival[at + 600]
+    if event == 'missing':
+        present = rng.random(n) > 0.05
+        stamps, arrival, kept = stamps[present], arrival[present], kept[present]
+    found, _ = live_findings(stamps, np.maximum.accumulate(arrival), kept, phase)
+    assert found == expected
+
+
+def test_a_recording_played_fast_has_no_clock_steps():
+    stamps = np.arange(20_000) / RATE
+    stamps[10_000:] += 30.0
+    statistics = TransportStatistics()
+    arrivals = Arrivals(statistics)
+    for rows in np.split(np.arange(20_000), 40):
+        arrivals.update((stamps[rows] * 1e9).astype(np.int64), stamps[rows] / 10.0)
+    assert statistics.leapt_s == 0.0
+
+
+def test_a_stuck_axis_is_named():
+    rng = np.random.default_rng(3)
+    samples = np.round(rng.normal(0.0, 2.0, (4000, 6)))  # coarse: values repeat by chance
+    samples[2000:, 2] = samples[2000, 2]
+    samples[:, 4] = 9.8  # never changed: another finding
+    constant, found = ConstantAxes(), []
+    for rows in np.split(samples, 80):
+        constant.update(rows)
+        found.append(constant.stuck(RATE))
+    assert not any(found[:42])
+    assert all(set(one) == {'gyro_z'} for one in found[46:])
+    assert found[-1]['gyro_z'] == pytest.approx(20.0, rel=0.01)
+
+
+def test_a_past_event_does_not_precede_a_present_fault():
     source = Input()
-    moving = [
-        source.second(stream=[finding('never_still', seconds=s)], moving=200) for s in range(20)
-    ]
-    assert moving == [[]] * 9 + [['never_still']] * 11
+    for _ in range(3):
+        source.second()
+    unit = finding('gyro_unit', ('gyro_x',), n=1.0, rate=1.0)
+    assert source.second(stream=[unit], reported_lost=50)[0] == 'gyro_unit'
+    for _ in range(5):
+        assert source.second(stream=[unit]) == ['gyro_unit', 'messages_lost']
+    assert source.second(stream=[unit], not_finite=200, messages=200)[:1] == ['gyro_unit']
