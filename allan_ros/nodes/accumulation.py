@@ -22,7 +22,7 @@ from ..core.settings import SegmenterSettings
 from ..core.stream.cleaning import PassSplitter
 from ..core.stream.health import StreamHealth
 from ..core.stream.pipeline import ImuStream
-from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor
+from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor, faults_of
 from ..io.checkpoint import Checkpoint, Total
 from ..io.readers.recording import SourceInfo
 from ..io.recorded import Provenance
@@ -73,7 +73,8 @@ class ImuWatch(Part):
         self.frame_id = ''
         self._axes: tuple[str, ...] = ()  # axes with a finite value so far
         self._published: tuple[AllanSums, ...] = ()
-        self._published_imu: tuple[str, tuple[str, ...]] = '', ()
+        self._published_state: object = '', (), []  # `_state` of the published sums
+        self._faults: tuple[Finding, ...] = ()
         self._received = 0  # number of messages at the last status
         self._events: tuple[object, ...]
         self._begin(self._checkpoint.last_stamp_ns)
@@ -115,13 +116,19 @@ class ImuWatch(Part):
         self._update()
         self._checkpoint.tick()
         health, stream_findings = self._health_and_findings()
-        if (self.frame_id, self._axes) != self._published_imu:
-            self._publish(self._total())
         statistics, (publishers, graph) = self._input.statistics(), self._input.publishers()
         stale_after = self._settings.input.value.stale_after
+        if stuck := self._input.constant.stuck(health.rate_hz) if health.rate_hz else ():
+            stream_findings = (finding('stuck_now', stuck), *stream_findings)
         found = self._monitor.observe(
             now, statistics, health, publishers, stale_after, stream_findings, graph
         )
+        faults = faults_of(found)
+        self._faults = tuple(f for f in faults if f.axes)
+        if len(self._faults) < len(faults):
+            self._faults = finding('no_data'), *self._faults
+        if self._state() != self._published_state:
+            self._publish(self._total())
         # the findings of a live input replace those of a complete stream
         live = {*LIVE_FINDINGS, 'gaps', *(f.id for f in found)}
         stamp_age = None
@@ -251,11 +258,21 @@ class ImuWatch(Part):
         self._sums = total[0]
         return total
 
+    def _state(self) -> object:
+        """Return what the estimator must know at once when it changes."""
+        return self.frame_id, self._axes, [(f.id, f.axes) for f in self._faults]
+
     def _publish(self, total: Total) -> None:
         """Pass the sums to the listener, and publish them if there is a subscriber."""
-        self._published, self._published_imu = total[0], (self.frame_id, self._axes)
-        means = self._stream.means()
-        snapshot = Snapshot(total, self.frame_id, self._imu.hardware_id, self._axes, means)
+        self._published, self._published_state = total[0], self._state()
+        snapshot = Snapshot(
+            total,
+            self.frame_id,
+            self._imu.hardware_id,
+            self._axes,
+            self._stream.means(),
+            self._faults,
+        )
         if self._listener is not None:
             self._listener(snapshot)
         if self._publisher.get_subscription_count():

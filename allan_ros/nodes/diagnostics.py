@@ -155,10 +155,11 @@ def _state_text(view: InputView) -> str:
     h = view.health
     static = f'{duration_text(view.static_s, 3)} of static data'
     rate = f'{h.rate_hz:.4g} Hz' if h.rate_hz else 'unknown rate'
+    measured = f'{static} so far' if view.static_s else 'not at rest yet, so nothing is measured'
     return {
         'waiting': 'waiting for the first message',
         'learning': 'learning the rate and the noise floor; keep the IMU still',
-        'moving': f'moving at {rate}: samples in motion are not used, {static} so far',
+        'moving': f'moving at {rate}: {measured}',
         'louder': f'louder than its noise floor at {rate}: not used, {static} so far',
         'still': f'still at {rate}: {static}',
     }[h.state]
@@ -299,8 +300,9 @@ def _change_findings(view: AxisView) -> list[Finding]:
         'before': significant(before, 3),
         'after': f'{significant(before * step.ratio, 3)} {unit.name}',
         'ago': duration_text(recent.since_s, 3),
-        'verb': 'rose' if step.ratio > 1.0 else 'fell',
     }
+    if step.ratio < 1.0:
+        return [finding('noise_fell', what=what, **numbers)]
     low, high = step.ci95
     return [finding('noise_changed', what=what, low=low, high=high, **numbers)]
 

@@ -24,6 +24,7 @@ from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.fit import clear_cache
 from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
+from ..core.stream.transport import faults_of
 from ..io.checkpoint import Total
 from ..io.datasheets import Datasheet, load_sensor
 from ..io.documents import load, results_to_document
@@ -88,6 +89,7 @@ class ImuEstimate(Part):
         self._fitted: tuple[AllanSums, ...] = ()
         self._failed: Finding | None = None
         self._withdrawn: Finding | None = None
+        self._faults: tuple[Finding, ...] = ()
         self._fitting: Future[tuple[Results, float]] | None = None
         self._outdated = False  # whether the sums of the running fit have been replaced
         self._compared: tuple[Results | None, float, tuple[Comparison, ...]] = None, 0.0, ()
@@ -103,11 +105,14 @@ class ImuEstimate(Part):
     def process(self, snapshot: Snapshot) -> None:
         """Process new sums, and fit them if they have grown enough or were replaced."""
         self._snapshot = snapshot
+        former, self._faults = self._faults, snapshot.faults
         lost = replaced_share(self._fitted, snapshot.sums)
         if lost > REPLACED_SHARE:
             self._withdraw(lost)
         self._compare_recent(snapshot.sums)
         self._bias.update(snapshot)
+        if _kinds(former) != _kinds(self._faults) and self._results is not None:
+            self._publish(self._results)
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
@@ -164,7 +169,10 @@ class ImuEstimate(Part):
             result=fit,
             method=results.method if results else '',
             fit_age_s=now - self._fit_ended if fit else None,
-            problems=tuple(f for f in (self._failed, self._withdrawn) if f is not None),
+            problems=(
+                *faults_of(self._faults, axis),
+                *(f for f in (self._failed, self._withdrawn) if f is not None),
+            ),
             comparisons=tuple(c for c in self._comparisons(margin) if c.axis == axis),
             margin=margin,
             recent=self._recent.get(axis),
@@ -216,6 +224,7 @@ class ImuEstimate(Part):
 
     def _publish(self, results: Results) -> None:
         self._bias.set_results(results if results.axes else None)
+        results = replace(results, findings=(*self._faults, *results.findings))
         document = results_to_document(results, curves=False)
         if bias := self._bias.document():
             document['bias'] = bias
@@ -289,6 +298,10 @@ class SumsInput(Part):
             self._node.fault('sums', error)
         else:
             self._problem = ''
+
+
+def _kinds(faults: tuple[Finding, ...]) -> set[tuple[str, tuple[str, ...]]]:
+    return {(f.id, f.axes) for f in faults}
 
 
 def _timed_fit(total: Total, method: str) -> tuple[Results, float]:

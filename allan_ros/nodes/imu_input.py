@@ -302,7 +302,7 @@ class ImuInput:
 
 
 def steady_s() -> float:
-    """Return the time in s of a clock that is never set, and that runs on while the system sleeps."""
+    """Return the time in s of a clock that is never set and that does not stop in standby."""
     boot = getattr(time, 'CLOCK_BOOTTIME', None)
     return time.monotonic() if boot is None else time.clock_gettime(boot)
 

@@ -18,8 +18,9 @@ from sensor_msgs.msg import CompressedImage
 
 from ..core.allan.sums import KEPT_SEGMENTS, AllanSums
 from ..core.errors import AllanError
-from ..core.fields import Fields
+from ..core.fields import Fields, plain
 from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
+from ..core.findings import Finding
 from ..core.imu import AXES, SENSORS
 from ..core.stream.health import Means
 from ..io.checkpoint import Total
@@ -49,7 +50,8 @@ class Snapshot:
     ``total`` contains the sums and their provenance. ``frame_id``, ``hardware_id`` and ``axes``
     describe the messages that are received, which may come from another IMU than the sums. ``axes``
     are known before there are sums. ``means`` are means over 1 s of the latest samples at rest;
-    each `Means` contains the axes of one sample rate.
+    each `Means` contains the axes of one sample rate. ``faults`` are the findings because of which
+    the present samples must not be used.
     """
 
     total: Total
@@ -57,6 +59,7 @@ class Snapshot:
     hardware_id: str = ''
     axes: tuple[str, ...] = ()
     means: tuple[Means, ...] = ()
+    faults: tuple[Finding, ...] = ()
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:
@@ -74,14 +77,16 @@ class Snapshot:
             }
             for one in self.means
         ]
-        return {**sums_file_to_document(*self.total), 'imu': imu, 'means': means}
+        live = {'imu': imu, 'means': means, 'faults': plain(self.faults)}
+        return {**sums_file_to_document(*self.total), **live}
 
     @classmethod
     def from_json(cls, text: str) -> Snapshot:
         """Return the snapshot in a message on ``~/sums``; raise AllanError if it is invalid."""
         document = parse_json(text, 'sums')
         total = sums_file_from_document(document, 'sums')
-        imu = Fields(document, 'sums').optional_fields('imu')
+        fields = Fields(document, 'sums')
+        imu = fields.optional_fields('imu')
         if imu is None:
             return cls(total)
         axes = imu.sequence('axes')
@@ -91,6 +96,7 @@ class Snapshot:
             imu.text('hardware_id', ''),
             tuple(axis for axis in AXES if axis in axes),
             _means(document.get('means', []) if isinstance(document, dict) else []),
+            fields.typed('faults', tuple[Finding, ...]) if 'faults' in fields else (),
         )
 
 

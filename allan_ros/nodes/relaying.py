@@ -23,9 +23,15 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
 from ..core.errors import AllanError, one_line
-from ..core.filters.noise_parameters import Variances, measured_variances, white_variances
+from ..core.filters.noise_parameters import (
+    Variances,
+    measured_variances,
+    white_ratio,
+    white_variances,
+)
 from ..core.findings import Finding, finding
 from ..core.imu import SENSORS, ImuIdentity, sensor_of
+from ..core.stream.transport import faults_of
 from ..io.documents import results_from_document
 from ..io.files import parse_json
 from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, subtract_gyro_bias
@@ -78,7 +84,34 @@ class RelayTopics(NamedTuple):
 
 
 def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
-    """Return the variances of the axes of each sensor, in (rad/s)^2 or (m/s^2)^2."""
+    """Return the variances of the axes of each sensor without a fault, in (rad/s)^2 or (m/s^2)^2.
+
+    They do not cover the bias.
+    """
+    faults = faults_of(results.findings)
+    bad = {sensor_of(axis) for fault in faults for axis in fault.axes or results.axes}
+    found = _noise_variances(results, settings)
+    return {sensor: variances for sensor, variances in found.items() if sensor not in bad}
+
+
+def cover_bias(
+    variances: dict[str, Variances], bias: TwistWithCovarianceStamped | None, messages: float
+) -> dict[str, Variances]:
+    """Return the variances of a gyro whose bias is not removed.
+
+    The integral over this number of ``messages`` then has the variance of noise and bias together.
+    The bias of an accelerometer at rest is unknown, because it cannot be told from gravity.
+    """
+    if bias is None or 'gyro' not in variances or bias.twist.covariance[21] < 0.0:
+        return variances
+    rates, spread = bias.twist.twist.angular, bias.twist.covariance
+    known = zip((rates.x, rates.y, rates.z), (spread[21], spread[28], spread[35]))
+    added = [max(1.0, messages) * (rate**2 + variance) for rate, variance in known]
+    x, y, z = (noise + more for noise, more in zip(variances['gyro'], added))
+    return {**variances, 'gyro': (x, y, z)}
+
+
+def _noise_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
     if settings.variance == 'sample':
         stds = {name: axis.sample_std for name, axis in results.axes.items()}
         return measured_variances(stds, settings.inflate)
@@ -103,9 +136,11 @@ class ImuRelay(Part):
         self._other_frame = 0
         self._results: Results | None = None
         self._problem: tuple[Finding, ...] = ()
+        self._noise: dict[str, Variances] = {}
         self._variances: dict[str, Variances] = {}
-        self._patch = CovariancePatch({})
+        self._patch = self._unbiased_patch = CovariancePatch({})
         self._made_of: tuple[Results, RelaySettings] | None = None
+        self._ratio = 1.0  # of the interval of the variances with a horizon
         self._last_malformed = self._last_frame = ''
         overriding = QoSOverridingOptions.with_default_policies()
         depth = settings.value.queue_depth
@@ -144,12 +179,29 @@ class ImuRelay(Part):
         """Compute the covariances again if the noise model or the parameters have changed."""
         results, settings = self._results, self._settings.value
         if results is None:
-            self._variances, self._patch, self._made_of = {}, CovariancePatch({}), None
+            self._noise, self._made_of = {}, None
         elif not self._made_of or self._made_of[0] is not results or self._made_of[1] != settings:
-            self._variances = relay_variances(results, settings)
-            frame_id = results.identity.frame_id
-            self._patch = CovariancePatch(self._variances, settings.overwrite, frame_id)
+            fits = {name: axis.fit for name, axis in results.axes.items()}
+            gated = settings.horizon and settings.variance == 'white'
+            self._ratio = white_ratio(fits, settings.horizon) if gated else 1.0
+            settled = self._ratio <= settings.ratio
+            self._noise = relay_variances(results, settings) if settled else {}
             self._made_of = results, settings
+        else:
+            return
+        self._make_patches()
+
+    def _make_patches(self) -> None:
+        """Make the patches of messages with and without bias."""
+        results, settings = self._results, self._settings.value
+        frame_id = results.identity.frame_id if results else ''
+        rate = settings.rate or (results.rate_hz if results else 0.0)
+        bias = None if settings.debiased else self._bias
+        self._variances = cover_bias(self._noise, bias, settings.horizon * rate)
+        self._patch, self._unbiased_patch = (
+            CovariancePatch(each, settings.overwrite, frame_id)
+            for each in (self._variances, self._noise)
+        )
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the status of the relay."""
@@ -170,7 +222,7 @@ class ImuRelay(Part):
         identity = self._results.identity if self._results else ImuIdentity()
         hardware_id = self._topics.hardware_id or identity.hardware_id or identity.frame_id
         name = status_name(self._node, self._topics.label, 'relay')
-        text = filled if self._variances else str(findings[0])
+        text = filled if self._variances else str(findings[0]) if findings else 'nothing to fill'
         return [status_of(name, findings, text, pairs, hardware_id=one_line(hardware_id))]
 
     def close(self) -> None:
@@ -185,12 +237,13 @@ class ImuRelay(Part):
         """Publish one message with the known covariances filled in."""
         counts = self._counts
         counts[RECEIVED] += 1
-        if not self._made_of and self._settings.value.until_model == 'hold':
+        if not self._noise and self._settings.value.until_model == 'hold':
             counts[HELD] += 1
             return
         try:
             unbiased = self._subtract_bias(payload)
-            patched = self._patch.patch(unbiased)
+            patch = self._patch if unbiased is payload else self._unbiased_patch
+            patched = patch.patch(unbiased)
         except MalformedMessage as error:
             counts[MALFORMED] += 1
             self._last_malformed = str(error)
@@ -223,6 +276,7 @@ class ImuRelay(Part):
 
     def _on_bias(self, message: TwistWithCovarianceStamped) -> None:
         self._bias = message
+        self._make_patches()
 
     def _note_frame(self, payload: bytes) -> None:
         """Count a message whose frame_id differs from that of the noise model."""
@@ -278,11 +332,15 @@ class ImuRelay(Part):
         self._results, self._problem = (results if results.axes else None), ()
         self.tick(time.monotonic())
 
+    @property
+    def _done(self) -> str:
+        """What happens to messages without variances."""
+        passed = self._settings.value.until_model == 'pass'
+        return 'passed on unchanged' if passed else 'held back'
+
     def _missing_model(self, now: float) -> Finding:
         """Return a finding with the reason why there is no noise model."""
-        topic, seconds = self._model.topic_name, now - self._began
-        passed = self._settings.value.until_model == 'pass'
-        done = 'passed on unchanged' if passed else 'held back'
+        topic, seconds, done = self._model.topic_name, now - self._began, self._done
         if self._withdrawn:
             return finding('relay_withdrawn', topic=topic, done=done)
         if seconds > DISCOVERY_S and not self._node.count_publishers(topic):
@@ -307,10 +365,16 @@ class ImuRelay(Part):
         if results is None:
             found.append(self._missing_model(now))
         else:
-            known = {sensor_of(axis) for axis in results.axes}
-            for sensor in SENSORS:
-                if sensor in known - self._variances.keys():
-                    found.append(finding('relay_nothing_to_fill', sensor=sensor))
+            faults = faults_of(results.findings)
+            found += faults
+            settings, known = self._settings.value, {sensor_of(axis) for axis in results.axes}
+            if self._ratio > settings.ratio:
+                values = {'horizon': settings.horizon, 'ratio': self._ratio, 'done': self._done}
+                found.append(finding('relay_unsettled', **values))
+            elif not faults:
+                for sensor in SENSORS:
+                    if sensor in known - self._variances.keys():
+                        found.append(finding('relay_nothing_to_fill', sensor=sensor))
             expected = results.identity.frame_id
             add('relay_other_frame', self._other_frame, found=self._last_frame, expected=expected)
         source, reason = self._subscription.topic_name, self._last_malformed

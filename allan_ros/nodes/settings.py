@@ -216,6 +216,16 @@ class RelaySettings(CheckedSettings):
         low=0.0,
         high=1e6,
     )
+    ratio: float = parameter(
+        1.5,
+        'With a horizon, variances are filled in once the upper end of the 95 % interval of the '
+        'density is at most this many times the lower end.',
+        low=1.0,
+        high=1000.0,
+    )
+    debiased: bool = parameter(
+        False, 'The driver removes the gyro bias, so the variance does not have to cover it.'
+    )
     inflate: float = parameter(1.0, 'Factor on the standard deviation.', '', 1.0, 1000.0)
     subtract_bias: bool = parameter(
         False,

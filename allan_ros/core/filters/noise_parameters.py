@@ -313,6 +313,21 @@ def white_variances(
     return measured_variances(densities, inflation)
 
 
+def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
+    """Return how well the densities of `white_variances` with a horizon are known.
+
+    It is the largest ratio of the upper to the lower end of their 95 % intervals; infinite if one
+    has no interval.
+    """
+    ratios = [1.0]
+    for fit in axes.values():
+        low, high = (
+            reduce_model(one, 'none', Horizons.up_to(horizon)).white for one in interval_models(fit)
+        )
+        ratios.append(high / low if has_intervals(fit) and low > 0.0 else math.inf)
+    return max(ratios)
+
+
 def measured_variances(
     stds: Mapping[str, float | None], inflation: float = 1.0
 ) -> dict[str, Variances]:

@@ -65,13 +65,14 @@ number of samples of its longest earlier run of equal values."""
 LIVE_FINDINGS = (
     *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'axis_absent'),
     *('sensor_all_zero', 'zero_filled', 'held', 'no_noise', 'gyro_unit'),
-    *('accel_unit', 'accel_scale', 'clipped', 'stamps_mixed', 'repeated'),
+    *('accel_unit', 'accel_scale', 'clipped', 'stamps_mixed', 'repeated', 'stuck_now'),
 )
 """Ids of findings about a complete stream that a node also reports while the stream continues."""
 
 FAULTS = (
     *('wrong_type', 'qos_incompatible', 'no_publisher', 'input_stopped', 'input_silent'),
-    *('input_unusable', 'stuck_now', 'gyro_unit', 'accel_unit', 'accel_scale', 'no_noise'),
+    *('input_unusable', 'no_data', 'stuck_now', 'gyro_unit', 'accel_unit', 'accel_scale'),
+    'no_noise',
 )
 """Ids of findings that mean that present samples of their axes (all if none) must not be used. The
 first cause more damage than the later ones."""
@@ -176,11 +177,18 @@ class ConstantAxes:
             self._run[i] += len(column) - (changes[-1] if len(changes) else 0)
         self._last = samples[-1].copy()
 
-    def stuck(self, rate_hz: float) -> dict[str, float]:
-        """Return the stuck axes, and for how many seconds each has been stuck."""
+    def stuck(self, rate_hz: float) -> tuple[str, ...]:
+        """Return the stuck axes at this sample rate."""
         needed = np.maximum(STUCK_S * rate_hz, STUCK_RUNS * self._longest)
         found = (self._longest > 0) & (self._run > needed) & np.isfinite(self._last)
-        return {AXES[i]: float(self._run[i] / rate_hz) for i in np.flatnonzero(found)}
+        return tuple(AXES[i] for i in np.flatnonzero(found))
+
+
+def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...]:
+    """Return the findings that are `FAULTS`, of one axis if it is given."""
+    return tuple(
+        f for f in findings if f.id in FAULTS and (not (axis and f.axes) or axis in f.axes)
+    )
 
 
 def ordered(present: Iterable[Finding], past: Iterable[Finding] = ()) -> tuple[Finding, ...]:

@@ -225,7 +225,14 @@ def live_findings(
     arrivals, stream = Arrivals(statistics), ImuStream()
     watch = TransportMonitor('/imu', 0.0)
     if samples is None:
-        samples = np.random.default_rng(1).normal(0.0, 1e-3, (len(stamps_s), 6)) + [0, 0, 0, 0, 0, 9.8]
+        samples = np.random.default_rng(1).normal(0.0, 1e-3, (len(stamps_s), 6)) + [
+            0,
+            0,
+            0,
+            0,
+            0,
+            9.8,
+        ]
     stamps = np.round(np.asarray(stamps_s) * 1e9).astype(np.int64) + 10**18
     seen: list[set[str]] = []
     low = 0
@@ -304,8 +311,7 @@ def test_a_stuck_axis_is_named():
         constant.update(rows)
         found.append(constant.stuck(RATE))
     assert not any(found[:42])
-    assert all(set(one) == {'gyro_z'} for one in found[46:])
-    assert found[-1]['gyro_z'] == pytest.approx(20.0, rel=0.01)
+    assert all(one == ('gyro_z',) for one in found[46:])
 
 
 def test_a_past_event_does_not_precede_a_present_fault():
