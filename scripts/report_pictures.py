@@ -66,7 +66,8 @@ def main() -> int:
             ):
                 if code := allan(words):
                     return code
-        allan(['compare', *(str(scratch / run) for run in RUNS), '-o', str(scratch), '-q'])
+        runs = [str(scratch / run) for run in RUNS]
+        allan(['compare', *runs, '-o', str(scratch), '-q', '--plots', 'png'])
         photograph(scratch / 'tuesday/report.html', scratch / 'report.png', scratch / 'browser')
         for name, picture in (('report', 'report.png'), ('compare', 'compare_gyro.png')):
             path = folder / f'{name}.png'

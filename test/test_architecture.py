@@ -119,7 +119,7 @@ import importlib, pkgutil
 for package in ('core', 'io', 'cli'):
     path = f'{allan_ros.__path__[0]}/{package}'
     for module in pkgutil.walk_packages([path], f'allan_ros.{package}.'):
-        if module.name not in ('allan_ros.io.plots', 'allan_ros.io.plot_layout'):
+        if module.name != 'allan_ros.io.plots':
             importlib.import_module(module.name)
 """
 HELP = """

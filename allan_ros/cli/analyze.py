@@ -128,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
 def check_result_arguments(args: argparse.Namespace) -> None:
     """Raise AllanError if an option for the fit or the files is invalid; nothing is read."""
     _check_references(settings_of(ResultSettings, args))
-    check_pictures(settings_of(PictureSettings, args), bool(args.output))
+    check_pictures(settings_of(PictureSettings, args))
     for name in args.export:
         target_of(name)
     if args.export and not args.output:

@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     """Compare the inputs, print the comparison, and write the files; return the exit code."""
     console = Console.of(args)
     pictures = settings_of(PictureSettings, args)
-    check_pictures(pictures, bool(args.output))
+    check_pictures(pictures)
     if args.report and not args.output:
         raise AllanError('--report needs a folder: give one with -o')
     given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
@@ -79,7 +79,7 @@ def inflate(args: argparse.Namespace) -> int:
     if not 0.0 < args.horizon < float('inf'):
         raise AllanError(f'--horizon {args.horizon:g}: give a time above 0 s')
     pictures = settings_of(PictureSettings, args)
-    check_pictures(pictures, bool(args.output))
+    check_pictures(pictures)
     inflation = api.inflate(args.rest, args.running, horizon=args.horizon, observer=console)
     if console.json:
         console.document(inflation_document(inflation))
@@ -181,7 +181,7 @@ increase as a factor, and the ratio of the Allan deviations.
 
 COMPARE_OPTIONS = f"""
 inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
--o --output DIR  folder for tables and pictures (default: none)
+-o --output DIR  folder for tables and figures (default: none)
 --report  also write report.html of the first input, with the curves of the others
 --label TEXT...  name of an input, such as a temperature or a serial number; give one per input, in
     the same order (default: name of folder or file)
@@ -195,7 +195,7 @@ INFLATE_OPTIONS = """
 rest REST  the robot at rest, motors off
 running RUNNING  the robot at rest, motors on
 --horizon SECONDS [30]  longest time that the filter integrates without correction
--o --output DIR  folder for inflation.json, report.html with both curves, and a table and pictures
+-o --output DIR  folder for inflation.json, report.html with both curves, and a table
 """
 
 FIT_OPTIONS = """

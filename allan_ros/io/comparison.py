@@ -29,7 +29,7 @@ from .datasheets import (
 from .documents import results_to_document
 from .files import to_json, write_atomic, write_together
 from .format import interval_text, markdown_rows, shown_unit, significant, value_text
-from .plot_style import PictureSettings, load_style
+from .plot_style import PictureSettings
 from .results import Results
 
 SCHEMA = 'allan_ros/comparison/1'
@@ -261,27 +261,23 @@ def write_comparison(
     units: str = 'datasheet',
     pictures: PictureSettings = PictureSettings(),
 ) -> list[Path]:
-    """Write comparison.json, .md and .csv, and a picture of each sensor; return the paths.
+    """Write comparison.json, .md and .csv, and the requested figures; return the paths.
 
     ``units`` is 'datasheet' or 'si', for the Markdown and the pictures.
     """
-    from .plot_layout import render_figure  # imports matplotlib
-    from .plots import comparison_figure
     from .result_files import made_folder
 
-    style = load_style(pictures.plot_style)
     place = made_folder(Path(folder))
     contents: dict[str, str | bytes] = {
         'comparison.json': to_json(comparison_document(comparison)),
         'comparison.md': markdown(comparison, units),
         'comparison.csv': csv_table(comparison),
     }
-    for sensor in SENSORS:
-        figure = comparison_figure(comparison, sensor, units, style)
-        if figure is None:
-            continue
-        for form in pictures.plot_format:
-            contents[f'compare_{sensor}.{form}'] = render_figure(figure, form, style)
+    if pictures.plots:
+        from .plots import comparison_figure, rendered  # imports matplotlib
+
+        figures = {f'compare_{s}': comparison_figure(comparison, s, units) for s in SENSORS}
+        contents |= rendered(figures, pictures.plots)
     write_together(place, contents)
     return [place / name for name in contents]
 

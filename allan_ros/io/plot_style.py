@@ -1,14 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of plots, and the numbers of the drawn curves. Does not import matplotlib."""
+"""Options and colors of figures, and the drawn curves. Does not import matplotlib."""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,16 +19,7 @@ from .format import READ_AT
 Floats = NDArray[np.float64]
 
 FORMATS = ('png', 'svg', 'pdf')
-"""File formats of the plots."""
-
-PAGE_IN, COLUMN_IN = 7.16, 3.5
-"""Widths in inches of a page and a column of IEEE journals."""
-
-STYLES: dict[str, dict[str, Any]] = {
-    'page': {'figure.figsize': (PAGE_IN, 6.3)},
-    'column': {'figure.figsize': (COLUMN_IN, 7.6)},
-}
-"""Built-in styles: across a page, with the signal next to the curves, or in a column."""
+"""File formats of figures."""
 
 TERM_STYLES: dict[str, tuple[str, Any]] = {
     'Q': ('#CC79A7', (0, (1, 1.2))),
@@ -51,19 +39,16 @@ BELOW_CURVE = 0.2
 
 @dataclass(frozen=True)
 class PictureSettings(CheckedSettings):
-    """File formats and style of the plots."""
+    """Figures in addition to the report."""
 
-    plot_format: tuple[str, ...] = parameter(('png',), 'File formats of each plot: png, svg, pdf.')
-    plot_style: str = parameter(
-        'page',
-        'Style of the plots: page or column (the width of a journal page or column), a style of '
-        'matplotlib, or the path of a style sheet.',
+    plots: tuple[str, ...] = parameter(
+        (), 'Also draw the Allan deviation of each sensor as a figure: png, svg, pdf.'
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for form in self.plot_format or ('',):
-            choose(FORMATS, plot_format=form)
+        for form in self.plots:
+            choose(FORMATS, plots=form)
 
 
 class DrawnCurve(NamedTuple):
@@ -111,56 +96,10 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
     return DrawnCurve(curve.tau, adev, low, high, model, upper, parts, limits, read)
 
 
-def check_pictures(settings: PictureSettings, drawn: bool) -> None:
-    """Raise AllanError if the style is unknown, or plots are requested without matplotlib."""
-    if drawn and find_spec('matplotlib') is None:
+def check_pictures(settings: PictureSettings) -> None:
+    """Raise AllanError if figures are requested without matplotlib."""
+    if settings.plots and find_spec('matplotlib') is None:
         raise AllanError(
-            '-o draws plots with matplotlib, which is not installed: install it with pip or apt, '
-            'or leave -o out to print the results'
+            '--plots needs matplotlib, which is not installed: install it with pip or apt, or use '
+            'the charts of report.html'
         )
-    load_style(settings.plot_style)
-
-
-def load_style(name: str) -> Mapping[str, Any]:
-    """Return the matplotlib settings of a style.
-
-    ``name`` is one of `STYLES`, a style of matplotlib, or the path of a style sheet. Raises
-    AllanError when it is unknown.
-    """
-    if name in STYLES:
-        return STYLES[name]
-    path = Path(name)
-    if path.is_file():
-        return {**STYLES['page'], **_sheet(path)}
-    from matplotlib import style  # slow to import, and not needed for the built-in styles
-
-    if name in style.library:
-        return {**STYLES['page'], **style.library[name]}
-    raise AllanError(
-        f'no plot style {name!r}: give {", ".join(STYLES)}, a style of matplotlib (ggplot, '
-        'grayscale ...) or the path of a style sheet'
-    )
-
-
-def _sheet(path: Path) -> Mapping[str, Any]:
-    from matplotlib import rc_params_from_file
-
-    # matplotlib logs a wrong line instead of raising an exception
-    log, handler, warnings = logging.getLogger('matplotlib'), logging.Handler(), []
-    handler.emit = lambda record: warnings.append(record.getMessage())  # type: ignore[method-assign]
-    passes_on, log.propagate = log.propagate, False
-    log.addHandler(handler)
-    try:
-        sheet: Mapping[str, Any] = rc_params_from_file(
-            str(path), fail_on_error=True, use_default_template=False
-        )
-    except (OSError, ValueError, KeyError) as error:
-        warnings.append(str(error))
-        sheet = {}
-    finally:
-        log.removeHandler(handler)
-        log.propagate = passes_on
-    if warnings:
-        why = ' '.join(warnings[0].split())[:160]
-        raise AllanError(f'{path}: is not a style sheet of matplotlib ({why})')
-    return sheet

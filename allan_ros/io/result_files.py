@@ -20,7 +20,7 @@ from ..core.imu import SENSORS
 from .documents import RESULTS, SUMS, results_to_document, sums_file_to_document
 from .exporters import TARGETS, make_export, target_of
 from .files import PathLock, read_json, to_json, write_together
-from .plot_style import FORMATS, PictureSettings, load_style
+from .plot_style import FORMATS, PictureSettings
 from .report import ReportContext, render_report
 from .signal import summarize_signal
 
@@ -46,7 +46,7 @@ def write_result_files(
     targets: Sequence[str] = (),
     pictures: PictureSettings = PictureSettings(),
 ) -> tuple[Results, list[Path]]:
-    """Write results.json, sums.json, the report, the pictures, imu.yaml, and further filter files.
+    """Write results.json, sums.json, the report, imu.yaml, further filter files, and figures.
 
     Parameters
     ----------
@@ -57,11 +57,11 @@ def write_result_files(
     command : str
         Command that repeats the analysis; it is printed in the report.
     units : 'datasheet' or 'si'
-        Units of the report and the pictures.
+        Units of the report and the figures.
     targets : sequence of str
         Targets of `allan export` whose files are written in addition to imu.yaml (Kalibr).
     pictures : PictureSettings
-        Format and style of the pictures.
+        File formats of figures in addition to the report; none by default.
 
     Returns
     -------
@@ -76,26 +76,19 @@ def write_result_files(
     AllanError
         When the results have no sums, or a file cannot be written.
     """
-    # imported here because matplotlib takes 0.3 s
-    from .plot_layout import render_figure
-    from .plots import sensor_figure
-
     recorded = results.recorded
     if recorded is None:
         raise AllanError('these results were read from a file without their sums: analyze again')
-    style = load_style(pictures.plot_style)
     filters, results = _filter_files(results, targets)
     known = results.provenance
     summary = summarize_signal(
         recorded.signals, known.segments, SIGNAL_BINS, known.counts.cuts, recorded.temperatures
     )
     contents: dict[str, str | bytes] = {}
-    for sensor in SENSORS:
-        figure = sensor_figure(results, sensor, summary, units, style)
-        if figure is None:
-            continue
-        for form in pictures.plot_format:
-            contents[f'allan_{sensor}.{form}'] = render_figure(figure, form, style)
+    if pictures.plots:
+        from .plots import figure_files  # imports matplotlib
+
+        contents |= figure_files(results, pictures.plots, units)
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
     densities = (
         spectrum_of(of, s.tau0)

@@ -270,7 +270,7 @@ class Results:
         targets: Sequence[str] = (),
         **options: Any,
     ) -> list[Path]:
-        """Write the results, the report, pictures and filter files, and return their paths.
+        """Write the results, the report, filter files and figures, and return their paths.
 
         The files are the same as those of `allan analyze -o`. `load` reads the folder again.
 
@@ -279,12 +279,12 @@ class Results:
         folder : path
             Folder for the files; it is created if it is missing.
         units : 'datasheet' or 'si'
-            Units of the report and the pictures.
+            Units of the report and the figures.
         targets : sequence of str
             Targets that `allan export --list` lists; their files are written in addition to the
             file of Kalibr.
         **options
-            ``plot_format``, such as ``('svg',)``, and ``plot_style``, a matplotlib style.
+            ``plots``: file formats of figures in addition to the report, such as ``('svg',)``.
 
         Raises
         ------

@@ -301,8 +301,7 @@ class AllanPlot:
 
 def _draw(results: Results, sensors: list[str]) -> Pictures:
     """Return the plot of each sensor that has results, as PNG."""
-    from ..io.plot_layout import render_figure
-    from ..io.plots import sensor_figure
+    from ..io.plots import render_figure, sensor_figure
 
     figures = {sensor: sensor_figure(results, sensor) for sensor in sensors}
     return {

@@ -236,7 +236,7 @@ def test_merged_results_are_compared_with_the_datasheet_of_the_parts(tmp_path: P
     one, other = (parts[i].compared('adis16475-3', margin=0.5) for i in range(2))
     folders = [tmp_path / 'one', tmp_path / 'plain']
     for results, folder in zip((one, parts[2]), folders):
-        results.save(folder, plot_format=('svg',))
+        results.save(folder, plots=('svg',))
     for sources in ((one, other), (one, parts[2]), (*folders, other)):
         merged = ar.merge(*sources, **QUICK)
         assert merged.datasheet.datasheet.name == one.datasheet.datasheet.name

@@ -15,8 +15,6 @@ from allan_ros.cli.main import main
 from allan_ros.io.user_files import read_noise, truth_path
 
 FILES = {
-    'allan_accel.png',
-    'allan_gyro.png',
     'imu.yaml',
     'report.html',
     'results.json',
@@ -55,7 +53,7 @@ def test_plots_have_the_requested_formats_and_show_the_earlier_run(
     recording: Path, analyzed: Path, tmp_path: Path
 ) -> None:
     former = str(analyzed / 'results.json')
-    how = ['--plot-format', 'svg,pdf', '--plot-style', 'column', '--baseline', former]
+    how = ['--plots', 'svg,pdf', '--baseline', former]
     assert main(['analyze', str(recording), '-o', str(tmp_path), *how]) == 0
     names = {path.name for path in tmp_path.iterdir()}
     assert {'allan_gyro.svg', 'allan_gyro.pdf'} <= names
@@ -63,14 +61,14 @@ def test_plots_have_the_requested_formats_and_show_the_earlier_run(
     page = (tmp_path / 'report.html').read_text()
     assert f'Compared with {analyzed.name}' in page
     assert 'are within' in page  # the baseline is the same run
-    assert 'allan analyze' in page and '--plot-style column' in page
+    assert 'allan analyze' in page and '--plots svg,pdf' in page
     assert '"spectrum":{"frequency"' in page
 
 
 def test_invalid_plot_options_are_rejected_before_reading(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for how in (['--plot-format', 'gif'], ['--plot-style', 'odd'], ['--baseline', 'none.json']):
+    for how in (['--plots', 'gif'], ['--baseline', 'none.json']):
         assert main(['analyze', 'no_such_bag', '-o', str(tmp_path), *how]) == 1
         assert how[1] in capsys.readouterr().err
 
@@ -210,7 +208,7 @@ def test_a_gyro_alone_is_analyzed_without_an_imu_yaml(
     assert main(['analyze', str(tmp_path / 'gyro.npz'), '-o', str(tmp_path / 'out')]) == 0
     assert 'imu.yaml is not written (no accel' in ' '.join(capsys.readouterr().out.split())
     names = {path.name for path in (tmp_path / 'out').iterdir()}
-    assert names == FILES - {'imu.yaml', 'allan_accel.png'}
+    assert names == FILES - {'imu.yaml'}
 
 
 def test_real_recordings_are_analyzed(

@@ -30,7 +30,7 @@ def test_options_of_the_command_line_override_the_file(
     folder: Path, recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / 'allan.toml').write_text(
-        'units = "si"\nmethod = "relative"\n[analyze]\njson = true\nplot-format = ["png"]\n'
+        'units = "si"\nmethod = "relative"\n[analyze]\njson = true\nplots = ["png"]\n'
     )
     assert main(['analyze', str(recording)]) == 0
     assert method_of(capsys) == 'relative'

@@ -26,7 +26,7 @@ from allan_ros.io.comparison import (
 )
 from allan_ros.io.datasheets import Datasheet, Limit, Source
 from allan_ros.io.documents import labels_of
-from allan_ros.io.plot_style import STYLES, PictureSettings
+from allan_ros.io.plot_style import PictureSettings
 from allan_ros.io.plots import comparison_figure
 from allan_ros.io.results import Results
 
@@ -91,15 +91,14 @@ def test_plots_have_any_format_and_narrow_ones_no_ratios(
 ) -> None:
     runs = [Subject(f'run_$_{i}', small_results) for i in range(3)]
     comparison = compare_runs(runs)
-    paths = write_comparison(tmp_path, comparison, pictures=PictureSettings(('pdf',), 'column'))
+    paths = write_comparison(tmp_path, comparison, pictures=PictureSettings(('pdf',)))
     assert [p.name for p in paths if p.suffix == '.pdf'] == [
         'compare_gyro.pdf',
         'compare_accel.pdf',
     ]
-    for style, panels in (('page', 6), ('column', 3)):
-        figure = comparison_figure(comparison, 'gyro', style=STYLES[style])
-        assert figure is not None and len(figure.axes) == panels
-        assert '°/h' in figure.axes[0].get_ylabel()
+    figure = comparison_figure(comparison, 'gyro')
+    assert figure is not None and len(figure.axes) == 6
+    assert '°/h' in figure.axes[0].get_ylabel()
 
 
 def test_the_files_agree(small_results: Results, tmp_path: Path) -> None:
@@ -107,10 +106,7 @@ def test_the_files_agree(small_results: Results, tmp_path: Path) -> None:
         [Subject('a', small_results), Subject('b', scaled(small_results, 1.5))]
     )
     names = {path.name for path in write_comparison(tmp_path, comparison)}
-    assert names == {
-        'comparison.json', 'comparison.md', 'comparison.csv', 'compare_gyro.png',
-        'compare_accel.png',
-    }  # fmt: skip
+    assert names == {'comparison.json', 'comparison.md', 'comparison.csv'}
     assert all((tmp_path / name).stat().st_size > 1000 for name in names)
     document = json.loads((tmp_path / 'comparison.json').read_text())
     assert document == json.loads(json.dumps(comparison_document(comparison)))
@@ -173,7 +169,7 @@ def test_an_axis_without_noise_is_reported(small_results: Results) -> None:
     run = Subject('a', replace(small_results, axes={**small_results.axes, 'gyro_x': axis}))
     figure = comparison_figure(compare_runs([run, run]), 'gyro')
     assert figure is not None
-    assert [text.get_text() for text in figure.axes[0].texts] == ['no noise']
+    assert not figure.axes[0].lines
 
 
 def test_labels_are_short_if_they_are_unique() -> None:

@@ -19,8 +19,7 @@ from allan_ros.io.documents import (
 )
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.files import parse_json, to_json
-from allan_ros.io.plot_layout import render_figure
-from allan_ros.io.plots import sensor_figure
+from allan_ros.io.plots import render_figure, sensor_figure
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results, analyze_sums
 from fuzz.harness import check_line

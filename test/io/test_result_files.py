@@ -25,12 +25,6 @@ def runs() -> list[ar.Results]:
     return [ar.analyze(ar.simulate(hours=0.05, rate=50, seed=i)) for i in (1, 2)]
 
 
-@pytest.fixture(autouse=True)
-def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Skip the drawing of pictures, which takes a second and is not tested here."""
-    monkeypatch.setattr('allan_ros.io.plots.sensor_figure', lambda *_: None)
-
-
 def content(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 

@@ -296,7 +296,4 @@ def _sensor_section(sensor: str, axes: Mapping[str, AxisResult], deviations: boo
     yield f'<div class="charts curve" data-sensor="{sensor}" hidden></div>'
     yield f'<h3>Coefficients</h3><div class="copy" data-sensor="{sensor}" hidden></div>'
     yield from coefficient_table(sensor, axes, deviations)
-    yield (
-        '<noscript><p class="note">The charts of this page need JavaScript; '
-        f'<a href="allan_{sensor}.png">allan_{sensor}.png</a> shows the same.</p></noscript>'
-    )
+    yield '<noscript><p class="note">The charts of this page need JavaScript.</p></noscript>'
