@@ -158,10 +158,9 @@ def comparison_figure(
                     _draw_run(row[0], i, run.label, name, run.results.axes[name], units)
             if ratios:
                 _draw_ratios(row[1], name, comparison)
-        handles, labels = panels[0][0].get_legend_handles_labels()
-        legend = figure.legend(handles, labels, loc='outside lower center', ncol=min(len(runs), 4))
-        for text in legend.get_texts():
-            text.set_parse_math(False)
+        for panel in [row[0] for row in panels if row[0].lines][:1]:
+            for text in panel.legend().get_texts():
+                text.set_parse_math(False)
     return figure
 
 
