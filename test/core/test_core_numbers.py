@@ -18,10 +18,10 @@ from support.sums import sums_of
 
 from allan_ros.core.allan.curve import allan_curve, edf
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
+from allan_ros.core.allan.grid import MIN_VARIANCE
 from allan_ros.core.allan.parts import recent_noise
 from allan_ros.core.allan.sums import (
     MAX_LEVELS,
-    MIN_VARIANCE,
     AllanSums,
     SegmentRecord,
     counts,

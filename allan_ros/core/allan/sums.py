@@ -19,45 +19,15 @@ from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..imu import AXES, ImuIdentity
+from .grid import FIRST_FACTORS as FIRST_FACTORS
+from .grid import LEVEL_FACTORS as LEVEL_FACTORS
+from .grid import MAX_LEVELS as MAX_LEVELS
+from .grid import allan_variance as allan_variance
+from .grid import counts as counts
+from .grid import grid as grid
+from .grid import grid_for as grid_for
+from .grid import levels_of
 from .history import ByValue, History, add_padded
-
-FIRST_FACTORS = (1, 2, 3, 4, 6)
-"""Averaging factors of level 0 only."""
-
-LEVEL_FACTORS = (8, 10, 12, 14)
-"""Averaging factors of every level j, in units of its stride 2^j."""
-
-MAX_LEVELS = 42
-"""Largest accepted number of levels: 2^41 x 14 samples are 970 years at 1 kHz. With more levels,
-the lags of a covariance would not fit into 64-bit search keys."""
-
-
-def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors m and the strides of a cascade of ``levels`` decimations.
-
-    The stride is the number of samples between the starts of two second differences. Both arrays
-    have 5 + 4 ``levels`` elements.
-    """
-    m = [*FIRST_FACTORS, *(f << j for j in range(levels) for f in LEVEL_FACTORS)]
-    stride = [1] * len(FIRST_FACTORS) + [1 << j for j in range(levels) for _ in LEVEL_FACTORS]
-    return np.array(m, np.int64), np.array(stride, np.int64)
-
-
-def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors m <= samples/2 of `grid`, and their strides."""
-    levels = max(1, samples.bit_length() - 3)
-    m, stride = grid(levels)
-    keep = 2 * m <= samples
-    return m[keep], stride[keep]
-
-
-def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the number of second differences of a segment of n ``samples`` at each factor m.
-
-    n samples have n + 1 phase points, so differences start at 0, stride, 2 stride ... n - 2 m.
-    """
-    return np.where(2 * m <= samples, (samples - 2 * m) // stride + 1, 0)
-
 
 Floats = NDArray[np.float64]
 
@@ -74,10 +44,6 @@ pooled."""
 
 TAU0_TOLERANCE = 1e-3
 """Sums whose sample periods differ by more than 0.1 % cannot be added."""
-
-MIN_VARIANCE = 1e-80
-"""Smaller variances are set to 0. No sensor has a resolution of 1e-40. The fit computes the cube
-and the inverse square of variances, which would be outside the range of float64."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +108,7 @@ class LengthClass(ByValue):
     def of(cls, segment: SegmentRecord) -> LengthClass:
         """Return a class that contains one segment."""
         n_m = len(segment.signed)
-        m, stride = (a[:n_m] for a in grid(_levels(n_m)))
+        m, stride = (a[:n_m] for a in grid(levels_of(n_m)))
         r = segment.ols_ramp()
         m2 = m.astype(float)[:, None] ** 2
         number = counts(segment.samples, m, stride)[:, None]
@@ -216,12 +182,12 @@ class AllanSums(ByValue):
     @property
     def m(self) -> NDArray[np.int64]:
         """Averaging factors in samples, (factors,), ascending."""
-        return grid(_levels(len(self.count)))[0][: len(self.count)]
+        return grid(levels_of(len(self.count)))[0][: len(self.count)]
 
     @property
     def stride(self) -> NDArray[np.int64]:
         """Samples between the starts of two second differences at each factor, (factors,)."""
-        return grid(_levels(len(self.count)))[1][: len(self.count)]
+        return grid(levels_of(len(self.count)))[1][: len(self.count)]
 
     @property
     def tau0(self) -> float | None:
@@ -344,22 +310,6 @@ class AllanSums(ByValue):
                 f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz cannot be added: the rates are '
                 f'more than {TAU0_TOLERANCE:.1%} apart, analyze them separately'
             )
-
-
-def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64]) -> Floats:
-    """Return the Allan variance sum d^2 / (2 m^2 count), (factors, axes), NIST SP 1065 eq. 11.
-
-    It is NaN where ``count`` is 0; values below `MIN_VARIANCE` are set to 0.
-    """
-    number = m.astype(float) ** 2 * count  # int64 would overflow after weeks at 1 kHz
-    with np.errstate(invalid='ignore', divide='ignore'):
-        variance: Floats = sum_sq / (2.0 * number[:, None])
-    return np.where(variance < MIN_VARIANCE, 0.0, variance)
-
-
-def _levels(factors: int) -> int:
-    """Return the number of levels of a grid with ``factors`` factors, at least 1."""
-    return max(1, -(-(factors - 5) // 4))
 
 
 def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums, ...]:

@@ -1,0 +1,248 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`AllanSums`: the sums of an IMU's samples that the noise is computed from; they can be added.
+
+The time unit is the sample period. The phase theta is the cumulative sum of the samples minus the
+first sample of the segment, and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u) is the second
+difference that starts at sample u, at the averaging factor m.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AllanError
+from ..imu import AXES, ImuIdentity
+from .grid import allan_variance, grid, levels_of
+from .periods import ByValue, Period, Recording, add_padded, bounded
+
+Floats = NDArray[np.float64]
+
+LONGEST_FILLED = 128
+"""Longest gap of interpolated samples that is counted by its length; longer gaps are counted as
+this length."""
+
+LENGTH_CLASS_RATIO = 1.1
+"""Ratio of the longest to the shortest segment whose lengths are pooled."""
+
+TAU0_TOLERANCE = 1e-3
+"""Sums whose sample periods differ by more than 0.1 % cannot be added."""
+
+Lengths = tuple[tuple[int, int], ...]
+"""Total samples and number of the segments of each length class, shortest first."""
+
+
+def length_class(samples: float) -> int:
+    """Return the index of the length class of a segment, floor(log(samples) / log(1.1))."""
+    return int(math.log(samples) / math.log(LENGTH_CLASS_RATIO))
+
+
+def add_lengths(a: Lengths, b: Lengths) -> Lengths:
+    """Return the lengths of the segments of both."""
+    total: dict[int, tuple[int, int]] = {}
+    for samples, number in a + b:
+        i = length_class(samples / number)
+        known = total.get(i, (0, 0))
+        total[i] = known[0] + samples, known[1] + number
+    return tuple(total[i] for i in sorted(total))
+
+
+@dataclass(frozen=True, eq=False)
+class AllanSums(ByValue):
+    """Sums of one stream; ``+`` adds the sums of another recording of the same IMU.
+
+    The result depends on the order of additions only by rounding, at most 1e-12 of its value,
+    except for the limits of the periods.
+
+    Attributes
+    ----------
+    identity : ImuIdentity
+        Frame and hardware id of the IMU.
+    axes : tuple of str
+        Names of the axes, in the order of `AXES`: the last dimension of the arrays.
+    count : (factors,) int64 array
+        Number of second differences at each averaging factor in ``m``.
+    sum_sq : (factors, axes) float64 array
+        Sum of their squares d^2, in the squared unit of the samples.
+    group_count, group_sum_sq : arrays of the same shapes
+        The same for non-overlapping differences, which start at samples 0, m, 2m ...
+    elapsed_ns, intervals : int
+        Time from the first to the last stamp of each segment in ns, and number of sample periods
+        in it, summed over the segments. Their quotient is the sample period.
+    recordings : tuple of Recording
+        The same sums by period of time, octave spectra and block means of each recording, in the
+        order of time.
+    lengths : tuple of pairs of int
+        Total samples and number of segments in each length class, shortest first.
+    filled : (lengths, axes) int64 array
+        Number of gaps of 1, 2, ... lost samples that were interpolated, in each axis; may be empty.
+    """
+
+    identity: ImuIdentity
+    axes: tuple[str, ...]
+    count: NDArray[np.int64]
+    sum_sq: Floats
+    group_count: NDArray[np.int64]
+    group_sum_sq: Floats
+    elapsed_ns: int = 0
+    intervals: int = 0
+    recordings: tuple[Recording, ...] = ()
+    lengths: Lengths = ()
+    filled: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 0), np.int64))
+
+    @classmethod
+    def empty(
+        cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
+    ) -> AllanSums:
+        """Return the sums of zero samples; adding them to other sums changes nothing."""
+        none, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
+        return cls(identity, axes, none, no_sums, none, no_sums)
+
+    @property
+    def m(self) -> NDArray[np.int64]:
+        """Averaging factors in samples, (factors,), ascending."""
+        return grid(levels_of(len(self.count)))[0][: len(self.count)]
+
+    @property
+    def stride(self) -> NDArray[np.int64]:
+        """Samples between the starts of two second differences at each factor, (factors,)."""
+        return grid(levels_of(len(self.count)))[1][: len(self.count)]
+
+    @property
+    def tau0(self) -> float | None:
+        """Sample period in seconds; None with fewer than two samples."""
+        return self.elapsed_ns / self.intervals * 1e-9 if self.intervals else None
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in all segments."""
+        return sum(samples for samples, _ in self.lengths)
+
+    @property
+    def segment_count(self) -> int:
+        """Number of segments."""
+        return sum(number for _, number in self.lengths)
+
+    @property
+    def length_histogram(self) -> tuple[tuple[float, int], ...]:
+        """Pairs (mean length, number of segments) of each length class, longest first."""
+        return tuple((samples / number, number) for samples, number in reversed(self.lengths))
+
+    @property
+    def periods(self) -> tuple[Period, ...]:
+        """The periods of all recordings, in the order of time."""
+        return tuple(p for r in self.recordings for p in r.periods)
+
+    @property
+    def avar(self) -> Floats:
+        """Overlapping Allan variance at the factors ``m``, pooled over segments, (factors, axes).
+
+        The unit is the squared unit of the samples. Factors without data have NaN.
+        """
+        return allan_variance(self.sum_sq, self.m, self.count)
+
+    @property
+    def group_avar(self) -> Floats:
+        """Non-overlapping Allan variance at ``m``, (factors, axes); NaN without data."""
+        return allan_variance(self.group_sum_sq, self.m, self.group_count)
+
+    @property
+    def _tau0_uncertainty(self) -> float:
+        """Relative error of tau0 if both end stamps of each segment are wrong by one period."""
+        return 2.0 * self.segment_count / self.intervals if self.intervals else 0.0
+
+    def __deepcopy__(self, memo: object) -> AllanSums:
+        """Return the object itself, because it is immutable."""
+        return self
+
+    def __add__(self, other: AllanSums) -> AllanSums:
+        """Return the sums of both.
+
+        Raises
+        ------
+        AllanError
+            If the axes, the identities or the sample periods differ (see `check_addable`).
+        """
+        self.check_addable(other)
+        if self.axes != other.axes:
+            raise AllanError(
+                f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} cannot be '
+                'added: analyze them separately'
+            )
+        filled = [one for one in (self.filled, other.filled) if len(one)]
+        return replace(
+            self,
+            count=add_padded(self.count, other.count),
+            sum_sq=add_padded(self.sum_sq, other.sum_sq),
+            group_count=add_padded(self.group_count, other.group_count),
+            group_sum_sq=add_padded(self.group_sum_sq, other.group_sum_sq),
+            elapsed_ns=self.elapsed_ns + other.elapsed_ns,
+            intervals=self.intervals + other.intervals,
+            recordings=bounded(self.recordings + other.recordings),
+            lengths=add_lengths(self.lengths, other.lengths),
+            filled=add_padded(*filled) if len(filled) == 2 else (filled or [self.filled])[0],
+        )
+
+    def check_addable(self, other: AllanSums) -> None:
+        """Check that both have the same IMU and sample period; their axes may differ.
+
+        Raises
+        ------
+        AllanError
+            If the identities differ, or the sample periods differ by more than 0.1 % plus the
+            uncertainty of the stamps at the ends of the segments.
+        """
+        if self.identity != other.identity:
+            raise AllanError(
+                f'sums of {self.identity} and of {other.identity} cannot be added: '
+                'they are different IMUs, analyze them separately'
+            )
+        a, b = self.tau0, other.tau0
+        tolerance = TAU0_TOLERANCE + self._tau0_uncertainty + other._tau0_uncertainty
+        if a and b and abs(a - b) > a * tolerance:
+            raise AllanError(
+                f'sums at {1 / a:.6g} Hz and at {1 / b:.6g} Hz cannot be added: the rates are '
+                f'more than {TAU0_TOLERANCE:.1%} apart, analyze them separately'
+            )
+
+
+def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums, ...]:
+    """Return the sums of two recordings of one IMU, where each has one or more `AllanSums`.
+
+    A recording has one `AllanSums` with all axes, or one per sensor if the sensors have different
+    rates. Those with equal axes are added. If one sequence is empty, the other is returned.
+
+    Raises
+    ------
+    AllanError
+        If IMUs, rates or axes differ.
+    """
+    if not a or not b:
+        return tuple(a or b)
+    by_axes = {s.axes: s for s in b}
+    if set(by_axes) != {s.axes for s in a}:
+        one, other = (' and separately '.join(', '.join(s.axes) for s in sums) for sums in (a, b))
+        raise AllanError(
+            f'sums of {one} and of {other} cannot be added: the sensors differ, analyze them '
+            'separately'
+        )
+    return tuple(s + by_axes[s.axes] for s in a)
+
+
+def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
+    """Check that the sums of two recordings have the same IMU and rate on their common axes.
+
+    Raises
+    ------
+    AllanError
+        If the IMU or the rate of a common axis differs.
+    """
+    for x, y in product(a, b):
+        if not set(x.axes).isdisjoint(y.axes):
+            x.check_addable(y)

@@ -1,0 +1,226 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sums of a recording in periods of time, and its block means.
+
+The age of a sample is the number of samples of the recording before it; gaps do not count. Periods
+are short at the start of a recording, where it may warm up, and at its end, and long in between.
+What a block of any level of the cascade contributes belongs to the period in which it starts.
+
+Values of periods are rounded to 21 significant bits and means to 29, which makes documents smaller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .octaves import octave
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MAX_PERIODS = 24
+"""Largest number of periods of all recordings of an `AllanSums`."""
+
+KEPT_SEGMENTS, MIN_MEANS, MAX_MEANS = 32, 4, 1024
+"""Block means are kept of the 32 longest segments that have at least 4, and at most 1024 in all."""
+
+SUM_BYTES, MEAN_BYTES = 4, 5
+"""Upper bytes of a float64 that are not zero: of the sums of a period, and of means."""
+
+
+def rounded(values: Floats, size: int) -> Floats:
+    """Return values rounded to the upper ``size`` bytes of a float64."""
+    shift = 64 - 8 * size
+    bits = np.ascontiguousarray(values, '<f8').view('<u8')
+    even = bits + ((bits >> np.uint64(shift)) & np.uint64(1)) + np.uint64((1 << (shift - 1)) - 1)
+    return np.asarray((even >> np.uint64(shift) << np.uint64(shift)).view('<f8'))
+
+
+class ByValue:
+    """Base class of dataclasses with array fields; adds a ``==`` that compares the arrays."""
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether type and all fields are equal."""
+        if type(self) is not type(other):
+            return False
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
+        return all(
+            np.array_equal(x, y) if isinstance(x, np.ndarray) else bool(x == y) for x, y in pairs
+        )
+
+
+def add_padded(a: NDArray, b: NDArray) -> NDArray:  # type: ignore[type-arg]
+    """Return a + b; the shorter of the two is padded with zero rows."""
+    if len(a) < len(b):
+        a, b = b, a
+    out = a.copy()
+    out[: len(b)] += b
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Period(ByValue):
+    """Sums of one period of a recording."""
+
+    begin: int  # age of its first sample
+    samples: int
+    begin_ns: int  # stamp of its first sample
+    count: Ints  # (factors,) number of second differences
+    sum_sq: Floats  # (factors, axes) sum of their squares
+    blocks: Ints  # (octaves,) number of spectral blocks
+    pairs: Ints  # (octaves,) number of pairs of overlapping ones
+    power: Floats  # (bins, axes) sum of their power in the bins of all octaves
+    total: Floats  # (axes,) sum of the samples minus ``Recording.reference``
+    interpolated: int  # number of samples that are interpolated on some axis
+
+    @property
+    def end(self) -> int:
+        """Age of the first sample after the period."""
+        return self.begin + self.samples
+
+    def __add__(self, later: Period) -> Period:
+        """Return the sums of this period and a later one."""
+        return replace(
+            self,
+            samples=self.samples + later.samples,
+            count=add_padded(self.count, later.count),
+            sum_sq=add_padded(self.sum_sq, later.sum_sq),
+            blocks=add_padded(self.blocks, later.blocks),
+            pairs=add_padded(self.pairs, later.pairs),
+            power=add_padded(self.power, later.power),
+            total=self.total + later.total,
+            interpolated=self.interpolated + later.interpolated,
+        ).stored()
+
+    def stored(self) -> Period:
+        """Return a copy without zeros at the end, and with rounded values."""
+        factors = int(np.max(np.flatnonzero(self.count), initial=-1)) + 1
+        octaves = int(np.max(np.flatnonzero(self.blocks), initial=-1)) + 1
+        power = self.power[: sum(len(octave(o).bins) for o in range(octaves))]
+        return replace(
+            self,
+            count=self.count[:factors],
+            sum_sq=rounded(self.sum_sq[:factors], SUM_BYTES),
+            blocks=self.blocks[:octaves],
+            pairs=self.pairs[:octaves],
+            power=rounded(power, SUM_BYTES),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BlockMeans(ByValue):
+    """Means of a segment over consecutive blocks."""
+
+    age: int  # age of the first sample of the segment
+    start_ns: int  # its stamp
+    samples: int  # number of samples of the segment
+    step: int  # samples per block, a power of two
+    values: Floats  # (means, axes) means minus ``Recording.reference``
+
+    def coarser(self, step: int) -> BlockMeans:
+        """Return the means over longer blocks."""
+        values, size = self.values, self.step
+        while size < step:
+            pairs = len(values) // 2
+            values, size = (values[: 2 * pairs : 2] + values[1 : 2 * pairs : 2]) / 2.0, 2 * size
+        return replace(self, step=size, values=rounded(values, MEAN_BYTES))
+
+
+@dataclass(frozen=True, eq=False)
+class Recording(ByValue):
+    """Periods and block means of one recording."""
+
+    periods: tuple[Period, ...]
+    means: tuple[BlockMeans, ...]  # of the longest segments, in the order of time
+    reference: Floats  # (axes,) first sample of the recording
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return sum(p.samples for p in self.periods)
+
+    @property
+    def mean(self) -> Floats:
+        """Mean of all samples, (axes,)."""
+        total = sum((p.total for p in self.periods), np.zeros(len(self.reference)))
+        return np.asarray(self.reference + total / max(self.samples, 1))
+
+    def merged(self, i: int) -> Recording:
+        """Return a copy in which period i and the next one are one period."""
+        p = self.periods
+        return replace(self, periods=(*p[:i], p[i] + p[i + 1], *p[i + 2 :]))
+
+    def joined(self, later: Recording) -> Recording:
+        """Return one recording of both, as if the later one was continued after a gap."""
+        age, shift = self.samples, later.reference - self.reference
+        periods = tuple(
+            replace(p, begin=p.begin + age, total=p.total + p.samples * shift)
+            for p in later.periods
+        )
+        means = tuple(
+            replace(m, age=m.age + age, values=rounded(m.values + shift, MEAN_BYTES))
+            for m in later.means
+        )
+        return replace(self, periods=self.periods + periods, means=self.means + means)
+
+
+def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
+    """Return the smallest relative length of two neighboring periods, and the index of the first.
+
+    The length of the pair is divided by the distance of its far end to the nearer end of the
+    recording. ``begins`` are the ages at which the periods begin, and ``length`` is the length of
+    the recording. Without a pair, it is infinite.
+    """
+    ends = [*begins[1:], length]
+    relative = [(end - begin) / min(end, length - begin) for begin, end in zip(begins, ends[1:])]
+    return min(((r, i) for i, r in enumerate(relative)), default=(float('inf'), 0))
+
+
+def bounded(recordings: Iterable[Recording]) -> tuple[Recording, ...]:
+    """Return recordings with at most `MAX_PERIODS` periods and `MAX_MEANS` means in all.
+
+    They are sorted by time. If there are more recordings, the oldest are joined to one.
+    """
+    kept = sorted(recordings, key=lambda r: (r.periods[0].begin_ns, r.samples))
+    while sum(len(r.periods) for r in kept) > MAX_PERIODS:
+        pairs = [pair_to_merge([p.begin for p in r.periods], r.samples) for r in kept]
+        _, which, i = min((relative, k, i) for k, (relative, i) in enumerate(pairs))
+        if len(kept[which].periods) > 1:
+            kept[which] = kept[which].merged(i)
+        else:
+            kept[:2] = [kept[0].joined(kept[1])]
+    means = iter(bounded_means([r.means for r in kept]))
+    return tuple(replace(r, means=m) for r, m in zip(kept, means))
+
+
+def bounded_means(of_each: Sequence[Sequence[BlockMeans]]) -> list[tuple[BlockMeans, ...]]:
+    """Return the means of the longest segments at a common step, at most `MAX_MEANS` in all."""
+    segments = [(m, i) for i, means in enumerate(of_each) for m in means]
+    segments = sorted(segments, key=lambda s: (-s[0].samples, s[0].start_ns))[:KEPT_SEGMENTS]
+    step = max((m.step for m, _ in segments), default=1)
+    while True:
+        number = [m.samples // step for m, _ in segments]
+        if sum(n for n in number if n >= MIN_MEANS) <= MAX_MEANS:
+            break
+        step *= 2
+    kept: list[list[BlockMeans]] = [[] for _ in of_each]
+    for (m, i), n in zip(segments, number):
+        if n >= MIN_MEANS:
+            kept[i].append(m.coarser(step))
+    return [tuple(sorted(means, key=lambda m: m.age)) for means in kept]
+
+
+def stacked(arrays: Sequence[NDArray]) -> NDArray:  # type: ignore[type-arg]
+    """Return arrays of different lengths as one array, padded with zero rows."""
+    longest = max(arrays, key=len)
+    return np.stack([add_padded(np.zeros_like(longest), a) for a in arrays])
+
+
+def totals(arrays: Iterable[NDArray]) -> NDArray:  # type: ignore[type-arg]
+    """Return the sum of arrays of different lengths."""
+    return reduce(add_padded, arrays)

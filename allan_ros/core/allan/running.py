@@ -1,0 +1,253 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Running sums of one stream: Allan sums, octave spectra and block means in one pass."""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..imu import AXES, ImuIdentity
+from .cascade import BLOCK, Block, Cascade, LevelSums
+from .new_sums import AllanSums, Lengths, add_lengths
+from .periods import (
+    MAX_PERIODS,
+    MEAN_BYTES,
+    BlockMeans,
+    Period,
+    Recording,
+    bounded_means,
+    pair_to_merge,
+    rounded,
+    totals,
+)
+
+Floats = NDArray[np.float64]
+
+SEGMENT_MEANS = 512
+"""Largest number of means of a segment. When it is exceeded, the mean of each two is kept."""
+
+
+@dataclass(frozen=True)
+class _RunningPeriod:
+    """Exact sums of one period, which may still grow."""
+
+    begin: int  # age of its first sample
+    start: tuple[int, int]  # stamp of the first sample of its segment, and samples since then
+    samples: int
+    total: Floats  # (axes + 1,) total of the samples; the last row is the number of interpolated
+    levels: tuple[LevelSums, ...] = ()
+
+    def plus(self, levels: Iterable[LevelSums]) -> _RunningPeriod:
+        """Return the period with more sums of some levels."""
+        total = list(self.levels)
+        for more in levels:
+            for j in range(len(total), more.level + 1):
+                total.append(LevelSums.zero(j, more.values.shape[1]))
+            total[more.level] = total[more.level] + more
+        return replace(self, levels=tuple(total))
+
+    def extended(self, later: _RunningPeriod) -> _RunningPeriod:
+        """Return one period of this and the next one."""
+        samples, total = self.samples + later.samples, self.total + later.total
+        return replace(self, samples=samples, total=total).plus(later.levels)
+
+
+class _Phase:
+    """The phase of a segment at every ``step``-th sample; the step is doubled when it is full."""
+
+    def __init__(self, axes: int) -> None:
+        self.step = 1
+        self.points = np.zeros((axes, 1))
+
+    def extended(self, block: Block) -> tuple[Floats, int]:
+        """Return points and step after a block of level 0 was appended."""
+        phase = block.phase[:-1, 1 + -(block.begin + 1) % self.step :: self.step]
+        points, step = np.concatenate([self.points, phase], axis=1), self.step
+        while points.shape[1] > SEGMENT_MEANS + 1:
+            points, step = points[:, ::2], 2 * step
+        return points, step
+
+
+class _OpenSegment:
+    """Cascade and phase of the current segment."""
+
+    def __init__(self, first: Floats, start_ns: int, age: int) -> None:
+        self.age = age  # of its first sample
+        self.start_ns = self.last_ns = start_ns
+        self.cascade = Cascade(first)
+        self.phase = _Phase(len(first))
+
+
+@dataclass(frozen=True)
+class _State:
+    """Sums of a recording: of the segments that have ended, and of full blocks of the current one.
+
+    Only ``periods`` contains the blocks of the current segment.
+    """
+
+    reference: Floats  # (axes,) first sample of the recording
+    periods: tuple[_RunningPeriod, ...] = ()
+    samples: int = 0
+    elapsed_ns: int = 0
+    lengths: Lengths = ()
+    means: tuple[BlockMeans, ...] = ()
+
+    def with_block(self, segment: _OpenSegment, block: Block) -> _State:
+        """Return the state with a block of the current segment."""
+        periods, age = list(self.periods), segment.age + block.begin
+        if block.sums.level == 0:
+            length = block.phase.shape[1] - 1
+            total = block.phase[:, -1] - block.phase[:, 0]
+            total[:-1] += length * (segment.cascade.reference - self.reference)
+            new = _RunningPeriod(age, (segment.start_ns, block.begin), length, total)
+            if periods and periods[-1].samples < BLOCK:
+                periods[-1] = periods[-1].extended(new)
+            else:
+                periods.append(new)
+            if len(periods) > MAX_PERIODS:
+                _, i = pair_to_merge([p.begin for p in periods], age + length)
+                periods[i : i + 2] = [periods[i].extended(periods[i + 1])]
+        i = bisect.bisect_right([p.begin for p in periods], age) - 1
+        periods[i] = periods[i].plus([block.sums])
+        return replace(self, periods=tuple(periods))
+
+    def with_end(self, segment: _OpenSegment) -> _State:
+        """Return the state after the end of the current segment."""
+        state, (points, step) = self, (segment.phase.points, segment.phase.step)
+        for block in segment.cascade.open_blocks():
+            if block.sums.level == 0:
+                points, step = segment.phase.extended(block)
+            state = state.with_block(segment, block)
+        shift = segment.cascade.reference - self.reference
+        values = rounded(np.diff(points, axis=1).T / step + shift, MEAN_BYTES)
+        samples = segment.cascade.samples
+        means = BlockMeans(segment.age, segment.start_ns, samples, step, values)
+        return replace(
+            state,
+            samples=self.samples + samples,
+            elapsed_ns=self.elapsed_ns + segment.last_ns - segment.start_ns,
+            lengths=add_lengths(self.lengths, ((samples, 1),)),
+            means=bounded_means([(*self.means, means)])[0],
+        )
+
+
+class RunningSums:
+    """Running sums of one stream of evenly spaced samples.
+
+    It needs O(log n) memory for n samples and O(1) time per sample. Any chunking of the same
+    samples gives the same sums, bit for bit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> running = RunningSums()
+    >>> running.update(np.random.default_rng(0).normal(size=(1000, 6)), 0, 9_990_000_000)
+    >>> running.end_segment()
+    >>> running.sums.samples, running.sums.tau0
+    (1000, 0.01)
+    """
+
+    def __init__(self, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES) -> None:
+        self._identity, self._axes = identity, axes
+        self._state = _State(np.zeros(len(axes)))
+        self._open: _OpenSegment | None = None
+
+    def update(
+        self,
+        samples: ArrayLike,
+        first_ns: int,
+        last_ns: int,
+        interpolated: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Add finite samples, (n, axes), that directly follow the previous ones.
+
+        ``first_ns`` and ``last_ns`` are the stamps of the first and the last of them, in ns.
+        ``interpolated``, (n,), marks samples that are interpolated on some axis; None if none is.
+        """
+        values = np.asarray(samples, float)
+        if not len(values):
+            return
+        if self._open is None:
+            if not self._state.samples:
+                self._state = _State(values[0].copy())
+            self._open = _OpenSegment(values[0].copy(), first_ns, self._state.samples)
+        segment = self._open
+        for block in segment.cascade.feed(values.T, interpolated):
+            self._state = self._state.with_block(segment, block)
+            if block.sums.level == 0:
+                segment.phase.points, segment.phase.step = segment.phase.extended(block)
+        segment.last_ns = last_ns
+
+    def end_segment(self) -> None:
+        """End the current segment; the next sample starts a new one.
+
+        No second difference and no spectral block contains samples of two segments.
+        """
+        self._state = self._at_end
+        self._open = None
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in all segments."""
+        return self._state.samples + self.open_samples
+
+    @property
+    def open_samples(self) -> int:
+        """Number of samples in the current segment."""
+        return 0 if self._open is None else self._open.cascade.samples
+
+    @property
+    def sums(self) -> AllanSums:
+        """The sums as if the current segment ended with the last sample; the state is unchanged."""
+        state = self._at_end
+        intervals = state.samples - sum(number for _, number in state.lengths)
+        if not state.samples:
+            return AllanSums.empty(self._identity, self._axes)
+        parts = [_arrays(p) for p in state.periods]
+        count, sum_sq, group_count, group_sum_sq = (totals(a) for a in list(zip(*parts))[:4])
+        some = int(np.count_nonzero(count))
+        periods = tuple(
+            _period(p, arrays, state.elapsed_ns, intervals)
+            for p, arrays in zip(state.periods, parts)
+        )
+        return AllanSums(
+            self._identity,
+            self._axes,
+            count[:some],
+            sum_sq[:some],
+            group_count[:some],
+            group_sum_sq[:some],
+            state.elapsed_ns,
+            intervals,
+            (Recording(periods, state.means, state.reference),),
+            state.lengths,
+        )
+
+    @property
+    def _at_end(self) -> _State:
+        return self._state if self._open is None else self._state.with_end(self._open)
+
+
+def _arrays(period: _RunningPeriod) -> list[NDArray]:  # type: ignore[type-arg]
+    """Return the arrays of `LevelSums.arrays` of all levels together."""
+    return [np.concatenate(a) for a in zip(*(level.arrays for level in period.levels))]
+
+
+def _period(
+    period: _RunningPeriod,
+    arrays: list[NDArray],  # type: ignore[type-arg]
+    elapsed_ns: int,
+    intervals: int,
+) -> Period:
+    """Return the final form of a period. The last two arguments determine the sample period."""
+    count, sum_sq, _, _, blocks, pairs, power = arrays
+    start_ns, since = period.start
+    total, interpolated = period.total[:-1], round(float(period.total[-1]))
+    begin_ns = start_ns + since * elapsed_ns // max(intervals, 1)
+    number = (period.begin, period.samples, begin_ns)
+    return Period(*number, count, sum_sq, blocks, pairs, power, total, interpolated).stored()
