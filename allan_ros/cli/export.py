@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write the measured noise to a file for a filter or simulator.
 
-The input is a results.json of `allan analyze` or `allan merge`, or its folder. Without -o or
---merge-into the file goes to the standard output. Warnings about its numbers are in its header and
-on stderr.
+The input is a results.json of `allan analyze`, or its folder. Without -o the file goes to the
+standard output. Warnings about its numbers are in its header and on stderr.
 
   allan export --list
   allan export results --to openvins -o kalibr_imu_chain.yaml
-  allan export results/results.json --to kalibr --merge-into my_imu.yaml
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ from ..core.errors import AllanError
 from ..core.imu import SI_UNITS, UNITS, sensor_of
 from ..io.datasheets import Datasheet, Limit, load_sensor, sensor_names
 from ..io.exporters import TARGETS, ExportOptions
-from ..io.files import MAX_BYTES, read_text
 from ..io.format import shown_unit, significant
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
@@ -52,10 +49,8 @@ def run(args: argparse.Namespace) -> int:
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
     results = load(file_in(args.results, RESULTS))
-    existing = read_text(args.merge_into, MAX_BYTES) if args.merge_into else None
-    made = make_export(results, args.to, options, existing)
-    where = args.output or args.merge_into
-    path = Path(where) if where else None
+    made = make_export(results, args.to, options)
+    path = Path(args.output) if args.output else None
     if path is not None:
         path = path / target.file_name if path.is_dir() else path
         write_atomic(path, made.text)
@@ -194,8 +189,6 @@ results RESULTS?  results.json, or its folder
 --to TARGET []  filter or simulator that reads the file (--list)
 --list  list the targets, one per line
 -o --output FILE  file to write (default: standard output)
---merge-into EXISTING  your own YAML or JSON file, whose other keys and comments are kept; changed
-    in place unless -o is given
 """
 
 COMMANDS = {

@@ -215,7 +215,7 @@ class AxisResult:
         >>> space.transition(0.02).shape == space.noise(0.02).shape == (space.size, space.size)
         True
         """
-        reduced = reduce_axis(self.name, self.fit, 'processes', expect_walk=True).reduction
+        reduced = reduce_axis(self.name, self.fit, 'processes', expect_walk=True)
         return StateSpace(reduced.white, reduced.walk, reduced.gauss_markov)
 
     @property

@@ -4,11 +4,9 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
-import yaml
 
 from allan_ros.cli.main import main
 from allan_ros.io.exporters import TARGETS, target_of
@@ -62,29 +60,6 @@ def test_notes_of_an_export_go_to_stderr(folder: Path, capsys: pytest.CaptureFix
     assert shown.out.startswith('%YAML:1.0\n')
 
 
-def test_merging_is_in_place_unless_a_file_is_given(folder: Path, tmp_path: Path) -> None:
-    mine = tmp_path / 'mine.yaml'
-    mine.write_text('rostopic: /mine  # mine\n')
-    base = ['export', str(folder / 'results.json'), '--to', 'kalibr', '--merge-into', str(mine)]
-    assert main([*base, '-o', str(tmp_path / 'other.yaml')]) == 0
-    assert mine.read_text() == 'rostopic: /mine  # mine\n'
-    assert main(base) == 0
-    assert mine.read_bytes() == (tmp_path / 'other.yaml').read_bytes()
-    assert 'rostopic: /mine  # mine\n' in mine.read_text()
-    assert yaml.safe_load(mine.read_text())['gyroscope_noise_density'] > 0.0
-
-
-def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None:
-    mine = tmp_path / 'calibration.json'
-    mine.write_text('{"value0": {"T_imu_cam": [{"px": 0.1}], "gyro_noise_std": 7.0}}')
-    results = str(folder / 'results.json')
-    assert main(['export', results, '--to', 'basalt', '--merge-into', str(mine)]) == 0
-    found = json.loads(mine.read_text())
-    assert list(found) == ['value0', 'allan_ros']
-    assert found['value0']['T_imu_cam'] == [{'px': 0.1}]
-    assert len(found['value0']['gyro_noise_std']) == 3
-
-
 @pytest.mark.parametrize(
     ('words', 'said'),
     [
@@ -94,7 +69,6 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
         (['export', '{results}', '--to', 'klibr'], 'Known are kalibr, openvins'),
         (['export', '{yaml}', '--to', 'kalibr'], 'is not JSON'),
         (['export', '{results}', '--to', 'kalibr', '--strict'], 'is not observable'),
-        (['export', '{results}', '--to', 'kalibr', '--exact'], 'vins_fusion only'),
         (['export', '{results}', '--to', 'kalibr', '--axis', 'each'], 'worst or mean'),
         (['export', '{results}', '--to', 'kalibr', '--inflate', '0.5'], 'inflate is 0.5'),
         (['export', '{results}', '--to', 'kalibr', '--horizon', '-1'], 'horizon is -1'),
@@ -102,16 +76,6 @@ def test_merging_into_a_basalt_calibration(folder: Path, tmp_path: Path) -> None
         (['export', '{results}', '--to', 'kalibr', '--filter-rate', '-1'], 'filter_rate is -1'),
         (['export', '{results}'], '--to'),
         (['export', '{results}', '--to', 'kalibr', '-o', '/no/such/imu.yaml'], 'cannot be written'),
-        (
-            ['export', '{results}', '--to', 'kalibr', '--merge-into', '/no/such.yaml'],
-            'cannot be read',
-        ),
-        (['export', '{results}', '--to', 'px4', '--merge-into', '{results}'], 'needs no merging'),
-        (
-            ['export', '{results}', '--to', 'gtsam', '--merge-into', '{results}'],
-            'omit --merge-into',
-        ),
-        (['export', '{results}', '--to', 'basalt', '--merge-into', '{yaml}'], 'not JSON'),
         (['analyze', '{results}', '--export', 'kalibr'], '--export needs a folder'),
         (['merge', '{sums}', '--export', 'klibr', '-o', '{above}'], 'did you mean kalibr'),
         (['merge', '{above}'], 'no sums.json in this folder'),

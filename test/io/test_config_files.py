@@ -9,10 +9,6 @@ from pathlib import Path
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.mapping import propose
-from allan_ros.core.filters.noise_parameters import MADGWICK_FACTOR, madgwick_gain
-from allan_ros.core.fit import AxisFit, Coefficient
-from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.io.files import config_names
 from allan_ros.io.user_files import load_filter
 
@@ -29,20 +25,6 @@ def test_every_mapping_of_the_package_can_be_read():
     assert config_names('filters') == ['imu_filter_madgwick', 'noise_densities']
     for name in config_names('filters'):
         assert load_filter(name).name == name
-
-
-def test_madgwick_parameters_equal_the_exported_file():
-    n, b, k = 2e-4, 5e-5, 3e-6
-    noise = {
-        term: Coefficient(value, (value, value))
-        for term, value in zip('QNBKR', (1e-6, n, b, k, 1e-7))
-    }
-    axes = {f'gyro_{a}': AxisFit(noise) for a in 'xyz'}
-    mapping = load_filter('imu_filter_madgwick')
-    gain, zeta = (propose(p, axes, 200.0, mapping.constants) for p in mapping.parameters)
-    expected = madgwick_gain(ProcessModel(NoiseTerms(N=n, B=b)), 1.0)
-    assert gain.values[0] == pytest.approx(expected, rel=1e-4)
-    assert zeta.values[0] > MADGWICK_FACTOR * k  # K of the reduction covers B
 
 
 def test_a_file_is_read_as_it_is_written(tmp_path: Path):

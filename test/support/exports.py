@@ -171,7 +171,6 @@ EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]
         {'arw': [2.06265, 2.75020, 3.43775], 'vrw': [0.072, 0.096, 0.12]},
     ),
     'ob_gins': (read_yaml, ('imumodel',), {'arw': 3.43775, 'vrw': 0.12}),
-    'ic_gvins': (read_yaml, ('imumodel',), {'arw': 3.43775, 'vrw': 0.12}),
     'navego': (
         read_matlab,
         (),
@@ -188,7 +187,6 @@ EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]
         ('accel_z',),
         {'white': 2e-3},
     ),
-    'state_space_python': (run_python, ('AXES', 'gyro_y'), {'white': 8e-4}),
     'gazebo': (
         lambda text: {
             noise.tag: float(noise.text)
@@ -196,27 +194,6 @@ EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]
         },
         (),
         {'stddev': 0.0141421, 'mean': 0.0},
-    ),
-    'px4_sitl': (
-        lambda text: {e.tag: float(e.text) for e in ElementTree.fromstring(text)},
-        (),
-        {'gyroscopeNoiseDensity': 1e-3, 'accelerometerNoiseDensity': 2e-3},
-    ),
-    # 2e-3 m/s^2 is 0.203943 mg; 1e-5 sqrt(500) rad/s is 46.1222 deg/h; 3e-5 sqrt(800) is 86.5261 ug
-    'airsim': (
-        json.loads,
-        ('DefaultSensors', 'Imu'),
-        {
-            'AngularRandomWalk': 3.43775,
-            'VelocityRandomWalk': 0.203943,
-            'GyroBiasStability': 46.1222,
-            'AccelBiasStability': 86.5257,
-        },
-    ),
-    'gnss_ins_sim': (
-        lambda text: {k: list(v) for k, v in run_python(text)['imu_err'].items()},
-        (),
-        {'gyro_arw': [2.06265, 2.75020, 3.43775], 'accel_vrw': [0.072, 0.096, 0.12]},
     ),
     'isaac_sim': (run_python, ('AXES', 'gyro_x'), {'white': 6e-4}),
     'webots': (run_python, ('AXES', 'gyro_x'), {'white': 6e-4}),

@@ -20,7 +20,7 @@ from typing import Any
 from ..errors import AllanError
 from ..fit.model import TERMS, AxisFit
 from ..imu import AXES, SENSORS
-from .noise_parameters import RULES, Ends, axis_level, reduced_ends
+from .noise_parameters import RULES, axis_level, reduce_axis
 from .reductions import Horizons
 
 MAX_LENGTH = 200
@@ -35,6 +35,9 @@ _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
+
+Ends = tuple[float, float, float]
+"""Lower end of the interval, value, upper end."""
 
 Formula = Callable[[Mapping[str, float]], Any]
 
@@ -227,8 +230,9 @@ def _axis_ends(
     axis: str, fit: AxisFit, terms: Sequence[str], horizons: Horizons
 ) -> dict[str, Ends]:
     """Return lower end, value and upper end of each of the given terms of one axis."""
-    reduced = reduced_ends(axis, fit, horizons) if 'K' in terms else {}
-    return {term: reduced.get(term) or axis_level(axis, fit, term).ends for term in terms}
+    reduced = reduce_axis(axis, fit, 'walk', horizons).levels if 'K' in terms else {}
+    levels = {term: reduced.get(term) or axis_level(axis, fit, term) for term in terms}
+    return {t: (level.interval[0], level.value, level.interval[1]) for t, level in levels.items()}
 
 
 def _by_rule(

@@ -6,16 +6,7 @@ N and K are continuous-time noise densities: roots of two-sided power spectral d
 with the rate f needs discrete-time noise. In one step of 1/f seconds, white noise must add N^2/f to
 the variance of the integral of the samples, and a random walk must add K^2/f to the variance of the
 bias (N. Trawny, S. I. Roumeliotis, Indirect Kalman Filter for 3D Attitude Estimation, University of
-Minnesota, 2005, eqs. 129, 130). The value of a parameter depends on the scaling in the filter:
-
-===================================  ==============  ============================
-parameter of the filter              value           function
-===================================  ==============  ============================
-continuous-time noise density        N, K
-sample std, multiplied by 1/f        N sqrt(f)       `white_std`
-bias step std, multiplied by 1/f     K sqrt(f)       `white_std` of K
-variance, multiplied by 1/f^2        N^2 f, K^2 f    the squares of these
-===================================  ==============  ============================
+Minnesota, 2005, eqs. 129, 130). `NOTATIONS` lists the scalings that filters use.
 
 N and K are either the fitted coefficients (`axis_level`) or those of a reduced model
 (`reduce_axis`).
@@ -35,7 +26,7 @@ from ..fit.model import AxisFit
 from ..imu import AXES, SENSORS
 from ..noise import ProcessModel
 from .growth import drift_model, expected_model, has_drift, has_intervals, interval_models
-from .reductions import Horizons, Reduction, States, reduce_model
+from .reductions import Horizons, Level, Reduction, States, reduce_model
 
 RULES = ('worst', 'mean', 'each')
 """How the values of three axes are combined: the largest, the root mean square, or three values."""
@@ -43,53 +34,6 @@ RULES = ('worst', 'mean', 'each')
 MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
 """Ratio of the filter gain to the gyro error (S. O. H. Madgwick, An efficient orientation filter
 for inertial and inertial/magnetic sensor arrays, 2010, section on filter gains)."""
-
-Ends = tuple[float, float, float]
-"""Lower end of the interval, value, upper end."""
-
-
-@dataclass(frozen=True)
-class Level:
-    """Value of one noise coefficient of one axis for a filter, in SI."""
-
-    axis: str  # name of the axis
-    term: str  # N, B, K or R, or 'sigma' of a Gauss-Markov process
-    value: float  # finite and above 0: the estimate, or the 95 % upper limit without an estimate
-    ci95: tuple[float, float] | None = None  # 95 % interval of an estimate; None if unknown
-    is_limit: bool = False  # whether the value is an upper limit
-    # fitted coefficient (0 if it is not in the selected model) of a value that was increased so
-    # that the filter does not underestimate the error growth; None if it was not increased
-    raised_from: float | None = None
-
-    @property
-    def no_interval(self) -> bool:
-        """Whether the value is an estimate without a 95 % interval."""
-        return self.ci95 is None and not self.is_limit and self.raised_from is None
-
-    @property
-    def ends(self) -> Ends:
-        """Lower end, value and upper end of the 95 % interval.
-
-        They are (0, value, value) for a limit, and (0, value, inf) without an interval.
-        """
-        low, high = (0.0, self.value) if self.is_limit else self.ci95 or (0.0, math.inf)
-        return max(low, 0.0), self.value, high
-
-
-@dataclass(frozen=True)
-class SensorLevel:
-    """Values of one noise coefficient for the three axes of a sensor."""
-
-    values: tuple[float, float, float]  # values for x, y and z, including the inflation
-    levels: tuple[Level, ...]  # levels of the axes from which they were computed
-
-
-@dataclass(frozen=True)
-class AxisReduction:
-    """Noise model of one axis, reduced to the states of a filter."""
-
-    reduction: Reduction
-    levels: dict[str, Level]  # 'N' and, if the reduced model has a random walk, 'K'
 
 
 def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Level:
@@ -138,7 +82,7 @@ def reduce_axis(
     horizons: Horizons = Horizons(1.0, 30.0),
     strict: bool = False,
     expect_walk: bool = False,
-) -> AxisReduction:
+) -> Reduction:
     """Return the noise model of one axis, reduced to the states of a filter.
 
     Coefficients outside the selected model are set to 0, with two exceptions: N is replaced by its
@@ -149,6 +93,10 @@ def reduce_axis(
     times that it integrates without a correction. ``strict`` rejects upper limits, values without a
     95 % interval, and poor reductions (see `Reduction.poor`), but accepts values that the reduction
     increased. ``axis`` is the name of the axis in messages.
+
+    The ``levels`` of the result are N and, if it has a random walk, K. The interval of an increased
+    value ranges over the reductions of the models at the lower and at the upper ends of the 95 %
+    intervals of all coefficients.
 
     Raises
     ------
@@ -175,14 +123,24 @@ def reduce_axis(
             f'{max(reduction.ratio[1], 1.0 / reduction.ratio[0]):.1f} over {horizons}: choose '
             'another --horizon, write state_space, or omit --strict'
         )
+    increased = None
+    if has_intervals(fit) and states in ('none', 'walk'):
+        increased = [reduce_model(one, states, horizons) for one in interval_models(fit)]
     if walk is None and reduction.walk > 0.0:
         walk = Level(axis, 'K', reduction.walk, fit.noise['K'].ci95)
         if reduction.walk > 1.001 * resolved_walk:
-            walk = replace(walk, ci95=None, raised_from=resolved_walk)
+            ends = increased and [one.walk for one in increased]
+            walk = _raised(walk, reduction.walk, resolved_walk, ends)
         walk = _accepted(walk, strict)
     if reduction.white > 1.001 * white.value:
-        white = replace(white, value=reduction.white, ci95=None, raised_from=white.value)
-    return AxisReduction(reduction, {'N': white, **({'K': walk} if walk else {})})
+        ends = increased and [one.white for one in increased]
+        white = _raised(white, reduction.white, white.value, ends)
+    return replace(reduction, levels={'N': white, **({'K': walk} if walk else {})})
+
+
+def _raised(level: Level, value: float, fitted: float, ends: Sequence[float] | None) -> Level:
+    ci95 = (min(*ends, value), max(*ends, value)) if ends else None
+    return replace(level, value=value, ci95=ci95, raised_from=fitted)
 
 
 _NAMES = {
@@ -197,70 +155,75 @@ def _with_walk(model: ProcessModel, walk: float) -> ProcessModel:
     return replace(model, terms=replace(model.terms, K=walk))
 
 
-def reduced_ends(axis: str, fit: AxisFit, horizons: Horizons) -> dict[str, Ends]:
-    """Return lower end, value and upper end of N and K of the model reduced to a random walk.
+def sensor_levels(levels: Sequence[Level], rule: str) -> tuple[Level, ...]:
+    """Return the levels of a sensor from those of its axes x, y and z.
 
-    The ends come from reductions of the models with all coefficients at the lower, and at the
-    upper ends of their 95 % intervals. ``axis`` is the name of the axis in messages.
-
-    Raises
-    ------
-    AllanError
-        If a required coefficient has neither a value nor a limit.
+    ``rule`` is 'worst' (the largest), 'mean' (the root mean square of values and of interval ends)
+    or 'each' (all three).
     """
-    levels = reduce_axis(axis, fit, 'walk', horizons).levels
-    bottom, top = (reduce_model(one, 'walk', horizons) for one in interval_models(fit))
-    intervals = {'N': (bottom.white, top.white), 'K': (bottom.walk, top.walk)}
-    ends = {}
-    for term, level in levels.items():
-        low, high = intervals[term]
-        interval = min(low, level.value), max(high, level.value)
-        ends[term] = replace(level, ci95=interval if has_intervals(fit) else None).ends
-    return ends
-
-
-def sensor_level(levels: Sequence[Level], rule: str, inflation: float = 1.0) -> SensorLevel:
-    """Return the values of a coefficient for a sensor from those of x, y and z (``levels``).
-
-    They are multiplied by ``inflation``. ``rule`` is 'worst' (the largest), 'mean' (the root mean
-    square) or 'each' (one value per axis).
-    """
-    x, y, z = (level.value * inflation for level in levels)
     if rule == 'each':
-        return SensorLevel((x, y, z), tuple(levels))
-    if rule == 'mean':
-        mean = math.sqrt((x * x + y * y + z * z) / 3.0)
-        return SensorLevel((mean, mean, mean), tuple(levels))
-    worst = max(levels, key=lambda level: level.value)
-    value = worst.value * inflation
-    return SensorLevel((value, value, value), (worst,))
+        return tuple(levels)
+    if rule == 'worst':
+        return (max(levels, key=lambda level: level.value),)
+    first = levels[0]
+    low, high = (_root_mean_square(ends) for ends in zip(*(one.interval for one in levels)))
+    limit = any(level.is_limit for level in levels)
+    value = _root_mean_square([level.value for level in levels])
+    return (Level(first.axis, first.term, value, (low, high), limit),)
 
 
-def white_std(density: float, rate: float) -> float:
-    """Return N sqrt(f), the standard deviation of a sample of white noise of density N at f Hz.
+def _root_mean_square(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value * value for value in values) / len(values))
 
-    A filter step of 1/f s with this value adds (N sqrt(f) / f)^2 = N^2/f to the variance of the
-    integral. With K instead of N, it adds K^2/f to the variance of the bias.
+
+@dataclass(frozen=True)
+class Notation:
+    """A notation of N or K in the file of a filter: (level / factor)^power f^rate_power.
+
+    A filter step of 1/f s with the standard deviation s = N sqrt(f) adds (s / f)^2 = N^2/f to the
+    variance of the integral. With K instead of N, it adds K^2/f to the variance of the bias.
+
+    Attributes
+    ----------
+    formula, unit : str
+        Templates for the header of a file: ``{term}`` is N or K; ``{density}``, ``{std}`` and
+        ``{bias}`` are the units of the term, of its standard deviation per sample, and of the bias.
+    power, rate_power, factor : float
+        Numbers of the formula above; ``factor`` is the unit of the number in SI.
     """
-    return density * math.sqrt(rate)
+
+    formula: str
+    unit: str
+    power: float = 1.0
+    rate_power: float = 0.0
+    factor: float = 1.0
+
+    def number(self, level: float, rate: float) -> float:
+        """Return the number in the file for a level in SI and a rate in Hz."""
+        return float((level / self.factor) ** self.power * rate**self.rate_power)
+
+    def level(self, number: float, rate: float) -> float:
+        """Return the level in SI for a number in the file and a rate in Hz."""
+        return float((number / rate**self.rate_power) ** (1.0 / self.power) * self.factor)
 
 
-def midpoint_white_std(density: float, rate: float) -> float:
-    """Return N sqrt(2 f), the sample std for a filter step that averages two successive samples.
+NOTATIONS = {
+    'density': Notation('', '{density}'),
+    'std': Notation('{term} sqrt(f)', '{std}', 1.0, 0.5),
+    'variance': Notation('{term}^2 f', '({std})^2', 2.0, 1.0),
+    'step_variance': Notation('{term}^2 / f', '({bias})^2', 2.0, -1.0),
+    'covariance': Notation('{term}^2', '({density})^2', 2.0),
+}
+"""Notations in which filters expect N and K."""
 
-    Such a step treats the samples, of standard deviation s, as independent. It adds 2 (s/2)^2 / f^2
-    to the variance of the integral, which is the correct N^2/f for s = N sqrt(2 f).
+
+def deviation_at(model: ProcessModel, white: float, horizon: float) -> float:
+    """Return the Allan deviation at ``horizon`` s, without quantization and vibration.
+
+    The density of the white noise is ``white`` instead of that of the model.
     """
-    return white_std(density, 2.0 * rate)
-
-
-def madgwick_gain(model: ProcessModel, horizon: float) -> float:
-    """Return the gain beta (rad/s) of Madgwick's filter for the noise of a gyro.
-
-    beta = sqrt(3/4) times the gyro error, for which the Allan deviation at ``horizon`` (in s) is
-    used, without quantization and vibration.
-    """
-    return MADGWICK_FACTOR * math.sqrt(float(drift_model(model).avar([horizon])[0]))
+    terms = replace(model.terms, N=white)
+    return math.sqrt(float(drift_model(replace(model, terms=terms)).avar([horizon])[0]))
 
 
 SAMPLE_WINDOW_S = 1.0
@@ -301,13 +264,14 @@ def white_variances(
     predicted error growth up to this time, for filters without a state for the bias.
     """
     densities: dict[str, float | None] = {}
+    std = NOTATIONS['std']
     for name, fit in axes.items():
         try:
             if horizon:
                 reduced = reduce_axis(name, fit, 'none', Horizons.up_to(horizon))
-                densities[name] = white_std(reduced.reduction.white, rate)
+                densities[name] = std.number(reduced.white, rate)
             else:
-                densities[name] = white_std(axis_level(name, fit, 'N').value, rate)
+                densities[name] = std.number(axis_level(name, fit, 'N').value, rate)
         except AllanError:
             densities[name] = None
     return measured_variances(densities, inflation)

@@ -23,8 +23,8 @@ of these horizons.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -216,6 +216,31 @@ class Horizons(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Level:
+    """Value of one noise coefficient of one axis for a filter, in SI."""
+
+    axis: str  # name of the axis
+    term: str  # N, B, K or R, or 'sigma' of a Gauss-Markov process
+    value: float  # finite and above 0: the estimate, or the 95 % upper limit without an estimate
+    ci95: tuple[float, float] | None = None  # 95 % interval of the value; None if unknown
+    is_limit: bool = False  # whether the value is an upper limit
+    # fitted coefficient (0 if it is not in the selected model) of a value that was increased so
+    # that the filter does not underestimate the error growth; None if it was not increased
+    raised_from: float | None = None
+
+    @property
+    def no_interval(self) -> bool:
+        """Whether the value is an estimate without a 95 % interval."""
+        return self.ci95 is None and not self.is_limit and self.raised_from is None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval: (0, value) for a limit, and (0, inf) if it is unknown."""
+        low, high = (0.0, self.value) if self.is_limit else self.ci95 or (0.0, math.inf)
+        return max(low, 0.0), high
+
+
+@dataclass(frozen=True)
 class Reduction:
     """Noise model of one axis, reduced to the states of a filter."""
 
@@ -227,6 +252,8 @@ class Reduction:
     # smallest and largest ratio over this range of the error growth (standard deviation) that the
     # filter predicts to that of the complete model
     ratio: tuple[float, float]
+    # N and K with their intervals, if the model of an axis was reduced
+    levels: Mapping[str, Level] = field(default_factory=dict)
 
     @property
     def poor(self) -> bool:

@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that filters, calibration tools and simulators read.
 
-A `Target` describes one file: a table of its keys, or a function that yields them, and the `Form`
-that converts them to text. Targets are in `targets` and `simulators`, numbers and header comments
-in `model`, text formats in `forms`. A new target also needs a line in `TARGETS`.
+A `Target` describes one file: a table of its keys (`Key`) with the convention and its source, and
+the `Form` of its text. `model` computes the `Row` of each key from the noise model. Targets are in
+`targets` and `simulators`; a new one also needs a line in `TARGETS`.
 """
 
 from __future__ import annotations
 
 import difflib
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,16 +21,16 @@ from ...core.findings import Finding, finding
 from ...core.settings import CheckedSettings, parameter
 
 if TYPE_CHECKING:
-    from ...core.filters.noise_parameters import Level
+    from ...core.filters.reductions import Level
     from ..results import Results
     from .model import FilterNoise
 
-__all__ = ['TARGETS', 'Export', 'ExportOptions', 'make_export', 'target_of']
+__all__ = ['TARGETS', 'Export', 'ExportOptions', 'make_export', 'target_of', 'target_rows']
 
 TARGETS = {
     'kalibr': 'Kalibr imu.yaml: continuous densities N and K',
     'openvins': 'OpenVINS kalibr_imu_chain.yaml: continuous densities N and K',
-    'vins_fusion': 'VINS-Mono and VINS-Fusion: std per sample, N sqrt(f) or --exact, and K sqrt(f)',
+    'vins_fusion': 'VINS-Mono and VINS-Fusion: std per sample, N sqrt(f) and K sqrt(f)',
     'orb_slam3': 'ORB-SLAM3 settings: continuous densities N and K, and the rate',
     'lio_sam': 'LIO-SAM ROS 2 parameters: continuous densities N and K',
     'fast_lio': 'FAST-LIO and FAST-LIO2 ROS 2 parameters: variances N^2 f and K^2 f',
@@ -40,16 +41,11 @@ TARGETS = {
     'px4': 'PX4 EKF2 parameters: std per EKF step, within their ranges',
     'ardupilot': 'ArduPilot EK3 parameters: std per EKF step, within their ranges',
     'kf_gins': 'KF-GINS imunoise: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias, of each axis',
-    'ob_gins': 'OB_GINS imumodel: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias',
-    'ic_gvins': 'IC-GVINS imumodel: the same keys as OB_GINS',
+    'ob_gins': 'OB_GINS and IC-GVINS imumodel: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias',
     'navego': 'NaveGo structure for ins_gnss.m: SI densities and a Gauss-Markov bias, of each axis',
     'imu_filter_madgwick': 'imu_filter_madgwick ROS 2 parameters: gain and zeta at a horizon',
-    'state_space': 'JSON allan_ros/state_space/1: all processes, discrete matrices, reductions',
-    'state_space_python': 'Python module: all processes, discrete matrices, a noise generator',
+    'state_space': 'JSON allan_ros/state_space/2: all processes, and Phi, Qd, R of each axis',
     'gazebo': 'Gazebo SDF <imu>: std per sample and a Gauss-Markov bias, of each axis',
-    'px4_sitl': 'PX4 SITL and RotorS IMU plugin: densities and a Gauss-Markov bias',
-    'airsim': 'AirSim settings.json: deg/sqrt(h), mg/sqrt(Hz) and a random walk of the bias',
-    'gnss_ins_sim': 'gnss-ins-sim error dictionary: random walks and a Gauss-Markov bias',
     'isaac_sim': 'Isaac Sim: Python module that adds the noise to the readings of the IMU sensor',
     'webots': 'Webots: Python module that adds the noise in the controller',
 }
@@ -102,11 +98,6 @@ class ExportOptions(CheckedSettings):
         'interval, or a reduction whose error growth is wrong by more than a factor of 2. A value '
         'that the reduction raises is accepted.',
     )
-    exact: bool = parameter(
-        False,
-        'vins_fusion only: write N sqrt(2f), which its midpoint rule needs, instead of the '
-        'customary N sqrt(f).',
-    )
     fidelity: str = parameter(
         'reduction',
         'N and K of the file: a reduction, in which K is raised until the predicted error growth '
@@ -124,27 +115,59 @@ class ExportOptions(CheckedSettings):
     topic: str = parameter(
         '', 'The Imu topic to name in the file; empty: the topic of the recording.'
     )
-    date: str = parameter(
-        '', 'The date to name in the file; empty: the time of the first recorded sample.'
+    force: bool = parameter(
+        False, 'Write the file although the units of the samples are probably wrong.'
     )
 
 
+class Key(NamedTuple):
+    """One key of a file and the quantity that is written there."""
+
+    name: str
+    sensor: str  # 'gyro' or 'accel', or '-' for both
+    # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
+    # 'common_tau': correlation time of all axes; 'rate'; 'topic'
+    what: str
+    unit: str = ''  # one of `noise_parameters.NOTATIONS`, or a unit
+    limits: tuple[float, float] | None = None  # range that the filter accepts
+
+
 @dataclass(frozen=True)
-class Entry:
+class Row:
     """One key of a file with its value and the origin of the value."""
 
     path: tuple[str, ...]  # the key, preceded by the keys of the mappings that contain it
     value: Value
-    # unit, formula, axis and interval of the number as text; '' if it is not measured
-    words: str = ''
+    words: str = ''  # formula, axis and interval of the number as text; '' if it is not measured
+    unit: str = ''  # '' if it is not measured
+    # 95 % interval of the number in the unit of the file: (0, number) for an upper limit, (0, inf)
+    # if it is unknown; of three numbers the widest
+    interval: tuple[float, float] = (0.0, math.inf)
     levels: tuple[Level, ...] = ()  # the measured noise levels from which it is computed
-    keep: bool = False  # whether a merge keeps the value of the user's file
+    clamped: bool = False  # whether the number is a limit of the range that the filter accepts
     findings: tuple[Finding, ...] = ()  # information for the user of the file
 
     @property
     def key(self) -> str:
         """The last key of the path."""
         return self.path[-1]
+
+    @property
+    def name(self) -> str:
+        """Name of the ROS parameter: the keys below ``ros__parameters``, joined by dots."""
+        path = self.path[2:] if self.path[1:2] == ('ros__parameters',) else self.path
+        return '.'.join(path)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The numbers: one, or three for x, y and z."""
+        return tuple(self.value) if isinstance(self.value, list) else (self.value,)
+
+    @property
+    def ratio(self) -> float:
+        """Ratio of the upper to the lower end of the interval; infinite if the lower end is 0."""
+        low, high = self.interval
+        return high / low if low > 0.0 else math.inf
 
     @property
     def is_limit(self) -> bool:
@@ -157,54 +180,32 @@ class Entry:
         return any(level.no_interval for level in self.levels)
 
 
-class Row(NamedTuple):
-    """One key of a file and the quantity that is written there."""
+def keys_of(table: str) -> tuple[Key, ...]:
+    """Return the keys of a table with a line ``name sensor what [unit [low..high]]`` for each.
 
-    key: str
-    sensor: str  # 'gyro' or 'accel', or '-' for both
-    # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
-    # 'turn_on': scatter of the bias between recordings; 'common_tau': correlation time of all axes;
-    # 'rate'; 'topic'; 'zero'
-    what: str
-    unit: str = ''  # a notation of `model.QUANTITIES`, or a unit
-    limits: tuple[float, float] | None = None  # range that the filter accepts
-
-
-def rows(table: str) -> tuple[Row, ...]:
-    """Return the rows of a table with a line ``key sensor what [unit [low..high]]`` for each.
-
-    These are the attributes of `Row`; the default unit is 'density'.
+    These are the attributes of `Key`; the default unit is 'density'.
     """
     found = []
     for line in table.strip().splitlines():
-        key, sensor, what, *rest = line.split()
+        name, sensor, what, *rest = line.split()
         unit = rest[0] if rest else 'density'
         low, high = map(float, rest[1].split('..')) if len(rest) > 1 else (0.0, 0.0)
-        found.append(Row(key, sensor, what, unit, (low, high) if high else None))
+        found.append(Key(name, sensor, what, unit, (low, high) if high else None))
     return tuple(found)
 
 
-def noise_rows(keys: str, unit: str = 'density') -> tuple[Row, ...]:
-    """Return rows for four ``keys`` separated by spaces: gyro N, accel N, gyro K, accel K."""
+def noise_keys(names: str, unit: str = 'density') -> tuple[Key, ...]:
+    """Return four keys, with ``names`` separated by spaces: gyro N, accel N, gyro K, accel K."""
     whats = ('gyro N', 'accel N', 'gyro K', 'accel K')
-    return rows('\n'.join(f'{key} {what} {unit}' for key, what in zip(keys.split(), whats)))
+    return keys_of('\n'.join(f'{name} {what} {unit}' for name, what in zip(names.split(), whats)))
 
 
 class Form(ABC):
-    """A text format for the entries of a target."""
-
-    no_merge = 'this file is loaded in addition to yours and needs no merging: omit --merge-into'
+    """A text format for the rows of a file."""
 
     @abstractmethod
-    def render(self, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return the text of a file with the header and these entries."""
-
-    def merge(self, existing: str, entries: Sequence[Entry], header: Sequence[str]) -> str:
-        """Return the user's text with these entries and the header.
-
-        Raises AllanError when this format does not support it.
-        """
-        raise AllanError(self.no_merge)
+    def render(self, rows: Sequence[Row], header: Sequence[str]) -> str:
+        """Return the text of a file with the header and these rows."""
 
 
 @dataclass(frozen=True)
@@ -214,13 +215,12 @@ class Target:
     file_name: str  # name of its file in a results folder
     convention: str  # meaning of the numbers, and the source file of the target that shows it
     form: Form
-    rows: tuple[Row, ...] = ()  # the keys of the file
+    keys: tuple[Key, ...] = ()  # the keys of the file
     parent: tuple[str, ...] = ()  # the mappings that contain the keys
-    # keys that are required but not measured; a merge keeps the values of the user's file
-    fixed: Mapping[str, Value] = field(default_factory=dict)
+    fixed: Mapping[str, Value] = field(default_factory=dict)  # required, but not measured
     notes: tuple[str, ...] = ()  # further information for the user of this file
-    # yields the entries of a file that is too complex for a table
-    entries: Callable[[FilterNoise], Iterable[Entry]] | None = None
+    # yields the rows of a file that is too complex for a table
+    rows: Callable[[FilterNoise], Iterable[Row]] | None = None
     three: bool = False  # whether the file takes three numbers per sensor
     rate_hz: float | None = None  # the filter's own rate; None if it steps with the samples
     horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
@@ -228,7 +228,6 @@ class Target:
     walk: bool = True
     # whether the numbers bound the error growth, as a filter needs; else they approximate it
     bound: bool = True
-    exact: bool = False  # whether the target uses the midpoint rule (`ExportOptions.exact`)
 
 
 @dataclass(frozen=True)
@@ -247,38 +246,49 @@ def target_of(name: str) -> Target:
         raise AllanError(f'target {name!r} is unknown: {meant} {", ".join(TARGETS)}')
     from . import simulators, targets
 
-    return {**targets.TARGETS, **simulators.SIMULATORS}[name]
+    return {**targets.FILTERS, **simulators.SIMULATORS}[name]
 
 
-def make_export(
+def target_rows(
     results: Results,
     name: str,
     options: ExportOptions = ExportOptions(),
-    existing: str | None = None,
-) -> Export:
+    bias: Mapping[str, float] = {},
+) -> tuple[Row, ...]:
+    """Return the measured numbers of a target, to set them as parameters of a running filter.
+
+    The parameters are those of `make_export`. ``bias`` maps axes to their bias at rest in SI. The
+    gain of a filter without a state for the bias covers it; leave it empty if the bias is
+    subtracted from the samples.
+
+    Raises
+    ------
+    AllanError
+        Under the conditions of `make_export`.
+    """
+    from .model import FilterNoise
+
+    rows = FilterNoise(results, options, target_of(name), bias).rows()
+    return tuple(row for row in rows if row.unit)
+
+
+def make_export(results: Results, name: str, options: ExportOptions = ExportOptions()) -> Export:
     """Return the text of a file with the measured noise for a filter or simulator.
 
-    ``name`` is one of `TARGETS`. ``existing`` is the text of the user's file, into which the
-    numbers are merged, or None for a new file. Raises AllanError when the target is unknown, an
-    option does not apply to it, the results lack a required number, or the existing text cannot be
-    changed.
+    ``name`` is one of `TARGETS`. Raises AllanError when the target is unknown, an option does not
+    apply to it, the results lack a required number, or their units are wrong.
     """
     from .model import FilterNoise, header_lines
 
     target = target_of(name)
     noise = FilterNoise(results, options, target)
-    entries = noise.entries()
-    header = header_lines(name, noise, entries)
-    text = (
-        target.form.render(entries, header)
-        if existing is None
-        else target.form.merge(existing, entries, header)
-    )
-    findings = [note for entry in entries for note in entry.findings]
+    rows = noise.rows()
+    text = target.form.render(rows, header_lines(name, noise, rows))
+    findings = [note for row in rows for note in row.findings]
     findings += noise.reduction_findings()
     for id, keys in (
-        ('export_limits', [entry.key for entry in entries if entry.is_limit]),
-        ('export_no_interval', [entry.key for entry in entries if entry.no_interval]),
+        ('export_limits', [row.key for row in rows if row.is_limit]),
+        ('export_no_interval', [row.key for row in rows if row.no_interval]),
     ):
         findings += [finding(id, keys=', '.join(dict.fromkeys(keys)))] if keys else []
     return Export(text, tuple(dict.fromkeys(findings)))

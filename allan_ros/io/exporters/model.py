@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import cached_property
@@ -14,21 +14,25 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ... import __version__
 from ...core.errors import AllanError, one_line
 from ...core.filters.noise_parameters import (
-    AxisReduction,
-    Level,
-    SensorLevel,
+    NOTATIONS,
+    Notation,
     axis_level,
-    midpoint_white_std,
     reduce_axis,
-    sensor_level,
-    white_std,
+    sensor_levels,
 )
-from ...core.filters.reductions import Horizons, States, closest_process, common_correlation_time
+from ...core.filters.reductions import (
+    Horizons,
+    Level,
+    Reduction,
+    States,
+    closest_process,
+    common_correlation_time,
+)
 from ...core.findings import Finding, duration_text, finding
 from ...core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ...core.noise import ProcessModel
 from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
-from . import AXIS_RULE, Entry, ExportOptions, Row, Target
+from . import AXIS_RULE, ExportOptions, Key, Row, Target
 
 if TYPE_CHECKING:
     from ..axis_result import AxisResult
@@ -37,24 +41,10 @@ if TYPE_CHECKING:
 DIGITS = 6
 """Significant digits of numbers in a file, more than any interval justifies."""
 
-
-Convert = Callable[[float, float], float]
-"""Function of a noise level in SI and a rate in Hz that returns the number for the file."""
-
-QUANTITIES: dict[str, tuple[str, str, Convert]] = {
-    'density': ('', '{density}', lambda value, rate: value),
-    'std': ('{term} sqrt(f)', '{std}', white_std),
-    'midpoint': ('N sqrt(2 f)', '{std}', midpoint_white_std),
-    'variance': ('{term}^2 f', '({std})^2', lambda value, rate: value**2 * rate),
-    'step_variance': ('{term}^2 / f', '({bias})^2', lambda value, rate: value**2 / rate),
-    'covariance': ('{term}^2', '({density})^2', lambda value, rate: value**2),
-}
-"""Notation in which a target expects N and K -> formula, unit and conversion. In the templates,
-``{term}`` is N or K; ``{density}``, ``{std}`` and ``{bias}`` are the units of the term, of its
-standard deviation per sample, and of the bias. `allan_ros.core.filters.noise_parameters` explains
-the notations."""
-
 UNITS_S = {'s': 1.0, 'h': HOUR}
+
+WRONG_UNITS = ('gyro_unit', 'accel_unit', 'accel_scale')
+"""Findings that the samples are not in SI units: no file is written without `--force`."""
 
 DEFAULT_TOPIC = '/imu0'
 """Topic in files of recordings without a topic, as in the examples of Kalibr."""
@@ -97,18 +87,30 @@ class FilterNoise:
         Rate of the filter in Hz.
     horizons : Horizons
         Integration times in s over which N and K describe the error growth.
+    bias : mapping of axis name to float
+        Bias at rest in SI, of axes of which it is known.
     """
 
-    def __init__(self, results: Results, options: ExportOptions, target: Target) -> None:
-        if options.exact and not target.exact:
-            raise AllanError('--exact is for vins_fusion only: omit it')
+    def __init__(
+        self,
+        results: Results,
+        options: ExportOptions,
+        target: Target,
+        bias: Mapping[str, float] = {},
+    ) -> None:
         if options.axis == 'each' and not target.three:
             raise AllanError('this file takes one number per sensor: choose --axis worst or mean')
         if not 0.0 < results.tau0 < math.inf:
             raise AllanError('these results have no sample rate: record longer, or analyze again')
+        wrong = [each for each in results.findings if each.id in WRONG_UNITS]
+        if wrong and not options.force:
+            raise AllanError(
+                f'{wrong[0]} Then analyze again; --force writes these numbers nevertheless.'
+            )
         self.results = results
         self.options = options
         self.target = target
+        self.bias = bias
         self.rule = options.axis or ('each' if target.three else AXIS_RULE)
         self.rate, self.rate_words = rounded(results.rate_hz), 'the rate of the recording'
         if options.filter_rate:
@@ -116,91 +118,77 @@ class FilterNoise:
         elif target.rate_hz:
             self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
         self.horizons = Horizons.up_to(options.horizon or target.horizon_s)
-        self._reductions: dict[tuple[str, States, bool], AxisReduction] = {}
+        self._reductions: dict[tuple[str, States, bool], Reduction] = {}
 
-    def entries(self) -> list[Entry]:
-        """Return the entries of the file."""
+    def rows(self) -> list[Row]:
+        """Return the rows of the file."""
         target = self.target
-        found = [self.row_entry(row) for row in target.rows]
-        found += [Entry((*target.parent, k), v, keep=True) for k, v in target.fixed.items()]
-        return found + list(target.entries(self) if target.entries else ())
+        found = [self.row(key) for key in target.keys]
+        found += [Row((*target.parent, key), value) for key, value in target.fixed.items()]
+        return found + list(target.rows(self) if target.rows else ())
 
-    def row_entry(self, row: Row) -> Entry:
-        """Return the entry of the file for one row of the target."""
-        path = (*self.target.parent, row.key)
-        if row.what in ('N', 'K'):
-            return self._term_entry(path, row)
-        if row.what == 'rate':
-            return Entry(path, self.rate)
-        if row.what == 'topic':
+    def row(self, key: Key) -> Row:
+        """Return the row of one key of the target."""
+        path = (*self.target.parent, key.name)
+        if key.what in ('N', 'K'):
+            notation = NOTATIONS.get(key.unit) or Notation(
+                '', key.unit, factor=UNITS[key.unit].factor
+            )
+            row = self.level_row(path, key.sensor, key.what, notation)
+            return row if key.limits is None else clamped(row, *key.limits)
+        if key.what == 'rate':
+            return Row(path, self.rate)
+        if key.what == 'topic':
             topics = (source.topic for source in self.results.provenance.sources)
             recorded = next((topic for topic in topics if topic), DEFAULT_TOPIC)
-            return Entry(path, self.options.topic or recorded, keep=not self.options.topic)
-        if row.what == 'zero':
-            return Entry(path, [0.0, 0.0, 0.0])
-        if row.what == 'common_tau':
-            words = f'[{row.unit}]: one correlation time for all axes'
-            return Entry(path, rounded(self.common_tau / UNITS_S[row.unit]), words)
-        if row.what == 'turn_on':
-            known = [a.turn_on.std for a in self.axes_of(row.sensor).values() if a.turn_on]
-            words = f'[{row.unit}]: worst scatter of the means of recordings' if known else ''
-            return Entry(path, rounded(self.options.inflate * max(known, default=0.0)), words)
-        return self._process_entry(path, row)
+            return Row(path, self.options.topic or recorded)
+        if key.what == 'common_tau':
+            words = f'[{key.unit}]: one correlation time for all axes'
+            return Row(path, rounded(self.common_tau / UNITS_S[key.unit]), words, key.unit)
+        return self._process_row(path, key)
 
-    def _term_entry(self, path: tuple[str, ...], row: Row) -> Entry:
-        """Return the entry of N or K."""
-        units, name = SI_UNITS[row.sensor], row.unit
-        midpoint = self.target.exact and row.what == 'N'
-        if midpoint and self.options.exact:
-            name = 'midpoint'
-        formula, unit, convert = QUANTITIES.get(name) or ('', name, converter(UNITS[name].factor))
-        std = units['B' if row.what == 'N' else 'R']
-        entry = self.entry(
-            path,
-            self.level(row.sensor, row.what),
-            formula.format(term=row.what),
-            unit.format(density=units[row.what], std=std, bias=units['B']),
-            convert,
+    def level_row(self, path: tuple[str, ...], sensor: str, term: str, notation: Notation) -> Row:
+        """Return the row of N, K or R of a sensor, combined over its axes by `rule`."""
+        units, inflate = SI_UNITS[sensor], self.options.inflate
+        measured = [self.level(axis, term) for axis in self.axes_of(sensor)]
+        levels = sensor_levels(measured, self.rule)
+        named = measured if self.rule == 'mean' else levels
+        std = units['B' if term == 'N' else 'R']
+        unit = notation.unit.format(density=units[term], std=std, bias=units['B'])
+        formula = notation.formula.format(term=term)
+        words = (
+            f'[{unit}]{f" = {formula}" if formula else ""}: {"; ".join(map(level_words, named))}'
         )
-        if midpoint and not self.options.exact:
-            note = finding('export_half_of_noise', keys='acc_n and gyr_n')
-            return replace(entry, findings=(note,))
-        return entry if row.limits is None else clamped(entry, *row.limits)
+        values = [rounded(notation.number(inflate * one.value, self.rate)) for one in levels]
+        values *= 3 // len(values) if self.target.three else 1
+        widest = max((one.interval for one in levels), key=_width)
+        low, high = (notation.number(inflate * end, self.rate) for end in widest)
+        value = values if self.target.three else values[0]
+        return Row(path, value, words, unit, (low, high), tuple(named))
 
-    def _process_entry(self, path: tuple[str, ...], row: Row) -> Entry:
-        """Return the entry of sigma, tau or the driving density of the Gauss-Markov bias."""
-        bias = self.process(row.sensor)
-        words, values = '[s]', bias.tau
-        if row.what != 'tau':
-            equals = ' = sigma sqrt(2 / tau)' if row.what == 'driving' else ''
-            words = f'[{row.unit}]{equals}: {bias.words}'
-            sigmas = bias.driving if equals else bias.sigma
-            values = tuple(sigma / UNITS[row.unit].factor for sigma in sigmas)
-        value = rounded(values if self.target.three else values[0])
-        levels = () if row.what == 'tau' else bias.levels
-        return Entry(path, value, words, levels, findings=bias.findings)
-
-    def entry(
-        self, path: tuple[str, ...], level: SensorLevel, formula: str, unit: str, convert: Convert
-    ) -> Entry:
-        """Return the entry of a noise level.
-
-        ``convert`` computes the number in the file from the level. ``formula`` and ``unit``
-        describe this number in the header comment.
-        """
-        values = rounded([convert(value, self.rate) for value in level.values])
-        equals = f' = {formula}' if formula else ''
-        words = f'[{unit}]{equals}: {"; ".join(map(level_words, level.levels))}'
-        return Entry(path, values if self.target.three else values[0], words, level.levels)
-
-    def level(self, sensor: str, term: str) -> SensorLevel:
-        """Return the noise level of a term for a sensor, combined over its axes by `rule`.
+    def level(self, axis: str, term: str) -> Level:
+        """Return the noise level of a term of one axis.
 
         K, and N if the target models a random walk, are adjusted to the error growth of the
         complete model, unless `ExportOptions.fidelity` is 'coefficients'.
         """
-        levels = [self._axis_level(axis, term) for axis in self.axes_of(sensor)]
-        return sensor_level(levels, self.rule, self.options.inflate)
+        reduces = term == 'K' or (term == 'N' and self.target.walk)
+        if self.options.fidelity == 'coefficients' or not reduces:
+            return axis_level(axis, self.results.axes[axis].fit, term, self.options.strict)
+        return self.reduction(axis).levels[term]
+
+    def _process_row(self, path: tuple[str, ...], key: Key) -> Row:
+        """Return the row of sigma, tau or the driving density of the Gauss-Markov bias."""
+        bias = self.process(key.sensor)
+        words, values = '[s]', bias.tau
+        if key.what != 'tau':
+            equals = ' = sigma sqrt(2 / tau)' if key.what == 'driving' else ''
+            words = f'[{key.unit}]{equals}: {bias.words}'
+            sigmas = bias.driving if equals else bias.sigma
+            values = tuple(sigma / UNITS[key.unit].factor for sigma in sigmas)
+        value = rounded(values if self.target.three else values[0])
+        levels = () if key.what == 'tau' else bias.levels
+        return Row(path, value, words, key.unit, levels=levels, findings=bias.findings)
 
     def axes_of(self, sensor: str) -> Mapping[str, AxisResult]:
         """Return axis -> result of a sensor; raise AllanError if one of the three is missing."""
@@ -211,9 +199,7 @@ class FilterNoise:
             raise AllanError(f'no {what} in these results: this file needs gyro and accel')
         return {name: self.results.axes[name] for name in names}
 
-    def reduction(
-        self, axis: str, states: States = 'walk', expect_walk: bool = False
-    ) -> AxisReduction:
+    def reduction(self, axis: str, states: States = 'walk', expect_walk: bool = False) -> Reduction:
         """Return the noise model of one axis, reduced to the states of a filter.
 
         ``states`` is the model of the bias in the filter: 'none', 'walk', 'gauss_markov' or
@@ -228,24 +214,19 @@ class FilterNoise:
         return self._reductions[key]
 
     @property
-    def _used(self) -> dict[str, AxisReduction]:
+    def _used(self) -> dict[str, Reduction]:
         """Axis -> reduction whose N and K are written to the file."""
         return {axis: r for (axis, states, _), r in self._reductions.items() if states == 'walk'}
-
-    def _axis_level(self, axis: str, term: str) -> Level:
-        reduces = term == 'K' or (term == 'N' and self.target.walk)
-        if self.options.fidelity == 'coefficients' or not reduces:
-            return axis_level(axis, self.results.axes[axis].fit, term, self.options.strict)
-        return self.reduction(axis).levels[term]
 
     def process(self, sensor: str) -> SensorProcess:
         """Return the Gauss-Markov processes that approximate the drift of a sensor."""
         names = list(self.axes_of(sensor))
-        common = any(row.what == 'common_tau' for row in self.target.rows)
+        common = any(key.what == 'common_tau' for key in self.target.keys)
         tau = self.common_tau if common or self.rule != 'each' else None
         pairs = [self._closest(name, tau) for name in names]
         levels = [Level(name, 'sigma', sigma) for name, (sigma, _) in zip(names, pairs)]
-        sigma = sensor_level(levels, self.rule, self.options.inflate).values
+        sigma = [self.options.inflate * one.value for one in sensor_levels(levels, self.rule)]
+        sigma *= 3 // len(sigma)
         unit = SI_UNITS[sensor]['B']
         axes = self.results.axes
         others = tuple(name for name in names if not axes[name].fit.selected.gauss_markov)
@@ -260,7 +241,9 @@ class FilterNoise:
         )
         note = finding('export_no_gauss_markov', others, horizons=self.horizons)
         taus = tuple(tau for _, tau in pairs)
-        return SensorProcess(sigma, taus, words, (note,) if others else (), tuple(walks.values()))
+        return SensorProcess(
+            tuple(sigma), taus, words, (note,) if others else (), tuple(walks.values())
+        )
 
     @cached_property
     def common_tau(self) -> float:
@@ -269,7 +252,7 @@ class FilterNoise:
         return common_correlation_time(models, self.horizons)
 
     def _drifting(self, axis: str) -> ProcessModel:
-        return self.reduction(axis, 'processes').reduction.model()
+        return self.reduction(axis, 'processes').model()
 
     def _closest(self, axis: str, tau: float | None) -> tuple[float, float]:
         model = self.results.axes[axis].fit.selected
@@ -284,7 +267,7 @@ class FilterNoise:
             return ['fidelity: bare coefficients; N and K alone underestimate flicker and drift']
         if not self._used:
             return []
-        ratios = [one.reduction.ratio for one in self._used.values()]
+        ratios = [one.ratio for one in self._used.values()]
         low, high = min(r[0] for r in ratios), max(r[1] for r in ratios)
         return [
             f'reduction: N and K bound the error growth of the complete model over '
@@ -294,9 +277,9 @@ class FilterNoise:
     def reduction_findings(self) -> list[Finding]:
         """Return a warning that names the axes whose error growth N and K cannot describe."""
         poor = {
-            axis: one.reduction.ratio[1]
+            axis: one.ratio[1]
             for axis, one in self._used.items()
-            if one.reduction.poor or self.results.axes[axis].fit.selected.gauss_markov
+            if one.poor or self.results.axes[axis].fit.selected.gauss_markov
         }
         worst = max(poor.values(), default=0.0)
         note = finding('export_two_numbers', tuple(poor), horizons=self.horizons, ratio=worst)
@@ -312,15 +295,17 @@ def level_words(level: Level) -> str:
         words += f' not observable, 95 % upper limit {limit} {unit}'
         return f'{words}, raised to cover the error growth' if level.raised_from else words
     words += f' {significant(level.value, VALUE_DIGITS)} {unit}'
+    if level.ci95 is not None:
+        low, high = (significant(end, VALUE_DIGITS) for end in level.ci95)
+        words += f', 95 % interval {low}..{high}'
+    elif level.raised_from is None:
+        words += ', no 95 % interval'
     if level.raised_from:
         measured = significant(level.raised_from, VALUE_DIGITS)
-        return f'{words}, raised from {measured} to cover the error growth of the other terms'
-    if level.raised_from is not None:
-        return f'{words}, not in the model, set to cover the error growth of the other terms'
-    if level.ci95 is None:
-        return f'{words}, no 95 % interval'
-    low, high = (significant(end, VALUE_DIGITS) for end in level.ci95)
-    return f'{words}, 95 % interval {low} .. {high}'
+        words += f', raised from {measured} to cover the error growth of the other terms'
+    elif level.raised_from is not None:
+        words += ', not in the model, set to cover the error growth of the other terms'
+    return words
 
 
 def _origin(walk: Level | None) -> str:
@@ -330,20 +315,19 @@ def _origin(walk: Level | None) -> str:
     return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'
 
 
-def clamped(entry: Entry, low: float, high: float) -> Entry:
-    """Return the entry with its number within [low, high], and a finding if it was outside."""
-    value = min(max(entry.value, low), high)
-    if value == entry.value:
-        return entry
-    numbers = {'value': entry.value, 'low': low, 'high': high, 'written': value}
-    note = finding('export_clamped', key=entry.key, **numbers)
-    words = f'{entry.words}; {entry.value:g} lies outside [{low:g}, {high:g}]'
-    return replace(entry, value=value, words=words, findings=(*entry.findings, note))
+def _width(interval: tuple[float, float]) -> float:
+    return interval[1] / interval[0] if interval[0] else math.inf
 
 
-def converter(factor: float) -> Convert:
-    """Return a `Convert` function for a unit that equals ``factor`` SI units."""
-    return lambda value, rate: value / factor
+def clamped(row: Row, low: float, high: float) -> Row:
+    """Return the row with its number within [low, high], and a finding if it was outside."""
+    value = min(max(row.value, low), high)
+    if value == row.value:
+        return row
+    numbers = {'value': row.value, 'low': low, 'high': high, 'written': value}
+    note = finding('export_clamped', key=row.key, **numbers)
+    words = f'{row.words}; {row.value:g} lies outside [{low:g}, {high:g}]'
+    return replace(row, value=value, words=words, clamped=True, findings=(*row.findings, note))
 
 
 NAMED_SOURCES = 3
@@ -360,29 +344,32 @@ RULE_WORDS = {
 }
 
 
-def header_lines(name: str, noise: FilterNoise, entries: Sequence[Entry]) -> list[str]:
+def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str]:
     """Return the lines of the header comment, without comment marks.
 
     They state source, date, convention, units, rate, axes, intervals and warnings. ``name`` is the
-    target, ``entries`` are the keys of the file.
+    target, ``rows`` are the keys of the file.
     """
     results, target, inflate = noise.results, noise.target, noise.options.inflate
-    limits = dict.fromkeys(entry.key for entry in entries if entry.is_limit)
-    unsure = dict.fromkeys(entry.key for entry in entries if entry.no_interval)
+    limits = dict.fromkeys(row.key for row in rows if row.is_limit)
+    unsure = dict.fromkeys(row.key for row in rows if row.no_interval)
+    found = [note for note in results.findings if note.severity != 'info']
+    found.sort(key=lambda note: note.id not in WRONG_UNITS)
     lines = [
+        *(f'warning: {note}' for note in found),
         f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
         f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '
         f'{significant(results.rate_hz, 5)} Hz',
-        f'date: {noise.options.date or _recorded(results)}',
+        f'date: {_recorded(results)}',
         f'convention: {target.convention}',
         f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
         f'axis rule: {RULE_WORDS[noise.rule]}; inflation: {_inflation(inflate)}',
         *noise.reduction_lines(),
-        *(f'{entry.key} {entry.words}' for entry in entries if entry.words),
+        *(f'{row.key} {row.words}' for row in rows if row.words),
         f'upper limits instead of measurements: {", ".join(limits) or "none"}',
         *([f'values without a 95 % interval: {", ".join(unsure)}'] if unsure else []),
         *(f'note: {note}' for note in target.notes),
-        *dict.fromkeys(f'note: {note}' for entry in entries for note in entry.findings),
+        *dict.fromkeys(f'note: {note}' for row in rows for note in row.findings),
         *(f'warning: {note}' for note in noise.reduction_findings()),
     ]
     return [one_line(line) for line in lines]

@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Export targets with the complete process model, and simulators.
 
-The document ``allan_ros/state_space/1`` has for each axis under ``axes``: the levels ``white``,
-``walk`` and ``gauss_markov`` in SI; ``discrete``, the matrices of
-`allan_ros.core.filters.reductions.StateSpace` at one rate; and ``reductions``, the parameters of
-filters with fewer states. A simulator with a single Gauss-Markov bias gets the process whose error
-growth is closest to that of the model.
+The document ``allan_ros/state_space/2`` has for each axis under ``axes``: the levels ``white``,
+``walk`` and ``gauss_markov`` in SI, and the matrices of
+`allan_ros.core.filters.reductions.StateSpace` at one rate. A simulator with a single Gauss-Markov
+bias gets the process whose error growth is closest to that of the model.
 """
 
 from __future__ import annotations
@@ -15,24 +14,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
-from ...core.filters.noise_parameters import Level, reduce_axis
-from ...core.filters.reductions import STATES, Horizons, Reduction, StateSpace
-from ...core.imu import SI_UNITS, UNITS, sensor_of
-from . import (
-    INS_HORIZON_S,
-    SIMULATOR_HORIZON_S,
-    VIO_HORIZON_S,
-    Entry,
-    Row,
-    Target,
-    rows,
-)
+from ...core.filters.reductions import Level, StateSpace
+from ...core.imu import SI_UNITS, sensor_of
+from . import INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
 from .forms import JsonForm, LineForm, XmlForm
-from .model import FilterNoise, converter, rounded
+from .model import FilterNoise, rounded
 
-SCHEMA = 'allan_ros/state_space/1'
+SCHEMA = 'allan_ros/state_space/2'
 
 CONTENT = 'exact discrete state space of the fitted processes (IEEE Std 952; van Loan 1978)'
 
@@ -45,73 +34,33 @@ def _spaces(noise: FilterNoise) -> Iterator[tuple[str, StateSpace, tuple[Level, 
     inflate = noise.options.inflate
     for axis in noise.results.axes:
         reduced = noise.reduction(axis, 'processes', expect_walk=True)
-        one = reduced.reduction
-        processes = tuple((rounded(inflate * s), rounded(tau)) for s, tau in one.gauss_markov)
-        space = StateSpace(rounded(inflate * one.white), rounded(inflate * one.walk), processes)
+        processes = tuple((rounded(inflate * s), rounded(tau)) for s, tau in reduced.gauss_markov)
+        space = StateSpace(
+            rounded(inflate * reduced.white), rounded(inflate * reduced.walk), processes
+        )
         yield axis, space, tuple(reduced.levels.values())
 
 
-def _document(noise: FilterNoise) -> Iterator[Entry]:
-    yield Entry(('schema',), SCHEMA)
-    yield Entry(('rate_hz',), noise.rate)
-    for axis, space, levels in _spaces(noise):
-        limits = [level.term for level in levels if level.is_limit]
-        yield Entry(('axes', axis), _axis(noise, axis, space, limits), levels=levels)
-
-
-def _axis(noise: FilterNoise, axis: str, space: StateSpace, limits: list[str]) -> dict[str, Any]:
-    """Return the object of one axis in the state space document."""
-    result = noise.results.axes[axis]
-    processes = [f'gauss_markov {i}' for i in range(len(space.gauss_markov))]
+def _document(noise: FilterNoise) -> Iterator[Row]:
+    yield Row(('schema',), SCHEMA)
+    yield Row(('rate_hz',), noise.rate)
     step = 1.0 / noise.rate
-    reductions = [
-        reduce_axis(axis, result.fit, states, Horizons.up_to(horizon)).reduction
-        for horizon in dict.fromkeys((VIO_HORIZON_S, INS_HORIZON_S, noise.horizons.high))
-        for states in STATES
-    ]
-    return {
-        'unit': SI_UNITS[sensor_of(axis)]['B'],
-        **_levels(space),
-        'ramp': rounded(result.fit.selected.terms.R),
-        'limits': limits,
-        'discrete': {
-            'states': ['integral', 'walk', *processes],
-            'step': step,
+    for axis, space, levels in _spaces(noise):
+        document = {
+            'unit': SI_UNITS[sensor_of(axis)]['B'],
+            'white': space.white,
+            'walk': space.walk,
+            'gauss_markov': rounded(space.gauss_markov),
+            'ramp': rounded(noise.results.axes[axis].fit.selected.terms.R),
+            'limits': [level.term for level in levels if level.is_limit],
             'Phi': rounded(space.transition(step).tolist(), MATRIX_DIGITS),
             'Qd': rounded(space.noise(step).tolist(), MATRIX_DIGITS),
             'R': rounded(space.sample_variance(noise.rate)),
-        },
-        'reductions': [
-            {
-                'states': one.states,
-                'horizon': list(one.horizons),
-                **_levels(one),
-                'ratio': rounded(one.ratio),
-            }
-            for one in reductions
-        ],
-        'growth': [
-            {
-                'horizon': one.horizon,
-                'window': one.window,
-                'std': rounded(one.std),
-                'ci95': one.ci95 and rounded(one.ci95),
-            }
-            for one in result.growth
-        ],
-    }
+        }
+        yield Row(('axes', axis), document, levels=levels)
 
 
-def _levels(model: Reduction | StateSpace) -> dict[str, Any]:
-    pairs = rounded(model.gauss_markov)
-    return {
-        'white': rounded(model.white),
-        'walk': rounded(model.walk),
-        'gauss_markov': [{'sigma': sigma, 'tau': tau} for sigma, tau in pairs],
-    }
-
-
-def _module(noise: FilterNoise) -> Iterator[Entry]:
+def _module(noise: FilterNoise) -> Iterator[Row]:
     spaces = list(_spaces(noise))
     axes = {
         axis: {
@@ -121,7 +70,7 @@ def _module(noise: FilterNoise) -> Iterator[Entry]:
         }
         for axis, space, _ in spaces
     }
-    yield Entry(('AXES',), axes, levels=tuple(level for *_, levels in spaces for level in levels))
+    yield Row(('AXES',), axes, levels=tuple(level for *_, levels in spaces for level in levels))
 
 
 _CODE = '''
@@ -182,7 +131,7 @@ class ImuNoise:
 '''
 
 
-def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
+def _gazebo(noise: FilterNoise) -> Iterator[Row]:
     """Yield the noise elements of <imu> in SDF.
 
     In each step, Gazebo adds noise of the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)) to the
@@ -191,7 +140,7 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
     """
     for element, sensor in (('angular_velocity', 'gyro'), ('linear_acceleration', 'accel')):
         unit = SI_UNITS[sensor]['B']
-        white = noise.row_entry(Row('stddev', sensor, 'N', 'std'))
+        white = noise.row(Key('stddev', sensor, 'N', 'std'))
         bias = noise.process(sensor)
         # these texts refer to all three axes
         white_words = f'of {sensor} {white.words}'
@@ -199,46 +148,25 @@ def _gazebo(noise: FilterNoise) -> Iterator[Entry]:
         for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
             path = ('imu', element, name[-1], 'noise')
             step, turn_on = axis.rounding, axis.turn_on
-            yield Entry((*path, '@type'), 'gaussian_quantized' if step else 'gaussian')
-            yield Entry((*path, 'mean'), 0.0)
+            yield Row((*path, '@type'), 'gaussian_quantized' if step else 'gaussian')
+            yield Row((*path, 'mean'), 0.0)
             # at least half of the variance, so that rounding does not suppress the noise completely
             variance = white.value[i] ** 2
             stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
-            yield Entry((*path, 'stddev'), rounded(stddev), white_words, white.levels)
+            yield Row((*path, 'stddev'), rounded(stddev), white_words, levels=white.levels)
             if turn_on:
                 words = (
                     f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
                 )
                 sigma = rounded(noise.options.inflate * turn_on.std)
-                yield Entry((*path, 'bias_stddev'), sigma, words)
-            driving = Entry((*path, 'dynamic_bias_stddev'), rounded(bias.driving[i]), driving_words)
+                yield Row((*path, 'bias_stddev'), sigma, words)
+            driving = Row((*path, 'dynamic_bias_stddev'), rounded(bias.driving[i]), driving_words)
             yield replace(driving, levels=bias.levels, findings=bias.findings)
-            yield Entry((*path, 'dynamic_bias_correlation_time'), rounded(bias.tau[i]))
+            yield Row((*path, 'dynamic_bias_correlation_time'), rounded(bias.tau[i]))
             if step:
                 words = f'of {name} [{unit}]: step of the samples; stddev is without its rounding'
-                yield Entry((*path, 'precision'), rounded(step), words)
+                yield Row((*path, 'precision'), rounded(step), words)
             white_words = driving_words = ''
-
-
-AIRSIM_ROWS = {
-    'gyro': ('AngularRandomWalk', 'deg/sqrt(h)', 'GyroBiasStability', 'deg/h', 500.0),
-    'accel': ('VelocityRandomWalk', 'mg/sqrt(Hz)', 'AccelBiasStability', 'ug', 800.0),
-}
-"""Sensor -> key and unit of N, key and unit of the bias, and AirSim's default of tau in s. Only
-stability / sqrt(tau) has an effect."""
-
-
-def _airsim(noise: FilterNoise) -> Iterator[Entry]:
-    """Yield the Imu settings of AirSim, whose bias is a random walk: K = stability / sqrt(tau)."""
-    parent = noise.target.parent
-    yield Entry((*parent, 'SensorType'), 2)
-    yield Entry((*parent, 'Enabled'), True)
-    for sensor, (white, white_unit, stability, unit, tau) in AIRSIM_ROWS.items():
-        yield noise.row_entry(Row(white, sensor, 'N', white_unit))
-        walk, path = noise.level(sensor, 'K'), (*parent, stability)
-        scaled = converter(UNITS[unit].factor / math.sqrt(tau))
-        yield noise.entry(path, walk, f'K sqrt({tau:g} s)', unit, scaled)
-        yield Entry((*parent, f'{stability}Tau'), tau)
 
 
 _simulator = partial(Target, horizon_s=SIMULATOR_HORIZON_S, walk=False, bound=False)
@@ -250,23 +178,21 @@ _complete = partial(Target, three=True, horizon_s=INS_HORIZON_S, walk=False)
 
 
 def _python(file_name: str, convention: str, *notes: str) -> Target:
-    return _complete(file_name, convention, _FORM, entries=_module, notes=notes)
+    return _complete(file_name, convention, _FORM, rows=_module, notes=notes)
 
 
 SIMULATORS = {
     'state_space': _complete(
         'state_space.json',
-        f'{CONTENT}; states (integral, walk, Gauss-Markov ...), R = N^2 f',
+        f'{CONTENT}; Phi, Qd: a step of 1/rate_hz of (integral, walk, Gauss-Markov ...); '
+        'R = N^2 f: variance of a sample',
         JsonForm(),
-        entries=_document,
+        rows=_document,
         notes=(
             'walk is a state even if it is 0: it represents the turn-on bias',
             'walk covers a ramp and slow sinusoids over the horizon, because they have no '
             'states; if K is not resolved, it contains 15 % of the expected K^2',
         ),
-    ),
-    'state_space_python': _python(
-        'imu_state_space.py', CONTENT, 'AXES holds N, K and (sigma, tau) of each axis in SI'
     ),
     'isaac_sim': _python(
         'isaac_sim_imu_noise.py',
@@ -286,62 +212,12 @@ SIMULATORS = {
         'standard deviation per sample, and a Gauss-Markov bias of the driving density '
         'dynamic_bias_stddev (gz-sensors, src/GaussianNoiseModel.cc)',
         XmlForm(),
-        entries=_gazebo,
+        rows=_gazebo,
         notes=(
             'put it into <sensor type="imu">; f must be its update_rate',
             'bias_stddev (turn-on bias) needs results of several recordings; precision is written '
             'where rounding causes more than a tenth of the white noise',
         ),
-        three=True,
-    ),
-    'px4_sitl': _simulator(
-        'px4_sitl_imu.xml',
-        'continuous time; the bias is a Gauss-Markov process of this driving density '
-        '(PX4-SITL_gazebo-classic and RotorS, src/gazebo_imu_plugin.cpp)',
-        XmlForm(),
-        rows("""
-        gyroscopeNoiseDensity             gyro   N
-        gyroscopeRandomWalk               gyro   driving  rad/s^2/sqrt(Hz)
-        gyroscopeBiasCorrelationTime      gyro   tau      s
-        gyroscopeTurnOnBiasSigma          gyro   turn_on  rad/s
-        accelerometerNoiseDensity         accel  N
-        accelerometerRandomWalk           accel  driving  m/s^3/sqrt(Hz)
-        accelerometerBiasCorrelationTime  accel  tau      s
-        accelerometerTurnOnBiasSigma      accel  turn_on  m/s^2
-        """),
-        parent=('plugin',),
-        notes=('copy the elements into <plugin name="gazebo_imu_plugin" ...>',),
-    ),
-    'airsim': Target(
-        'airsim_settings.json',
-        'white noise in deg/sqrt(h) and mg/sqrt(Hz); bias as a random walk of '
-        'BiasStability / sqrt(BiasStabilityTau) (AirLib/include/sensors/imu/ImuSimple.hpp)',
-        JsonForm(),
-        entries=_airsim,
-        parent=('DefaultSensors', 'Imu'),
-        notes=('merge it into settings.json',),
-        walk=False,
-        bound=False,
-    ),
-    'gnss_ins_sim': _simulator(
-        'gnss_ins_sim_imu.py',
-        'deg/sqrt(h), m/s/sqrt(h), and a Gauss-Markov bias of the standard deviation '
-        'b_stability (gnss_ins_sim/pathgen/pathgen.py, bias_drift; sim/imu_model.py)',
-        LineForm(
-            "imu_err['{key}'] = np.array({value})",
-            before='\nimport numpy as np\n\nimu_err = {}\n',
-        ),
-        rows("""
-        gyro_arw           gyro   N      deg/sqrt(h)
-        accel_vrw          accel  N      m/s/sqrt(h)
-        gyro_b             gyro   zero
-        gyro_b_stability   gyro   sigma  deg/h
-        gyro_b_corr        gyro   tau    s
-        accel_b            accel  zero
-        accel_b_stability  accel  sigma  m/s^2
-        accel_b_corr       accel  tau    s
-        """),
-        notes=('imu = imu_model.IMU(accuracy=imu_err, axis=6)',),
         three=True,
     ),
 }

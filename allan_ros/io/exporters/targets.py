@@ -14,17 +14,19 @@ from functools import partial
 
 import numpy as np
 
-from ...core.filters.noise_parameters import MADGWICK_FACTOR, madgwick_gain
-from . import INS_HORIZON_S, Entry, Row, Target, Value, noise_rows, rows
+from ...core.filters.growth import interval_models
+from ...core.filters.noise_parameters import MADGWICK_FACTOR, Notation, deviation_at, sensor_levels
+from ...core.filters.reductions import Level
+from . import INS_HORIZON_S, Key, Row, Target, Value, keys_of, noise_keys
 from .forms import JsonForm, LineForm, YamlForm, matlab_literal
-from .model import FilterNoise, clamped, converter, rounded
+from .model import FilterNoise, clamped, rounded
 
 ANY_NODE = ('/**', 'ros__parameters')
 """Top-level keys of ROS 2 parameters for any node that loads the file by --params-file."""
 
 OPENCV = YamlForm(opencv=True)
 
-KALIBR_ROWS = rows("""
+KALIBR_KEYS = keys_of("""
 accelerometer_noise_density  accel  N
 accelerometer_random_walk    accel  K
 gyroscope_noise_density      gyro   N
@@ -71,67 +73,69 @@ FLOOR_NOTE = (
     'the defaults of the autopilot include them; use lower values only after checking the logs'
 )
 
-GAUSS_MARKOV_INS = rows("""
+GAUSS_MARKOV_INS = keys_of("""
 arw       gyro   N           deg/sqrt(h)
 vrw       accel  N           m/s/sqrt(h)
 gbstd     gyro   sigma       deg/h
 abstd     accel  sigma       mGal
 corrtime  -      common_tau  h
 """)
-"""Keys of KF-GINS, OB_GINS and IC-GVINS."""
+"""Keys of KF-GINS and OB_GINS."""
 
 
-def _madgwick(noise: FilterNoise) -> Iterator[Entry]:
+def _madgwick(noise: FilterNoise) -> Iterator[Row]:
     """Yield the parameters gain and zeta of the Madgwick filter at the horizon h.
 
-    zeta is sqrt(3/4) times the drift per second: R if every axis has a ramp, else K / sqrt(h),
-    because a random walk moves by K sqrt(h) within h.
+    The gain is sqrt(3/4) times the error of the gyro: its Allan deviation at h, and its bias if
+    this is known, because the filter estimates no bias without a magnetometer. zeta is sqrt(3/4)
+    times the drift per second: R if every axis has a ramp, else K / sqrt(h), because a random walk
+    moves by K sqrt(h) within h.
     """
     horizon, axes = noise.horizons.high, noise.axes_of('gyro')
-    white = noise.level('gyro', 'N')
-    gains = {axis: madgwick_gain(result.fit.selected, horizon) for axis, result in axes.items()}
-    mean = math.sqrt(sum(gain**2 for gain in gains.values()) / 3.0)
-    gain = mean if noise.rule == 'mean' else max(gains.values())
-    if not gain:  # N itself is a limit
-        gain = MADGWICK_FACTOR / math.sqrt(horizon) * white.values[0] / noise.options.inflate
-    words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s: '
-    words += ', '.join(f'{axis} {value:.3g}' for axis, value in gains.items())
-    entry = Entry((*ANY_NODE, 'gain'), rounded(gain * noise.options.inflate), words)
-    yield clamped(entry, 0.0, 1.0)
+    factor = MADGWICK_FACTOR * noise.options.inflate
+    gains = []
+    for axis, result in axes.items():
+        white = noise.level(axis, 'N')
+        whites = white.interval[0], white.value, white.interval[1]
+        models = interval_models(result.fit)
+        low, value, high = (
+            factor * math.hypot(deviation_at(model, n, horizon), noise.bias.get(axis, 0.0))
+            for n, model in zip(whites, (models[0], result.fit.selected, models[1]))
+        )
+        gains.append(Level(axis, 'gain', value, (low, high), white.is_limit))
+    (gain,) = sensor_levels(gains, noise.rule)
+    words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s'
+    words += f'{" and the bias" if noise.bias else ""}: '
+    words += ', '.join(f'{level.axis} {level.value:.3g}' for level in gains)
+    path = (*ANY_NODE, 'gain')
+    row = Row(path, rounded(gain.value), words, 'rad/s', gain.interval)
+    yield clamped(row, 0.0, 1.0)
     term, formula, scale = 'R', 'sqrt(3/4) |R|', MADGWICK_FACTOR
     if not all(result.fit.noise['R'].status == 'estimated' for result in axes.values()):
         term, formula = 'K', f'sqrt(3/4) K / sqrt(h) with h = {horizon:g} s'
         scale = MADGWICK_FACTOR / math.sqrt(horizon)
-    path, level = (*ANY_NODE, 'zeta'), noise.level('gyro', term)
-    zeta = noise.entry(path, level, formula, 'rad/s^2', converter(1.0 / scale))
+    notation = Notation(formula, 'rad/s^2', factor=1.0 / scale)
+    zeta = noise.level_row((*ANY_NODE, 'zeta'), 'gyro', term, notation)
     yield clamped(zeta, -1.0, 1.0)
 
 
 _ins = partial(Target, horizon_s=INS_HORIZON_S, walk=False)
 
 
-def _imumodel(file_name: str, source: str) -> Target:
-    convention = (
-        'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
-        f'2 sigma^2 / corrtime ({source})'
-    )
-    return _ins(file_name, convention, YamlForm(), GAUSS_MARKOV_INS, parent=('imumodel',))
-
-
-TARGETS = {
+FILTERS = {
     'kalibr': Target(
         'imu.yaml',
         'continuous time; Kalibr divides by sqrt(1/update_rate) itself and refuses values <= 0 '
         '(kalibr_common/ConfigReader.py)',
         YamlForm(),
-        KALIBR_ROWS,
+        KALIBR_KEYS,
     ),
     'openvins': Target(
         'kalibr_imu_chain.yaml',
         'continuous time; OpenVINS makes them discrete with its time steps '
         '(ov_msckf/src/state/Propagator.cpp)',
         OPENCV,
-        KALIBR_ROWS,
+        KALIBR_KEYS,
         parent=('imu0',),
         fixed=OPENVINS_NOT_MEASURED,
         notes=(
@@ -147,13 +151,16 @@ TARGETS = {
         'vins_fusion_imu.yaml',
         'standard deviation per sample (vins_estimator/src/factor/integration_base.h)',
         OPENCV,
-        rows("""
+        keys_of("""
         acc_n  accel  N  std
         gyr_n  gyro   N  std
         acc_w  accel  K  std
         gyr_w  gyro   K  std
         """),
-        exact=True,
+        notes=(
+            'acc_n and gyr_n are the usual N sqrt(f), of which the midpoint rule of this filter '
+            'propagates half of the variance; sqrt(2) times these numbers propagate all of it',
+        ),
     ),
     'orb_slam3': Target(
         'orb_slam3_imu.yaml',
@@ -161,8 +168,8 @@ TARGETS = {
         'the walks by it (src/Tracking.cc); it reads real numbers (src/Settings.cc)',
         OPENCV,
         (
-            *noise_rows('IMU.NoiseGyro IMU.NoiseAcc IMU.GyroWalk IMU.AccWalk'),
-            Row('IMU.Frequency', '-', 'rate'),
+            *noise_keys('IMU.NoiseGyro IMU.NoiseAcc IMU.GyroWalk IMU.AccWalk'),
+            Key('IMU.Frequency', '-', 'rate'),
         ),
     ),
     'lio_sam': Target(
@@ -170,7 +177,7 @@ TARGETS = {
         'continuous time, squared for GTSAM; the walks become the noise of the factor between '
         'two biases, times the root of the time between (src/imuPreintegration.cpp)',
         YamlForm(),
-        noise_rows('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
+        noise_keys('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
         parent=ANY_NODE,
     ),
     'fast_lio': Target(
@@ -178,7 +185,7 @@ TARGETS = {
         "variance per sample; the filter adds (dt F) Q (dt F)' (src/IMU_Processing.hpp, "
         'IKFoM_toolkit/esekfom/esekfom.hpp)',
         YamlForm(),
-        noise_rows('gyr_cov acc_cov b_gyr_cov b_acc_cov', 'variance'),
+        noise_keys('gyr_cov acc_cov b_gyr_cov b_acc_cov', 'variance'),
         parent=(*ANY_NODE, 'mapping'),
         notes=(
             'the defaults of FAST-LIO (0.1 and 0.0001) are tuned and far above any noise at rest; '
@@ -190,7 +197,7 @@ TARGETS = {
         'continuous covariances, divided or multiplied by the time step '
         '(gtsam/navigation/PreintegrationParams.h, CombinedImuFactor.cpp)',
         LineForm('{key} = {value}', before='\nimport numpy as np\n\n', after=GTSAM_CODE),
-        noise_rows(
+        noise_keys(
             'gyroscopeCovariance accelerometerCovariance biasOmegaCovariance biasAccCovariance',
             'covariance',
         ),
@@ -202,7 +209,7 @@ TARGETS = {
         'continuous time; Basalt multiplies by sqrt(imu_update_rate) itself '
         '(basalt/calibration/calibration.hpp, dicrete_time_gyro_noise_std)',
         JsonForm(),
-        rows("""
+        keys_of("""
         imu_update_rate  -      rate
         accel_noise_std  accel  N
         gyro_noise_std   gyro   N
@@ -217,7 +224,7 @@ TARGETS = {
         'msckf_vio_imu.yaml',
         "continuous time; Q = Phi G Qc G' Phi' dt (src/msckf_vio.cpp, processModel)",
         YamlForm(),
-        noise_rows('gyro acc gyro_bias acc_bias'),
+        noise_keys('gyro acc gyro_bias acc_bias'),
         parent=('noise',),
         notes=(
             'load it in the node: <rosparam command="load" file="..."/>, after its other noise',
@@ -228,7 +235,7 @@ TARGETS = {
         'R is the square of a standard deviation per sample (sensors/imu.hpp); q is the '
         'variance that each prediction adds, one per sample (src/ukf.cpp)',
         YamlForm(),
-        rows("""
+        keys_of("""
         imu.gyro_noise    gyro   N  std
         imu.accel_noise   accel  N  std
         ukf.q_gyro_bias   gyro   K  step_variance
@@ -246,7 +253,7 @@ TARGETS = {
         'standard deviation per EKF2 step of 10 ms (src/modules/ekf2/EKF/covariance.cpp, '
         'EKF2_PREDICT_US)',
         LineForm('1\t1\t{key}\t{value}\t9'),  # vehicle, component (the autopilot), 9: a real number
-        rows("""
+        keys_of("""
         EKF2_GYR_NOISE    gyro   N  std  1e-4..0.1
         EKF2_ACC_NOISE    accel  N  std  0.01..1
         EKF2_GYR_B_NOISE  gyro   K  std  0..0.01
@@ -261,7 +268,7 @@ TARGETS = {
         'standard deviation per EK3 step of 12 ms '
         '(libraries/AP_NavEKF3/AP_NavEKF3_core.cpp, EKF_TARGET_DT)',
         LineForm('{key},{value}'),
-        rows("""
+        keys_of("""
         EK3_GYRO_P_NSE   gyro   N  std  1e-4..0.1
         EK3_ACC_P_NSE    accel  N  std  0.01..1
         EK3_GBIAS_P_NSE  gyro   K  std  1e-5..1e-3
@@ -286,17 +293,22 @@ TARGETS = {
         ),
         three=True,
     ),
-    'ob_gins': _imumodel(
-        'ob_gins_imu.yaml', 'src/ob_gins.cc, src/preintegration/preintegration_normal.cc'
+    'ob_gins': _ins(
+        'ob_gins_imu.yaml',
+        'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
+        '2 sigma^2 / corrtime (src/ob_gins.cc, src/preintegration/preintegration_normal.cc)',
+        YamlForm(),
+        GAUSS_MARKOV_INS,
+        parent=('imumodel',),
+        notes=('IC-GVINS reads the same keys (config/gvins.yaml)',),
     ),
-    'ic_gvins': _imumodel('ic_gvins_imu.yaml', 'config/gvins.yaml, the preintegration of OB_GINS'),
     # ins_gnss.m uses gb_psd and ab_psd as the density of the noise that drives the bias.
     'navego': _ins(
         'navego_imu.m',
         'SI fields of the structure that ins_gnss.m takes: Q of arw, vrw, gb_psd, ab_psd '
         'squared, bias -1/corr (ins-gnss/ins_gnss.m, F_update.m)',
         LineForm('imu.{key} = {value};', comment='%', literal=matlab_literal),
-        rows("""
+        keys_of("""
         arw      gyro   N
         vrw      accel  N
         gb_dyn   gyro   sigma    rad/s
@@ -314,10 +326,10 @@ TARGETS = {
         "Madgwick's beta (rad/s) and zeta (rad/s^2): sqrt(3/4) times the error and the drift "
         'of the gyro (imu_filter_madgwick/src/imu_filter.cpp; ranges of imu_filter_ros.cpp)',
         YamlForm(),
-        entries=_madgwick,
+        rows=_madgwick,
         notes=(
-            'the gain covers only noise; the default of 0.1 also covers a turn-on bias that is '
-            'not removed',
+            'the gain covers noise, not the bias of the gyro: it must exceed 0.87 times the bias '
+            'in rad/s unless the bias is subtracted before; the default of 0.1 covers 6 deg/s',
             'zeta has an effect only with a magnetometer (use_mag); without one, the filter '
             'estimates no bias',
         ),

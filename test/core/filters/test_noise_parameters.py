@@ -21,22 +21,20 @@ from allan_ros.core.filters.growth import (
     predicted_growth,
 )
 from allan_ros.core.filters.noise_parameters import (
-    RULES,
-    Level,
+    NOTATIONS,
     axis_level,
-    madgwick_gain,
+    deviation_at,
     measure_inflation,
-    midpoint_white_std,
     reduce_axis,
-    reduced_ends,
-    sensor_level,
-    white_std,
+    sensor_levels,
     white_variances,
 )
-from allan_ros.core.filters.reductions import Horizons
+from allan_ros.core.filters.reductions import Horizons, Level
 from allan_ros.core.fit import AxisFit, Coefficient, GaussMarkov, Processes
 from allan_ros.core.noise import NoiseTerms, ProcessModel, term_avar
 from allan_ros.core.simulate import simulate_axis
+
+STD = NOTATIONS['std']
 
 levels = st.floats(1e-9, 1e3)
 rates = st.floats(0.1, 1e5)
@@ -47,36 +45,39 @@ SECONDS = 7.0
 def test_steps_of_white_noise_add_up_to_n_squared_t(n: float, rate: float) -> None:
     steps, dt = SECONDS * rate, 1.0 / rate
     # (dt F) Q (dt F)' of FAST-LIO and of autopilots: dt^2 times the variance per step
-    assert steps * dt**2 * white_std(n, rate) ** 2 == pytest.approx(n**2 * SECONDS)
-    # V noise V' of the midpoint rule: two independent halves per step
-    halves = 2.0 * (0.5 * dt * midpoint_white_std(n, rate)) ** 2
-    assert steps * halves == pytest.approx(n**2 * SECONDS)
+    assert steps * dt**2 * STD.number(n, rate) ** 2 == pytest.approx(n**2 * SECONDS)
 
 
 @given(k=levels, rate=rates)
 def test_steps_of_a_walk_add_up_to_k_squared_t(k: float, rate: float) -> None:
     steps, dt = SECONDS * rate, 1.0 / rate
-    assert steps * (dt * white_std(k, rate)) ** 2 == pytest.approx(k**2 * SECONDS)
+    assert steps * (dt * STD.number(k, rate)) ** 2 == pytest.approx(k**2 * SECONDS)
 
 
 def test_white_std_is_the_std_of_a_simulated_sample() -> None:
     # 4e5 samples: the standard deviation of this estimate is 0.11 %.
     rate, n = 200.0, 1e-3
     samples = simulate_axis(400_000, 1.0 / rate, NoiseTerms(N=n), np.random.default_rng(3))
-    assert samples.std() == pytest.approx(white_std(n, rate), rel=0.005)
+    assert samples.std() == pytest.approx(STD.number(n, rate), rel=0.005)
 
 
 def test_white_std_of_k_is_the_rate_of_a_simulated_walk() -> None:
     rate, k = 200.0, 1e-3
     bias = simulate_axis(400_000, 1.0 / rate, NoiseTerms(K=k), np.random.default_rng(4))
-    assert (np.diff(bias) * rate).std() == pytest.approx(white_std(k, rate), rel=0.005)
+    assert (np.diff(bias) * rate).std() == pytest.approx(STD.number(k, rate), rel=0.005)
 
 
-def test_madgwicks_gain_is_the_allan_deviation_at_the_horizon() -> None:
+@given(level=levels, rate=rates, name=st.sampled_from(sorted(NOTATIONS)))
+def test_the_level_is_read_back_from_its_number(level: float, rate: float, name: str) -> None:
+    one = replace(NOTATIONS[name], factor=3.0)
+    assert one.level(one.number(level, rate), rate) == pytest.approx(level, rel=1e-9)
+
+
+def test_the_deviation_is_that_of_the_model_with_another_n() -> None:
     n, b, tau0, m = 1e-3, 2e-4, 0.01, 1000
     avar = term_avar(np.array([m]), tau0, NoiseTerms(N=n, B=b)).sum()
-    gain = madgwick_gain(ProcessModel(NoiseTerms(N=n, B=b)), m * tau0)
-    assert gain == pytest.approx(math.sqrt(0.75 * avar), rel=1e-9)
+    found = deviation_at(ProcessModel(NoiseTerms(Q=1.0, N=7.0, B=b)), n, m * tau0)
+    assert found == pytest.approx(math.sqrt(avar), rel=1e-9)
 
 
 def three(*values: float) -> list[Level]:
@@ -85,22 +86,11 @@ def three(*values: float) -> list[Level]:
 
 def test_rules_for_three_axes_give_values_computed_by_hand() -> None:
     axes = three(1.0, 5.0, 7.0)
-    assert sensor_level(axes, 'worst', 2.0).values == (14.0, 14.0, 14.0)
-    assert sensor_level(axes, 'worst').levels == (axes[2],)
-    assert sensor_level(axes, 'mean').values == (5.0, 5.0, 5.0)  # sqrt(75 / 3)
-    assert sensor_level(axes, 'each', 10.0).values == (10.0, 50.0, 70.0)
-    assert sensor_level(axes, 'each').levels == tuple(axes)
-
-
-@given(values=st.tuples(levels, levels, levels), factor=st.floats(1.0, 100.0))
-def test_inflation_is_a_factor_under_every_rule(
-    values: tuple[float, float, float], factor: float
-) -> None:
-    for rule in RULES:
-        plain, inflated = (sensor_level(three(*values), rule, f).values for f in (1.0, factor))
-        assert inflated == pytest.approx([factor * value for value in plain])
-        assert min(values) <= max(plain) * (1 + 1e-12)
-        assert max(plain) <= max(values) * (1 + 1e-12)
+    assert sensor_levels(axes, 'worst') == (axes[2],)
+    assert sensor_levels(axes, 'each') == tuple(axes)
+    (mean,) = sensor_levels([replace(a, ci95=(0.9 * a.value, 2.0 * a.value)) for a in axes], 'mean')
+    assert (mean.value, mean.interval) == (5.0, (pytest.approx(4.5), 10.0))  # sqrt(75 / 3)
+    assert sensor_levels(axes, 'mean')[0].interval == (0.0, math.inf)
 
 
 def fit_with(**noise: Coefficient) -> AxisFit:
@@ -144,7 +134,7 @@ def test_the_limit_of_k_is_used_if_no_drift_is_resolved() -> None:
     fit = fit_with(N=resolved(1e-3), B=hidden(1e-4), K=hidden(1e-5), R=hidden(1e-7))
     reduced = reduce_axis('gyro_x', fit)
     assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
-    assert reduced.reduction.walk == pytest.approx(1e-5)
+    assert reduced.walk == pytest.approx(1e-5)
     with pytest.raises(AllanError, match='K of gyro_x is not observable'):
         reduce_axis('gyro_x', fit, strict=True)
 
@@ -172,7 +162,7 @@ def test_a_raised_limit_of_n_stays_a_limit() -> None:
     fit = replace(fit_with(N=hidden(1e-3), K=hidden(1e-5)), processes=Processes((process,)))
     level = reduce_axis('gyro_x', fit).levels['N']
     assert level.is_limit and level.raised_from == 1e-3 < level.value
-    assert level.ends == (0.0, level.value, level.value)
+    assert level.interval == (0.0, level.value)
 
 
 def test_the_expected_variance_lies_between_estimate_and_limit() -> None:
@@ -186,15 +176,13 @@ def test_the_expected_variance_lies_between_estimate_and_limit() -> None:
 def test_a_filter_with_all_states_includes_the_expected_k() -> None:
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=hidden(1e-5))
     bare, careful = (
-        reduce_axis('gyro_x', fit, 'processes', expect_walk=expect).reduction.walk
-        for expect in (False, True)
+        reduce_axis('gyro_x', fit, 'processes', expect_walk=expect).walk for expect in (False, True)
     )
     expected = UNRESOLVED_SHARE * expected_variance(hidden(1e-5))
     assert careful**2 == pytest.approx(bare**2 + expected, rel=1e-3)
     found = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=resolved(1e-5))
     same = [
-        reduce_axis('gyro_x', found, 'processes', expect_walk=expect).reduction
-        for expect in (False, True)
+        reduce_axis('gyro_x', found, 'processes', expect_walk=expect) for expect in (False, True)
     ]
     assert same[0] == same[1]
 
@@ -222,14 +210,14 @@ def test_the_predicted_growth_includes_the_expected_k() -> None:
     assert last.std > 1.5 * float(predicted_growth(fit.selected, last.horizon, last.window))
 
 
-def test_the_ends_of_the_reduction_contain_it() -> None:
+def test_the_interval_of_the_reduction_contains_it() -> None:
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-6))
-    ends = reduced_ends('gyro_x', fit, Horizons.up_to(30.0))
-    assert ends['N'] == pytest.approx((0.9e-3, 1e-3, 1.2e-3))
-    low, value, high = ends['K']
-    assert (low / value, high / value) == pytest.approx((0.9, 1.2))
+    levels = reduce_axis('gyro_x', fit, 'walk', Horizons.up_to(30.0)).levels
+    assert levels['N'].interval == pytest.approx((0.9e-3, 1.2e-3))
+    low, high = levels['K'].interval
+    assert (low, high) == pytest.approx((0.9 * levels['K'].value, 1.2 * levels['K'].value))
     blind = fit_with(N=resolved(1e-3), B=Coefficient(1e-4))
-    assert reduced_ends('gyro_x', blind, Horizons.up_to(30.0))['K'][2] == math.inf
+    assert reduce_axis('gyro_x', blind).levels['K'].interval == (0.0, math.inf)
 
 
 def test_white_noise_alone_can_bound_the_growth() -> None:

@@ -537,7 +537,7 @@ def test_units_that_cannot_be_si_are_named(scale, expected):
     found = [f for f in accumulate(t, x * scale).findings if 'unit' in f.id or 'scale' in f.id]
     assert {f.id for f in found} == expected
     for f in found:
-        assert f.severity == 'warning' and ('deg/s' in f.remedy or 'accelerometer' in f.remedy)
+        assert f.severity == 'error' and ('deg/s' in f.remedy or 'accelerometer' in f.remedy)
 
 
 def test_gravity_may_have_been_removed():

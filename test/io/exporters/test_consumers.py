@@ -97,20 +97,6 @@ def test_opencv_reads_the_rest_of_openvins(
     assert read == np.eye(4).tolist()
 
 
-def test_opencv_reads_a_merged_file_with_its_matrices(
-    known_results: Results, opencv_node: Callable[[str, str], Any]
-) -> None:
-    mine = (
-        '%YAML:1.0\n---\n# mine\ngyr_n: 7.\nbody_T_cam0: !!opencv-matrix\n   rows: 1\n   cols: 2\n'
-        '   dt: d\n   data: [1., 2.]\n'
-    )
-    text = make_export(known_results, 'vins_fusion', BARE, existing=mine).text
-    node = opencv_node(text, 'vins_fusion')
-    assert node.getNode('gyr_n').real() == pytest.approx(0.0141421)
-    assert node.getNode('acc_w').real() == pytest.approx(4.24264e-4)
-    assert node.getNode('body_T_cam0').mat().tolist() == [[1.0, 2.0]]
-
-
 def gtsam_covariance(gtsam: Any, text: str, steps: int, dt: float) -> NDArray[np.float64]:
     """Return the covariance that GTSAM predicts for a static IMU: angle, position, velocity,
     biases.

@@ -12,9 +12,16 @@ import pytest
 import yaml
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.findings import finding
 from allan_ros.core.fit import Coefficient
 from allan_ros.core.fit.model import Status
-from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
+from allan_ros.io.exporters import (
+    TARGETS,
+    ExportOptions,
+    make_export,
+    target_of,
+    target_rows,
+)
 from allan_ros.io.results import Results
 
 BARE = ExportOptions(fidelity='coefficients')
@@ -84,7 +91,7 @@ def test_the_header_states_convention_unit_rate_rule_and_interval(
         '50.000 Hz',
         'axis rule: worst',
         'inflation: x5',
-        'N of gyro_z 0.0003000 rad/s/sqrt(Hz), 95 % interval 0.0002700 .. 0.0003300',
+        'N of gyro_z 0.0003000 rad/s/sqrt(Hz), 95 % interval 0.0002700..0.0003300',
     ):
         assert any(words in line for line in head), words
 
@@ -171,3 +178,51 @@ def test_the_axes_that_are_missing_are_named(small_results: Results) -> None:
     axes = {name: axis for name, axis in small_results.axes.items() if name != 'gyro_x'}
     with pytest.raises(AllanError, match='no gyro_x in these results'):
         replace(small_results, axes=axes).export('kalibr')
+
+
+def wrong_units(results: Results) -> Results:
+    found = finding('gyro_unit', n=0.1, rate=0.2)
+    return replace(
+        results,
+        findings=(*results.findings, finding('noise_louder', ratio=3.0, seconds=9.0), found),
+    )
+
+
+@pytest.mark.parametrize('target', TARGETS)
+def test_wrong_units_refuse_every_file_and_every_parameter(results: Results, target: str) -> None:
+    for use in (make_export, target_rows):
+        with pytest.raises(AllanError, match=r'probably deg/s\..*--force'):
+            use(wrong_units(results), target)
+    text = make_export(wrong_units(results), target, ExportOptions(force=True)).text
+    head = text[text.index('warning:') :].splitlines()
+    assert 'The gyro at rest has N' in head[0]
+    assert 'warning:' in head[1]  # other warnings follow
+    if not target_of(target).file_name.endswith('.json'):
+        assert any('warning: ' in line for line in text.splitlines()[:2])
+
+
+def test_rows_have_names_units_and_intervals(results: Results) -> None:
+    rows = {row.name: row for row in target_rows(results, 'fast_lio', BARE)}
+    assert list(rows) == [f'mapping.{name}_cov' for name in ('gyr', 'acc', 'b_gyr', 'b_acc')]
+    gyro = rows['mapping.gyr_cov']
+    assert gyro.values == (pytest.approx(3e-4**2 * 50.0),)
+    assert gyro.interval == pytest.approx((0.81 * gyro.value, 1.21 * gyro.value))
+    assert (gyro.unit, gyro.clamped) == ('(rad/s)^2', False)
+    raised = {row.name: row for row in target_rows(results, 'fast_lio')}['mapping.b_gyr_cov']
+    assert raised.interval[0] < raised.value < raised.interval[1]
+
+
+@pytest.mark.parametrize('target', TARGETS)
+def test_every_row_is_within_its_interval(results: Results, target: str) -> None:
+    for row in target_rows(results, target):
+        assert row.clamped or row.interval[0] <= max(row.values) * 1.00001
+        assert row.clamped or min(row.values) <= row.interval[1] * 1.00001
+
+
+def test_the_gain_covers_the_bias_at_rest(results: Results) -> None:
+    options = ExportOptions(inflate=2.0)
+    gain, zeta = target_rows(results, 'imu_filter_madgwick', options)
+    biased, same = target_rows(results, 'imu_filter_madgwick', options, {'gyro_y': 1e-2})
+    assert biased.value == pytest.approx(2.0 * math.sqrt(0.75) * 1e-2, rel=1e-2)
+    assert gain.value < biased.value and biased.ratio < gain.ratio
+    assert same == zeta

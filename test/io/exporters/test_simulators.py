@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,7 +17,6 @@ from support.exports import near, numbers, run_python, with_process
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.bias import TurnOnBias
-from allan_ros.core.filters.reductions import STATES
 from allan_ros.core.fit import Coefficient, Processes, Sinusoid
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.results import Results
@@ -51,10 +52,6 @@ def test_a_fitted_process_is_the_bias_of_a_simulator(known_results: Results) -> 
     gazebo = numbers(known, 'gazebo')
     assert gazebo['dynamic_bias_correlation_time'] == near(180.0)
     assert gazebo['dynamic_bias_stddev'] == near(1.05409e-5)  # 1e-4 sqrt(2 / 180)
-    sitl = numbers(known, 'px4_sitl')
-    assert sitl['gyroscopeRandomWalk'] == near(1.05409e-5)
-    assert sitl['accelerometerBiasCorrelationTime'] == near(180.0)
-    assert numbers(known, 'gnss_ins_sim')['gyro_b_stability'] == near([20.6265] * 3)
 
 
 def with_rounding(results: Results) -> Results:
@@ -77,7 +74,6 @@ def test_gazebo_rounds_and_turns_on_like_the_sensor(known_results: Results) -> N
     assert read['stddev'] == near((2.88e-4 - 0.02**2 / 12.0) ** 0.5)
     assert read['bias_stddev'] == 4e-3
     assert imu.find('angular_velocity/y/noise/bias_stddev') is None
-    assert numbers(known, 'px4_sitl')['gyroscopeTurnOnBiasSigma'] == 2e-3
     coarse = replace(known.axes['gyro_x'], rounding=1.0)
     known = replace(known, axes={**known.axes, 'gyro_x': coarse})
     stddev = ElementTree.fromstring(make_export(known, 'gazebo').text).find('.//x/noise/stddev')
@@ -101,7 +97,7 @@ def with_drift(results: Results, processes: Processes) -> Results:
     return replace(results, axes=axes)
 
 
-@pytest.mark.parametrize('target', ['kf_gins', 'ob_gins', 'navego', 'gazebo', 'px4_sitl'])
+@pytest.mark.parametrize('target', ['kf_gins', 'ob_gins', 'navego', 'gazebo'])
 def test_a_bias_from_the_limit_of_k_is_named_a_limit(known_results: Results, target: str) -> None:
     known = with_drift(known_results, Processes())
     made = make_export(known, target)
@@ -119,15 +115,22 @@ def test_a_slow_sinusoid_may_be_the_only_drift(known_results: Results, target: s
     assert make_export(known, target).text
 
 
-def test_the_module_has_the_matrices_of_the_document(known_results: Results) -> None:
-    document = json.loads(make_export(known_results, 'state_space').text)
-    module = run_python(make_export(known_results, 'state_space_python').text)
-    for axis, one in document['axes'].items():
-        phi, noise, sample = module['matrices'](axis, 1.0 / 200.0)
-        np.testing.assert_allclose(phi, one['discrete']['Phi'], rtol=1e-11)
-        np.testing.assert_allclose(noise, one['discrete']['Qd'], rtol=1e-9)
-        assert sample == near(one['discrete']['R'])
-        assert {reduction['states'] for reduction in one['reductions']} == set(STATES)
+def test_the_loader_of_the_manual_reads_the_matrices(
+    known_results: Results, repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = make_export(known_results, 'state_space').text
+    (tmp_path / 'state_space.json').write_text(made)
+    monkeypatch.chdir(tmp_path)
+    manual = (repository / 'docs' / 'filters.md').read_text(encoding='utf-8')
+    (loader,) = re.findall(r'```python\n(import json, .*?)```', manual, re.DOTALL)
+    assert len(loader.splitlines()) == 5
+    read = run_python(loader)
+    module = run_python(make_export(known_results, 'webots').text)
+    for axis in json.loads(made)['axes']:
+        phi, noise, sample = read['matrices'](axis)
+        np.testing.assert_allclose(phi, module['matrices'](axis, 1.0 / 200.0)[0], rtol=1e-11)
+        np.testing.assert_allclose(noise, module['matrices'](axis, 1.0 / 200.0)[1], rtol=1e-9)
+        assert sample == near(module['matrices'](axis, 1.0 / 200.0)[2])
 
 
 def test_the_module_simulates_the_model(known_results: Results) -> None:
