@@ -114,7 +114,7 @@ def exported(results: ar.Results, axis: str) -> dict[str, dict[str, Any]]:
         white, walk = read['gyroscopeCovariance'][i], read['biasOmegaCovariance'][i]
         models[name] = {'N': white**0.5, 'K': walk**0.5}
     one = json.loads(make_export(results, 'state_space').text)['axes'][axis]
-    processes = [(p['sigma'], p['tau']) for p in one['gauss_markov']]
+    processes = [tuple(pair) for pair in one['gauss_markov']]
     models['state space'] = {'N': one['white'], 'K': one['walk'], 'gms': processes}
     return models
 
