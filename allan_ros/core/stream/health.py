@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+from bisect import insort
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from ..allan.spectrum import SpectrumSums
 from ..allan.sums import LONGEST_FILLED, AllanSums
 from ..findings import Finding, finding
-from ..imu import NANOSECONDS, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, sensor_of
+from ..imu import AXES, NANOSECONDS, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, sensor_of
 from ..settings import SegmenterSettings
 
 Floats = NDArray[np.float64]
@@ -80,9 +82,11 @@ class Counts:
     # not at rest, and dropped
     moving: int = 0
     stuck: int = 0  # an axis repeats one value
-    saturated: int = 0  # part of `moving`: at the end of the measurement range
+    saturated: int = 0  # in motion, at the end of the measurement range, counted per axis
     louder: int = 0  # at rest, but the noise is much larger than the noise floor
     spikes: int = 0  # isolated values that were replaced, counted per axis
+    shocks: int = 0  # number of shocks
+    replaced: int = 0  # part of `used`: samples of shocks, replaced by a line between means
     # reason -> number of times the data were split
     cuts: Counter[str] = field(default_factory=Counter)
 
@@ -128,13 +132,48 @@ class FilledGaps:
                 self._close(axis)
 
     def _close(self, axis: int) -> None:
-        length, self._open[axis] = min(self._open[axis], LONGEST_FILLED), 0
-        if not length:
+        length, self._open[axis] = self._open[axis], 0
+        if not 0 < length <= LONGEST_FILLED:  # longer ones are shocks
             return
         if length > len(self.count):
             longer = np.zeros((length - len(self.count), self.count.shape[1]), np.int64)
             self.count = np.concatenate([self.count, longer])
         self.count[length - 1, axis] += 1
+
+
+LISTED_EVENTS = 200
+"""Largest number of events that are listed; these are the longest ones."""
+
+
+class Event(NamedTuple):
+    """A time when the IMU was not at rest.
+
+    ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value) or 'louder' (the noise
+    increased at rest). ``changes`` are the changes of the mean of each axis that are larger than
+    its noise, in the unit of the samples; a changed acceleration indicates a tilt.
+    """
+
+    kind: str
+    start_ns: int
+    duration_s: float
+    changes: Mapping[str, float] = {}
+
+
+class EventLog:
+    """The number of events of each kind, and the longest `LISTED_EVENTS` of them."""
+
+    def __init__(self) -> None:
+        self._longest: list[tuple[float, int, Event]] = []  # shortest first
+
+    def add(self, event: Event) -> None:
+        """Add an event."""
+        insort(self._longest, (event.duration_s, -event.start_ns, event), key=lambda one: one[:2])
+        del self._longest[:-LISTED_EVENTS]
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """The listed events, in the order of their times."""
+        return tuple(sorted((one[2] for one in self._longest), key=lambda event: event.start_ns))
 
 
 class Segment(NamedTuple):
@@ -167,6 +206,7 @@ class StreamHealth:
     # axis -> largest ratio of its noise at rest to the noise floor; empty if none became louder
     loudest: Mapping[str, float] = field(default_factory=dict)
     discarded_s: float = 0.0  # from the start of the discarded sums to the first sample kept
+    events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
 
     @property
     def still_share(self) -> float | None:
@@ -321,6 +361,14 @@ def stream_findings(
     add('bridged', bridged > REPORTED_BRIDGED_SHARE, bridged=counts.bridged, share=bridged)
     many = counts.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * counts.used)
     add('spikes', many, count=counts.spikes, share=counts.spikes / max(counts.used, 1))
+    shocks = [event for event in health.events if event.kind == 'shock']
+    share = counts.replaced / max(counts.used, 1)
+    add('shocks', counts.shocks, count=counts.shocks, share=share, times=_times(shocks, health))
+    tilts = [event for event in health.events if any(map(_is_accel, event.changes))]
+    change = max((abs(c) for e in tilts for a, c in e.changes.items() if _is_accel(a)), default=0.0)
+    angle = math.degrees(change / STANDARD_GRAVITY)
+    axes = tuple(a for a in AXES if _is_accel(a) and any(a in event.changes for event in tilts))
+    add('tilted', tilts, axes, change=change, angle=angle, times=_times(tilts, health))
     add('relearned', health.discarded, seconds=health.discarded_s)
     if health.rate_hz and counts.louder and health.loudest:
         ratio = max(health.loudest.values())
@@ -336,6 +384,19 @@ def stream_findings(
         found += _unit_findings(each)
     add('nothing_left', counts.received and not sums, received=counts.received)
     return found
+
+
+def _is_accel(axis: str) -> bool:
+    return sensor_of(axis) == 'accel'
+
+
+def _times(events: list[Event], health: StreamHealth) -> str:
+    """Return when the events began, in s since the first sample, as text; at most the first 3."""
+    start = health.first_ns or 0
+    times = [f'{(event.start_ns - start) * 1e-9:.0f} s' for event in events]
+    more = [f'{len(times) - 3} more'] if len(times) > 3 else []
+    *first, last = [*times[:3], *more] or ['']
+    return ' and '.join([', '.join(first), last] if first else [last])
 
 
 def sums_findings(sums: AllanSums) -> list[Finding]:

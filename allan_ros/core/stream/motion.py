@@ -6,7 +6,8 @@ The stream is classified in windows of about half a second. A window is moving i
 largest deviation, the step of its mean or its mean rate exceeds a limit that is derived from the
 noise floor, the noise of the sensor at rest. A window of white noise is classified as moving with a
 probability below 1e-12, so N has no bias. Motion begins at higher limits than it ends (hysteresis).
-Some windows before and after a motion are dropped, too.
+Some windows before and after a motion are dropped, too. The samples of a shock, a short motion
+that changes no mean, are replaced instead.
 
 First, isolated spikes are replaced by the mean of their neighbors. If the noise has heavy tails,
 they are noise: they stay in the data and are not regarded as motion. If the noise becomes louder
@@ -24,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .health import Counts, State
+from .health import Counts, Event, EventLog, State
 from .noise_floor import (
     LEAST_WINDOW,
     SPIKE_NEIGHBORS,
@@ -33,6 +34,7 @@ from .noise_floor import (
     Windows,
     without_spikes,
 )
+from .shocks import LONGEST_SHOCK, LONGEST_SHOCK_S, Level, Motion
 from .timing import Block
 
 Floats = NDArray[np.float64]
@@ -69,9 +71,12 @@ LOUDER_BLOCKS = 2
 classified as louder noise instead of motion."""
 
 MIN_PLATEAU, PLATEAU_STEP_LSB = 3, 4.0
-"""An axis is saturated if this number of consecutive samples has its largest value, and the step to
-them is at least this many resolutions. (At a coarse resolution, a slow motion has equal samples at
-its peak, too.)"""
+"""An axis may be saturated if this number of consecutive samples has its largest value, and the
+step to them is at least this many resolutions. (At a coarse resolution, a slow motion has equal
+samples at its peak, too.)"""
+
+LEAST_SATURATED = 10
+"""Smallest number of such samples at the same value, which is never exceeded."""
 
 
 class WindowClass(NamedTuple):
@@ -97,9 +102,9 @@ class MotionGate:
 
     ``period_ns`` is the sample period. A window is moving if its standard deviation is more than
     ``motion_ratio`` times that of the noise floor, or if its mean rate differs from that at rest by
-    more than ``rate_limit`` in rad/s. ``counts`` is changed in place. The attribute ``louder`` is
-    the ratio of the current noise at rest to the noise floor, (axes,), or None if the noise is not
-    louder. ``loudest`` holds the largest ratios so far; 0 if it was never louder.
+    more than ``rate_limit`` in rad/s. ``counts`` and ``events`` are changed in place. The attribute
+    ``louder`` is the ratio of the current noise at rest to the noise floor, (axes,), or None if the
+    noise is not louder. ``loudest`` holds the largest ratios so far; 0 if it was never louder.
     """
 
     def __init__(
@@ -107,15 +112,20 @@ class MotionGate:
         period_ns: float,
         axes: tuple[str, ...],
         counts: Counts,
+        events: EventLog,
         motion_ratio: float,
         rate_limit: float,
     ) -> None:
         wanted = round(WINDOW_S * 1e9 / period_ns)
         self.size = int(np.clip(wanted, LEAST_WINDOW, MOST_WINDOW))
-        self.moving = False
         self.louder: Floats | None = None
         self.loudest = np.zeros(len(axes))
         self._counts = counts
+        self._events = events
+        self._axes = axes
+        self._period_s = period_ns * 1e-9
+        longest = int(LONGEST_SHOCK_S / (self.size * self._period_s))
+        self._longest_shock = min(longest, LONGEST_SHOCK)
         self._ratio = motion_ratio
         self._limits = RestLimits.of(axes, rate_limit)
         self._floor: NoiseFloor | None = None
@@ -123,15 +133,24 @@ class MotionGate:
         # buffered until they fill a window, with their look-ahead
         self._pending = Block(np.empty(0, np.int64), np.empty((len(axes), 0)))
         self._before = np.empty((len(axes), 0))  # the last samples before them
-        self._extreme = np.zeros(len(axes))  # largest absolute value of each axis
+        self._extreme = np.zeros(len(axes))  # largest absolute value of each axis in motion
+        self._at_limit = np.zeros(len(axes), np.int64)  # number of samples with this value
+        self._saturated = 0
         self._last_mean: Floats | None = None
-        self._quiet = 0  # number of quiet windows since the motion
+        self._motion: Motion | None = None
+        self._level = Level()
+        self._shocks = self._replaced = 0  # shocks and their replaced samples
         self._cut = ''  # reason for the gap before the next still block
         self._margin: list[Block] = []  # still windows, dropped if a motion begins after them
         self._pending_cut = ''  # reason for the gap before the pending samples
         self._block: list[_Part] = []
         self._in_block = 0  # number of windows in it
         self._noisy_blocks = 0
+
+    @property
+    def moving(self) -> bool:
+        """Whether the IMU moves, or an axis is stuck."""
+        return self._motion is not None
 
     @property
     def state(self) -> State:
@@ -172,13 +191,15 @@ class MotionGate:
         if floor.is_plausible():
             self._floor = floor
             blocks, self._learning = self._learning, []
-            self.moving = False
+            self._log_motion()
+            self._motion = None
             return self.feed(blocks)
         self._learning = rest
         self._counts.moving += sum(map(len, first))
-        if not self.moving:
-            self.moving = True
+        if self._motion is None:
+            self._motion = Motion('motion', int(first[0].stamps[0]), None, [])
             self._counts.cuts['motion'] += 1
+        self._motion.ended_ns = int(first[-1].stamps[-1])
         self._cut = 'motion'
         return []
 
@@ -218,6 +239,7 @@ class MotionGate:
         self._before = self._before[:, :0]
         out += self._margin
         self._margin = []
+        self._no_shock()
         return out
 
     def _classify(self, have: Block, samples: int, size: int) -> list[Block]:
@@ -248,7 +270,9 @@ class MotionGate:
         out: list[Block] = []
         if block.cut:
             out, self._margin = self._margin, []
-            self._last_mean = None
+            self._last_mean, self._level = None, Level()
+            if self._motion is not None:
+                self._motion.before = self._motion.before[:0]
             self._cut = self._cut or block.cut
         assert self._floor is not None
         found = classify_windows(windows, self._last_mean, size, self._floor, self._ratio)
@@ -256,36 +280,80 @@ class MotionGate:
         if self.moving or found.moving.any():
             for i in range(len(still)):
                 window = block.part(slice(i * size, (i + 1) * size))
-                out += self._step(window, *(bool(v[i]) for v in found[:3]))
+                out += self._step(window, windows.mean[:, i], *(bool(v[i]) for v in found[:3]))
                 still[i] = not self.moving
         else:
+            self._level.add(windows.mean, size)
             out += self._release(block.part(slice(None)))
         self._last_mean = windows.mean[:, -1]
         if size == self.size:
             self._block.append(_Part(block, windows, still, found))
         return out
 
-    def _step(self, window: Block, moving: bool, quiet: bool, stuck: bool) -> list[Block]:
+    def _step(
+        self, window: Block, mean: Floats, moving: bool, quiet: bool, stuck: bool
+    ) -> list[Block]:
         """Update the state from one window, and return samples confirmed to be at rest."""
-        if not self.moving and not moving:
+        if self._motion is None and not moving:
+            self._level.add(mean[:, None], len(window))
             return self._release(window)
-        if not self.moving:
-            self.moving = True
-            reason = 'stuck' if stuck else 'motion'
-            self._counts.cuts[reason] += 1
-            self._counts.moving += sum(map(len, self._margin))
+        if self._motion is None:
+            kind, margin = 'stuck' if stuck else 'motion', self._margin
+            self._motion = Motion(kind, int(window.stamps[0]), self._level, margin)
             self._margin = []
-            self._cut = self._cut or reason
+        motion = self._motion
         if stuck:
+            self._no_shock()
             self._counts.stuck += len(window)
         else:
-            self._counts.moving += len(window)
-            self._counts.saturated += self._saturated(window.rows)
-        self._quiet = self._quiet + 1 if quiet else 0
-        if self._quiet >= MARGIN_AFTER:
-            self.moving = False
-            self._quiet = 0
-        return []
+            self._counts.moving += len(window) if motion.held is None else 0
+            self._count_saturated(window.rows)
+        motion.add(window, mean, quiet)
+        if motion.is_longer(self._longest_shock):
+            self._no_shock()
+        return self._end_motion() if motion.quiet >= MARGIN_AFTER else []
+
+    def _end_motion(self) -> list[Block]:
+        """Return the windows of the motion that just ended if it was a shock, else split."""
+        assert self._floor is not None and self._motion is not None
+        out: list[Block] = []
+        first, *rest = self._motion.replaced(self._floor, self._period_s) or [None]
+        if first is not None:
+            self._motion.kind = 'shock'
+            self._count_shocks(1, len(first))
+            out.append(first)
+        else:
+            self._no_shock()
+        self._log_motion()
+        self._motion = None
+        for window in rest:
+            self._level.add(window.rows.mean(axis=1)[:, None], len(window))
+            out += self._release(window)
+        return out
+
+    def _count_shocks(self, shocks: int, samples: int) -> None:
+        self._shocks += shocks
+        self._replaced += samples
+        self._counts.shocks += shocks
+        self._counts.replaced += samples
+
+    def _no_shock(self) -> None:
+        """Drop the windows of the present motion, which is no shock."""
+        motion = self._motion
+        if motion is not None and motion.held is not None:
+            self._counts.moving += sum(map(len, motion.abandon()))
+            self._counts.cuts[motion.kind] += 1
+            self._cut = self._cut or motion.kind
+
+    def _log_motion(self) -> None:
+        """Add the motion that just ended to the list of events."""
+        motion, floor = self._motion, self._floor
+        if motion is None or floor is None:
+            return
+        change = motion.change(floor)
+        changed = {a: float(c) for a, c in zip(self._axes, change) if abs(c) > 0.0}
+        seconds = (motion.ended_ns - motion.began_ns) * 1e-9 + self._period_s
+        self._events.add(Event(motion.kind, motion.began_ns, seconds, changed))
 
     def _release(self, block: Block) -> list[Block]:
         """Buffer the last still window, because a motion may follow; return the samples before."""
@@ -298,25 +366,28 @@ class MotionGate:
         self._margin = [block.part(slice(split, None), cut)]
         return out
 
-    def _saturated(self, rows: Floats) -> int:
-        """Return how many samples of a moving window, (axes, n), are saturated.
+    def _count_saturated(self, rows: Floats) -> None:
+        """Count the samples of a moving window, (axes, n), at the limit of the measurement range.
 
-        Consecutive samples are saturated if they have the largest absolute value of an axis so far,
-        and a large step precedes or follows them.
+        These are consecutive samples with the largest absolute value of an axis so far that a large
+        step precedes or follows. A larger value later shows that this was not the limit.
         """
         assert self._floor is not None
         size = np.abs(rows)
-        self._extreme = np.maximum(self._extreme, size.max(axis=1))
+        largest = size.max(axis=1)
+        self._at_limit[largest > self._extreme] = 0
+        self._extreme = np.maximum(self._extreme, largest)
         top = size >= self._extreme[:, None]
-        inside = np.zeros(rows.shape[1], bool)
         for axis in np.flatnonzero(np.count_nonzero(top, axis=1) >= MIN_PLATEAU):
             edges = np.flatnonzero(np.diff(top[axis], prepend=False, append=False))
             for a, b in edges.reshape(-1, 2):
                 outside = [rows[axis, i] for i in (a - 1, b) if 0 <= i < rows.shape[1]]
                 step = max((abs(rows[axis, a] - x) for x in outside), default=0.0)
                 if b - a >= MIN_PLATEAU and step >= PLATEAU_STEP_LSB * self._floor.lsb[axis] > 0:
-                    inside[a:b] = True
-        return int(np.count_nonzero(inside))
+                    self._at_limit[axis] += b - a
+        reached = self._at_limit[self._at_limit >= LEAST_SATURATED].sum()
+        self._counts.saturated += int(reached) - self._saturated
+        self._saturated = int(reached)
 
     # --- the noise floor --------------------------------------------------------------------------
 
@@ -354,19 +425,24 @@ class MotionGate:
         self._counts.moving -= samples
         self._counts.louder += samples
         self.loudest = np.maximum(self.loudest, self.louder)
+        if self._motion is not None:
+            self._motion.kind = 'louder'
 
     def _restart(self, block: list[_Part]) -> list[Block]:
         """Discard all earlier data, and classify the block again with the new noise floor."""
         # `SensorStream` counts the samples that were already released
+        self._no_shock()
+        self._count_shocks(-self._shocks, -self._replaced)
         self._counts.moving += sum(map(len, self._margin))
         samples = sum(len(part.samples) for part in block)
         stuck = self.size * sum(int(np.count_nonzero(part.found.stuck)) for part in block)
         self._counts.moving -= samples - stuck
         self._counts.stuck -= stuck
         self._margin = []
-        self._last_mean = None
+        self._last_mean, self._level = None, Level()
         self._noisy_blocks, self.louder = 0, None
-        self.moving, self._quiet, self._cut = True, 0, 'motion'
+        self._motion = Motion('motion', int(block[0].samples.stamps[0]), None, [])
+        self._cut = 'motion'
         out = [block[0].samples.part(slice(0), RELEARNED)]
         for part in block:
             out += self._keep_still(part.samples, self.size, part.windows)

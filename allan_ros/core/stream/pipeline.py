@@ -29,6 +29,7 @@ from .health import (
     LISTED_SEGMENTS,
     Accumulation,
     Counts,
+    EventLog,
     FilledGaps,
     Means,
     RunningMeans,
@@ -177,6 +178,7 @@ class ImuStream:
             sum(stream.relearned for stream in streams),
             {axis: ratio for s in frame.sensors for axis, ratio in s.loudest.items()},
             max((stream.discarded_s for stream in streams), default=0.0),
+            tuple(event for s in frame.sensors for event in s.events.events),
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
         found = [*notes, *stream_findings(health, longest, self._options.settings)]
@@ -280,6 +282,7 @@ class SensorStream:
 
     def __init__(self, plan: SensorPlan, identity: ImuIdentity, options: StreamOptions) -> None:
         self.counts = Counts()
+        self.events = EventLog()
         self.relearned = 0
         self.discarded_s = 0.0
         self._first_ns: int | None = None
@@ -396,7 +399,12 @@ class SensorStream:
         self._clock = SampleClock(clock, len(axes), settings.max_bridge, self.counts)
         if settings.motion_gate:
             self._gate = MotionGate(
-                clock.period_ns, axes, self.counts, settings.motion_ratio, settings.rate_limit
+                clock.period_ns,
+                axes,
+                self.counts,
+                self.events,
+                settings.motion_ratio,
+                settings.rate_limit,
             )
         self._process(self._clock.feed(stamps, rows, jumped))
 

@@ -8,7 +8,7 @@ import pytest
 from allan_ros.core.imu import AXES
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
-from allan_ros.core.stream.health import Counts
+from allan_ros.core.stream.health import Counts, EventLog
 from allan_ros.core.stream.motion import RELEARNED, MotionGate
 from allan_ros.core.stream.timing import Block
 
@@ -22,10 +22,10 @@ def white(seconds, seed=0):
     return MEAN + SIGMA * np.random.default_rng(seed).normal(size=(6, n))
 
 
-def gate(rows, cut_at=()):
+def gate(rows, cut_at=(), events=None):
     """Return the output of the stage, its counts, and whether each sample was passed on."""
     counts = Counts()
-    stage = MotionGate(1e9 / RATE, AXES, counts, 3.0, 0.0087)
+    stage = MotionGate(1e9 / RATE, AXES, counts, events or EventLog(), 3.0, 0.0087)
     index = np.arange(rows.shape[1])
     out = []
     for a, b in zip([0, *cut_at], [*cut_at, len(index)]):
@@ -36,7 +36,7 @@ def gate(rows, cut_at=()):
     for r in out[begin:]:
         passed[r.stamps] = True
         same = r.rows == rows[:, r.stamps]
-        assert same.all() if r.filled is None else np.array_equal(~same, r.filled)
+        assert same.all() if r.filled is None else (same | r.filled).all()
     return out, counts, passed
 
 
@@ -132,13 +132,72 @@ def test_a_motion_is_left_out_with_its_margins():
     assert counts.moving == np.count_nonzero(~passed)
 
 
+def shock(axis, size=25.0):
+    """Return a damped oscillation of ``size`` standard deviations, (6, 40)."""
+    ringing = size * np.exp(-np.arange(40) / 8) * np.cos(np.arange(40) * 0.7)
+    return ringing * SIGMA * (np.arange(6) == axis)[:, None]
+
+
+def flagged(out, samples):
+    """Return which samples are flagged in the output, (samples,)."""
+    flags = np.zeros(samples, bool)
+    for block in out:
+        if block.filled is not None:
+            flags[block.stamps] = block.filled.any(axis=0)
+    return flags
+
+
 @pytest.mark.parametrize('axis', [0, 3, 5])
-def test_a_single_knock_is_found(axis):
-    rows = white(60)
-    ringing = 25 * np.exp(-np.arange(40) / 8) * np.cos(np.arange(40) * 0.7)
-    rows[axis, 7_000:7_040] += ringing * SIGMA[axis, 0]
-    passed = gate(rows)[2]
-    assert not passed[6_900:7_400].any() and passed[:6_700].all() and passed[7_700:].all()
+@pytest.mark.parametrize('times', [1, 4])
+def test_a_shock_is_replaced_and_does_not_end_the_segment(axis, times):
+    rows, events = white(120), EventLog()
+    for at in range(7_000, 7_000 + 3_000 * times, 3_000):
+        rows[axis, at : at + 40] += shock(axis)[axis]
+    out, counts, passed = gate(rows, events=events)
+    assert passed.all() and not counts.cuts and counts.moving == 0
+    assert [e.kind for e in events.events] == ['shock'] * counts.shocks == ['shock'] * times
+    flags = flagged(out, rows.shape[1])
+    assert flags[7_000:7_040].all() and np.count_nonzero(flags) == counts.replaced
+    # half a second before and after the window of the shock
+    assert counts.replaced <= times * 2.1 * RATE and not flags[:6_800].any()
+    # the mean of 2 s before and after: deviates from the truth by less than 5 sigma
+    level = np.concatenate([b.rows for b in out], axis=1)[:, flags] - MEAN
+    assert np.abs(level).max() < 5 * SIGMA.max() / np.sqrt(300)
+
+
+@pytest.mark.parametrize('seconds, split', [(0.5, False), (4.0, False), (30.0, True)])
+def test_a_disturbance_of_a_few_seconds_is_a_shock(seconds, split):
+    rows = white(120)
+    n = int(seconds * RATE)
+    rows[:, 7_000 : 7_000 + n] += 30 * SIGMA * np.random.default_rng(1).normal(size=(6, n))
+    _, counts, passed = gate(rows)
+    assert (counts.cuts == {'motion': 1}) == split and passed.all() != split
+
+
+def test_a_shock_that_changes_a_mean_splits_the_data_and_the_change_is_listed():
+    rows, events = white(120), EventLog()
+    rows[3, 7_000:7_040] += shock(3)[3]
+    rows[3, 7_040:] += SIGMA[3, 0]
+    _, counts, passed = gate(rows, events=events)
+    assert counts.cuts == {'motion': 1} and counts.shocks == 0 and not passed.all()
+    (event,) = events.events
+    assert event.kind == 'motion' and list(event.changes) == ['accel_x']
+    # 5 sigma of the difference of two means over 2 s
+    assert event.changes['accel_x'] == pytest.approx(SIGMA[3, 0], rel=5 * (2 / 400) ** 0.5)
+
+
+def test_a_short_turn_is_motion_though_all_means_are_as_before():
+    rows = white(120)
+    rows[2, 7_000 : 7_000 + RATE] += np.radians(5.0)
+    assert gate(rows)[1].cuts == {'motion': 1}
+
+
+def test_an_imu_that_is_seldom_at_rest_has_no_shocks_but_motion():
+    rows = white(300)
+    for at in range(5_000, rows.shape[1] - 5_000, 5 * RATE):
+        rows[:, at : at + RATE] += 30 * SIGMA * np.random.default_rng(at).normal(size=(6, RATE))
+    _, counts, passed = gate(rows)
+    assert counts.cuts['motion'] > 10 and counts.replaced < 0.5 * np.count_nonzero(passed)
 
 
 def test_a_steady_turn_is_motion_though_it_is_smooth():
@@ -177,7 +236,7 @@ def test_driving_never_counts_as_rest():
 
 def states(rows):
     """Return 'louder' or 'moving' or 'still' after each second."""
-    stage = MotionGate(1e9 / RATE, AXES, Counts(), 3.0, 0.0087)
+    stage = MotionGate(1e9 / RATE, AXES, Counts(), EventLog(), 3.0, 0.0087)
     out = []
     for at in range(0, rows.shape[1], RATE):
         part = slice(at, at + RATE)
@@ -229,13 +288,20 @@ def test_a_gap_ends_a_block_but_keeps_the_data():
     assert [(r.cut, int(r.stamps[0])) for r in out if r.cut] == [('gap', 3_333), ('gap', 9_001)]
 
 
-def test_a_range_that_is_exceeded_is_counted():
+@pytest.mark.parametrize('top, limit', [(19.6, True), (1e9, False)])
+def test_a_range_that_is_exceeded_is_counted(top, limit):
     rows = white(60)
-    rows[3, 6_000:6_500] = np.clip(40 * np.sin(np.arange(500) / 5), -19.6, 19.6)
-    assert gate(rows)[1].saturated > 100
+    rows[3, 6_000:6_500] = np.clip(40 * np.sin(np.arange(500) / 5), -top, top)
+    assert (gate(rows)[1].saturated > 100) == limit
 
 
-def test_the_coarse_top_of_a_motion_is_not_saturated():
+def test_a_repeated_maximum_is_no_limit():
+    """A plateau that a larger value exceeds later, a short one, and a coarse smooth peak."""
+    for larger in (True, False):
+        rows = np.round(white(60) / 0.02) * 0.02
+        rows[3, 6_000 : 6_020 if larger else 6_004] = 5.0
+        rows[3, 6_200:6_300] = 6.0 * np.sin(np.arange(100)) if larger else 0.0
+        assert gate(rows)[1].saturated == 0
     rows = np.round(white(60) / 0.02) * 0.02
     rows[3, 6_000:6_500] = np.round(5 * np.sin(np.arange(500) / 20) / 0.02) * 0.02
     assert gate(rows)[1].saturated == 0
