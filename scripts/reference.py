@@ -22,7 +22,7 @@ import allan_ros
 from allan_ros.cli.console import OPTIONS
 from allan_ros.cli.main import EXITS, VERBS, command_of
 from allan_ros.cli.options import add_options
-from allan_ros.core.findings import CATALOG, PLURAL
+from allan_ros.core.findings import CATALOG, FIELD
 from allan_ros.core.settings import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS
 
@@ -286,14 +286,14 @@ def _with_words(entry: str) -> str:
     id, _, rest = entry.partition('\n')
     rest = '\n'.join(line for line in rest.lstrip('\n').split('\n') if not line.startswith('> '))
     words = CATALOG[id.strip()]
-    message, remedy = (_without_numbers(text) for text in (words.message, words.remedy))
+    message, remedy = map(_without_numbers, (words.message_template, words.remedy_template))
     return f'{id}\n\n> *{words.severity}:* {message} **{remedy}**\n\n{rest.lstrip()}'
 
 
 def _without_numbers(template: str) -> str:
     """Return a template of a finding in the plural, with … in place of its fields."""
-    text = PLURAL.sub(r'\3', template.replace('{when}', ''))
-    return re.sub(r'\{[^{}]*\}', '…', text).replace('<', '&lt;')
+    text = re.sub(r'\[\[|\]\]', '', template.replace('{when}', ''))
+    return FIELD.sub(lambda field: (field[2] or '').partition('|')[2] or '…', text)
 
 
 def pages() -> dict[str, str]:

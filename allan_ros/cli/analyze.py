@@ -31,7 +31,6 @@ from ..core.settings import SegmenterSettings, check_rate
 from ..io.datasheets import load_sensor
 from ..io.documents import RESULTS, load, load_sums, results_to_document
 from ..io.exporters import target_of
-from ..io.format import text_in_units
 from ..io.plot_style import PictureSettings, check_pictures
 from ..io.readers.recording import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
@@ -218,7 +217,7 @@ def check(args: argparse.Namespace) -> int:
         line = f'{word}: {args.inputs[0]}: {verdict.summary}'
         print(painted(line, word, LEVEL_COLORS[verdict.level], colored(sys.stdout)))
         for reason in verdict.reasons if console.verbose else ():
-            print(f'  {text_in_units(reason, settings.units)}')
+            print(f'  {reason}')
     return code
 
 

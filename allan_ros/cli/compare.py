@@ -21,9 +21,10 @@ from typing import Any
 from .. import api
 from ..api import ResultSettings
 from ..core.errors import AllanError
+from ..core.findings import Quantity
 from ..core.fit import AxisFit
 from ..core.fit.simple_methods import fit_curve
-from ..core.imu import SENSORS, SI_UNITS, sensor_of
+from ..core.imu import SENSORS, sensor_of
 from ..io.comparison import (
     comparison_document,
     inflation_document,
@@ -32,7 +33,7 @@ from ..io.comparison import (
     write_overlay,
 )
 from ..io.files import to_json, write_atomic
-from ..io.format import deviation_text, text_in_units
+from ..io.format import deviation_text
 from ..io.plot_style import PictureSettings, check_pictures
 from .console import Console, width
 from .options import Command, Settings, settings_of
@@ -119,20 +120,22 @@ def fit(args: argparse.Namespace) -> int:
         lines += table_lines(term_labels(sensor, args.units), columns, width())
     lines.append('')
     for axis, fit in fits.items():
-        lines += [text_in_units(text, args.units) for text in _process_lines(axis, fit)]
+        lines += _process_lines(axis, fit, args.units)
     print('\n'.join([*lines, *(f'warning: {text}' for text in warnings)]))
     return 0
 
 
-def _process_lines(axis: str, fit: AxisFit) -> list[str]:
+def _process_lines(axis: str, fit: AxisFit, units: str) -> list[str]:
     """Return a line for each noise process, and one for the largest misfit of the model."""
-    unit = SI_UNITS[sensor_of(axis)]['B']
+    sensor = sensor_of(axis)
     lines = [
-        f'{axis}: Gauss-Markov, {p.sigma:.3g} {unit}, {p.correlation_time:.3g} s'
+        f'{axis}: Gauss-Markov, {Quantity(p.sigma, sensor, "B").text(units)}, '
+        f'{p.correlation_time:.3g} s'
         for p in fit.processes.gauss_markov
     ]
     lines += [
-        f'{axis}: sinusoid, {p.amplitude:.3g} {unit}, {p.frequency:.3g} Hz'
+        f'{axis}: sinusoid, {Quantity(p.amplitude, sensor, "signal").text(units)}, '
+        f'{p.frequency:.3g} Hz'
         for p in fit.processes.sinusoid
     ]
     if fit.deviation is not None:

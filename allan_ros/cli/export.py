@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         path = path / target.file_name if path.is_dir() else path
         write_atomic(path, made.text)
     if console.json:
-        findings = [asdict(finding) for finding in made.findings]
+        findings = [finding.document() for finding in made.findings]
         to = {'path': str(path)} if path else {'text': made.text}
         console.document({'target': args.to, **to, 'findings': findings})
     elif path is None:

@@ -20,7 +20,6 @@ from ..io.format import (
     region_text,
     shown_unit,
     significant,
-    text_in_units,
     value_text,
 )
 from ..io.results import Results
@@ -154,9 +153,9 @@ def findings_lines(
         first = shown[: MOST_FINDINGS - (bool(notes) or len(shown) > MOST_FINDINGS)]
     for finding in first:
         color = SEVERITY_COLORS[finding.severity]
-        line = f'{finding.severity}: {text_in_units(finding_text(finding, results), units)}'
+        line = f'{finding.severity}: {finding_text(finding, results, units)}'
         if complete:
-            lines = wrapped(f'{line} {finding.remedy}', columns, '  ')
+            lines = wrapped(f'{line} {finding.texts(units).remedy}', columns, '  ')
         else:
             lines = [textwrap.shorten(line, columns - 1, placeholder=' ...')]
         yield from (painted(lines[0], finding.severity, color, colors), *lines[1:])

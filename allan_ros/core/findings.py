@@ -2,46 +2,117 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings: messages to the user about a recording or a running node.
 
-All texts are in the catalog ``findings.txt``. The message of a finding states the cause with its
-numbers, the remedy states the next step.
+A finding holds numbers. Its text is made at the output, in the units of the output, from the
+templates of the catalog ``findings.txt``: the message states the cause with its numbers, the remedy
+the next step.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pkgutil import get_data
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 from .errors import one_line
+from .imu import SI_UNITS, UNITS, ShownUnit, sensor_of, shown_unit
 
 Severity = Literal['info', 'warning', 'error']
 
 SEVERITIES: tuple[Severity, ...] = ('error', 'warning', 'info')
 """Severities, the most severe first."""
 
+QUANTITIES = ('Q', 'N', 'B', 'K', 'R', 'signal')
+"""Quantities of a sensor: the coefficients, and its samples (also the Allan deviation)."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A coefficient or a signal of a sensor in SI, with its interval.
+
+    ``value`` is None if only the upper limit ``high`` is known. ``term`` is one of `QUANTITIES`.
+    """
+
+    value: float | None
+    sensor: str
+    term: str
+    low: float | None = None
+    high: float | None = None
+
+    def text(self, units: str = 'datasheet', digits: int = 3) -> str:
+        """Return the value with its unit and its interval, or ``< limit``."""
+        return _quantities_text([self], digits, units, str)
+
+    def document(self) -> dict[str, Any]:
+        """Return the quantity as a JSON object."""
+        return {**vars(self), 'unit': SI_UNITS[self.sensor][_coefficient(self.term)]}
+
+
+class Texts(NamedTuple):
+    """The texts of a finding."""
+
+    message: str
+    remedy: str
+
 
 @dataclass(frozen=True)
 class Finding:
-    """A message to the user: the cause with its numbers, and the remedy.
+    """A message to the user, with its numbers.
 
-    ``axes`` are the affected axes; an empty tuple means all of them.
+    Attributes
+    ----------
+    id : str
+        Key of the catalog.
+    severity : 'error', 'warning' or 'info'
+    axes : tuple of str
+        The affected axes; empty for all of them.
+    values : mapping of str to int, float, str or Quantity
+        The numbers of the texts: quantities in SI, times in s, frequencies in Hz, shares of 1. In
+        a merged finding, a tuple contains the different values of its axes.
     """
 
     id: str
     severity: Severity
-    message: str
-    remedy: str
+    message_template: str = field(repr=False)
+    remedy_template: str = field(repr=False)
     axes: tuple[str, ...] = ()
+    values: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def texts(self, units: str = 'datasheet', spelled: Callable[[str], str] = str) -> Texts:
+        """Return the texts in the given units; ``spelled`` returns the spelling of a unit."""
+        fill = partial(_filled, values=self.values, units=units, spelled=spelled)
+        return Texts(fill(self.message_template), fill(self.remedy_template))
+
+    @property
+    def message(self) -> str:
+        """The cause with its numbers, in the units of datasheets."""
+        return self.texts().message
+
+    @property
+    def remedy(self) -> str:
+        """The next step."""
+        return self.texts().remedy
 
     def __str__(self) -> str:
         where = f'{", ".join(self.axes)}: ' if self.axes else ''
-        return f'{where}{self.message} {self.remedy}'
+        return where + ' '.join(self.texts())
+
+    def document(self, units: str = 'datasheet') -> dict[str, Any]:
+        """Return the finding as a JSON object: its texts, and its values in SI."""
+        return {
+            'id': self.id,
+            'severity': self.severity,
+            **self.texts(units)._asdict(),
+            'axes': list(self.axes),
+            'values': {name: _plain(value) for name, value in self.values.items()},
+        }
 
 
 def _catalog(text: str) -> Iterator[Finding]:
-    """Yield each kind of finding, with its texts as templates of `str.format`."""
+    """Yield each kind of finding without values."""
     for entry in re.split(r'\n(?=\w)', re.sub(r'(?m)^(#.*)?\n', '', text)):
         head, _, words = entry.partition('\n')
         id, _, severity = head.partition(': ')
@@ -52,27 +123,206 @@ def _catalog(text: str) -> Iterator[Finding]:
 _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
 
 CATALOG = {one.id: one for one in _catalog(_TEXT)}
-"""Finding by id; its texts are templates whose fields `finding` fills in."""
+"""Finding by id, without values."""
 
-PLURAL = re.compile(r'\{(\w+):([^{}|]*)\|([^{}|]*)\}')
-"""A template field ``{name:singular|plural}``: the first text is used if the value is 1."""
+FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')
+"""A template field ``{name}`` or ``{name:format}``. The format is one of Python, ``duration`` for a
+time in s, one of `QUANTITIES` with the number of digits (3 by default), or ``singular|plural``: the
+first text if the value is 1."""
 
-
-def _filled(template: str, values: Mapping[str, object]) -> str:
-    """Return a template as one line, with the values inserted and singular or plural selected."""
-    text = PLURAL.sub(lambda field: field[2 if values[field[1]] == 1 else 3], template)
-    return one_line(text.format(**values))
+OPTIONAL = re.compile(r'\[\[(.*?)\]\]')
+"""A part of a template that is omitted if one of its values is missing."""
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
-    """Return the finding ``id`` of the catalog, with ``values`` inserted into its texts.
+    """Return the finding ``id`` of the catalog.
 
     ``axes`` are the affected axes; empty for all. ``values`` must contain every field of the
-    templates. Only ``when``, a text such as ' in the last minute', is '' by default.
+    templates that is not in an optional part. Only ``when``, a text such as ' in the last minute',
+    is '' by default. A quantity is a `Quantity`, or a number for the sensor of the axes: in SI, or
+    in the unit named by ``unit`` or, for the value NAME, by ``NAME_unit``.
     """
-    known, values = CATALOG[id], {'when': '', **values}
-    message, remedy = (_filled(text, values) for text in (known.message, known.remedy))
-    return replace(known, message=message, remedy=remedy, axes=axes)
+    values = {'when': '', **values}
+    known, used = CATALOG[id], {}
+    for name, spec in _fields(known):
+        value = values.get(name)
+        if spec.rstrip('0123456789') in QUANTITIES and isinstance(value, (int, float)):
+            unit = values.get(f'{name}_unit', values.get('unit'))
+            sensor = str(values['sensor'] if 'sensor' in values else sensor_of(axes[0]))
+            factor = UNITS[str(unit)].factor if unit else 1.0
+            value = Quantity(value * factor, sensor, spec.rstrip('0123456789'))
+        used[name] = value
+    if missing := [name for name in required(known) if used[name] is None]:
+        raise KeyError(f'{id}: {", ".join(missing)}')
+    return replace(known, axes=axes, values=used)
+
+
+def _fields(known: Finding, optional: bool = True) -> list[tuple[str, str]]:
+    """Return the names and formats of the fields of both templates."""
+    both = f'{known.message_template} {known.remedy_template}'
+    return FIELD.findall(both if optional else OPTIONAL.sub('', both))
+
+
+def required(known: Finding) -> list[str]:
+    """Return the names of the values without which the texts are incomplete."""
+    return [name for name, _ in _fields(known, optional=False)]
+
+
+class Several(tuple):  # type: ignore[type-arg]
+    """The different values of several axes; the text contains their range."""
+
+
+def _filled(
+    template: str, values: Mapping[str, Any], units: str, spelled: Callable[[str], str]
+) -> str:
+    """Return a template with its values inserted."""
+
+    def optional(part: re.Match[str]) -> str:
+        names = [name for name, _ in FIELD.findall(part[1])]
+        return '' if any(values.get(name) is None for name in names) else part[1]
+
+    def inserted(place: re.Match[str]) -> str:
+        name, spec = place[1], place[2] or ''
+        if name not in values:
+            return str(place[0])
+        value = values[name]
+        if '|' in spec:
+            one, many = spec.split('|')
+            return one if value == 1 else many
+        return _text_of(value if isinstance(value, Several) else [value], spec, units, spelled)
+
+    return FIELD.sub(inserted, OPTIONAL.sub(optional, template))
+
+
+def _text_of(
+    values: Sequence[Any], spec: str, units: str, spelled: Callable[[str], str] = str
+) -> str:
+    """Return a value as text, or the range of several values."""
+    if all(isinstance(value, Quantity) for value in values):
+        return _quantities_text(values, int(spec.lstrip('QNBKRsignal') or 3), units, spelled)
+    if isinstance(values[0], (list, tuple)):
+        return ', '.join(f'{q.term} {_text_of([q], spec, units, spelled)}' for q in values[0])
+    texts = [_plain_text(value, spec) for value in (min(values), max(values))]
+    low, high = texts if len(values) > 1 else (texts[0], texts[0])
+    number, _, unit = low.partition(' ')
+    if low == high:
+        return low
+    return f'{number if high.endswith(f" {unit}") else low} to {high}'
+
+
+def _plain_text(value: Any, spec: str) -> str:
+    if value is None or isinstance(value, str):
+        return one_line(value or '')
+    if spec == 'duration':
+        return duration_text(value)
+    if spec.rstrip('0123456789') in QUANTITIES:
+        spec = '.3g'
+    return format(value, spec).replace('%', ' %')
+
+
+def _quantities_text(
+    quantities: Sequence[Quantity], digits: int, units: str, spelled: Callable[[str], str]
+) -> str:
+    """Return quantities of one kind as one text, such as '2 to 3 deg/h (1.5 to 4.1)'."""
+    known = [q.value for q in quantities if q.value is not None]
+    lows = [q.low for q in quantities if q.low is not None]
+    highs = [q.high for q in quantities if q.high is not None]
+    first, size = quantities[0], max(map(abs, known or highs), default=0.0)
+    unit = prefixed(shown_unit(first.sensor, _coefficient(first.term), units), size)
+    if first.term == 'signal' and unit.name == 'deg/h' and size * unit.factor >= FAST_DEG_H:
+        unit = shown_unit(first.sensor, 'signal', units)
+
+    def text(value: float) -> str:
+        return significant(value * unit.factor, digits)
+
+    if not known:
+        return f'< {text(size)} {spelled(unit.name)}'
+    ends = dict.fromkeys(text(value) for value in (min(known), max(known)))
+    interval = f' ({text(min(lows))} to {text(max(highs))})' if lows and highs else ''
+    return f'{" to ".join(ends)} {spelled(unit.name)}{interval}'
+
+
+def _coefficient(term: str) -> str:
+    """Return the coefficient with the unit of a quantity."""
+    return 'B' if term == 'signal' else term
+
+
+def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Merge the findings of several axes that differ only in numbers, and sort all findings.
+
+    The text of a merged finding contains the ranges of the numbers: "Vibration at 0.573 to 0.579
+    Hz". The order is that of `by_consequence`.
+    """
+    groups: dict[Hashable, list[Finding]] = {}
+    for each in findings:
+        values = each.values.items()
+        alike = tuple((n, _kind(v)) for n, v in values) if each.axes else tuple(values)
+        key = (each.id, each.severity, each.message_template, each.remedy_template, alike)
+        groups.setdefault(key, []).append(each)
+    return by_consequence(_merged(group) for group in groups.values())
+
+
+def _kind(value: Any) -> Hashable:
+    """Return what must be equal in the values of findings that are merged."""
+    if isinstance(value, Quantity):
+        return value.sensor, value.term, value.value is None
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return int if is_number else value
+
+
+def _merged(alike: Sequence[Finding]) -> Finding:
+    values = {}
+    for name in alike[0].values:
+        several = Several(dict.fromkeys(each.values[name] for each in alike))
+        values[name] = several if len(several) > 1 else several[0]
+    axes = tuple(dict.fromkeys(axis for each in alike for axis in each.axes))
+    return replace(alike[0], axes=axes, values=values)
+
+
+def by_consequence(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings in the order of their effect on the user, the largest first."""
+    return tuple(sorted(findings, key=lambda each: SEVERITIES.index(each.severity)))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Quantity):
+        return value.document()
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return value if not isinstance(value, float) or math.isfinite(value) else None
+
+
+FAST_DEG_H = 36.0
+"""Angular rate in deg/h from which a signal is printed in deg/s."""
+
+
+def prefixed(unit: ShownUnit, size: float) -> ShownUnit:
+    """Return a unit with a larger prefix if a value of this size (SI) has over three digits.
+
+    >>> prefixed(ShownUnit('ug', 1e6 / 9.80665), 0.0274).name
+    'mg'
+    """
+    name, factor = unit
+    for prefix, larger in (('u', 'm'), ('m', '')):
+        rest = name[1:] if name.startswith(prefix) else ''
+        if rest.startswith(('g', 'rad', 'm/')) and size * factor >= 1000.0:
+            name, factor = larger + rest, 1e-3 * factor
+    return ShownUnit(name, factor)
+
+
+def significant(value: float, digits: int) -> str:
+    """Return a number rounded to ``digits`` significant digits, with trailing zeros.
+
+    >>> significant(0.24199, 4), significant(31.8, 4), significant(12345.6, 3)
+    ('0.2420', '31.80', '12300')
+    """
+    if not math.isfinite(value) or value == 0.0:
+        return f'{value:g}'
+    exponent = math.floor(math.log10(abs(float(f'{value:.{digits - 1}e}'))))
+    if not -4 <= exponent <= 5:
+        return f'{value:.{digits - 1}e}'
+    decimals = digits - 1 - exponent
+    return f'{round(value, decimals):.{max(decimals, 0)}f}'
 
 
 def duration_text(seconds: float, digits: int = 2) -> str:

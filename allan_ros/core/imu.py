@@ -191,6 +191,37 @@ UNITS = {
 }
 """Name of a unit -> its SI unit and factor."""
 
+SHOWN_UNITS = {
+    'datasheet': {
+        'gyro': {**DATASHEET_UNITS['gyro'], 'signal': 'deg/s', 'density': 'deg/s/sqrt(Hz)'},
+        'accel': {**DATASHEET_UNITS['accel'], 'signal': 'mg', 'density': 'ug/sqrt(Hz)'},
+    },
+    'si': {
+        sensor: {**units, 'signal': units['B'], 'density': units['N']}
+        for sensor, units in SI_UNITS.items()
+    },
+}
+"""Units of the output -> sensor -> quantity -> unit. A quantity is a term (Q, N, B, K or R), the
+samples ('signal'), or the root of their power spectral density ('density')."""
+
+
+class ShownUnit(NamedTuple):
+    """A unit of the output, and the factor that converts an SI value to it."""
+
+    name: str
+    factor: float
+
+
+def shown_unit(axis: str, quantity: str, units: str) -> ShownUnit:
+    """Return the unit in which a quantity of an axis or sensor is printed.
+
+    ``quantity`` is a key of `SHOWN_UNITS`, such as 'N' or 'signal'; the Allan deviation has the
+    unit of 'B'. ``units`` is 'datasheet' or 'si'.
+    """
+    unit = SHOWN_UNITS[units][sensor_of(axis)][quantity]
+    return ShownUnit(unit, 1.0 / UNITS[unit].factor)
+
+
 SAMPLE_SI = {sensor: units['B'] for sensor, units in SI_UNITS.items()}
 """Sensor -> SI unit of its samples."""
 

@@ -22,12 +22,11 @@ from typing import Any, Literal
 from ..core.compare import Comparison, LimitVerdict, compare_with_limits
 from ..core.errors import AllanError
 from ..core.fields import Fields, located, plain
-from ..core.findings import Finding, finding
+from ..core.findings import Finding, Quantity, finding
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import FLICKER_FLOOR
 from .files import config_file, config_names, read_yaml
-from .format import interval_text, shown_unit, significant, value_text
 
 SCHEMA = 'allan_ros/sensor/1'
 
@@ -192,21 +191,18 @@ def beyond_limit(
     axes to which the finding applies.
     """
     c = comparison
-    unit = shown_unit(c.axis, 'B' if c.tau is not None else c.term, 'datasheet')
-    term, interval = c.term, '95 %'
-    value = f'at least {significant(c.at_least * c.limit * unit.factor, 3)} {unit.name}'
-    if c.tau is not None:
-        term = f'The Allan deviation at {significant(c.tau, 2)} s'
-    elif coefficient is not None:
-        value = f'{value_text(coefficient, unit)} {unit.name}'
-        interval = interval_text(coefficient, unit)
+    kind = (sensor_of(c.axis), 'B' if c.tau is not None else c.term)
+    value = None
+    if c.tau is None and coefficient is not None and coefficient.value is not None:
+        value = Quantity(coefficient.value, *kind, *(coefficient.ci95 or ()))
     return finding(
         'beyond_limit',
         axes,
-        term=term,
+        term=c.term if c.tau is None else 'The Allan deviation',
+        tau=c.tau,
         value=value,
-        interval=interval,
-        limit=f'{significant(c.limit * unit.factor, 3)} {unit.name}',
+        least=None if value else Quantity(c.at_least * c.limit, *kind),
+        limit=Quantity(c.limit, *kind),
         reference=c.reference,
         margin=margin,
     )

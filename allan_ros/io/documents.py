@@ -22,11 +22,11 @@ from .. import __version__
 from ..core.allan.curve import CI_LEVEL, AxisCurve
 from ..core.allan.document import sums_from_document, sums_to_document
 from ..core.allan.sums import AllanSums
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
 from ..core.fields import Fields, plain
-from ..core.findings import Finding
+from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, Quantity, required
 from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Processes, Sinusoid
-from ..core.imu import AXES, SI_UNITS, ImuIdentity, sensor_of
+from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
 from .axis_result import AxisResult
@@ -82,7 +82,7 @@ def results_to_document(
         'segment_count': results.segments,
         **_provenance_to_document(results.provenance),
         **judged,
-        'findings': plain(results.findings),
+        'findings': [each.document(units) for each in results.findings],
         'datasheet': comparison_to_document(results.datasheet) if results.datasheet else None,
         'axes': {
             name: _axis_to_document(name, axis, curves) for name, axis in results.axes.items()
@@ -123,7 +123,7 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
         'tool': _tool(),
         **_provenance_to_document(provenance),
         'last_stamp_ns': provenance.last_stamp_ns,
-        'findings': plain(provenance.findings),
+        'findings': [each.document() for each in provenance.findings],
         'sums': [sums_to_document(s) for s in sums],
     }
 
@@ -251,11 +251,45 @@ def _provenance_from_document(fields: Fields) -> Provenance:
     return Provenance(
         fields.typed('source', tuple[SourceInfo, ...]),
         fields.typed('segments', tuple[Segment, ...]),
-        fields.typed('findings', tuple[Finding, ...]),
+        tuple(_finding_from_document(each) for each in fields.each('findings')),
         fields.fields('counts').record(Counts, cuts=cut_counts),
         _settings_from_document(fields.fields('settings')),
         fields.typed('last_stamp_ns', int | None),
     )
+
+
+def _finding_from_document(fields: Fields) -> Finding:
+    """Return a finding; one of another version, which lacks values, keeps its stated texts."""
+    stated = fields.optional_fields('values')
+    values = {name: _value_from_document(stated, name) for name in stated} if stated else {}
+    texts = (one_line(fields.text('message')), one_line(fields.text('remedy')))
+    known = CATALOG.get(fields.text('id'))
+    if known is not None and all(values.get(name) is not None for name in required(known)):
+        texts = known.message_template, known.remedy_template
+    else:
+        values = {}
+    axes = fields.typed('axes', tuple[str, ...])
+    severity: Any = fields.choice('severity', SEVERITIES)
+    return Finding(one_line(fields.text('id')), severity, *texts, axes, values)
+
+
+def _value_from_document(fields: Fields, name: str) -> Any:
+    """Return a value of a finding: plain, a quantity, or a tuple of quantities."""
+    value = fields.value(name)
+    if isinstance(value, list):
+        return tuple(_quantity_from_document(each) for each in fields.each(name))
+    if isinstance(value, dict):
+        return _quantity_from_document(fields.fields(name))
+    return fields.number(name) if isinstance(value, float) else value
+
+
+def _quantity_from_document(fields: Fields) -> Quantity:
+    value, low, high = (
+        None if fields.value(key) is None else fields.number(key)
+        for key in ('value', 'low', 'high')
+    )
+    sensor, term = fields.choice('sensor', tuple(SENSORS)), fields.choice('term', QUANTITIES)
+    return Quantity(value, sensor, term, low, high)
 
 
 def _settings_from_document(fields: Fields) -> Mapping[str, Any]:

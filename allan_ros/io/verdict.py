@@ -10,17 +10,15 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..core.compare import Comparison
-from ..core.findings import Finding, duration_text
+from ..core.findings import Finding, duration_text, grouped
 from ..core.fit import TERMS
 from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
 from .format import (
-    grouped,
     interval_text,
     pretty_unit,
     shown_unit,
     significant,
-    text_in_units,
     value_text,
 )
 
@@ -93,12 +91,13 @@ def verdict_of(
     """Return the verdict on the IMU of the results.
 
     ``comparisons`` are those with a datasheet and with earlier runs, by default those in the
-    results. ``units`` of the summary is 'datasheet' or 'si'.
+    results. ``units`` of the texts is 'datasheet' or 'si'.
     """
     comparisons = results.comparisons if comparisons is None else comparisons
     level = _level(results, comparisons)
     summary = _summary(level, results, comparisons, units)
-    reasons = (*_axis_differences(results), *_resolved_terms(results), *_warnings(results))
+    warnings = _warnings(results, units)
+    reasons = (*_axis_differences(results), *_resolved_terms(results), *warnings)
     steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
     return Verdict(level, summary, reasons, steps)
 
@@ -143,7 +142,7 @@ def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], 
     if beyond and not too_short(results):
         return f'Above {_references(beyond)}: {_joined(list(_excesses(results, beyond, units)))}.'
     if faults:
-        return finding_text(faults[0], results)
+        return finding_text(faults[0], results, units)
     if not measured(results):
         errors = [f for f in results.findings if f.severity == 'error']
         why = errors[0].message if errors else 'No coefficient is resolved.'
@@ -229,11 +228,11 @@ def _resolved_terms(results: Results) -> Iterator[str]:
     yield f'{duration_text(results.duration_s, 3)} at rest resolve {resolved}.'
 
 
-def _warnings(results: Results) -> Iterator[str]:
+def _warnings(results: Results, units: str) -> Iterator[str]:
     """Yield the warnings and errors, one for each cause."""
     for finding in grouped(results.findings):
         if finding.severity != 'info':
-            yield finding_text(finding, results)
+            yield finding_text(finding, results, units)
 
 
 def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
@@ -289,10 +288,14 @@ def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
     return shown, notes
 
 
-def finding_text(finding: Finding, results: Results) -> str:
+def finding_text(finding: Finding, results: Results, units: str) -> str:
     """Return the axes and the message of a finding: 'gyro x, accel: Vibration at ...'."""
-    where = f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
-    return where + finding.message
+    return where(finding, results) + finding.texts(units).message
+
+
+def where(finding: Finding, results: Results) -> str:
+    """Return the axes of a finding as the start of its text: 'gyro x, accel: ', or ''."""
+    return f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
 
 
 def _axis(axis: str) -> str:
@@ -349,7 +352,7 @@ def summary_lines(results: Results) -> Iterator[str]:
             cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
         yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
     for each in _warnings_and_errors(results):
-        yield f'  {each.severity}: {text_in_units(str(each), "datasheet")}'
+        yield f'  {each.severity}: {each}'
 
 
 def html_summary(results: Results) -> str:
@@ -357,8 +360,7 @@ def html_summary(results: Results) -> str:
     head = ''.join(f'<th>{term}</th>' for term in TERMS)
     rows = ''.join(_html_row(name, axis) for name, axis in results.axes.items())
     notes = ''.join(
-        f'<li><b>{escape(each.severity)}</b> '
-        f'{escape(text_in_units(str(each), "datasheet", typeset=True))}</li>'
+        f'<li><b>{escape(each.severity)}</b> {escape(str(each))}</li>'
         for each in _warnings_and_errors(results)
     )
     verdict = results.verdict

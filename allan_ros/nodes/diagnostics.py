@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -17,9 +16,10 @@ from ..core.allan.parts import RecentNoise
 from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison, Difference
 from ..core.errors import one_line
-from ..core.findings import Finding, duration_text, finding
+from ..core.findings import Finding, Quantity, duration_text, finding
 from ..core.fit.interpretation import recommended_duration
 from ..core.fit.model import TERMS, Coefficient
+from ..core.imu import sensor_of
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
 from ..io.axis_result import AxisResult
@@ -290,21 +290,23 @@ def _change_findings(view: AxisView) -> list[Finding]:
     term = _dominant_term(view, step.tau)
     if term in ('N', 'Q'):
         # N = sigma sqrt(tau) and Q = sigma tau / sqrt(3): IEEE Std 952-1997, C.1.1 and C.1.2
-        factor = {'N': math.sqrt(step.tau), 'Q': step.tau / math.sqrt(3.0)}[term]
-        what, unit = term, shown_unit(view.axis, term, 'datasheet')
+        before = step.first * {'N': math.sqrt(step.tau), 'Q': step.tau / math.sqrt(3.0)}[term]
+        what, tau, kind = term, None, (sensor_of(view.axis), term)
     else:  # the window is too short for K and R, and B has no specific averaging time
-        what, factor = f'the Allan deviation at {significant(step.tau, 2)} s', 1.0
-        unit = shown_unit(view.axis, 'B', 'datasheet')
-    before = step.first * factor * unit.factor
-    numbers: dict[str, Any] = {
-        'before': significant(before, 3),
-        'after': f'{significant(before * step.ratio, 3)} {unit.name}',
-        'ago': duration_text(recent.since_s, 3),
-    }
-    if step.ratio < 1.0:
-        return [finding('noise_fell', what=what, **numbers)]
+        before, what, tau = step.first, 'the Allan deviation', step.tau
+        kind = (sensor_of(view.axis), 'B')
     low, high = step.ci95
-    return [finding('noise_changed', what=what, low=low, high=high, **numbers)]
+    changed = finding(
+        'noise_fell' if step.ratio < 1.0 else 'noise_changed',
+        what=what,
+        tau=tau,
+        before=Quantity(before, *kind),
+        after=Quantity(before * step.ratio, *kind),
+        ago=recent.since_s,
+        low=low,
+        high=high,
+    )
+    return [changed]
 
 
 def _dominant_term(view: AxisView, tau: float) -> str:

@@ -132,13 +132,11 @@ def test_the_verdict_comes_before_the_tables(small_results: Results) -> None:
 
 
 def test_findings_follow_the_units(small_results: Results) -> None:
-    message = 'N is 0.60 deg/sqrt(h) (0.59..0.61), amplitude 0.0098 m/s^2.'
-    results = replace(small_results, findings=(Finding('x', 'warning', message, 'Fix it.'),))
-    assert 'warning: N is 0.0001745 rad/s/sqrt(Hz) (0.0001716..0.0001774), amplitude' in '\n'.join(
-        lines_of(results, 'si', 200)
-    )
-    assert 'amplitude 999.3 ug' in '\n'.join(lines_of(results, 'datasheet', 200))
-    assert 'amplitude 999.3 ug' in '\n'.join(summary_lines(results))
+    found = finding('vibration', ('accel_x',), frequency=8.0, amplitude=0.0098)
+    results = replace(small_results, findings=(found,))
+    for units, amplitude in (('si', '0.00980 m/s^2'), ('datasheet', '999 ug')):
+        assert f'amplitude {amplitude};' in '\n'.join(lines_of(results, units, 200))
+    assert 'amplitude 999 ug;' in '\n'.join(summary_lines(results))
 
 
 def test_a_comparison_with_a_datasheet_has_no_two_empty_lines_in_a_row(

@@ -1,18 +1,117 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
 import re
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from allan_ros.core.findings import CATALOG, SEVERITIES, duration_text, finding
+from allan_ros.core.fields import Fields
+from allan_ros.core.findings import (
+    CATALOG,
+    FIELD,
+    OPTIONAL,
+    QUANTITIES,
+    SEVERITIES,
+    Finding,
+    Quantity,
+    by_consequence,
+    duration_text,
+    finding,
+    grouped,
+    significant,
+)
+from allan_ros.core.imu import DATASHEET_UNITS, SI_UNITS, to_datasheet
+from allan_ros.io.documents import _finding_from_document
+
+IN_DEG_H = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
+IN_SI = {unit for units in SI_UNITS.values() for unit in units.values()}
+
+
+def templates(known: Finding) -> str:
+    return f'{known.message_template} {known.remedy_template}'
+
+
+def value_of(spec: str, number: float) -> object:
+    """Return a value for a field with this format."""
+    if spec.rstrip('0123456789') in QUANTITIES or '.' in spec or spec == 'duration':
+        return number
+    return int(number) if spec == 'd' or '|' in spec else 'words'
+
+
+def example(id: str, number: float = 2.0, axis: str = 'gyro_x', optional: bool = True) -> Finding:
+    """Return a finding of the catalog whose numbers all have the same value in SI."""
+    text = templates(CATALOG[id])
+    specs = dict(reversed(FIELD.findall(text if optional else OPTIONAL.sub('', text))))
+    values = {name: value_of(spec, number) for name, spec in specs.items()}
+    return finding(id, (axis,), **{**values, 'sensor': axis[:-2]})
 
 
 def test_every_kind_of_finding_has_a_severity_a_message_and_a_remedy():
     for id, wording in CATALOG.items():
         assert id.isidentifier() and wording.severity in SEVERITIES
-        for text in (wording.message, wording.remedy):
+        for text in (wording.message_template, wording.remedy_template):
             assert text and text == text.strip() and '>' not in text and '\n' not in text
-            assert text[-1] in '.}', text
+            assert text[-1] in '.}]', text
+
+
+@pytest.mark.parametrize('optional', [True, False])
+@pytest.mark.parametrize('id', CATALOG)
+def test_every_text_is_complete_in_both_units(id, optional):
+    found = example(id, optional=optional)
+    for units in ('datasheet', 'si'):
+        for text in found.texts(units):
+            assert not re.search(r'[{}]|\[\[|\]\]|\.\.|\bNone(?! of)|\bnan\b|  ', text), text
+            assert not re.search(r'\d%', text), text
+            assert text[-1] == '.'
+
+
+def test_a_quantity_is_shown_in_the_units_of_the_output():
+    for axis in ('gyro_x', 'accel_x'):
+        found = finding('bias_steps', (axis,), size=1e-5, before=2e-6, after=1e-6)
+        size, unit = to_datasheet('B', axis[:-2], 1e-5)
+        assert f'up to {significant(size, 3)} {unit}' in found.message
+        assert '1.00e-05 ' + SI_UNITS[axis[:-2]]['B'] in found.texts('si').message
+
+
+def test_numbers_in_a_stated_unit_are_converted():
+    stated = finding('bias_steps', ('gyro_x',), size=5, size_unit='deg/h', before=3, after=2,
+                     unit='deg/h^1.5')  # fmt: skip
+    assert 'up to 5.00 deg/h: K is 3.00 deg/h^1.5 with the steps, 2.00' in stated.message
+
+
+@pytest.mark.parametrize(
+    ('quantity', 'text'),
+    [
+        (Quantity(0.0274, 'accel', 'signal'), '2.79 mg'),
+        (Quantity(0.00274, 'accel', 'B'), '279 ug'),
+        (Quantity(27.4, 'accel', 'B'), '2.79 g'),
+        (Quantity(0.01, 'gyro', 'signal'), '0.573 deg/s'),
+        (Quantity(1e-5, 'gyro', 'signal'), '2.06 deg/h'),
+        (Quantity(1e-4, 'gyro', 'N', 0.9e-4, 1.1e-4), '0.344 deg/sqrt(h) (0.309 to 0.378)'),
+        (Quantity(None, 'gyro', 'N', high=1e-4), '< 0.344 deg/sqrt(h)'),
+    ],
+)
+def test_the_prefix_fits_and_the_interval_follows(quantity, text):
+    assert quantity.text() == text
+
+
+@pytest.mark.parametrize('id', CATALOG)
+def test_a_document_has_all_values_and_gives_the_same_text(id):
+    found = example(id, number=0.25)
+    document = json.loads(json.dumps(found.document('si'), allow_nan=False))
+    read = _finding_from_document(Fields(document, 'finding'))
+    assert read == found and str(read) == str(found)
+
+
+def test_a_finding_of_another_version_keeps_its_texts():
+    document = {**example('vibration').document(), 'id': 'unheard', 'message': 'A {brace} of 5 %.'}
+    for changed in (document, {**document, 'id': 'vibration', 'values': {}}):
+        read = _finding_from_document(Fields(changed, 'finding'))
+        assert read.message == 'A {brace} of 5 %.'
 
 
 def test_words_follow_their_number():
@@ -25,8 +124,60 @@ def test_every_number_before_a_noun_has_the_singular():
     counts = 'count|times|lost|cuts|bridged|received|publishers|stated|read|points|samples'
     always_several = {'several_publishers', 'relay_several_publishers'}
     for id, wording in CATALOG.items():
-        counted = re.search(rf'\{{({counts})\}}( lost| isolated)? [a-z]+s\b', wording.message)
-        assert counted is None or id in always_several, wording.message
+        message = wording.message_template
+        counted = re.search(rf'\{{({counts})\}}( lost| isolated)? [a-z]+s\b', message)
+        assert counted is None or id in always_several, message
+
+
+def test_equal_causes_become_one_with_the_range_of_each_number():
+    (merged,) = grouped(
+        finding('vibration', (axis,), frequency=frequency, amplitude=amplitude)
+        for axis, frequency, amplitude in (
+            ('accel_x', 0.579, 0.0095),
+            ('accel_y', 0.573, 0.0048),
+            ('accel_z', 0.575, 0.0048),
+        )
+    )
+    assert merged.message.startswith('Vibration at 0.573 to 0.579 Hz, amplitude 489 to 969 ug;')
+    assert merged.texts('si').message.count('0.00480 to 0.00950 m/s^2') == 1
+    assert merged.axes == ('accel_x', 'accel_y', 'accel_z')
+
+
+def test_ranges_have_one_unit_and_one_interval():
+    first, second = (
+        finding('beyond_limit', (axis,), term='N', value=Quantity(n, 'gyro', 'N', low, high),
+                limit=Quantity(1e-4, 'gyro', 'N'), reference='A', margin=0.05)
+        for axis, n, low, high in (('gyro_x', 2e-4, 1.9e-4, 2.1e-4), ('gyro_y', 3e-4, 2e-4, 4e-4))
+    )  # fmt: skip
+    (merged,) = grouped((first, second))
+    assert merged.message == (
+        'N is 0.688 to 1.03 deg/sqrt(h) (0.653 to 1.38), above the 0.344 deg/sqrt(h) of A by more '
+        'than 5 %.'
+    )
+
+
+@given(st.lists(st.sampled_from(['vibration', 'misfit', 'no_noise', 'gaps', 'held']), max_size=9))
+def test_merging_loses_no_axis_and_keeps_different_findings_apart(ids):
+    axes = ('gyro_x', 'gyro_y', 'accel_z')
+    found = [example(id, i + 1.0, axes[i % 3]) for i, id in enumerate(ids)]
+    merged = grouped(found)
+    pairs = {(f.id, axis) for f in found for axis in f.axes}
+    assert {(f.id, axis) for f in merged for axis in f.axes} == pairs
+    assert grouped(merged) == merged
+    kept = [Finding('x', 'info', 'The file {path}.', 'Fix it.', (), {'path': p}) for p in 'ab']
+    assert set(grouped(kept)) == set(kept)
+
+
+def test_the_most_severe_comes_first():
+    levels = ('info', 'error', 'warning')
+    found = (Finding(level, level, '', '') for level in levels)
+    assert [f.severity for f in by_consequence(found)] == ['error', 'warning', 'info']
+
+
+@given(st.floats(1e-12, 1e12), st.integers(2, 6))
+def test_shown_numbers_equal_the_values_to_their_digits(value, digits):
+    expected = pytest.approx(value, rel=0.51 * 10.0 ** (1 - digits))
+    assert float(significant(value, digits)) == expected
 
 
 @pytest.mark.parametrize(

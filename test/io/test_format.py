@@ -10,15 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from allan_ros.core.findings import Finding, finding
 from allan_ros.core.fit import Coefficient
 from allan_ros.io.format import (
     ShownUnit,
-    grouped,
     interval_text,
     shown_unit,
     significant,
-    text_in_units,
     value_text,
 )
 
@@ -80,62 +77,3 @@ def test_units() -> None:
     assert shown_unit('accel_z', 'B', 'datasheet') == ('ug', pytest.approx(1.0 / 9.80665e-6))
     assert shown_unit('gyro_y', 'K', 'si') == ('rad/s^2/sqrt(Hz)', 1.0)
     assert shown_unit('gyro_y', 'signal', 'datasheet') == ('deg/s', pytest.approx(180.0 / math.pi))
-
-
-def finding_of(axis, message, severity='warning', id='x', remedy='Fix it.'):
-    return Finding(id, severity, message, remedy, (axis,) if axis else ())
-
-
-def test_the_mean_acceleration_of_a_wrong_unit_stays_as_recorded() -> None:
-    message = finding('accel_unit', norm=0.9974, unit='g').message
-    assert text_in_units(message, 'datasheet') == message
-
-
-def test_equal_causes_become_one_with_the_range_of_each_number():
-    merged = grouped(
-        [
-            finding_of('accel_x', 'Vibration at 0.579 Hz, amplitude 0.0095 m/s^2.'),
-            finding_of('accel_y', 'Vibration at 0.573 Hz, amplitude 0.0048 m/s^2.'),
-        ]
-    )
-    assert len(merged) == 1
-    assert merged[0].message == (
-        'Vibration at 0.573 to 0.579 Hz, amplitude 0.0048 to 0.0095 m/s^2.'
-    )
-    assert merged[0].axes == ('accel_x', 'accel_y')
-
-
-def test_intervals_are_joined_and_equal_numbers_kept():
-    texts = ['N is 2.4 deg (2.3..2.5), above 0.66.', 'N is 2.2 deg (2.1..2.25), above 0.66.']
-    (merged,) = grouped(finding_of(axis, text) for axis, text in zip(('gyro_x', 'gyro_y'), texts))
-    assert merged.message == 'N is 2.2 to 2.4 deg (2.1..2.5), above 0.66.'
-
-
-def test_different_findings_are_not_joined():
-    kept = [
-        finding_of('gyro_x', 'Lost 3.'),
-        finding_of('gyro_y', 'Found 3.'),
-        finding_of('', 'a_1.bag'),
-        finding_of('', 'a_2.bag'),
-    ]
-    assert set(grouped(kept)) == set(kept)
-
-
-def test_the_most_severe_comes_first():
-    levels = ('info', 'error', 'warning')
-    assert [f.severity for f in grouped(finding_of('', level, level) for level in levels)] == [
-        'error',
-        'warning',
-        'info',
-    ]
-
-
-def test_every_value_of_a_finding_follows_the_units() -> None:
-    sizes = {'size': 5.0, 'size_unit': 'deg/h', 'before': 3.0, 'after': 2.0}
-    levels = {'which': 'within the recording', 'value': 0.2, 'low': 0.1, 'high': 0.3}
-    for found in (
-        finding('bias_steps', ('gyro_x',), unit='deg/h^1.5', **sizes),
-        finding('level_changes', ('gyro_x',), unit='deg/sqrt(h)', **levels),
-    ):
-        shown = text_in_units(found.message, 'si')
-        assert 'deg' not in shown and shown.count('rad/s') == 3

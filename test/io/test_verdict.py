@@ -93,7 +93,7 @@ def test_nothing_is_judged_without_a_reference(small_results: Results) -> None:
 
 def test_the_remedies_of_warnings_come_first(small_results: Results) -> None:
     warnings = tuple(
-        Finding('x', 'warning', f'It hums at {f} Hz.', 'Silence the fan.', (axis,))
+        Finding('x', 'warning', 'It hums at {f} Hz.', 'Silence the fan.', (axis,), {'f': f})
         for f, axis in ((50, 'gyro_x'), (51, 'gyro_y'))
     )
     within = against_itself(small_results, 1.01)

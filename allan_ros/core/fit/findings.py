@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..allan.curve import AllanCurve
-from ..findings import Finding, duration_text, finding
-from ..imu import SI_UNITS, sensor_of, to_datasheet
+from ..findings import Finding, finding
 from .goodness import few_averages
 from .interpretation import largest_deviation, model_line, recommended_duration
 from .intervals import Z_DETECT, RampInterval, ScoreTest
@@ -104,10 +103,10 @@ can only be aliases of vibration at nearly the sample rate."""
 
 
 def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Merge findings with equal text into one for all their axes."""
-    out: dict[tuple[str, str, str], Finding] = {}
+    """Merge findings with equal values into one for all their axes."""
+    out: dict[tuple[str, tuple[tuple[str, object], ...]], Finding] = {}
     for f in findings:
-        key = (f.id, f.message, f.remedy)
+        key = (f.id, tuple(f.values.items()))
         out[key] = replace(f, axes=(*out[key].axes, *f.axes)) if key in out else f
     return tuple(out.values())
 
@@ -147,17 +146,15 @@ def axis_findings(
     None if it cannot be estimated. ``tau0`` is the sample period in s.
     """
     name = (pooled.sums.axes[axis],)
-    unit = SI_UNITS[sensor_of(name[0])]['B']
-    found = [*_shape_findings(name, unit, selected, fit, tau0)]
+    found = [*_shape_findings(name, selected, fit, tau0)]
     white = float(selected.fit.variances[N])
     step = rounding_step(pooled.segments[0].phase[:, axis], white)
     if step is not None:
         share = step * step / 12.0 / white
-        found.append(finding('rounding', name, step=step, unit=unit, share=min(share, 1.0)))
+        found.append(finding('rounding', name, step=step, share=min(share, 1.0)))
     if ramp is not None and ramp.other is not None:
-        longest, ramp_unit = to_datasheet('R', sensor_of(name[0]), ramp.value / tau0)
-        other, _ = to_datasheet('R', sensor_of(name[0]), ramp.other / tau0)
-        found.append(finding('ramps_differ', name, longest=longest, other=other, unit=ramp_unit))
+        rates = {'longest': ramp.value / tau0, 'other': ramp.other / tau0}
+        found.append(finding('ramps_differ', name, **rates))
     return [*found, *_time_findings(pooled, axis, selected, fit, tau0)]
 
 
@@ -175,46 +172,38 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
         axes[name] = replace(fit, deviation=deviation)
         if fit.misfit > 0.0 and deviation is not None:
             relative, tau = deviation
-            misfit = finding('misfit', (name,), deviation=abs(relative), tau=duration_text(tau))
+            misfit = finding('misfit', (name,), deviation=abs(relative), tau=tau)
             small = abs(relative) < SMALL_DEVIATION
             found.append(replace(misfit, severity='info') if small else misfit)
     return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
 
 
 def _shape_findings(
-    name: tuple[str], unit: str, selected: Selection, fit: AxisFit, tau0: float
+    name: tuple[str], selected: Selection, fit: AxisFit, tau0: float
 ) -> list[Finding]:
     """Return the findings about filters, vibration and bounded drift."""
     found = []
     if fit.m_min > 1:
-        hint = ''
-        if selected.hint is not None:
-            # A slow filter and a fast sinusoid have the same effect on the shortest averages.
-            either = ', or a low-pass filter' if selected.filtered else ''
-            hint = f': vibration near {selected.hint / tau0:.3g} Hz{either}'
-        elif selected.filtered:
-            hint = ': a low-pass filter'
-        found.append(finding('short_averages', name, tau=fit.m_min * tau0, hint=hint))
+        # A slow filter and a fast sinusoid have the same effect on the shortest averages.
+        frequency = None if selected.hint is None else selected.hint / tau0
+        hint = (', or' if frequency else ':') + ' a low-pass filter' if selected.filtered else ''
+        tau = fit.m_min * tau0
+        found.append(finding('short_averages', name, tau=tau, frequency=frequency, hint=hint))
     elif selected.filtered and _filtered_fraction(selected) > FILTERED_FRACTION:
         found.append(finding('low_pass', name))
     for lines in _grouped(fit.processes.sinusoid):
-        found.append(line_finding(name, unit, lines, tau0))
+        found.append(line_finding(name, lines, tau0))
     n = fit.noise['N']
     if fit.processes.sinusoid and n.status != 'estimated' and n.upper95:
         line = max(fit.processes.sinusoid, key=lambda each: each.amplitude)
         ratio = line.amplitude * math.sqrt(tau0) / n.upper95
         found.append(finding('noise_hidden', name, frequency=line.frequency, ratio=ratio))
     for process in fit.processes.gauss_markov:
-        time = duration_text(process.correlation_time)
-        found.append(finding('gauss_markov', name, sigma=process.sigma, unit=unit, time=time))
+        time = process.correlation_time
+        found.append(finding('gauss_markov', name, sigma=process.sigma, time=time))
     if selected.levels_off:
-        found.append(
-            finding(
-                'levels_off',
-                name,
-                tau=duration_text(_first_factor_of_few_averages(selected) * tau0),
-            )
-        )
+        few = _first_factor_of_few_averages(selected)
+        found.append(finding('levels_off', name, tau=few * tau0))
     return found
 
 
@@ -244,11 +233,11 @@ def _grouped(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
     return groups
 
 
-def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: float) -> Finding:
+def line_finding(name: tuple[str], lines: Sequence[Sinusoid], tau0: float) -> Finding:
     """Return the finding about one sinusoid, or about several that describe one broad hump.
 
-    ``name`` contains the axis, ``unit`` is the SI unit of the amplitude, and ``tau0`` the sample
-    period in s. The sinusoids are sorted by frequency.
+    ``name`` contains the axis, ``tau0`` is the sample period in s. The sinusoids are sorted by
+    frequency.
     """
     largest = max(lines, key=lambda line: line.amplitude)
     amplitude = math.sqrt(sum(line.amplitude**2 for line in lines))
@@ -260,25 +249,21 @@ def line_finding(name: tuple[str], unit: str, lines: Sequence[Sinusoid], tau0: f
             low=strong[0],
             high=strong[-1],
             amplitude=amplitude,
-            unit=unit,
         )
     if largest.frequency < SLOWEST_VIBRATION:
         thermal = largest.frequency * SHORTEST_THERMAL_S < 1.0
         id = 'slow_cycle' if thermal else 'slow_disturbance'
-        period = duration_text(1.0 / largest.frequency)
-        return finding(id, name, period=period, amplitude=amplitude, unit=unit)
+        return finding(id, name, period=1.0 / largest.frequency, amplitude=amplitude)
     rate = 1.0 / tau0
-    alias, other = '', rate - largest.frequency
+    other = rate - largest.frequency
     is_other = f'{other:.3g}' != f'{largest.frequency:.3g}'
-    if rate < FASTEST_VIBRATION and largest.frequency > ALIAS_FROM * rate and is_other:
-        alias = f' (or an alias of {other:.3g} Hz)'
+    has_alias = rate < FASTEST_VIBRATION and largest.frequency > ALIAS_FROM * rate and is_other
     return finding(
         'vibration',
         name,
         frequency=largest.frequency,
-        alias=alias,
+        alias=other if has_alias else None,
         amplitude=amplitude,
-        unit=unit,
     )
 
 
@@ -304,5 +289,5 @@ def _time_findings(
     if advice is not None:
         seconds, terms = advice
         named = ' and '.join(terms)
-        found.append(finding('record_longer', name, terms=named, how_long=duration_text(seconds)))
+        found.append(finding('record_longer', name, terms=named, how_long=seconds))
     return found

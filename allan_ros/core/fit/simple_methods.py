@@ -33,8 +33,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..allan.curve import degrees_of_freedom, noise_types_of_avar, sample_period
 from ..allan.sums import AllanSums
 from ..errors import AllanError
-from ..findings import Finding, finding
-from ..imu import sensor_of, to_datasheet
+from ..findings import Finding, Quantity, finding
+from ..imu import sensor_of
 from ..noise import FLICKER_FLOOR, NoiseTerms, term_avar
 from .gls_solver import Whitening, nonnegative_least_squares
 from .interpretation import largest_deviation, model_line
@@ -179,12 +179,11 @@ def _overlap_finding(
     for k, term in enumerate(TERMS):
         if a[k] > 0.0:
             value = math.sqrt(a[k] / PAPER_FACTORS[k])
-            shown, unit = to_datasheet(term, sensor_of(axis), value)
-            values.append(f'{term} {shown:.4g} {unit}')
+            values.append(Quantity(value, sensor_of(axis), term))
             gains.append(f'{term} {error[k] / error_overlapped[k]:.2f}')
     if not values:
         return []
-    return [finding('overlap_gain', (axis,), values=', '.join(values), gains=', '.join(gains))]
+    return [finding('overlap_gain', (axis,), values=tuple(values), gains=', '.join(gains))]
 
 
 POINTS_PER_OCTAVE = 4

@@ -20,8 +20,8 @@ from ..allan.parts import settled_sums
 from ..allan.stationarity import BiasSteps, EarlyPart, bias_steps, early_parts
 from ..allan.sums import AllanSums
 from ..errors import AllanError
-from ..findings import Finding, duration_text, finding
-from ..imu import SENSORS, sensor_of, to_datasheet
+from ..findings import Finding, Quantity, duration_text, finding
+from ..imu import SENSORS, sensor_of
 from . import TERMS, Coefficient, NoiseModel, fit_noise
 from .model import Z_95
 
@@ -48,9 +48,6 @@ than a quarter of a second would be compared, which change because of vibration,
 STEPS_RATIO = 0.96
 """Steps are reported if the variance of the random walk with steps in the model is below this
 fraction of that without them."""
-
-NAMED_CHANGES = 3
-"""Number of changed coefficients that a finding names."""
 
 
 @dataclass(frozen=True)
@@ -92,20 +89,16 @@ class _Change:
         a, b = self._values_or_limits
         return abs(math.log(a / b)) if a and b else 0.0
 
-    def text(self, after: str) -> str:
-        """Return a sentence with both values; ``after`` is the duration that is left out."""
-        values, unit = _to_datasheet_units(self.axis, self.term, *self._values_or_limits)
-        a, b = (
-            f'{"" if c.status == "estimated" else "< "}{value:.3g}'
-            for c, value in zip((self.complete, self.settled), values)
+    @property
+    def values(self) -> dict[str, object]:
+        """The values of the finding: the axis, the term, and its coefficient before and after."""
+        before, after = (
+            Quantity(value, sensor_of(self.axis), self.term)
+            if c.status == 'estimated'
+            else Quantity(None, sensor_of(self.axis), self.term, high=value)
+            for c, value in zip((self.complete, self.settled), self._values_or_limits)
         )
-        return f'{self.axis} {self.term} is {a} {unit} in all data, {b} {unit} after {after}'
-
-
-def _to_datasheet_units(axis: str, term: str, *values: float) -> tuple[list[float], str]:
-    """Return SI values of a term converted to its datasheet unit, and this unit."""
-    shown = [to_datasheet(term, sensor_of(axis), value) for value in values]
-    return [value for value, _ in shown], shown[0][1]
+        return {'axis': self.axis, 'term': self.term, 'before': before, 'after': after}
 
 
 def fit_stationary(
@@ -158,11 +151,8 @@ def _widen_for_changes(
         axis = sums.axes[i]
         n = model.axes[axis].noise['N']
         if n.status == 'estimated' and n.value:
-            values, unit = _to_datasheet_units(
-                axis, 'N', *(n.value * r for r in (change.low, change.high, 1.0))
-            )
-            numbers = dict(zip(('low', 'high', 'value'), values))
-            found.append(finding('level_changes', (axis,), which=which, unit=unit, **numbers))
+            ends = {'low': n.value * change.low, 'high': n.value * change.high}
+            found.append(finding('level_changes', (axis,), which=which, value=n.value, **ends))
     tested = _recordings_to_test(sums, len(recordings))
     drift = dict(zip(sums.axes, drift_scatter(tested, _axes_by_sensor(sums), age).tolist()))
     for axis, scatter in drift.items():
@@ -216,13 +206,12 @@ def _without_early_part(
     changes = [each for each in every if each.is_relevant and (each.is_outside or not brief)]
     if not changes and (brief or not certain):
         return sums, complete, []
-    early = duration_text(age * sums.tau0)
     found = finding(
         'settled_part' if certain else 'early_part',
         axes,
-        early=early,
-        what=_early_part_text(sums, parts),
-        changes='; '.join(change.text(early) for change in (changes or every)[:NAMED_CHANGES]),
+        early=age * sums.tau0,
+        **_early_part_values(sums, parts),
+        **(changes or every)[0].values,
     )
     return (remaining, settled, [found]) if certain else (sums, complete, [found])
 
@@ -244,22 +233,14 @@ def _steps_finding(sums: AllanSums, steps: BiasSteps, model: NoiseModel) -> Find
     """Return the finding about bias steps, or about a bias that differs between segments."""
     # Steps between two segments affect no coefficient.
     axis, tau0 = sums.axes[steps.axis], sums.tau0 or 1.0
-    (size,), size_unit = _to_datasheet_units(axis, 'B', float(np.abs(steps.sizes).max()))
+    size = float(np.abs(steps.sizes).max())
     walks = [math.sqrt(walk / tau0) for walk in (steps.walk_before, steps.walk_after)]
     known = model.axes[axis].noise['K']
     most = known.ci95[1] if known.ci95 is not None else known.upper95
     if sum(each.samples > 0 for each in sums.segments) > 1 and most and most < walks[0]:
-        return finding('bias_differs', (axis,), size=size, unit=size_unit)
-    (before, after), unit = _to_datasheet_units(axis, 'K', *walks)
-    return finding(
-        'bias_steps',
-        (axis,),
-        size=size,
-        size_unit=size_unit,
-        before=before,
-        after=after,
-        unit=unit,
-    )
+        return finding('bias_differs', (axis,), size=size)
+    before, after = walks
+    return finding('bias_steps', (axis,), size=size, before=before, after=after)
 
 
 def _widened(model: NoiseModel, axis: str, terms: str, scatter: float) -> NoiseModel:
@@ -315,20 +296,18 @@ def _warm_up_finding(sums: AllanSums, parts: list[EarlyPart], age: int) -> Findi
     return finding(
         'warm_up',
         tuple(axis for i, axis in enumerate(sums.axes) if any(i in part.axes for part in parts)),
-        what=_early_part_text(sums, parts),
+        **_early_part_values(sums, parts),
         settles=f'in about {duration_text(remaining)}' if remaining > 0.0 else after,
-        how_long=duration_text(2.0 * duration),
+        how_long=2.0 * duration,
     )
 
 
-def _early_part_text(sums: AllanSums, parts: list[EarlyPart]) -> str:
-    """Return the description of the early part for a finding."""
+def _early_part_values(sums: AllanSums, parts: list[EarlyPart]) -> dict[str, object]:
+    """Return the values that describe the early part in a finding."""
     warm_ups = [part for part in parts if part.kind == 'warm_up']
     if not warm_ups:
-        return 'larger drift'
+        return {'what': 'larger drift', 'size': None}
     strongest = max(warm_ups, key=lambda part: part.excess)
     axis = max(strongest.axes, key=lambda i: abs(strongest.amplitudes[i]))
-    (value,), unit = _to_datasheet_units(
-        sums.axes[axis], 'B', float(abs(strongest.amplitudes[axis]))
-    )
-    return f'warm-up by up to {value:.3g} {unit}'
+    size = float(abs(strongest.amplitudes[axis]))
+    return {'what': 'warm-up', 'size': Quantity(size, sensor_of(sums.axes[axis]), 'signal')}

@@ -24,10 +24,10 @@ import scipy
 
 from ... import __version__
 from ...core.allan.spectrum import Spectrum
-from ...core.findings import Finding, duration_text
+from ...core.findings import Finding, duration_text, grouped
 from ...core.imu import AXES, SENSORS
 from ..axis_result import AxisResult
-from ..format import SENSOR_NAMES, grouped, significant, text_in_units
+from ..format import SENSOR_NAMES, pretty_unit, significant
 from ..signal import SignalSummary
 from ..verdict import (
     WORDS,
@@ -37,6 +37,7 @@ from ..verdict import (
     too_short,
     used_samples,
     verdict_of,
+    where,
 )
 from .chart_data import sensor_charts, temperature_chart, to_script
 from .tables import (
@@ -105,7 +106,7 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
     body = [
         *_header(results, name, sensors, units),
         '<main>',
-        *_verdict_section(results, verdict_of(results, units=units), sensors),
+        *_verdict_section(results, verdict_of(results, units=units), sensors, units),
         *_findings_section(results),
     ]
     for sensor, axes in sensors.items():
@@ -181,16 +182,20 @@ def _header(
 
 
 def _verdict_section(
-    results: Results, verdict: Verdict, sensors: Mapping[str, Mapping[str, AxisResult]]
+    results: Results,
+    verdict: Verdict,
+    sensors: Mapping[str, Mapping[str, AxisResult]],
+    units: str,
 ) -> Iterator[str]:
     """Yield the verdict with N, B and K of every axis."""
-    listed = {finding_text(f, results) for f in grouped(results.findings)}
+    listed = {finding_text(f, results, units) for f in grouped(results.findings)}
     reasons = _items(reason for reason in verdict.reasons if reason not in listed)
+    summary = in_units(lambda system: escape(verdict_of(results, units=system).summary))
     yield (
         f'<section id="verdict" class="{verdict.level}">'
         f'<p class="light"><svg viewBox="0 0 24 24" aria-hidden="true">'
         f'<circle cx="12" cy="12" r="11"/>{ICONS[verdict.level]}</svg>'
-        f'<strong>{WORDS[verdict.level]}</strong><span>{_text(verdict.summary)}</span></p>'
+        f'<strong>{WORDS[verdict.level]}</strong><span>{summary}</span></p>'
     )
     yield '<div class="headline">'
     for sensor, axes in sensors.items():
@@ -203,12 +208,7 @@ def _verdict_section(
 
 
 def _items(texts: Iterable[str]) -> str:
-    return ''.join(f'<li>{_text(text)}</li>' for text in texts)
-
-
-def _text(text: str) -> str:
-    """Return a sentence as HTML in datasheet units and in SI; the page shows one of them."""
-    return in_units(lambda units: escape(text_in_units(text, units, typeset=True)))
+    return ''.join(f'<li>{escape(text)}</li>' for text in texts)
 
 
 def _method_tables(results: Results, method: Mapping[str, str]) -> Iterator[str]:
@@ -281,12 +281,13 @@ def _findings_section(results: Results) -> Iterator[str]:
 
 
 def _block(finding: Finding, results: Results) -> str:
-    where = finding_text(finding, results)[: -len(finding.message)]
+    message = in_units(lambda units: escape(finding.texts(units, pretty_unit).message))
+    remedy = in_units(lambda units: escape(finding.texts(units, pretty_unit).remedy))
     return (
         f'<div class="finding {finding.severity}">'
         f'<span class="severity">{finding.severity}</span>'
-        f'<div><p><b>{escape(where)}</b>{_text(finding.message)}</p>'
-        f'<p class="remedy">{_text(finding.remedy)}</p></div></div>'
+        f'<div><p><b>{escape(where(finding, results))}</b>{message}</p>'
+        f'<p class="remedy">{remedy}</p></div></div>'
     )
 
 

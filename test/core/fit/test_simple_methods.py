@@ -85,7 +85,7 @@ def test_paper_reports_the_gain_of_overlapping(white):
     said = [f for f in fit_noise(white, 'paper').findings if f.id == 'overlap_gain']
     assert [f.axes for f in said] == [('gyro_x',), ('accel_z',)]
     n = math.sqrt(overlapped.value[1, 0]) * 180 / math.pi * 60
-    assert f'N {n:.4g} deg/sqrt(h)' in said[0].message
+    assert f'N {n:.3g} deg/sqrt(h)' in said[0].message
     assert f'N {gain[1, 0]:.2f}' in said[0].message
 
 
