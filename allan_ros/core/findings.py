@@ -17,6 +17,8 @@ from functools import partial
 from pkgutil import get_data
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
 from .errors import one_line
 from .imu import SI_UNITS, UNITS, ShownUnit, sensor_of, shown_unit
 
@@ -151,10 +153,20 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
             sensor = str(values['sensor'] if 'sensor' in values else sensor_of(axes[0]))
             factor = UNITS[str(unit)].factor if unit else 1.0
             value = Quantity(value * factor, sensor, spec.rstrip('0123456789'))
-        used[name] = value
+        used[name] = _value(value)
     if missing := [name for name in required(known) if used[name] is None]:
         raise KeyError(f'{id}: {", ".join(missing)}')
     return replace(known, axes=axes, values=used)
+
+
+def _value(value: Any) -> Any:
+    """Return a value as it is stored: a number, a quantity, quantities, or text."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, tuple) and all(isinstance(each, Quantity) for each in value):
+        return value
+    known = isinstance(value, (int, float, Quantity)) or value is None
+    return value if known else str(value)
 
 
 def _fields(known: Finding, optional: bool = True) -> list[tuple[str, str]]:
@@ -200,7 +212,7 @@ def _text_of(
     """Return a value as text, or the range of several values."""
     if all(isinstance(value, Quantity) for value in values):
         return _quantities_text(values, int(spec.lstrip('QNBKRsignal') or 3), units, spelled)
-    if isinstance(values[0], (list, tuple)):
+    if isinstance(values[0], tuple):
         return ', '.join(f'{q.term} {_text_of([q], spec, units, spelled)}' for q in values[0])
     texts = [_plain_text(value, spec) for value in (min(values), max(values))]
     low, high = texts if len(values) > 1 else (texts[0], texts[0])
@@ -287,7 +299,7 @@ def by_consequence(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 def _plain(value: Any) -> Any:
     if isinstance(value, Quantity):
         return value.document()
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, tuple):
         return [_plain(each) for each in value]
     return value if not isinstance(value, float) or math.isfinite(value) else None
 
