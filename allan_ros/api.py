@@ -36,6 +36,7 @@ from .io.comparison import inflate as inflation_of
 from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH
+from .io.plot_style import check_plots
 from .io.readers.arrays import recording_in_memory, without_absent
 from .io.readers.recording import ReadOptions
 from .io.recorded import (
@@ -83,6 +84,9 @@ class ResultSettings(CheckedSettings):
     baseline: str = parameter(
         '', 'Earlier run of this IMU to compare with: its results.json, or its folder.'
     )
+    plots: tuple[str, ...] = parameter(
+        (), 'Also draw the Allan deviation of each sensor as a figure: png, svg, pdf.'
+    )
     margin: float = parameter(
         MARGIN,
         'A coefficient exceeds the datasheet or the earlier run if its complete interval lies '
@@ -90,6 +94,10 @@ class ResultSettings(CheckedSettings):
         low=0.0,
         high=100.0,
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_plots(self.plots)
 
     @property
     def stated_margin(self) -> float | None:
@@ -127,12 +135,17 @@ def results_of(
     expect((Results, *PATH), 'results or a path', source=path)
     if isinstance(path, Results):
         return path
-    place = Path(path)
-    is_folder = any((place / name).is_file() for name in (RESULTS, SUMS))
-    if is_folder or place.suffix.lower() == '.json':
+    if is_document(path):
         return load(path, method)
     (recorded,) = read_in_turn([ReadJob(str(path), segmenter=segmenter)], observer)
     return analyze_recorded(recorded, method)
+
+
+def is_document(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a JSON file or the folder of an analysis, not a recording."""
+    place = Path(path)
+    in_folder = any((place / name).is_file() for name in (RESULTS, SUMS))
+    return in_folder or place.suffix.lower() == '.json'
 
 
 def analyze(
@@ -157,8 +170,9 @@ def analyze(
     Parameters
     ----------
     source : path, sequence of paths, array, DataFrame, mapping of columns, or ImuBatch
-        Several paths must be recordings of the same IMU and give one common result. Arrays are
-        (n,) or (n, axes), with one row per sample.
+        Several paths must be of the same IMU and give one common result; a path can also be the
+        sums of an earlier analysis: its folder, sums.json, or a checkpoint. Arrays are (n,) or
+        (n, axes), with one row per sample.
     rate : float
         Sample rate in Hz. It is required for samples without stamps. For recordings it is only
         compared with the stamps, and 0 disables this check.
@@ -226,10 +240,12 @@ def analyze(
             raise AllanError(
                 'axes are for arrays, not files: name the columns of a table with columns='
             )
-        jobs = [ReadJob(path, reading, segmenter, hardware_id, True) for path in paths]
+        stored = [load_sums(path) for path in paths if is_document(path)]
+        recordings = [path for path in paths if not is_document(path)]
+        jobs = [ReadJob(path, reading, segmenter, hardware_id, True) for path in recordings]
         several = min(processes, len(jobs)) > 1
         read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
-        recorded = add_recordings(read)
+        recorded = add_recordings([*read, *stored])
     else:
         recording = recording_in_memory(source, reading, axes)
         job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)

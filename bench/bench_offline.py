@@ -226,7 +226,7 @@ def show_analysis(folder: Path, rounds: int) -> None:
 def show_start(rounds: int) -> None:
     print('\n| start-up | CPU, s |')
     print('|---|---|')
-    for words in (['--help'], ['analyze', '--help'], ['merge', '--help']):
+    for words in (['--help'], ['analyze', '--help'], ['compare', '--help']):
         print(f'| allan {" ".join(words)} | {command_cpu(words, 2 * rounds + 1):.2f} |', flush=True)
 
 

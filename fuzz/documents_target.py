@@ -87,7 +87,7 @@ def check(made: tuple[str, bytes, int], folder: Path) -> bool:
             _use_sums(document, choice)
     if kind == 'sums' and not choice % FITTED:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as output:
-            code = main(['merge', str(path)])
+            code = main(['analyze', str(path)])
         if code not in (0, 1) or 'Traceback' in output.getvalue():
             raise BrokenRule(f'exit {code}: {output.getvalue()}')
     if list(folder.iterdir()) != [path]:

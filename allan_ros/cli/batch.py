@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Analysis of separate recordings or topics: results for each, and a summary of all.
+"""Analysis of several units: results for each, and a summary of all.
 
 Recordings are read in this process, in several processes, or on a Dask cluster.
 """
@@ -11,102 +11,219 @@ import argparse
 import csv
 import io
 import re
+import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-from ..api import ResultSettings, fit_recorded
+from ..api import ResultSettings, fit_recorded, is_document
 from ..core.errors import AllanError, one_line
 from ..core.findings import SEVERITIES, Finding, finding
 from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
-from ..io.documents import results_to_document
+from ..io.documents import RESULTS, load, load_sums, results_to_document
 from ..io.files import write_atomic
-from ..io.format import known_numbers, markdown_rows, shown_unit, value_text
-from ..io.plot_style import PictureSettings
+from ..io.format import known_numbers, shown_unit, value_text
 from ..io.readers.recording import topics_of
-from ..io.recorded import ReadJob, RecordingSums, read_recording
+from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
 from ..io.results import Results
-from ..io.verdict import WORDS, verdict_of
-from .console import Console
+from ..io.verdict import WORDS, Verdict, verdict_of
+from .console import Console, colored, painted
 from .main import RECORDINGS
 from .options import settings_of
+from .tables import LEVEL_COLORS
 
-EXIT_FAILED = 3
+EXIT_ERROR, EXIT_FAILED, EXIT_UNJUDGED = 1, 3, 4
+
+WORST_FIRST = (EXIT_FAILED, EXIT_ERROR, EXIT_UNJUDGED, 0)
+"""Exit codes of units; the first one that occurs is the exit code of all."""
 
 METADATA = 'metadata.yaml'
 
 STORAGES = ('.mcap', '.db3')
 """Suffixes of files that can be parts of a split bag."""
 
-SPLIT = re.compile(r'^(.*)_\d+$')
-"""Name of a part of a split bag without suffix: rosbag2 appends a number."""
+SPLIT = re.compile(r'^(.*)_(0|[1-9]\d*)$')
+"""Name of a part of a split bag without suffix: rosbag2 appends a number, from 0 on."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One IMU in a batch: its name in the summary, and the jobs that read its recordings."""
+
+    name: str
+    jobs: Sequence[ReadJob]
+
+    @property
+    def path(self) -> str:
+        """The path of the first recording."""
+        return self.jobs[0].path
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The results of one recording, or the reason why there are none."""
+    """The results of one unit, or the reason why there are none."""
 
-    path: str
-    name: str  # name of the file, with the topic if the recording has several
+    unit: Unit
     results: Results | None = None
     error: str = ''
 
-    @property
-    def folder(self) -> str:
-        """Name of the folder for its files."""
-        return folder_name(self.name)
 
-
-def recordings_in(path: str) -> list[str]:
+def recordings_in(path: str, units: bool = False) -> list[str]:
     """Return the paths of all recordings in a folder, or only ``path`` if it is one recording.
 
     A folder is one recording if it has a metadata.yaml, or contains only one bag or its numbered
-    parts.
+    parts. With ``units``, numbered files without metadata.yaml are separate recordings. A folder
+    without recordings can contain the folders of analyses.
     """
     folder = Path(path)
-    if not folder.is_dir() or (folder / METADATA).exists():
+    if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
         return [path]
     children = sorted(folder.iterdir())
     files = [child for child in children if child.suffix.lower() in RECORDINGS and child.is_file()]
     bags = [child for child in children if child.is_dir() and (child / METADATA).is_file()]
-    splits = {match[1] for file in files if (match := SPLIT.match(file.stem))}
-    one_bag = len(splits) < 2 and all(
-        file.suffix in STORAGES and (len(files) == 1 or SPLIT.match(file.stem)) for file in files
-    )
-    if one_bag and not bags:
-        return [path]
+    if _one_bag(files, units) and not bags:
+        analyses = [child for child in children if (child / RESULTS).is_file()]
+        return [str(each) for each in analyses] if analyses and not files else [path]
     return [str(each) for each in (*bags, *files)]
+
+
+def _one_bag(files: Sequence[Path], units: bool) -> bool:
+    """Return whether the files are one bag without metadata.yaml, or there is none."""
+    if len(files) < 2:
+        return all(file.suffix in STORAGES for file in files)
+    splits = [match for file in files if (match := SPLIT.match(file.stem))]
+    numbers = sorted(int(match[2]) for match in splits)
+    return (
+        not units
+        and all(file.suffix in STORAGES for file in files)
+        and len({match[1] for match in splits}) == 1
+        and numbers == list(range(len(files)))
+    )
 
 
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write its files, and print and write a summary of all.
 
-    The exit code is 3 if ``--fail-on`` applies to any recording, 1 if any could not be analyzed,
-    else 0.
+    The exit code is that of the worst recording.
     """
-    console = Console.of(args)
-    outcomes: list[Outcome] = []
+    console, outcomes = Console.of(args), []
+    if args.output:
+        from ..io.result_files import made_folder
+
+        made_folder(Path(args.output))
+    units = [Unit(name, [job]) for name, job in zip(names_of(jobs), jobs)]
     with console.progress(f'{len(jobs)} recordings', len(jobs)) as progress:
-        for outcome in _outcomes(jobs, args):
+        for outcome in _outcomes(units, args):
             outcomes.append(outcome)
             progress.advance(1)
-    units = args.units
+            if console.json:
+                console.line(_batch_document(outcome, args.units))
     if args.output:
-        for name, text_of in zip(SUMMARY, (_csv, _markdown, _html)):
-            write_atomic(Path(args.output) / name, text_of(outcomes, units))
-    if console.json:
-        console.document({'recordings': [_document(outcome, units) for outcome in outcomes]})
-    else:
-        print(_markdown(outcomes, units), end='')
+        write_atomic(Path(args.output) / SUMMARY, _csv(outcomes, args.units))
+    if not console.json:
+        print('\n'.join(_table([_head(args.units), *_rows(outcomes, args.units)])))
     if args.output:
-        console.say(f'written to {args.output}: one folder each, {", ".join(SUMMARY)}')
-    if any(o.results is not None and fails(o.results, args.fail_on) for o in outcomes):
-        return EXIT_FAILED
-    return 1 if any(outcome.error for outcome in outcomes) else 0
+        console.say(f'written to {args.output}: one folder each, {SUMMARY}')
+    return _worst(
+        EXIT_ERROR if o.results is None else exit_code_of(o.results, args.fail_on) for o in outcomes
+    )
+
+
+def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
+    """Print one line for each unit as it finishes, and the totals; return the worst exit code."""
+    console, codes, known = Console.of(args), [], {}
+    words: Counter[str] = Counter()
+    for outcome in _outcomes(units, args):
+        code, word, verdict, note = _judged(outcome, args, known)
+        codes.append(code)
+        words[word] += 1
+        if console.json:
+            console.line(_check_document(outcome, code, verdict, note, args.units))
+        elif outcome.results is None and len(units) == 1:
+            raise AllanError(outcome.error)
+        elif not console.quiet:
+            line = one_line(f'{word}: {_unit_text(outcome, verdict, note, args.units)}')
+            color = LEVEL_COLORS[verdict.level] if code != EXIT_FAILED else LEVEL_COLORS['failed']
+            print(painted(line, word, color, colored(sys.stdout)), flush=True)
+            for reason in verdict.reasons if console.verbose else ():
+                print(f'  {reason}')
+    if len(units) > 1 and console.json:
+        console.line({'units': len(units), 'totals': dict(words), 'exit_code': _worst(codes)})
+    elif len(units) > 1 and not console.quiet:
+        totals = ', '.join(f'{count} {word}' for word, count in words.most_common())
+        print(f'{len(units)} units: {totals}')
+    return _worst(codes)
+
+
+def _worst(codes: Iterator[int] | Sequence[int]) -> int:
+    return min(codes, key=WORST_FIRST.index)
+
+
+def _judged(
+    outcome: Outcome, args: argparse.Namespace, known: dict[object, str]
+) -> tuple[int, str, Verdict, str]:
+    """Return exit code, word and verdict of a unit, and a note if it repeats an earlier one.
+
+    ``known`` maps the samples and serial numbers of earlier units to their names.
+    """
+    results = outcome.results
+    if results is None:
+        return EXIT_ERROR, 'error', Verdict('unknown', outcome.error, (), ()), ''
+    verdict = verdict_of(results, units=args.units)
+    code = 0
+    if verdict.level == 'failed' or fails(results, args.fail_on):
+        code = EXIT_FAILED
+    elif verdict.level == 'unknown':
+        code = EXIT_UNJUDGED
+    word = WORDS['failed' if code == EXIT_FAILED else verdict.level].lower()
+    note = ''
+    values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
+    samples = (results.samples, *values) if any(values) else None
+    for key, what in ((samples, 'the samples'), (results.identity.hardware_id, 'the serial')):
+        if key and known.setdefault(key, outcome.unit.name) != outcome.unit.name:
+            note = note or f'duplicate: it has {what} of {known[key]}'
+    return code, word, verdict, note
+
+
+def _unit_text(outcome: Outcome, verdict: Verdict, note: str, units: str) -> str:
+    """Return name, serial number, reason and N of a unit as one line."""
+    results = outcome.results
+    if results is None:
+        return outcome.error
+    serial = results.identity.hardware_id
+    numbers = []
+    for sensor in SENSORS:
+        cells, unit = _cells(results, sensor, 'N', units), shown_unit(sensor, 'N', units)
+        numbers += [f'{sensor} N {" ".join(cells)} {unit.name}'] if cells else []
+    parts = (note, verdict.summary.rstrip('.'), ', '.join(numbers))
+    name = f'{outcome.unit.name}, serial {serial}' if serial else outcome.unit.name
+    return f'{name}: {"; ".join(filter(None, parts))}'
+
+
+def _cells(results: Results, sensor: str, term: str, units: str) -> list[str]:
+    """Return the values of a term on the axes of a sensor as text."""
+    unit = shown_unit(sensor, term, units)
+    noise = [a.fit.noise for name, a in results.axes.items() if sensor_of(name) == sensor]
+    return [value_text(n[term], unit) for n in noise]
+
+
+def _check_document(
+    outcome: Outcome, code: int, verdict: Verdict, note: str, units: str
+) -> dict[str, Any]:
+    """Return the verdict on one unit, with N, B and K in SI, as a JSON object."""
+    document: dict[str, Any] = {'name': outcome.unit.name, 'path': outcome.unit.path}
+    if outcome.results is None:
+        return {**document, 'exit_code': code, 'level': 'error', 'summary': outcome.error}
+    axes = {
+        axis: {term: result.fit.noise[term].value for term in ADVISED_TERMS}
+        for axis, result in outcome.results.axes.items()
+    }
+    document['serial'] = outcome.results.identity.hardware_id
+    return {**document, 'exit_code': code, **verdict.to_document(), 'note': note, 'axes': axes}
 
 
 def fails(results: Results, severity: str | None) -> bool:
@@ -117,42 +234,59 @@ def fails(results: Results, severity: str | None) -> bool:
     return results.verdict.level == 'failed' or any(f.severity in enough for f in results.findings)
 
 
-def _outcomes(jobs: Sequence[ReadJob], args: argparse.Namespace) -> Iterator[Outcome]:
-    """Yield the outcomes in the order of the jobs; several processes or a cluster may run them."""
-    names = names_of(jobs)
-    if args.scheduler:
-        read = on_cluster(jobs, args.scheduler, Console.of(args))
-        for job, name, recorded in zip(jobs, names, read):
+def exit_code_of(results: Results, fail_on: str | None) -> int:
+    """Return the exit code of an analysis: 3 if ``fail_on`` applies, 1 if nothing is measured."""
+    if fails(results, fail_on):
+        return EXIT_FAILED
+    known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
+    return 0 if any(c.value is not None for c in known) else EXIT_ERROR
+
+
+def _outcomes(units: Sequence[Unit], args: argparse.Namespace) -> Iterator[Outcome]:
+    """Yield the outcomes in the order of the units; several processes or a cluster may run them."""
+    if getattr(args, 'scheduler', None):
+        read = on_cluster([unit.jobs[0] for unit in units], args.scheduler, Console.of(args))
+        for unit, recorded in zip(units, read):
             if isinstance(recorded, Finding):
-                yield Outcome(job.path, name, error=str(recorded))
+                yield Outcome(unit, error=str(recorded))
             else:
-                yield analyze_one(job, name, args, recorded)
+                yield outcome_of(unit, args, recorded)
         return
-    if min(args.jobs, len(jobs)) == 1:
-        yield from map(analyze_one, jobs, names, [args] * len(jobs))
+    if min(args.jobs, len(units)) == 1:
+        yield from map(outcome_of, units, [args] * len(units))
         return
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    with ProcessPoolExecutor(min(args.jobs, len(jobs)), mp_context=get_context('spawn')) as pool:
-        yield from pool.map(analyze_one, jobs, names, [args] * len(jobs))
+    with ProcessPoolExecutor(min(args.jobs, len(units)), mp_context=get_context('spawn')) as pool:
+        yield from pool.map(outcome_of, units, [args] * len(units))
 
 
-def analyze_one(
-    job: ReadJob, name: str, args: argparse.Namespace, recorded: RecordingSums | None = None
+def outcome_of(
+    unit: Unit, args: argparse.Namespace, recorded: RecordingSums | None = None
 ) -> Outcome:
-    """Fit one recording, write its files to its folder, and return its results or the error.
+    """Read and fit one unit, write its files if a folder is given, and return results or error.
 
-    ``name`` is the name of the recording in the summary. ``recorded`` has its sums; if None, the
-    recording is read.
+    ``recorded`` has its sums; if None, its recordings are read.
     """
-    outcome = Outcome(job.path, name)
-    folder = Path(args.output) / outcome.folder if args.output else None
+    output = getattr(args, 'output', None)
+    settings = settings_of(ResultSettings, args)
     try:
-        results, _ = fit_and_write(recorded or read_recording(job), args, folder)
+        if is_document(unit.path) and not output:
+            results = load(unit.path, settings.method)
+            references = settings.sensor, settings.baseline, settings.stated_margin
+            return Outcome(unit, results.compared(*references))
+        if recorded is None:
+            recorded = add_recordings(
+                load_sums(job.path) if is_document(job.path) else read_recording(job)
+                for job in unit.jobs
+            )
+        folder = Path(output) / folder_name(unit.name) if output else None
+        return Outcome(unit, fit_and_write(recorded, args, folder)[0])
     except AllanError as error:
-        return replace(outcome, error=str(error))
-    return replace(outcome, results=results)
+        return Outcome(unit, error=str(error))
+    except OSError as error:
+        return Outcome(unit, error=one_line(f'{unit.path}: {error}: check the path and the disk'))
 
 
 def fit_and_write(
@@ -173,7 +307,8 @@ def fit_and_write(
             command=args.command_line,
             units=settings.units,
             targets=settings.export,
-            pictures=settings_of(PictureSettings, args),
+            plots=settings.plots,
+            overwrite=args.overwrite,
         )
     return results, sorted(path.name for path in paths)
 
@@ -207,12 +342,14 @@ def folder_name(name: str) -> str:
     return re.sub(r'[^\w+-]+', '_', name)
 
 
-SUMMARY = ('summary.csv', 'summary.md', 'summary.html')
-"""Files of the summary, next to the folders of the recordings."""
+SUMMARY = 'summary.csv'
+"""File of the summary, next to the folders of the recordings."""
 
 COLUMNS = (
-    'recording', 'verdict', 'hours', 'axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit',
-)  # fmt: skip
+    *('recording', 'serial', 'verdict', 'reason', 'hours'),
+    *('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit'),
+)
+"""Columns of the summary."""
 
 
 def _csv(outcomes: Sequence[Outcome], units: str) -> str:
@@ -221,73 +358,61 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
     writer = csv.writer(file, lineterminator='\n')
     writer.writerow(COLUMNS)
     for outcome in outcomes:
-        name = one_line(outcome.name)
-        if outcome.results is None:
-            writer.writerow([name, 'error', *[''] * (len(COLUMNS) - 2)])
+        name, results = one_line(outcome.unit.name), outcome.results
+        if results is None:
+            row = [name, '', 'error', one_line(outcome.error)]
+            writer.writerow(row + [''] * (len(COLUMNS) - len(row)))
             continue
-        level, hours = outcome.results.verdict.level, f'{outcome.results.duration_s / 3600.0:.4g}'
-        for axis, result in outcome.results.axes.items():
+        verdict = verdict_of(results, units=units)
+        first = [name, results.identity.hardware_id, verdict.level, one_line(verdict.summary)]
+        for axis, result in results.axes.items():
             for term, c in result.fit.noise.items():
                 unit = shown_unit(axis, term, units)
                 numbers = ('' if n is None else f'{n:g}' for n in known_numbers(c, unit))
-                writer.writerow([name, level, hours, axis, term, *numbers, unit.name])
+                hours = f'{results.duration_s / 3600.0:.4g}'
+                writer.writerow([*first, hours, axis, term, *numbers, unit.name])
     return file.getvalue()
 
 
-def _rows(outcomes: Sequence[Outcome], units: str) -> Iterator[list[str]]:
-    """Yield a row for each recording: verdict, hours, and N, B and K of all axes."""
-    for outcome in outcomes:
-        results, cells = outcome.results, [one_line(outcome.name)]
-        if results is None:
-            cells += ['error', one_line(outcome.error)]
-            yield cells + [''] * (len(_head(units)) - len(cells))
-            continue
-        cells += [WORDS[results.verdict.level].lower(), f'{results.duration_s / 3600.0:.3g}']
-        for sensor, term in product(SENSORS, ADVISED_TERMS):
-            unit = shown_unit(sensor, term, units)
-            noise = [a.fit.noise for name, a in results.axes.items() if sensor_of(name) == sensor]
-            cells.append(' / '.join(value_text(n[term], unit) for n in noise) or '-')
-        yield cells
+SHOWN_TERMS = ('N', 'B')
+"""Terms in the table of a batch; the summary file has all."""
 
 
 def _head(units: str) -> list[str]:
-    terms = [
-        f'{sensor} {term} x / y / z [{shown_unit(sensor, term, units).name}]'
-        for sensor, term in product(SENSORS, ADVISED_TERMS)
-    ]
+    shown = product(SENSORS, SHOWN_TERMS)
+    terms = [f'{sensor} {term} [{shown_unit(sensor, term, units).name}]' for sensor, term in shown]
     return ['recording', 'verdict', 'hours', *terms]
 
 
-def _markdown(outcomes: Sequence[Outcome], units: str) -> str:
-    return markdown_rows([_head(units), *_rows(outcomes, units)])
+def _rows(outcomes: Sequence[Outcome], units: str) -> Iterator[list[str]]:
+    """Yield a row for each recording: verdict, hours, and N and B of x, y and z; or its error."""
+    for outcome in outcomes:
+        name, results = one_line(outcome.unit.name), outcome.results
+        if results is None:
+            yield [name, 'error', outcome.error]
+            continue
+        shown = product(SENSORS, SHOWN_TERMS)
+        cells = [' '.join(_cells(results, *of, units)) or '-' for of in shown]
+        verdict = WORDS[results.verdict.level].lower()
+        yield [name, verdict, f'{results.duration_s / 3600.0:.3g}', *cells]
 
 
-def _html(outcomes: Sequence[Outcome], units: str) -> str:
-    """Return the summary as an HTML page with a link to each report."""
-    body = ''
-    for outcome, row in zip(outcomes, _rows(outcomes, units)):
-        name, *cells = row
-        link = f'<a href="{escape(outcome.folder)}/report.html">{escape(name)}</a>'
-        first = link if outcome.results is not None else escape(name)
-        body += f'<tr><th>{first}</th>{"".join(f"<td>{escape(c)}</td>" for c in cells)}</tr>\n'
-    head = ''.join(f'<th>{escape(text)}</th>' for text in _head(units))
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Summary</title>'
-        '<meta http-equiv="Content-Security-Policy" '
-        "content=\"default-src 'none'; style-src 'unsafe-inline'\">"
-        '<style>body{font:1rem system-ui,sans-serif;margin:2rem}table{border-collapse:collapse}'
-        'th,td{text-align:left;padding:.4rem .8rem .4rem 0;border-bottom:1px solid #ccc}</style>'
-        f'</head><body><h1>{len(outcomes)} recordings</h1><table><thead><tr>{head}</tr></thead>'
-        f'<tbody>{body}</tbody></table></body></html>\n'
-    )
+def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield the lines of a table; the last cell of a shorter row may exceed its column."""
+    full = [row for row in rows if len(row) == len(rows[0])]
+    widths = [max(map(len, column)) for column in zip(*full)]
+    widths[0] = max(len(row[0]) for row in rows)
+    for row in rows:
+        yield '  '.join(f'{cell:{width}}' for cell, width in zip(row, widths)).rstrip()
 
 
-def _document(outcome: Outcome, units: str) -> dict[str, object]:
+def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:
     if outcome.results is None:
-        return {'path': outcome.path, 'error': outcome.error}
+        return {'path': outcome.unit.path, 'name': outcome.unit.name, 'error': outcome.error}
     verdict = verdict_of(outcome.results, units=units).to_document()
     results = results_to_document(outcome.results, curves=False)
-    return {'path': outcome.path, 'verdict': verdict, 'results': results}
+    named = {'path': outcome.unit.path, 'name': outcome.unit.name}
+    return {**named, 'verdict': verdict, 'results': results}
 
 
 CONNECT_S = 10.0

@@ -101,6 +101,10 @@ class Console:
         """Print a JSON document to stdout, in ASCII."""
         print(json.dumps(document, indent=1, allow_nan=False))
 
+    def line(self, document: Mapping[str, Any]) -> None:
+        """Print a JSON document to stdout as one line, at once."""
+        print(json.dumps(document, allow_nan=False), flush=True)
+
     def say(self, text: str) -> None:
         """Print a message to stderr, unless ``--quiet`` is given."""
         if not self.quiet:

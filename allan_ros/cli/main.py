@@ -27,7 +27,7 @@ from typing import Any, NoReturn
 from .. import __version__, keep_to_one_thread
 from ..core.errors import AllanError
 from .console import OPTIONS
-from .options import Command, add_options, words_with_config
+from .options import Command, add_options
 
 HELP_COLUMN = 26
 """Column at which the help texts of options begin."""
@@ -37,24 +37,16 @@ CLOSE = 0.6
 
 VERBS = {
     'analyze': 'compute coefficients, curves, plots and a report from recordings',
-    'check': 'check one IMU: one line of output and an exit code',
-    'merge': 'add the Allan variance sums of recordings of one IMU and fit the total',
+    'check': 'check IMUs: one line for each, and an exit code',
     'compare': 'list significant differences between recordings, or from a datasheet',
     'sensors': 'list the known datasheets of IMUs, or show one with its sources',
     'export': 'write the measured noise to a file for a filter or simulator',
-    'fit': 'fit an Allan curve of another tool, and check values published with it',
     'inflate': 'measure how much running motors raise the noise of a robot at rest',
     'simulate': 'write a recording of an IMU with known noise',
 }
 """Verb -> description."""
 
-MODULES = {
-    'check': 'analyze',
-    'merge': 'analyze',
-    'inflate': 'compare',
-    'fit': 'compare',
-    'sensors': 'export',
-}
+MODULES = {'check': 'analyze', 'inflate': 'compare', 'sensors': 'export'}
 """Verb -> its module in this package, if the module has another name."""
 
 DESCRIPTION = """
@@ -160,8 +152,7 @@ def build_parser(verb: str = '') -> AllanParser:
         add_help=False,  # the verbs come first
         epilog='`allan VERB --help` shows the options of a verb.\n\n'
         + _exits_text(EXITS)
-        + '\n\nNO_COLOR turns colors off, FORCE_COLOR on; COLUMNS sets the width. allan.toml, or '
-        '[tool.allan] of pyproject.toml, in the current folder sets defaults of options.',
+        + '\n\nNO_COLOR turns colors off, FORCE_COLOR on; COLUMNS sets the width.',
     )
     verbs = parser.add_subparsers(
         title='verbs', prog='allan', dest='verb', metavar='VERB', required=True
@@ -200,13 +191,6 @@ def command_of(verb: str) -> Command:
     return command
 
 
-def verb_parser(parser: AllanParser, verb: str) -> argparse.ArgumentParser:
-    """Return the parser of one verb from the main parser."""
-    (verbs,) = (a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    found: argparse.ArgumentParser = verbs.choices[verb]
-    return found
-
-
 class _Completion(argparse.Action):
     """An option that prints the completion script of a shell, and exits."""
 
@@ -230,10 +214,7 @@ RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
 """Suffixes of the recordings that `analyze` reads."""
 
 DOCUMENTS = ('.json',)
-"""Suffix of the inputs of `merge` and `export`."""
-
-INPUTS = {'allan merge': DOCUMENTS, 'allan compare': (*DOCUMENTS, *RECORDINGS)}
-"""Program and verb -> suffixes of its inputs, if they are not only recordings."""
+"""Suffix of results and sums."""
 
 
 def registration(shell: str) -> str:
@@ -269,7 +250,7 @@ def _attach(parser: argparse.ArgumentParser) -> None:
     from argcomplete.completers import FilesCompleter
 
     files = {
-        'inputs': INPUTS.get(parser.prog, RECORDINGS),
+        'inputs': (*DOCUMENTS, *RECORDINGS),
         'results': DOCUMENTS,
         'baseline': DOCUMENTS,
     }
@@ -368,15 +349,12 @@ def _run(words: Sequence[str]) -> int:
         build_parser().print_help(sys.stderr)
         return EXIT_USAGE
     parser = build_parser(words[0])
-    configured = list(words)
-    if words[0] in VERBS:
-        configured = words_with_config(configured, verb_parser(parser, words[0]), VERBS)
     try:
-        args = parser.parse_args(configured)
+        args = parser.parse_args(words)
     except SystemExit:
         sys.stdout.flush()  # a closed pipe raises an exception here, where it is caught
         raise
-    args.command_line = shlex.join(['allan', *configured])
+    args.command_line = shlex.join(['allan', *words])
     return command_of(args.verb).run(args)
 
 

@@ -1,26 +1,16 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the command line: their declaration, and defaults from a config file.
-
-`allan.toml` or the section [tool.allan] of pyproject.toml sets defaults. Keys are the names of
-options, as in ``units = "si"``. Keys at the top level apply to every verb with this option, keys in
-a table such as [analyze] to this verb only. The command line takes precedence.
-"""
+"""Options of the command line, declared by a text or by the fields of a settings class."""
 
 from __future__ import annotations
 
 import argparse
-import difflib
-import importlib
 import inspect
 import re
-import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from ..core.errors import AllanError
 from ..core.settings import AUTO, describe
 
 T = TypeVar('T')
@@ -190,88 +180,3 @@ def _number(text: str) -> float:
 
 def _words(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(','))
-
-
-FILE, PROJECT = 'allan.toml', 'pyproject.toml'
-"""Config files of a folder; the first one with settings is used."""
-
-NOT_CONFIGURED = ('help', 'version', 'completion')
-
-
-def words_with_config(
-    words: list[str], parser: argparse.ArgumentParser, verbs: Mapping[str, object]
-) -> list[str]:
-    """Return the words of a command line with the options of the config file inserted.
-
-    The first word is the verb, and ``parser`` is its parser. Raises AllanError when the file is
-    invalid, or has an unknown table or option.
-    """
-    verb, *given = words
-    path, settings = find_config(Path())
-    if not settings:
-        return words
-    options = {
-        name[2:]: action
-        for name, action in parser._option_string_actions.items()
-        if name.startswith('--') and action.dest not in NOT_CONFIGURED
-    }
-    tables = {key for key, value in settings.items() if isinstance(value, Mapping)}
-    unknown = tables.difference(verbs)
-    if unknown:
-        raise AllanError(f'{path}: [{min(unknown)}] is not a verb: use {", ".join(verbs)}')
-    own = settings.get(verb, {})
-    added: list[str] = []
-    for key in own:
-        if key not in options:
-            close = difflib.get_close_matches(key, options, 1)
-            hint = f': did you mean {close[0]}?' if close else ''
-            raise AllanError(f'{path}: allan {verb} has no option --{key}{hint}')
-    shared = {k: v for k, v in settings.items() if k not in tables and k in options}
-    for key, value in {**shared, **own}.items():
-        added += _as_words(f'--{key}', value, options[key], path)
-    return [verb, *added, *given]
-
-
-def find_config(folder: Path) -> tuple[Path, Mapping[str, Any]]:
-    """Return the path and the settings of the config file in a folder; (folder, {}) if none."""
-    for name in (FILE, PROJECT):
-        path = folder / name
-        if not path.is_file():
-            continue
-        text = path.read_text(encoding='utf-8', errors='replace')
-        if name == PROJECT and '[tool.allan' not in text:
-            continue
-        tree = _parsed(path, text)
-        settings = tree if name == FILE else tree.get('tool', {}).get('allan', {})
-        if settings:
-            return path, settings
-    return folder, {}
-
-
-def _parsed(path: Path, text: str) -> Mapping[str, Any]:
-    try:
-        toml = importlib.import_module('tomllib' if sys.version_info >= (3, 11) else 'tomli')
-    except ImportError as error:
-        raise AllanError(
-            f'{path}: needs Python 3.11 or tomli: pip install tomli, or move the file away'
-        ) from error
-    try:
-        tree: Mapping[str, Any] = toml.loads(text)
-    except ValueError as error:  # includes TOMLDecodeError
-        raise AllanError(f'{path}: is not TOML ({error}): correct the file') from error
-    return tree
-
-
-def _as_words(option: str, value: object, action: argparse.Action, path: Path) -> list[str]:
-    """Return an option of the config file as words of a command line."""
-    if action.nargs == 0:
-        if not isinstance(value, bool):
-            raise AllanError(f'{path}: {option[2:]} is a switch: give true or false')
-        return [option] if value else []
-    if isinstance(value, list):
-        if isinstance(action, argparse._AppendAction):
-            return [f'{option}={each}' for each in value]
-        value = ','.join(map(str, value))
-    if isinstance(value, (bool, Mapping)):
-        raise AllanError(f'{path}: {option[2:]} needs a text or a number')
-    return [f'{option}={value}']

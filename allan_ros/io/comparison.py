@@ -29,7 +29,6 @@ from .datasheets import (
 from .documents import results_to_document
 from .files import to_json, write_atomic, write_together
 from .format import interval_text, markdown_rows, shown_unit, significant, value_text
-from .plot_style import PictureSettings
 from .results import Results
 
 SCHEMA = 'allan_ros/comparison/1'
@@ -259,11 +258,11 @@ def write_comparison(
     folder: str | os.PathLike[str],
     comparison: RunComparison,
     units: str = 'datasheet',
-    pictures: PictureSettings = PictureSettings(),
+    plots: Sequence[str] = (),
 ) -> list[Path]:
     """Write comparison.json, .md and .csv, and the requested figures; return the paths.
 
-    ``units`` is 'datasheet' or 'si', for the Markdown and the pictures.
+    ``units`` is 'datasheet' or 'si', for the Markdown and the figures. ``plots`` are file formats.
     """
     from .result_files import made_folder
 
@@ -273,11 +272,11 @@ def write_comparison(
         'comparison.md': markdown(comparison, units),
         'comparison.csv': csv_table(comparison),
     }
-    if pictures.plots:
+    if plots:
         from .plots import comparison_figure, rendered  # imports matplotlib
 
         figures = {f'compare_{s}': comparison_figure(comparison, s, units) for s in SENSORS}
-        contents |= rendered(figures, pictures.plots)
+        contents |= rendered(figures, plots)
     write_together(place, contents)
     return [place / name for name in contents]
 

@@ -8,6 +8,7 @@ field without a default raises AllanError with the position in the document.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections import Counter
@@ -31,7 +32,7 @@ from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
 from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
-from .files import PATH, read_json
+from .files import PATH, read_json, to_json
 from .readers.recording import SourceInfo
 from .recorded import Provenance, RecordingSums
 from .results import Results, analyze_recorded
@@ -43,6 +44,9 @@ SUMS_SCHEMA = 'allan_ros/sums_file/1'
 RESULTS, SUMS = 'results.json', 'sums.json'
 """Names of the documents in the folder of an analysis: the results, and the sums from which they
 are computed."""
+
+FINGERPRINT_DIGITS = 16
+"""Number of hexadecimal digits of a fingerprint: 64 bits."""
 
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
 """Range of sample periods in s: stamps are in ns, and the upper bound is thirty years."""
@@ -128,6 +132,12 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
     }
 
 
+def fingerprint(document: Mapping[str, Any]) -> str:
+    """Return a hash of the sums in the document of a sums.json; equal samples have equal hashes."""
+    text = to_json({'sums': document.get('sums')})
+    return hashlib.sha256(text.encode()).hexdigest()[:FINGERPRINT_DIGITS]
+
+
 def sums_file_from_document(
     document: object, where: str = 'sums'
 ) -> tuple[tuple[AllanSums, ...], Provenance]:
@@ -194,11 +204,18 @@ def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
     From a folder, the comparison of the analysis with a datasheet is read, too.
     """
     place = file_in(path, SUMS)
-    recorded = RecordingSums(place, *sums_file_from_document(read_json(place), place))
-    results = Path(path) / RESULTS
-    if not results.is_file():
+    document: Any = read_json(place)
+    recorded = RecordingSums(place, *sums_file_from_document(document, place))
+    file = Path(path) / RESULTS
+    if not file.is_file():
         return recorded
-    datasheet = results_from_document(read_json(results), str(results)).datasheet
+    results: Any = read_json(file)
+    datasheet = results_from_document(results, str(file)).datasheet
+    if results.get('fingerprint') != fingerprint(document):  # killed between the two files
+        raise AllanError(
+            f'{path}: {RESULTS} and {SUMS} are of different analyses: analyze the recording again, '
+            'or give one of the two files'
+        )
     return replace(recorded, judged=() if datasheet is None else (datasheet,))
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import AllanError
-from ..core.settings import CheckedSettings, choose, parameter
+from ..core.settings import choose
 from .axis_result import AxisResult
 from .format import READ_AT
 
@@ -35,20 +35,6 @@ readers, the dashes without colors."""
 
 BELOW_CURVE = 0.2
 """A part of the model is drawn above this fraction of the lowest point of the curve."""
-
-
-@dataclass(frozen=True)
-class PictureSettings(CheckedSettings):
-    """Figures in addition to the report."""
-
-    plots: tuple[str, ...] = parameter(
-        (), 'Also draw the Allan deviation of each sensor as a figure: png, svg, pdf.'
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for form in self.plots:
-            choose(FORMATS, plots=form)
 
 
 class DrawnCurve(NamedTuple):
@@ -96,9 +82,11 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
     return DrawnCurve(curve.tau, adev, low, high, model, upper, parts, limits, read)
 
 
-def check_pictures(settings: PictureSettings) -> None:
-    """Raise AllanError if figures are requested without matplotlib."""
-    if settings.plots and find_spec('matplotlib') is None:
+def check_plots(formats: Sequence[str]) -> None:
+    """Raise AllanError if a format is unknown, or figures are requested without matplotlib."""
+    for form in formats:
+        choose(FORMATS, plots=form)
+    if formats and find_spec('matplotlib') is None:
         raise AllanError(
             '--plots needs matplotlib, which is not installed: install it with pip or apt, or use '
             'the charts of report.html'

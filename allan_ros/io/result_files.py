@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -15,12 +14,19 @@ from typing import TYPE_CHECKING
 
 from ..core.allan.spectrum import spectrum_of
 from ..core.errors import AllanError
+from ..core.fields import Fields
 from ..core.findings import finding
 from ..core.imu import SENSORS
-from .documents import RESULTS, SUMS, results_to_document, sums_file_to_document
+from .documents import (
+    RESULTS,
+    SUMS,
+    fingerprint,
+    results_to_document,
+    sums_file_to_document,
+)
 from .exporters import TARGETS, make_export, target_of
 from .files import PathLock, read_json, to_json, write_together
-from .plot_style import FORMATS, PictureSettings
+from .plot_style import FORMATS
 from .report import ReportContext, render_report
 from .signal import summarize_signal
 
@@ -30,8 +36,7 @@ if TYPE_CHECKING:
 SIGNAL_BINS = 1000
 """Number of bins of the raw signal in plots, about the width of a plot in pixels."""
 
-FINGERPRINT_DIGITS = 16
-"""Number of hexadecimal digits of the fingerprint of the sums: 64 bits."""
+REPORT = 'report.html'
 
 LONGEST_WAIT_S = 60.0
 """Longest time in s to wait for another process that writes into the same folder."""
@@ -44,7 +49,8 @@ def write_result_files(
     command: str = '',
     units: str = 'datasheet',
     targets: Sequence[str] = (),
-    pictures: PictureSettings = PictureSettings(),
+    plots: Sequence[str] = (),
+    overwrite: bool = False,
 ) -> tuple[Results, list[Path]]:
     """Write results.json, sums.json, the report, imu.yaml, further filter files, and figures.
 
@@ -60,8 +66,10 @@ def write_result_files(
         Units of the report and the figures.
     targets : sequence of str
         Targets of `allan export` whose files are written in addition to imu.yaml (Kalibr).
-    pictures : PictureSettings
-        File formats of figures in addition to the report; none by default.
+    plots : sequence of str
+        File formats of figures in addition to the report: 'png', 'svg', 'pdf'.
+    overwrite : bool
+        Whether results of another recording are replaced.
 
     Returns
     -------
@@ -74,44 +82,51 @@ def write_result_files(
     Raises
     ------
     AllanError
-        When the results have no sums, or a file cannot be written.
+        When the results have no sums, the folder has results of another recording, or a file cannot
+        be written.
     """
     recorded = results.recorded
     if recorded is None:
         raise AllanError('these results were read from a file without their sums: analyze again')
+    folder = Path(folder)
+    _files_in(folder, results, overwrite)  # refused before the report is made
     filters, results = _filter_files(results, targets)
     known = results.provenance
     summary = summarize_signal(
         recorded.signals, known.segments, SIGNAL_BINS, known.counts.cuts, recorded.temperatures
     )
-    contents: dict[str, str | bytes] = {}
-    if pictures.plots:
-        from .plots import figure_files  # imports matplotlib
-
-        contents |= figure_files(results, pictures.plots, units)
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
     densities = (
         spectrum_of(of, s.tau0)
         for of, s in zip(recorded.spectra, recorded.sums)
         if s.tau0 is not None
     )
-    others = [*filters, *contents, RESULTS, SUMS]
+    drawn: dict[str, bytes] = {}
+    if plots:
+        from .plots import figure_files  # imports matplotlib
+
+        drawn |= figure_files(results, plots, units)
     context = ReportContext(
         summary,
         [density for density in densities if density is not None],
-        _reproduction(command, to_json({'sums': sums_document['sums']})),
-        others,
+        _reproduction(command, fingerprint(sums_document)),
+        [*filters, *drawn, RESULTS, SUMS],
     )
-    contents['report.html'] = render_report(results, context, units)
-    files = sorted({*others, *contents})
-    contents[RESULTS] = to_json({**results_to_document(results, units=units), 'files': files})
-    contents[SUMS] = to_json(sums_document)
-    folder = made_folder(Path(folder))
-    with _folder_locked(folder):
-        # Filter files are removed first and written last: one of another analysis never remains.
-        former_files = _files_in(folder).difference(contents)
-        write_together(folder, {**contents, **filters}, {*filters, *former_files})
-    return results, [folder / name for name in (*filters, *contents)]
+    contents: dict[str, str | bytes] = {**drawn, REPORT: render_report(results, context, units)}
+    contents |= filters
+    files = sorted({*contents, RESULTS, SUMS})
+    document = {
+        **results_to_document(results, units=units),
+        'files': files,
+        'fingerprint': fingerprint(sums_document),
+    }
+    with _folder_locked(made_folder(folder)):
+        # All other files are removed first and written last, so none of an earlier analysis
+        # remains. The fingerprint connects the remaining two.
+        former = _files_in(folder, results, overwrite)
+        both = {SUMS: to_json(sums_document), RESULTS: to_json(document)}
+        write_together(folder, {**both, **contents}, former.union(contents))
+    return results, [folder / name for name in (*contents, *both)]
 
 
 @contextmanager
@@ -130,16 +145,32 @@ def _folder_locked(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def _files_in(folder: Path) -> set[str]:
-    """Return the names of the files that an earlier analysis wrote to the folder."""
+def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
+    """Return the names of the files that an earlier analysis wrote, except its documents.
+
+    Raises AllanError if it was of another recording, unless ``overwrite`` is set.
+    """
     try:
         document = read_json(folder / RESULTS)
+        fields = Fields(document, str(folder / RESULTS))
+        named = fields.sequence('files')
+        known = [(each.text('path'), each.text('topic')) for each in fields.each('source')]
     except AllanError:
         return set()
-    named = document.get('files') if isinstance(document, dict) else None
+    sources = [(source.path, source.topic) for source in results.provenance.sources]
+    if _names(known) != _names(sources) and not overwrite:
+        raise AllanError(
+            f'{folder}: has the results of another recording, {", ".join(_names(known))}: give '
+            'another folder, or --overwrite (in Python overwrite=True)'
+        )
     ours = {f'allan_{sensor}.{form}' for sensor in SENSORS for form in FORMATS}
-    ours |= {target_of(name).file_name for name in TARGETS}
-    return ours.intersection(name for name in named or () if isinstance(name, str))
+    ours |= {REPORT, *(target_of(name).file_name for name in TARGETS)}
+    return ours.intersection(name for name in named if isinstance(name, str))
+
+
+def _names(sources: Sequence[tuple[str, str]]) -> list[str]:
+    """Return file name and topic of each source, sorted."""
+    return sorted(f'{Path(path).name} {topic}'.strip() for path, topic in sources)
 
 
 def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, str], Results]:
@@ -155,11 +186,10 @@ def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, s
     return files, results
 
 
-def _reproduction(command: str, sums: str) -> dict[str, str]:
-    """Return label -> text for the report: the command of the analysis, and a hash of its sums."""
-    digest = hashlib.sha256(sums.encode()).hexdigest()[:FINGERPRINT_DIGITS]
-    fingerprint = {'fingerprint of the sums': f'{digest} (equal for equal samples)'}
-    return {'command': command, **fingerprint} if command else fingerprint
+def _reproduction(command: str, digest: str) -> dict[str, str]:
+    """Return label -> text for the report: the command of the analysis, and the fingerprint."""
+    stated = {'fingerprint of the sums': f'{digest} (equal for equal samples)'}
+    return {'command': command, **stated} if command else stated
 
 
 def made_folder(folder: Path) -> Path:

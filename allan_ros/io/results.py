@@ -268,7 +268,8 @@ class Results:
         folder: str | os.PathLike[str],
         units: str = 'datasheet',
         targets: Sequence[str] = (),
-        **options: Any,
+        plots: Sequence[str] = (),
+        overwrite: bool = False,
     ) -> list[Path]:
         """Write the results, the report, filter files and figures, and return their paths.
 
@@ -283,22 +284,27 @@ class Results:
         targets : sequence of str
             Targets that `allan export --list` lists; their files are written in addition to the
             file of Kalibr.
-        **options
-            ``plots``: file formats of figures in addition to the report, such as ``('svg',)``.
+        plots : sequence of str
+            File formats of figures in addition to the report: 'png', 'svg', 'pdf'.
+        overwrite : bool
+            Whether to replace results of another recording in this folder.
 
         Raises
         ------
         AllanError
-            When the sums are not known, an argument is invalid, or a file cannot be written.
+            When the sums are not known, an argument is invalid, the folder has results of another
+            recording, or a file cannot be written.
         """
-        from .plot_style import PictureSettings
+        from .plot_style import check_plots
         from .result_files import write_result_files
 
         expect(PATH, 'a path', folder=folder)
         choose(UNIT_SYSTEMS, units=units)
-        expect(LIST, targets=targets)
-        pictures = settings_from(PictureSettings, options)
-        return write_result_files(folder, self, units=units, targets=targets, pictures=pictures)[1]
+        expect(LIST, targets=targets, plots=plots)
+        check_plots(plots)
+        expect(bool, overwrite=overwrite)
+        files = {'targets': targets, 'plots': plots, 'overwrite': overwrite}
+        return write_result_files(folder, self, units=units, **files)[1]
 
     def check(
         self,

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read files of the user: noise to simulate, filter mappings, and Allan curves of other tools.
+"""Read files of the user: noise to simulate, and filter mappings.
 
 The noise of an IMU is a YAML or JSON mapping from axes to coefficients. A coefficient is a number
 in datasheet units, or ``{value, unit}``. ``gyro`` and ``accel`` apply to three axes, and a single
@@ -15,52 +15,25 @@ The truth file that is written next to a simulated recording contains such a map
 
 from __future__ import annotations
 
-import math
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from ..core.errors import AllanError
 from ..core.fields import Fields, located
 from ..core.filters.mapping import Expression, FilterMapping, FilterParameter, check_mapping
-from ..core.findings import duration_text
-from ..core.fit import AxisFit
-from ..core.imu import AXES, DEGREE, SENSORS, SI_UNITS, from_datasheet, sensor_of
+from ..core.imu import AXES, SI_UNITS, from_datasheet, sensor_of
 from ..core.noise import NoiseTerms
 from ..core.simulate import PRESETS, Faults
 from .datasheets import load_sensor
-from .files import config_file, is_number, read_text, read_yaml, to_json, write_atomic
+from .files import config_file, read_yaml, to_json, write_atomic
 
 TRUTH_SCHEMA, FILTER_SCHEMA = 'allan_ros/truth/1', 'allan_ros/filter/1'
 
 TRUTH_SUFFIX = '.truth.json'
 """Suffix of the truth file: the truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
-
-COLUMNS_WITHOUT_HEADER = ('accel_x', 'accel_y', 'accel_z', 'gyro_x', 'gyro_y', 'gyro_z')
-"""Columns after tau of a file without a header, as allan_variance_ros writes it."""
-
-LARGEST_FILE = 64 * 2**20
-"""Largest size of a curve file in bytes."""
-
-PUBLISHED = {
-    'accelerometer_noise_density': ('accel', 'N'),
-    'accelerometer_random_walk': ('accel', 'K'),
-    'gyroscope_noise_density': ('gyro', 'N'),
-    'gyroscope_random_walk': ('gyro', 'K'),
-}
-"""Key of a Kalibr file -> sensor and term of its value."""
-
-PLAUSIBLE = 2.0
-"""Factor between a published value and the curve above which they contradict each other."""
-
-HEALTHY_RISE = 30.0
-"""Ratio of the end of a curve to its minimum above which the IMU was not at rest."""
 
 AxesNoise = dict[str, NoiseTerms]
 
@@ -206,108 +179,3 @@ def _parameter(name: str, fields: Fields) -> FilterParameter:
         expression = Expression(fields.text('expression'))
     rule = fields.text('axis', 'worst')
     return FilterParameter(name, fields.text('sensor'), expression, rule, limits)
-
-
-class Curves(NamedTuple):
-    """Allan deviation curves: averaging times in s, (points,), and axis -> deviations in SI,
-    (points,)."""
-
-    tau: NDArray[np.float64]
-    adev: Mapping[str, NDArray[np.float64]]
-
-
-def read_curves(path: str | Path, gyro_unit: str = '') -> Curves:
-    """Read Allan deviation curves from a text file.
-
-    Columns are separated by commas, semicolons or spaces. The header names them ``tau`` (s) and
-    axes; other columns are ignored. A file without a header has the columns tau, accel_x, accel_y,
-    accel_z, gyro_x, gyro_y and gyro_z.
-
-    ``gyro_unit`` is 'rad/s' or 'deg/s'. By default it is rad/s with a header and deg/s without.
-    Raises AllanError if the columns are missing or not numeric.
-    """
-    rows = [_cells_of(line) for line in read_text(path, LARGEST_FILE).splitlines() if line.strip()]
-    names = ['tau', *COLUMNS_WITHOUT_HEADER]
-    has_header = bool(rows) and not is_number(rows[0][0])
-    if has_header:
-        names, rows = [_column_name(cell) for cell in rows[0]], rows[1:]
-    rows = [row for row in rows if row[0][:1] != '#']
-    width = len(names)
-    if 'tau' not in names or not rows or any(len(row) < width for row in rows):
-        raise AllanError(f'{path}: give columns tau and axes ({", ".join(AXES)}) or 7 columns')
-    try:
-        values = np.array([row[:width] for row in rows], float)
-    except ValueError as error:
-        raise AllanError(f'{path}: {error}') from None
-    scale = DEGREE if (gyro_unit or ('rad/s' if has_header else 'deg/s')) == 'deg/s' else 1
-    adev = {
-        axis: values[:, names.index(axis)] * (scale if axis in AXES[SENSORS['gyro']] else 1.0)
-        for axis in AXES
-        if axis in names
-    }
-    if not adev:
-        raise AllanError(f'{path}: no column is named {", ".join(AXES)}')
-    return Curves(values[:, names.index('tau')], adev)
-
-
-def read_published(path: str | Path) -> dict[tuple[str, str], float]:
-    """Read the values of a Kalibr file: (sensor, term) -> value in SI.
-
-    Raises AllanError if it contains none.
-    """
-    text, found = read_text(path, LARGEST_FILE), {}
-    for key, of in PUBLISHED.items():
-        match = re.search(rf'^\s*{key}\s*:\s*([-+.\deE]+)', text, re.MULTILINE)
-        if match and is_number(match[1]):
-            found[of] = float(match[1])
-    if not found:
-        raise AllanError(f'{path}: contains none of {", ".join(PUBLISHED)}')
-    return found
-
-
-def contradictions(
-    curves: Curves, fits: Mapping[str, AxisFit], published: Mapping[tuple[str, str], float]
-) -> list[str]:
-    """Return messages on curves that show motion and published values that contradict a curve.
-
-    ``fits`` are the coefficients that were fitted to the curves, by axis. ``published`` are values
-    in SI that another program determined, by (sensor, term).
-    """
-    out = []
-    for axis, adev in curves.adev.items():
-        least = int(np.argmin(adev))
-        rise = float(adev[-1] / adev[least])
-        if rise > HEALTHY_RISE:
-            start, end = (duration_text(float(curves.tau[i]), 3) for i in (least, -1))
-            out.append(
-                f'{axis} rises {rise:.0f} times from {start} to {end}: the IMU was not at rest, or '
-                'its temperature changed.'
-            )
-    for (sensor, term), value in published.items():
-        coefficients = [f.noise[term] for axis, f in fits.items() if axis.startswith(sensor)]
-        high = [c.ci95[1] if c.ci95 else c.upper95 for c in coefficients]
-        low = [c.ci95[0] for c in coefficients if c.ci95]
-        highest = max((h for h in high if h is not None), default=math.inf)
-        if value > PLAUSIBLE * highest:
-            out.append(
-                f'The published {term} of the {sensor} is {value / highest:.2g} times the largest '
-                'that the curve allows.'
-            )
-        elif low and PLAUSIBLE * value < min(low):
-            out.append(
-                f'The published {term} of the {sensor} is {min(low) / value:.2g} times smaller '
-                'than the curve shows.'
-            )
-    return out
-
-
-def _cells_of(line: str) -> list[str]:
-    line = line.strip().rstrip(',;')
-    cells = re.split('[,;]', line) if ',' in line or ';' in line else line.split()
-    return [cell.strip() for cell in cells]
-
-
-def _column_name(cell: str) -> str:
-    """Return the name of a column without its unit, in lower case."""
-    name = cell.strip().strip('"').lower().split('[')[0].split('(')[0].strip('_ ')
-    return 'tau' if name in ('tau', 'tau_s', 'period', 'time') else name.removesuffix('_adev')

@@ -241,7 +241,7 @@ def test_merged_results_are_compared_with_the_datasheet_of_the_parts(tmp_path: P
         merged = ar.merge(*sources, **QUICK)
         assert merged.datasheet.datasheet.name == one.datasheet.datasheet.name
         assert merged.datasheet.margin == 0.5 and merged.datasheet.comparisons
-    assert main(['merge', *map(str, folders), '-o', str(tmp_path / 'both'), '-q']) == 0
+    assert main(['analyze', *map(str, folders), '-o', str(tmp_path / 'both'), '-q']) == 0
     assert ar.load(tmp_path / 'both').datasheet.margin == 0.5
     assert ar.merge(parts[0], parts[1], **QUICK).datasheet is None
     assert one.compared().datasheet == one.datasheet

@@ -71,7 +71,7 @@ CALLS = [
     (lambda r: r.save(None), 'folder is None: a path is expected'),
     (lambda r: r.save('x', targets='kalibr'), "targets is 'kalibr': a list is expected"),
     (lambda r: r.save('x', units='foo'), "units is 'foo': choose one of datasheet, si"),
-    (lambda r: r.save('x', plot=('svg',)), "'plot' is unknown: use plots"),
+    (lambda r: r.save('x', plots=('gif',)), "plots is 'gif': choose one of png, svg, pdf"),
     (lambda r: r.check([]), r'sensor is \[\]: a datasheet or its name is expected'),
     (lambda r: r.check(baseline=5), 'baseline is 5: results or a path is expected'),
     (lambda r: r.check('adis16475-3', margin=-1), 'margin is -1: give 0 or more'),

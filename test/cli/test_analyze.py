@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`allan analyze` and `allan merge`, from recordings to files."""
+"""`allan analyze`, from recordings and earlier sums to files."""
 
 from __future__ import annotations
 
@@ -55,10 +55,12 @@ def test_plots_have_the_requested_formats_and_show_the_earlier_run(
     former = str(analyzed / 'results.json')
     how = ['--plots', 'svg,pdf', '--baseline', former]
     assert main(['analyze', str(recording), '-o', str(tmp_path), *how]) == 0
+    page = (tmp_path / 'report.html').read_text()
     names = {path.name for path in tmp_path.iterdir()}
     assert {'allan_gyro.svg', 'allan_gyro.pdf'} <= names
     assert 'allan_gyro.png' not in names
-    page = (tmp_path / 'report.html').read_text()
+    assert main(['analyze', str(recording), '-o', str(tmp_path), '--method', 'paper']) == 0
+    assert {path.name for path in tmp_path.iterdir()} == FILES
     assert f'Compared with {analyzed.name}' in page
     assert 'are within' in page  # the baseline is the same run
     assert 'allan analyze' in page and '--plots svg,pdf' in page
@@ -99,15 +101,18 @@ def test_no_file_is_written_by_default(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_merging_sums_is_analyzing_together(recording: Path, tmp_path: Path) -> None:
+def test_sums_and_recordings_are_added(recording: Path, tmp_path: Path) -> None:
     parts = halves(recording, tmp_path)
     folders = [tmp_path / name for name in ('one', 'two', 'merged', 'together')]
     how = ['--method', 'relative', '-o']
     for part, folder in zip(parts, folders):
         assert main(['analyze', part, *how, str(folder)]) == 0
     sums = [str(folders[0]), str(folders[1] / 'sums.json')]
-    assert main(['merge', *sums, *how, str(folders[2])]) == 0
+    assert main(['analyze', *sums, *how, str(folders[2])]) == 0
     assert main(['analyze', *parts, *how, str(folders[3])]) == 0
+    mixed = tmp_path / 'mixed'
+    assert main(['analyze', parts[0], sums[1], *how, str(mixed)]) == 0
+    assert read(mixed / 'sums.json')['sums'] == read(folders[3] / 'sums.json')['sums']
     merged, together = (read(folder / 'results.json') for folder in folders[2:])
     assert merged['segment_count'] == 2
     assert len(merged['source']) == 2
@@ -156,14 +161,14 @@ def test_absurd_sums_are_rejected_in_one_line(
     home[place[-1]] = value
     path = tmp_path / 'absurd.json'
     path.write_text(json.dumps(document))
-    assert main(['merge', str(path)]) == 1
+    assert main(['analyze', str(path)]) == 1
     error = capsys.readouterr().err
     assert error.count('\n') == 1 and str(path) in error and 'Traceback' not in error
 
 
 def test_a_run_given_twice_is_rejected(analyzed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sums = str(analyzed / 'sums.json')
-    assert main(['merge', sums, sums]) == 1
+    assert main(['analyze', sums, sums]) == 1
     assert 'give each recording once' in capsys.readouterr().err
 
 
@@ -174,7 +179,7 @@ def test_different_imus_are_distinguished(
     document['sums'][0]['hardware_id'] = 'B'
     other = tmp_path / 'other.json'
     other.write_text(json.dumps(document))
-    assert main(['merge', str(analyzed / 'sums.json'), str(other)]) == 1
+    assert main(['analyze', str(analyzed / 'sums.json'), str(other)]) == 1
     error = capsys.readouterr().err
     assert str(other) in error
     assert 'different IMUs' in error

@@ -66,9 +66,10 @@ def test_a_folder_of_damaged_logs_has_a_line_for_each(
     pytest.importorskip('pyulog')
     for name in ('a.ulg', 'b.ulg'):
         (tmp_path / name).write_bytes(ULOG)
-    assert main(['analyze', str(tmp_path)]) == 1
-    rows = capsys.readouterr().out.splitlines()[2:]
-    assert [row.split(' | ')[:2] for row in rows] == [['| a.ulg', 'error'], ['| b.ulg', 'error']]
+    assert main(['analyze', str(tmp_path), '-o', str(tmp_path / 'new' / 'out')]) == 1
+    assert (tmp_path / 'new' / 'out' / 'summary.csv').is_file()
+    _, *rows = capsys.readouterr().out.splitlines()
+    assert [row.split()[:2] for row in rows] == [['a.ulg', 'error'], ['b.ulg', 'error']]
 
 
 def test_a_rate_out_of_range_is_named_as_it_was_given(

@@ -35,9 +35,10 @@ def test_json_output_is_only_the_results_document(
     assert main(['analyze', str(recording), '--json']) == 0
     shown = capsys.readouterr()
     file = json.loads((folder / 'results.json').read_text())
+    assert len(file.pop('fingerprint')) == 16
     assert set(file.pop('files')) == {path.name for path in folder.iterdir()}
     assert {**json.loads(shown.out), 'findings': file['findings']} == file
-    assert main(['merge', str(folder / 'sums.json'), '--json']) == 0
+    assert main(['analyze', str(folder / 'sums.json'), '--json']) == 0
     merged = json.loads(capsys.readouterr().out)
     assert merged['axes'] == json.loads(shown.out)['axes']
 

@@ -77,8 +77,7 @@ def test_notes_of_an_export_go_to_stderr(folder: Path, capsys: pytest.CaptureFix
         (['export', '{results}'], '--to'),
         (['export', '{results}', '--to', 'kalibr', '-o', '/no/such/imu.yaml'], 'cannot be written'),
         (['analyze', '{results}', '--export', 'kalibr'], '--export needs a folder'),
-        (['merge', '{sums}', '--export', 'klibr', '-o', '{above}'], 'did you mean kalibr'),
-        (['merge', '{above}'], 'no sums.json in this folder'),
+        (['analyze', '{sums}', '--export', 'klibr', '-o', '{above}'], 'did you mean kalibr'),
     ],
 )
 def test_an_error_of_the_user_gives_one_line_and_exit_code_1(

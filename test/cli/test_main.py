@@ -58,7 +58,7 @@ def test_help_keeps_to_the_width(
     columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv('COLUMNS', str(columns))
-    assert exit_code(['merge', '--help']) == 0
+    assert exit_code(['compare', '--help']) == 0
     lines = capsys.readouterr().out.splitlines()
     # examples and exit codes are not wrapped, so that users can copy and find them
     assert max(len(line) for line in lines if line[:2] != '  ' or line[2] == ' ') <= columns
@@ -94,7 +94,7 @@ def test_a_wrong_command_line_is_exit_2(
         (['analyse'], 'analyze'),
         (['analyze', 'x', '--skp', '3'], '--skip'),
         (['analyze', 'x', '--methd=gls'], '--method'),
-        (['merge', 'x', '--method', 'gsl'], 'gls'),
+        (['check', 'x', '--method', 'gsl'], 'gls'),
         (['simulate', 'x', '--preset', 'papr'], 'paper'),
     ],
 )
@@ -136,11 +136,11 @@ def test_errors_give_one_line_and_no_traceback(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(
-        analyze.COMMANDS, 'merge', replace(analyze.COMMANDS['merge'], run=fails(error))
+        analyze.COMMANDS, 'check', replace(analyze.COMMANDS['check'], run=fails(error))
     )
-    assert main(['merge', 'x', '--verbose']) == code
+    assert main(['check', 'x', '--verbose']) == code
     line = capsys.readouterr().err.strip()
-    assert line.startswith('allan merge: ') and said in line and '\n' not in line
+    assert line.startswith('allan check: ') and said in line and '\n' not in line
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_errors_give_one_line_and_no_traceback(
     [
         (['analyze', '/no/such.mcap'], 'no such file'),
         (['analyze', 'x', '--skip', '-2'], 'skip is -2.0: it must lie between'),
-        (['merge', '/no/such.json'], 'no such file'),
+        (['analyze', '/no/such.json'], 'no such file'),
     ],
 )
 def test_an_error_of_the_user_gives_one_line_and_exit_code_1(
@@ -212,7 +212,9 @@ def test_ctrl_c_ends_all_processes_of_an_analysis_in_one_line(
     assert not (tmp_path / 'out').exists()
 
 
-@pytest.mark.parametrize('words', ['analyze {0} -o {1}', 'compare {0} {0} -o {1}'])
+@pytest.mark.parametrize(
+    'words', ['analyze {0} -o {1} --plots svg', 'compare {0} {0} -o {1} --plots png']
+)
 def test_a_missing_matplotlib_is_noticed_before_anything_is_read(
     words: str,
     recording: Path,
@@ -224,7 +226,7 @@ def test_a_missing_matplotlib_is_noticed_before_anything_is_read(
     missing = tmp_path / 'missing.csv'  # reading it first would end in another error
     assert main(words.format(missing, tmp_path / 'out').split()) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert ': -o draws plots with matplotlib, which is not installed: ' in line
+    assert ': --plots needs matplotlib, which is not installed: ' in line
     assert main(['analyze', str(recording), '--method', 'paper', '-q']) == 0
 
 

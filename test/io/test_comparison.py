@@ -26,7 +26,6 @@ from allan_ros.io.comparison import (
 )
 from allan_ros.io.datasheets import Datasheet, Limit, Source
 from allan_ros.io.documents import labels_of
-from allan_ros.io.plot_style import PictureSettings
 from allan_ros.io.plots import comparison_figure
 from allan_ros.io.results import Results
 
@@ -91,7 +90,7 @@ def test_plots_have_any_format_and_narrow_ones_no_ratios(
 ) -> None:
     runs = [Subject(f'run_$_{i}', small_results) for i in range(3)]
     comparison = compare_runs(runs)
-    paths = write_comparison(tmp_path, comparison, pictures=PictureSettings(('pdf',)))
+    paths = write_comparison(tmp_path, comparison, plots=('pdf',))
     assert [p.name for p in paths if p.suffix == '.pdf'] == [
         'compare_gyro.pdf',
         'compare_accel.pdf',
@@ -106,7 +105,9 @@ def test_the_files_agree(small_results: Results, tmp_path: Path) -> None:
         [Subject('a', small_results), Subject('b', scaled(small_results, 1.5))]
     )
     names = {path.name for path in write_comparison(tmp_path, comparison)}
-    assert names == {'comparison.json', 'comparison.md', 'comparison.csv'}
+    assert names == {
+        'comparison.json', 'comparison.md', 'comparison.csv',
+    }  # fmt: skip
     assert all((tmp_path / name).stat().st_size > 1000 for name in names)
     document = json.loads((tmp_path / 'comparison.json').read_text())
     assert document == json.loads(json.dumps(comparison_document(comparison)))

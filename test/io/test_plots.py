@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.plot_style import PictureSettings
+from allan_ros.io.plot_style import check_plots
 from allan_ros.io.plots import figure_files, render_figure, sensor_figure
 from allan_ros.io.results import Results
 
@@ -60,4 +60,4 @@ def test_each_sensor_with_a_curve_gives_a_file_in_each_format(small_results: Res
 
 def test_unknown_formats_are_rejected() -> None:
     with pytest.raises(AllanError, match="plots is 'gif': choose one of png, svg, pdf"):
-        PictureSettings(plots=('png', 'gif'))
+        check_plots(('png', 'gif'))
