@@ -103,6 +103,30 @@ EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]
         ('/**', 'ros__parameters', 'mapping'),
         {'acc_cov': 8e-4, 'gyr_cov': 2e-4, 'b_acc_cov': 1.8e-7, 'b_gyr_cov': 2e-8},
     ),
+    'fast_livo2': (read_yaml, ('imu',), {'gyr_cov': 2e-4, 'acc_cov': 8e-4}),
+    'point_lio': (
+        read_yaml,
+        ('mapping',),
+        {
+            'imu_meas_omg_cov': 2e-4,
+            'imu_meas_acc_cov': 8e-4,
+            'gyr_cov_input': 2e-4,
+            'acc_cov_input': 8e-4,
+            'b_gyr_cov': 2e-8,
+            'b_acc_cov': 1.8e-7,
+        },
+    ),
+    # the walk of the accelerometer, over sqrt(10)
+    'glim': (
+        json.loads,
+        ('sensors',),
+        {'imu_acc_noise': 2e-3, 'imu_gyro_noise': 1e-3, 'imu_bias_noise': 9.48683e-6},
+    ),
+    'lvi_sam': (
+        read_yaml,
+        ('lvi_sam',),
+        {'imuAccNoise': 2e-3, 'imuGyrNoise': 1e-3, 'imuAccBiasN': 3e-5, 'imuGyrBiasN': 1e-5},
+    ),
     # squares of 0.6, 0.8 and 1 times the level
     'gtsam': (
         run_python,
@@ -175,6 +199,16 @@ EXPECTED: dict[str, tuple[Callable[[str], Any], tuple[str, ...], dict[str, Any]]
         read_matlab,
         (),
         {'arw': [6e-4, 8e-4, 1e-3], 'vrw': [1.2e-3, 1.6e-3, 2e-3]},
+    ),
+    'pyins': (
+        run_python,
+        (),
+        {
+            'gyro_noise': [6e-4, 8e-4, 1e-3],
+            'accel_noise': [1.2e-3, 1.6e-3, 2e-3],
+            'gyro_bias_walk': [6e-6, 8e-6, 1e-5],
+            'accel_bias_walk': [1.2e-5, 1.6e-5, 3e-5],
+        },
     ),
     # sqrt(3/4 (1e-6/10 + 0.441271 1e-8 + 1e-10 10/3)) and sqrt(3/4) 1e-5 / sqrt(10)
     'imu_filter_madgwick': (

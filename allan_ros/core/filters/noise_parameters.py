@@ -211,6 +211,7 @@ NOTATIONS = {
     'density': Notation('', '{density}'),
     'std': Notation('{term} sqrt(f)', '{std}', 1.0, 0.5),
     'variance': Notation('{term}^2 f', '({std})^2', 2.0, 1.0),
+    'step_std': Notation('{term} / sqrt(f)', '{bias}', 1.0, -0.5),
     'step_variance': Notation('{term}^2 / f', '({bias})^2', 2.0, -1.0),
     'covariance': Notation('{term}^2', '({density})^2', 2.0),
 }

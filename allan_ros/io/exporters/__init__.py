@@ -34,6 +34,10 @@ TARGETS = {
     'orb_slam3': 'ORB-SLAM3 settings: continuous densities N and K, and the rate',
     'lio_sam': 'LIO-SAM ROS 2 parameters: continuous densities N and K',
     'fast_lio': 'FAST-LIO and FAST-LIO2 ROS 2 parameters: variances N^2 f and K^2 f',
+    'fast_livo2': 'FAST-LIVO2 parameters: variance N^2 f',
+    'point_lio': 'Point-LIO parameters: variances N^2 f and K^2 f',
+    'glim': 'GLIM config_sensors.json: continuous density N, and K for the time between two scans',
+    'lvi_sam': 'LVI-SAM params_lidar.yaml: continuous densities N and K',
     'gtsam': 'GTSAM PreintegrationCombinedParams in Python: continuous covariances N^2 and K^2',
     'basalt': 'Basalt calibration JSON: continuous densities N and K of each axis',
     'msckf_vio': 'MSCKF_VIO parameters: continuous densities N and K',
@@ -43,6 +47,7 @@ TARGETS = {
     'kf_gins': 'KF-GINS imunoise: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias, of each axis',
     'ob_gins': 'OB_GINS and IC-GVINS imumodel: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias',
     'navego': 'NaveGo structure for ins_gnss.m: SI densities and a Gauss-Markov bias, of each axis',
+    'pyins': 'pyins EstimationModel in Python: continuous densities N and K of each axis',
     'imu_filter_madgwick': 'imu_filter_madgwick ROS 2 parameters: gain and zeta at a horizon',
     'state_space': 'JSON allan_ros/state_space/2: all processes, and Phi, Qd, R of each axis',
     'gazebo': 'Gazebo SDF <imu>: std per sample and a Gauss-Markov bias, of each axis',
@@ -124,7 +129,7 @@ class Key(NamedTuple):
     """One key of a file and the quantity that is written there."""
 
     name: str
-    sensor: str  # 'gyro' or 'accel', or '-' for both
+    sensor: str  # 'gyro' or 'accel'; '-' for both, where N or K is the larger of the two
     # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
     # 'common_tau': correlation time of all axes; 'rate'; 'topic'
     what: str

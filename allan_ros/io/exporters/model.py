@@ -134,7 +134,9 @@ class FilterNoise:
             notation = NOTATIONS.get(key.unit) or Notation(
                 '', key.unit, factor=UNITS[key.unit].factor
             )
-            row = self.level_row(path, key.sensor, key.what, notation)
+            sensors = SENSORS if key.sensor == '-' else (key.sensor,)
+            rows = [self.level_row(path, sensor, key.what, notation) for sensor in sensors]
+            row = max(rows, key=lambda one: max(one.values))
             return row if key.limits is None else clamped(row, *key.limits)
         if key.what == 'rate':
             return Row(path, self.rate)

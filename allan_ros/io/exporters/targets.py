@@ -68,6 +68,21 @@ def set_noise(params):
     return params
 '''
 
+PYINS_CODE = '''
+
+def models(gyro_bias_sd, accel_bias_sd):
+    """Return the two arguments gyro_model and accel_model of the filters of pyins.
+
+    The standard deviations of the initial biases in rad/s and m/s^2 are not measured here.
+    """
+    from pyins.inertial_sensor import EstimationModel
+
+    return (
+        EstimationModel(gyro_bias_sd, gyro_noise, gyro_bias_walk),
+        EstimationModel(accel_bias_sd, accel_noise, accel_bias_walk),
+    )
+'''
+
 FLOOR_NOTE = (
     'this is the noise at rest, a lower limit: propellers, vibration and clipping add to it, and '
     'the defaults of the autopilot include them; use lower values only after checking the logs'
@@ -192,6 +207,67 @@ FILTERS = {
             'approach them in steps with --inflate',
         ),
     ),
+    'fast_livo2': Target(
+        'fast_livo2_imu.yaml',
+        'variance per sample; the filter adds cov dt^2 (src/LIVMapper.cpp, src/IMU_Processing.cpp)',
+        YamlForm(),
+        keys_of("""
+        gyr_cov  gyro   N  variance
+        acc_cov  accel  N  variance
+        """),
+        parent=('imu',),
+        notes=(
+            'the variance of the bias is fixed in the code to 1e-4, which is K = 0.01 / sqrt(f); '
+            'b_acc_cov and b_gyr_cov are not read',
+        ),
+        walk=False,
+    ),
+    'point_lio': Target(
+        'point_lio_imu.yaml',
+        'variance per sample: imu_meas_*_cov is R of the IMU as a measurement; Q dt^2 has *_input '
+        'and b_*_cov (src/Estimator.cpp, include/IKFoM/IKFoM_toolkit/esekfom/esekfom.hpp)',
+        YamlForm(),
+        (
+            *keys_of("""
+            imu_meas_omg_cov  gyro   N  variance
+            imu_meas_acc_cov  accel  N  variance
+            """),
+            *noise_keys('gyr_cov_input acc_cov_input b_gyr_cov b_acc_cov', 'variance'),
+        ),
+        parent=('mapping',),
+        notes=(
+            'acc_cov_output and gyr_cov_output are motion of the robot, not measured here',
+            'the defaults (0.1 and 0.0001) are tuned and far above any noise at rest',
+        ),
+    ),
+    'glim': Target(
+        'glim_config_sensors.json',
+        'continuous densities, squared for GTSAM (src/glim/common/imu_integration.cpp); '
+        'imu_bias_noise is the standard deviation of the change of each bias between two scans '
+        '(src/glim/odometry/odometry_estimation_imu.cpp)',
+        JsonForm(),
+        keys_of("""
+        imu_acc_noise   accel  N
+        imu_gyro_noise  gyro   N
+        imu_bias_noise  -      K  step_std
+        """),
+        parent=('sensors',),
+        notes=(
+            'f is the rate of the scans: give --filter-rate if it is not 10 Hz',
+            'imu_bias_noise is one number for gyro and accelerometer: the larger one',
+            'copy the numbers into your config_sensors.json, beside T_lidar_imu',
+        ),
+        rate_hz=10.0,
+    ),
+    'lvi_sam': Target(
+        'lvi_sam_imu.yaml',
+        'continuous time, squared for GTSAM; the walks are multiplied by the root of the time '
+        'between two biases (src/lidar_odometry/imuPreintegration.cpp)',
+        YamlForm(),
+        noise_keys('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
+        parent=('lvi_sam',),
+        notes=('params_camera.yaml has the convention of VINS: write it with --to vins_fusion',),
+    ),
     'gtsam': Target(
         'gtsam_imu.py',
         'continuous covariances, divided or multiplied by the time step '
@@ -242,7 +318,11 @@ FILTERS = {
         ukf.q_accel_bias  accel  K  step_variance
         """),
         parent=ANY_NODE,
-        notes=('q of angular velocity and acceleration is motion of the robot, not measured here',),
+        notes=(
+            'the README of FusionCore names the angular random walk of the datasheet: entered as a '
+            'density, it is sqrt(f) times too small (its docs/certified-configs multiply by sqrt(f))',
+            'q of angular velocity and acceleration is motion of the robot, not measured here',
+        ),
         horizon_s=INS_HORIZON_S,
     ),
     # EKF2 and EK3 add (dt noise)^2 to the variance of angle and velocity and (dt bias_noise)^2 to
@@ -320,6 +400,15 @@ FILTERS = {
         """),
         notes=('run it after imu_si_errors.m, which computes gb_psd and ab_psd differently',),
         three=True,
+    ),
+    'pyins': Target(
+        'pyins_imu.py',
+        'continuous time: Q of noise and bias_walk squared, made discrete by van Loan '
+        '(pyins/inertial_sensor.py, pyins/filters.py)',
+        LineForm('{key} = {value}', before='\n', after=PYINS_CODE),
+        noise_keys('gyro_noise accel_noise gyro_bias_walk accel_bias_walk'),
+        three=True,
+        horizon_s=INS_HORIZON_S,
     ),
     'imu_filter_madgwick': Target(
         'imu_filter_madgwick.yaml',
