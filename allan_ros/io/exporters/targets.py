@@ -320,7 +320,7 @@ FILTERS = {
         parent=ANY_NODE,
         notes=(
             'the README of FusionCore names the angular random walk of the datasheet: entered as a '
-            'density, it is sqrt(f) times too small (its docs/certified-configs multiply by sqrt(f))',
+            'density, it is sqrt(f) times too small (docs/certified-configs multiplies by sqrt(f))',
             'q of angular velocity and acceleration is motion of the robot, not measured here',
         ),
         horizon_s=INS_HORIZON_S,
