@@ -69,7 +69,9 @@ class ResultSettings(CheckedSettings):
         choices=tuple(METHODS),
     )
     units: str = parameter(
-        'datasheet', 'Units of the output: datasheet units or SI.', choices=UNIT_SYSTEMS
+        'deg/h',
+        'Units of the output: those of datasheets, such as deg/h and ug, or SI.',
+        choices=UNIT_SYSTEMS,
     )
     export: tuple[str, ...] = parameter(
         (),

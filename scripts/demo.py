@@ -69,7 +69,7 @@ def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
     for axis, result in results.axes.items():
         for term in TERMS:
             true, coefficient = asdict(truth[axis])[term], result.fit.noise[term]
-            unit = shown_unit(axis, term, 'datasheet')
+            unit = shown_unit(axis, term, 'deg/h')
             inside.append(holds(coefficient, abs(true)))
             yield (
                 f'{axis if term == TERMS[0] else "":9}{f"{term} {unit.name}":17}'

@@ -141,7 +141,7 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
         for term, limit in terms.items():
             groups.setdefault((sensor_of(axis), term, limit), []).append(axis)
     for (sensor, term, limit), axes in groups.items():
-        units = (shown_unit(sensor, term, system) for system in ('datasheet', 'si'))
+        units = (shown_unit(sensor, term, system) for system in ('deg/h', 'SI'))
         values = (f'{significant(limit.value * u.factor, DIGITS)} {u.name}' for u in units)
         yield ''
         yield from wrapped(f'{", ".join(axes)} {term}: stated {limit.stated}', columns, '  ')

@@ -58,7 +58,7 @@ def datasheet_lines(
 ) -> Iterator[str]:
     """Yield the lines of a comparison with a datasheet: a headline, then one entry per limit.
 
-    ``units`` is 'datasheet' or 'si', ``columns`` the width of the text. ``judged`` is False if the
+    ``units`` is 'deg/h' or 'SI', ``columns`` the width of the text. ``judged`` is False if the
     results are too short for a verdict.
     """
     sheet = comparison.datasheet
@@ -105,7 +105,7 @@ def results_lines(
 ) -> Iterator[str]:
     """Yield the lines of the results: headline, verdict, tables, findings, next steps.
 
-    ``units`` is 'datasheet' or 'si', ``columns`` the width of the text, ``colors`` whether to
+    ``units`` is 'deg/h' or 'SI', ``columns`` the width of the text, ``colors`` whether to
     color it; ``complete`` includes all findings and their remedies.
     """
     yield from wrapped(headline(results), columns, '  ')

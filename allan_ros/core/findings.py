@@ -44,7 +44,7 @@ class Quantity:
     low: float | None = None
     high: float | None = None
 
-    def text(self, units: str = 'datasheet', digits: int = 3) -> str:
+    def text(self, units: str = 'deg/h', digits: int = 3) -> str:
         """Return the value with its unit and its interval, or ``< limit``."""
         return _quantities_text([self], digits, units, str)
 
@@ -83,7 +83,7 @@ class Finding:
     axes: tuple[str, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
-    def texts(self, units: str = 'datasheet', spelled: Callable[[str], str] = str) -> Texts:
+    def texts(self, units: str = 'deg/h', spelled: Callable[[str], str] = str) -> Texts:
         """Return the texts in the given units; ``spelled`` returns the spelling of a unit."""
         fill = partial(_filled, values=self.values, units=units, spelled=spelled)
         return Texts(fill(self.message_template), fill(self.remedy_template))
@@ -102,7 +102,7 @@ class Finding:
         where = f'{", ".join(self.axes)}: ' if self.axes else ''
         return where + ' '.join(self.texts())
 
-    def document(self, units: str = 'datasheet') -> dict[str, Any]:
+    def document(self, units: str = 'deg/h') -> dict[str, Any]:
         """Return the finding as a JSON object: its texts, and its values in SI."""
         return {
             'id': self.id,

@@ -192,11 +192,11 @@ UNITS = {
 """Name of a unit -> its SI unit and factor."""
 
 SHOWN_UNITS = {
-    'datasheet': {
+    'deg/h': {
         'gyro': {**DATASHEET_UNITS['gyro'], 'signal': 'deg/s', 'density': 'deg/s/sqrt(Hz)'},
         'accel': {**DATASHEET_UNITS['accel'], 'signal': 'mg', 'density': 'ug/sqrt(Hz)'},
     },
-    'si': {
+    'SI': {
         sensor: {**units, 'signal': units['B'], 'density': units['N']}
         for sensor, units in SI_UNITS.items()
     },
@@ -216,7 +216,7 @@ def shown_unit(axis: str, quantity: str, units: str) -> ShownUnit:
     """Return the unit in which a quantity of an axis or sensor is printed.
 
     ``quantity`` is a key of `SHOWN_UNITS`, such as 'N' or 'signal'; the Allan deviation has the
-    unit of 'B'. ``units`` is 'datasheet' or 'si'.
+    unit of 'B'. ``units`` is 'deg/h' or 'SI'.
     """
     unit = SHOWN_UNITS[units][sensor_of(axis)][quantity]
     return ShownUnit(unit, 1.0 / UNITS[unit].factor)

@@ -59,7 +59,8 @@ def describe(settings: Any) -> dict[str, ParameterInfo]:
     return {f.name: f.metadata['info'] for f in fields(settings) if 'info' in f.metadata}
 
 
-UNIT_SYSTEMS = ('datasheet', 'si')
+UNIT_SYSTEMS = ('deg/h', 'SI')
+"""Units of the output: those of datasheets, such as deg/h and ug, or SI."""
 
 LIST = (tuple, list)
 

@@ -257,12 +257,12 @@ upper limit of a term that is not resolved."""
 def write_comparison(
     folder: str | os.PathLike[str],
     comparison: RunComparison,
-    units: str = 'datasheet',
+    units: str = 'deg/h',
     plots: Sequence[str] = (),
 ) -> list[Path]:
     """Write comparison.json, .md and .csv, and the requested figures; return the paths.
 
-    ``units`` is 'datasheet' or 'si', for the Markdown and the figures. ``plots`` are file formats.
+    ``units`` is 'deg/h' or 'SI', for the Markdown and the figures. ``plots`` are file formats.
     """
     from .result_files import made_folder
 
@@ -281,7 +281,7 @@ def write_comparison(
     return [place / name for name in contents]
 
 
-def markdown(comparison: RunComparison, units: str = 'datasheet') -> str:
+def markdown(comparison: RunComparison, units: str = 'deg/h') -> str:
     """Return the comparison as Markdown: sentences, then a table for each pair and datasheet."""
     parts = [f'{line}\n' for line in comparison_headline(comparison)]
     for pair in comparison.pairs:
@@ -359,7 +359,7 @@ def write_overlay(
     folder: str | os.PathLike[str],
     runs: Sequence[Subject],
     margin: float = MARGIN,
-    units: str = 'datasheet',
+    units: str = 'deg/h',
     facts: Mapping[str, str] | None = None,
 ) -> Path:
     """Write report.html of the first recording with the curves of the others; return its path.

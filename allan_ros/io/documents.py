@@ -65,12 +65,12 @@ NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'region
 
 
 def results_to_document(
-    results: Results, curves: bool = True, units: str = 'datasheet'
+    results: Results, curves: bool = True, units: str = 'deg/h'
 ) -> dict[str, Any]:
     """Return the results as the document ``allan_ros/results/1`` (results.json).
 
     Without ``curves``, the curves and the verdict are left out, which gives a short document.
-    ``units`` ('datasheet' or 'si') are the units in the texts of the verdict; numbers are in SI.
+    ``units`` ('deg/h' or 'SI') are the units in the texts of the verdict; numbers are in SI.
     """
     judged = {'verdict': verdict_of(results, units=units).to_document()} if curves else {}
     return {

@@ -74,11 +74,11 @@ class _ShownFigure(Figure):
 
 
 def figure_files(
-    results: Results, formats: Sequence[str], units: str = 'datasheet'
+    results: Results, formats: Sequence[str], units: str = 'deg/h'
 ) -> dict[str, bytes]:
     """Return the figures of all sensors as files: name -> content.
 
-    ``formats`` are 'png', 'svg' or 'pdf'; ``units`` is 'datasheet' or 'si'.
+    ``formats`` are 'png', 'svg' or 'pdf'; ``units`` is 'deg/h' or 'SI'.
     """
     figures = {f'allan_{sensor}': sensor_figure(results, sensor, units) for sensor in SENSORS}
     return rendered(figures, formats)
@@ -107,10 +107,10 @@ def render_figure(figure: Figure, form: str) -> bytes:
     return file.getvalue()
 
 
-def sensor_figure(results: Results, sensor: str, units: str = 'datasheet') -> Figure | None:
+def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure | None:
     """Return the Allan deviation of one sensor with a panel for each axis; None without a curve.
 
-    ``units`` is 'datasheet' or 'si'.
+    ``units`` is 'deg/h' or 'SI'.
     """
     axes = {a: results.axes[a] for a in AXES[SENSORS[sensor]] if a in results.axes}
     axes = {name: axis for name, axis in axes.items() if axis.curve is not None}
@@ -131,7 +131,7 @@ def sensor_figure(results: Results, sensor: str, units: str = 'datasheet') -> Fi
 
 
 def comparison_figure(
-    comparison: RunComparison, sensor: str, units: str = 'datasheet'
+    comparison: RunComparison, sensor: str, units: str = 'deg/h'
 ) -> Figure | None:
     """Return the curves of several recordings with a row for each axis; None without a curve.
 
@@ -164,7 +164,7 @@ def comparison_figure(
     return figure
 
 
-def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'datasheet') -> None:
+def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'deg/h') -> None:
     """Draw the curves and models of axes; for a single axis, also the parts of its model."""
     for name, axis in axes.items():
         unit = shown_unit(name, 'B', units)

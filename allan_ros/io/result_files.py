@@ -47,7 +47,7 @@ def write_result_files(
     results: Results,
     *,
     command: str = '',
-    units: str = 'datasheet',
+    units: str = 'deg/h',
     targets: Sequence[str] = (),
     plots: Sequence[str] = (),
     overwrite: bool = False,
@@ -62,7 +62,7 @@ def write_result_files(
         Results with their sums.
     command : str
         Command that repeats the analysis; it is printed in the report.
-    units : 'datasheet' or 'si'
+    units : 'deg/h' or 'SI'
         Units of the report and the figures.
     targets : sequence of str
         Targets of `allan export` whose files are written in addition to imu.yaml (Kalibr).

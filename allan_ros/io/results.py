@@ -177,12 +177,12 @@ class Results:
     def _repr_html_(self) -> str:
         return html_summary(self)
 
-    def table(self, units: str = 'datasheet') -> Any:
+    def table(self, units: str = 'deg/h') -> Any:
         """Return all coefficients as a table with one row for each axis and term.
 
         Parameters
         ----------
-        units : 'datasheet' or 'si'
+        units : 'deg/h' or 'SI'
             Units of the numbers.
 
         Returns
@@ -199,7 +199,7 @@ class Results:
             return rows
         return pandas.DataFrame(rows)
 
-    def plot(self, what: str = 'gyro', ax: Any = None, units: str = 'datasheet') -> Any:
+    def plot(self, what: str = 'gyro', ax: Any = None, units: str = 'deg/h') -> Any:
         """Draw the Allan deviation with its confidence limits and the fitted model.
 
         Parameters
@@ -208,7 +208,7 @@ class Results:
             'gyro' or 'accel' for all axes of a sensor, or the name of an axis.
         ax : matplotlib Axes, optional
             Axes to draw into; by default a figure with a panel for each axis is created.
-        units : 'datasheet' or 'si'
+        units : 'deg/h' or 'SI'
             Units of the drawing.
 
         Returns
@@ -266,7 +266,7 @@ class Results:
     def save(
         self,
         folder: str | os.PathLike[str],
-        units: str = 'datasheet',
+        units: str = 'deg/h',
         targets: Sequence[str] = (),
         plots: Sequence[str] = (),
         overwrite: bool = False,
@@ -279,7 +279,7 @@ class Results:
         ----------
         folder : path
             Folder for the files; it is created if it is missing.
-        units : 'datasheet' or 'si'
+        units : 'deg/h' or 'SI'
             Units of the report and the figures.
         targets : sequence of str
             Targets that `allan export --list` lists; their files are written in addition to the

@@ -86,12 +86,12 @@ class Verdict:
 
 
 def verdict_of(
-    results: Results, comparisons: Sequence[Comparison] | None = None, units: str = 'datasheet'
+    results: Results, comparisons: Sequence[Comparison] | None = None, units: str = 'deg/h'
 ) -> Verdict:
     """Return the verdict on the IMU of the results.
 
     ``comparisons`` are those with a datasheet and with earlier runs, by default those in the
-    results. ``units`` of the texts is 'datasheet' or 'si'.
+    results. ``units`` of the texts is 'deg/h' or 'SI'.
     """
     comparisons = results.comparisons if comparisons is None else comparisons
     level = _level(results, comparisons)
@@ -348,7 +348,7 @@ def summary_lines(results: Results) -> Iterator[str]:
     for name, axis in results.axes.items():
         cells = []
         for term in IN_SUMMARY:
-            unit = shown_unit(name, term, 'datasheet')
+            unit = shown_unit(name, term, 'deg/h')
             cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
         yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
     for each in _warnings_and_errors(results):
@@ -375,7 +375,7 @@ def html_summary(results: Results) -> str:
 def _html_row(name: str, axis: AxisResult) -> str:
     cells = ''
     for term in TERMS:
-        unit = shown_unit(name, term, 'datasheet')
+        unit = shown_unit(name, term, 'deg/h')
         interval = interval_text(axis.fit.noise[term], unit)
         value = f'{value_text(axis.fit.noise[term], unit)} {pretty_unit(unit.name)}'
         small = f'<br><small>{escape(interval)}</small>' if interval else ''

@@ -204,12 +204,12 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
     pairs: list[tuple[str, object]] = []
     if view.result is not None:
         noise = view.result.fit.noise
-        for units in ('si', 'datasheet'):
+        for units in ('SI', 'deg/h'):
             for term in TERMS:
                 unit = shown_unit(view.axis, term, units)
-                pairs += _term_pairs(term, noise[term], unit, units == 'si')
+                pairs += _term_pairs(term, noise[term], unit, units == 'SI')
         for term in TERMS:
-            pairs += _limit_pairs(term, noise[term], shown_unit(view.axis, term, 'datasheet'))
+            pairs += _limit_pairs(term, noise[term], shown_unit(view.axis, term, 'deg/h'))
         pairs += [
             ('misfit', view.result.fit.misfit),
             ('fit method', view.method),
@@ -222,7 +222,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
         ('longest averaging time [s]', _longest_tau(view.sums) if view.sums else None),
     ]
     for c in view.comparisons:
-        unit = shown_unit(view.axis, 'B' if c.tau is not None else c.term, 'datasheet')
+        unit = shown_unit(view.axis, 'B' if c.tau is not None else c.term, 'deg/h')
         limit = f'{significant(c.limit * unit.factor, 3)} {unit.name}'
         pairs.append((f'{c.term} against {c.reference}', f'{c.verdict}, limit {limit}'))
     pairs += _recent_pairs(view)
@@ -326,7 +326,7 @@ def _summary(view: AxisView, static_s: float, next_term: str) -> str:
         return f'no coefficients yet, {static}'
     shown = []
     for term in ('N', 'B', 'K'):
-        unit = shown_unit(view.axis, term, 'datasheet')
+        unit = shown_unit(view.axis, term, 'deg/h')
         text = value_text(view.result.fit.noise[term], unit)
         if text != '-':
             shown.append(f'{term} {text} {unit.name}')

@@ -99,7 +99,7 @@ def _report(topic: str, text: str) -> str:
         results = analyze_sums(*snapshot.total)
         when = time.strftime('%H:%M:%S')
         context = ReportContext(method={'topic': topic, 'computed at': when})
-        return render_report(results, context, 'datasheet')
+        return render_report(results, context, 'deg/h')
     except AllanError as error:
         return _notice(f'{topic}: {error}')
 

@@ -180,7 +180,7 @@ def test_pictures(results: ar.Results) -> None:
     panels = figure.subplots(1, 2)
     assert results.plot('gyro', ax=panels[0]) is panels[0]
     assert len(panels[0].lines) == 6  # points and fit of three axes
-    results.plot('accel_z', ax=panels[1], units='si')
+    results.plot('accel_z', ax=panels[1], units='SI')
     assert len(results.plot('accel_z').axes) == 1
     assert len(results.plot('accel').axes) == 3
     with pytest.raises(ar.AllanError, match='choose one of'):

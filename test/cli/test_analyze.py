@@ -86,7 +86,7 @@ def test_intervals_of_results_contain_the_truth(analyzed: Path, recording: Path)
 def test_the_table_agrees_with_the_files(
     recording: Path, analyzed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(['analyze', str(recording), '--units', 'si']) == 0
+    assert main(['analyze', str(recording), '--units', 'SI']) == 0
     said = capsys.readouterr().out
     value = read(analyzed / 'results.json')['axes']['gyro_y']['noise']['N']['value']
     assert f'{value:.3e}' in said

@@ -52,7 +52,7 @@ def test_reasons_follow_the_units(
     accepted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sensor = sheet(tmp_path / 'test.yaml', 0.05)
-    assert main(['check', str(accepted), '--sensor', str(sensor), '--units', 'si', '-v']) == 3
+    assert main(['check', str(accepted), '--sensor', str(sensor), '--units', 'SI', '-v']) == 3
     reasons = capsys.readouterr().out.partition('\n')[2]
     assert 'rad/s/sqrt(Hz)' in reasons and 'deg' not in reasons
 

@@ -26,7 +26,7 @@ def lines_of(results: Results, units: str, width: int, complete: bool = False) -
 
 
 @pytest.mark.parametrize('width', [60, 80, 100, 200])
-@pytest.mark.parametrize('units', ['datasheet', 'si'])
+@pytest.mark.parametrize('units', ['deg/h', 'SI'])
 def test_no_line_is_wider_than_the_terminal(small_results: Results, width: int, units: str) -> None:
     results = replace(small_results, findings=(LONG,))
     lines = lines_of(results, units, width)
@@ -35,10 +35,10 @@ def test_no_line_is_wider_than_the_terminal(small_results: Results, width: int, 
 
 @pytest.mark.parametrize('width', [60, 200])
 def test_every_coefficient_is_printed_at_any_width(small_results: Results, width: int) -> None:
-    text = '\n'.join(lines_of(small_results, 'datasheet', width))
+    text = '\n'.join(lines_of(small_results, 'deg/h', width))
     for axis, result in small_results.axes.items():
         for term in TERMS:
-            unit, coefficient = shown_unit(axis, term, 'datasheet'), result.fit.noise[term]
+            unit, coefficient = shown_unit(axis, term, 'deg/h'), result.fit.noise[term]
             assert unit.name in text
             assert value_text(coefficient, unit) in text
             assert interval_text(coefficient, unit) in text
@@ -67,23 +67,23 @@ def test_a_method_without_intervals_is_reported(small_results: Results) -> None:
         for name, axis in small_results.axes.items()
     }
     results = replace(small_results, axes=axes, method='paper')
-    assert 'method paper gives no intervals' in lines_of(results, 'si', 100)
+    assert 'method paper gives no intervals' in lines_of(results, 'SI', 100)
 
 
 def test_the_largest_deviation_is_shown_where_there_is_one(small_results: Results) -> None:
     axis = small_results.axes['accel_z']
     bent = replace(axis, fit=replace(axis.fit, deviation=Deviation(-0.123, 31.7)))
     results = replace(small_results, axes={**small_results.axes, 'accel_z': bent})
-    rows = [line for line in lines_of(results, 'si', 200) if line.startswith('deviation')]
+    rows = [line for line in lines_of(results, 'SI', 200) if line.startswith('deviation')]
     assert len(rows) == 1
     assert rows[0].endswith('-12% at 32 s')
-    brief = lines_of(replace(results, duration_s=4.8), 'si', 200)
+    brief = lines_of(replace(results, duration_s=4.8), 'SI', 200)
     assert not any(line.startswith('deviation') for line in brief)
 
 
 def test_a_record_too_short_is_not_judged_by_its_datasheet(small_results: Results) -> None:
     brief = replace(small_results.compared(sensor='adis16475-3'), duration_s=4.8)
-    lines = lines_of(brief, 'si', 200)
+    lines = lines_of(brief, 'SI', 200)
     assert any(line.startswith('not judged: ') for line in lines)
     (compared,) = (line for line in lines if line.startswith('compared with the datasheet'))
     assert compared.endswith(': not judged')
@@ -92,7 +92,7 @@ def test_a_record_too_short_is_not_judged_by_its_datasheet(small_results: Result
 def test_findings_are_colored_only_on_request(small_results: Results) -> None:
     results = replace(small_results, findings=(LONG,))
     plain, colored = (
-        list(findings_lines(results, 'si', 80, colors, True)) for colors in (False, True)
+        list(findings_lines(results, 'SI', 80, colors, True)) for colors in (False, True)
     )
     assert plain[1].startswith('warning: gyro x: word')
     assert colored[1].startswith('\x1b[33mwarning\x1b[0m')
@@ -107,12 +107,12 @@ def test_five_lines_of_findings_at_most_and_all_on_demand(small_results: Results
         for axis in axes[:2]
     )
     results = replace(small_results, findings=(*many, Finding('n', 'info', 'Note.', 'Nothing.')))
-    short = lines_of(results, 'si', 100)
+    short = lines_of(results, 'SI', 100)
     shown = [line for line in short if line.startswith(('warning', 'info', 'and '))]
     assert len(shown) == 5
     assert shown[-1] == 'and 4 warnings and 1 note: -v shows all, with remedies'
     assert shown[0] == 'warning: gyro x, gyro y: Cause a.'
-    complete = lines_of(results, 'si', 100, complete=True)
+    complete = lines_of(results, 'SI', 100, complete=True)
     assert sum(line.startswith('warning: ') for line in complete) == 8
     assert 'info: Note. Nothing.' in complete
 
@@ -120,21 +120,21 @@ def test_five_lines_of_findings_at_most_and_all_on_demand(small_results: Results
 def test_a_part_that_is_left_out_is_named_first(small_results: Results) -> None:
     warnings = tuple(Finding(f'w{i}', 'warning', f'{"abcdefgh"[i]}.', 'Do.') for i in range(8))
     left_out = finding('settled_part', ('gyro_x',), early='1 h', what='drift', changes='K is less')
-    shown = lines_of(replace(small_results, findings=(*warnings, left_out)), 'si', 100)
+    shown = lines_of(replace(small_results, findings=(*warnings, left_out)), 'SI', 100)
     first = next(i for i, line in enumerate(shown) if line.startswith(('info', 'warning')))
     assert shown[first].startswith('info: gyro x: The first 1 h differ from the later data')
     assert 'and 5 warnings: -v shows all, with remedies' in shown
 
 
 def test_the_verdict_comes_before_the_tables(small_results: Results) -> None:
-    lines = lines_of(replace(small_results, duration_s=5.0, findings=()), 'si', 100)
+    lines = lines_of(replace(small_results, duration_s=5.0, findings=()), 'SI', 100)
     assert lines[1] == 'not judged: Too short to judge: 5 s at rest.'
 
 
 def test_findings_follow_the_units(small_results: Results) -> None:
     found = finding('vibration', ('accel_x',), frequency=8.0, amplitude=0.0098)
     results = replace(small_results, findings=(found,))
-    for units, amplitude in (('si', '0.00980 m/s^2'), ('datasheet', '999 ug')):
+    for units, amplitude in (('SI', '0.00980 m/s^2'), ('deg/h', '999 ug')):
         assert f'amplitude {amplitude};' in '\n'.join(lines_of(results, units, 200))
     assert 'amplitude 999 ug;' in '\n'.join(summary_lines(results))
 
@@ -143,5 +143,5 @@ def test_a_comparison_with_a_datasheet_has_no_two_empty_lines_in_a_row(
     small_results: Results,
 ) -> None:
     comparison = compare_runs([Subject('a', small_results)], [load_sensor('mpu-6050')])
-    lines = list(comparison_lines(comparison, 'datasheet', 100))
+    lines = list(comparison_lines(comparison, 'deg/h', 100))
     assert '' in lines and ('', '') not in pairwise(lines)

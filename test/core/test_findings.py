@@ -62,7 +62,7 @@ def test_every_kind_of_finding_has_a_severity_a_message_and_a_remedy():
 @pytest.mark.parametrize('id', CATALOG)
 def test_every_text_is_complete_in_both_units(id, optional):
     found = example(id, optional=optional)
-    for units in ('datasheet', 'si'):
+    for units in ('deg/h', 'SI'):
         for text in found.texts(units):
             assert not re.search(r'[{}]|\[\[|\]\]|\.\.|\bNone(?! of)|\bnan\b|  ', text), text
             assert not re.search(r'\d%', text), text
@@ -74,7 +74,7 @@ def test_a_quantity_is_shown_in_the_units_of_the_output():
         found = finding('bias_steps', (axis,), size=1e-5, before=2e-6, after=1e-6)
         size, unit = to_datasheet('B', axis[:-2], 1e-5)
         assert f'up to {significant(size, 3)} {unit}' in found.message
-        assert '1.00e-05 ' + SI_UNITS[axis[:-2]]['B'] in found.texts('si').message
+        assert '1.00e-05 ' + SI_UNITS[axis[:-2]]['B'] in found.texts('SI').message
 
 
 def test_numbers_in_a_stated_unit_are_converted():
@@ -102,7 +102,7 @@ def test_the_prefix_fits_and_the_interval_follows(quantity, text):
 @pytest.mark.parametrize('id', CATALOG)
 def test_a_document_has_all_values_and_gives_the_same_text(id):
     found = example(id, number=0.25)
-    document = json.loads(json.dumps(found.document('si'), allow_nan=False))
+    document = json.loads(json.dumps(found.document('SI'), allow_nan=False))
     read = _finding_from_document(Fields(document, 'finding'))
     assert read == found and str(read) == str(found)
 
@@ -139,7 +139,7 @@ def test_equal_causes_become_one_with_the_range_of_each_number():
         )
     )
     assert merged.message.startswith('Vibration at 0.573 to 0.579 Hz, amplitude 489 to 969 ug;')
-    assert merged.texts('si').message.count('0.00480 to 0.00950 m/s^2') == 1
+    assert merged.texts('SI').message.count('0.00480 to 0.00950 m/s^2') == 1
     assert merged.axes == ('accel_x', 'accel_y', 'accel_z')
 
 

@@ -71,7 +71,7 @@ def changes(document: dict[str, Any], seed: int) -> Iterator[dict[str, Any]]:
 
 
 def use_results(results: Results) -> None:
-    for text in (repr(results), *results_lines(results, verdict_of(results), 'datasheet', 100)):
+    for text in (repr(results), *results_lines(results, verdict_of(results), 'deg/h', 100)):
         assert '\x1b' not in text
     results._repr_html_()
     results.table()

@@ -70,10 +70,10 @@ def test_an_unresolved_term_is_shown_by_its_limit(coefficient: Coefficient, text
 
 def test_units() -> None:
     # 1 deg/h = pi/180/3600 rad/s, 1 ug = 9.80665e-6 m/s^2
-    assert shown_unit('gyro_x', 'B', 'datasheet') == (
+    assert shown_unit('gyro_x', 'B', 'deg/h') == (
         'deg/h',
         pytest.approx(180.0 / math.pi * 3600.0),
     )
-    assert shown_unit('accel_z', 'B', 'datasheet') == ('ug', pytest.approx(1.0 / 9.80665e-6))
-    assert shown_unit('gyro_y', 'K', 'si') == ('rad/s^2/sqrt(Hz)', 1.0)
-    assert shown_unit('gyro_y', 'signal', 'datasheet') == ('deg/s', pytest.approx(180.0 / math.pi))
+    assert shown_unit('accel_z', 'B', 'deg/h') == ('ug', pytest.approx(1.0 / 9.80665e-6))
+    assert shown_unit('gyro_y', 'K', 'SI') == ('rad/s^2/sqrt(Hz)', 1.0)
+    assert shown_unit('gyro_y', 'signal', 'deg/h') == ('deg/s', pytest.approx(180.0 / math.pi))

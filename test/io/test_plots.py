@@ -24,7 +24,7 @@ def test_the_curve_is_drawn_in_the_stated_unit(small_results: Results) -> None:
     adev = small_results.axes['gyro_x'].curve.adev
     assert np.allclose(measured.get_ydata(), adev / DEG_PER_HOUR, rtol=1e-12)
     assert '°/h' in panel.get_ylabel()
-    si = sensor_figure(small_results, 'gyro', units='si').axes[0]
+    si = sensor_figure(small_results, 'gyro', units='SI').axes[0]
     assert 'rad/s' in si.get_ylabel()
 
 

@@ -67,7 +67,7 @@ def test_an_excess_fails_and_is_named(small_results: Results) -> None:
 
 
 def test_a_number_that_is_not_settled_gives_no_verdict(small_results: Results) -> None:
-    verdict = verdict_of(calm(small_results), against_itself(small_results, 0.999), 'si')
+    verdict = verdict_of(calm(small_results), against_itself(small_results, 0.999), 'SI')
     assert verdict.level == 'unknown'
     assert 'not settled: N of all axes' in verdict.summary
 

@@ -26,6 +26,7 @@ from ... import __version__
 from ...core.allan.spectrum import Spectrum
 from ...core.findings import Finding, duration_text, grouped
 from ...core.imu import AXES, SENSORS
+from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
 from ..format import SENSOR_NAMES, pretty_unit, significant
 from ..signal import SignalSummary
@@ -94,7 +95,7 @@ class ReportContext:
 def render_report(results: Results, context: ReportContext, units: str) -> str:
     """Return the HTML of the report.
 
-    ``units`` selects the units that are shown at first, 'datasheet' or 'si'; a switch in the page
+    ``units`` selects the units that are shown at first, 'deg/h' or 'SI'; a switch in the page
     changes them. Charts without their data in ``context`` are omitted.
     """
     name = results.identity.label or 'IMU'
@@ -170,9 +171,9 @@ def _header(
     yield f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{items}</ul></header>'
     links = ''.join(f'<a href="#{s}">{s.capitalize()}</a>' for s in sensors)
     switch = ''.join(
-        f'<label><input type="radio" name="units" id="units-{system}" value="{system}"'
-        f'{" checked" if system == units else ""}>{label}</label>'
-        for system, label in (('datasheet', 'datasheet'), ('si', 'SI'))
+        f'<label><input type="radio" name="units" value="{system}"'
+        f'{" checked" if system == units else ""}>{system}</label>'
+        for system in UNIT_SYSTEMS
     )
     yield (
         f'<nav aria-label="Sections"><div><a href="#verdict">Verdict</a>{links}'

@@ -18,6 +18,7 @@ from ...core.allan.sums import AllanSums
 from ...core.fit import TERMS
 from ...core.imu import AXES, SENSORS
 from ...core.noise import NoiseTerms, term_avar
+from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
 from ..format import (
     SENSOR_NAMES,
@@ -27,7 +28,7 @@ from ..format import (
 )
 from ..plot_style import drawn_curve
 from ..signal import SignalSummary
-from .tables import SYSTEMS, copies
+from .tables import copies
 
 if TYPE_CHECKING:
     from ..results import Results
@@ -67,14 +68,14 @@ def sensor_charts(
     return {
         'sensor': sensor,
         'title': f'{SENSOR_NAMES[sensor]} of {results.identity.label or "IMU"}',
-        'units': {units: _units(sensor, units) for units in SYSTEMS},
+        'units': {units: _units(sensor, units) for units in UNIT_SYSTEMS},
         'tau': rounded(tau),
         'axes': [_axis(name, axis, tau) for name, axis in axes.items()],
         'references': [*_references(axes, results, tau)],
         'spectrum': _spectrum(axes, spectra),
         'signal': None if summary is None else _signal(axes, summary),
         'trends': trends(results, sensor, summary),
-        'copy': {units: copies(results, list(axes), units) for units in SYSTEMS},
+        'copy': {units: copies(results, list(axes), units) for units in UNIT_SYSTEMS},
     }
 
 

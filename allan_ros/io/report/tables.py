@@ -15,6 +15,7 @@ import yaml
 from ...core.compare import Comparison
 from ...core.fit import TERMS, Coefficient
 from ...core.fit.interpretation import ADVISED_TERMS
+from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
 from ..datasheets import VERDICT_TEXT, DatasheetComparison
 from ..format import (
@@ -40,9 +41,6 @@ Axes = Mapping[str, AxisResult]
 Row = tuple[str, Iterable[str]]
 """Heading of a row, and a ``<td>`` element for each axis, as HTML."""
 
-SYSTEMS = ('datasheet', 'si')
-"""Systems of units between which the page can switch."""
-
 WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
 """Sensor -> quantities whose random walks are N and K (IEEE Std 952 and 1293)."""
 
@@ -50,8 +48,8 @@ MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
 """Verdict on one limit -> its symbol."""
 
 ERRORS = {
-    'gyro': {'datasheet': ShownUnit('°', 180.0 / math.pi), 'si': ShownUnit('rad', 1.0)},
-    'accel': dict.fromkeys(SYSTEMS, ShownUnit('m/s', 1.0)),
+    'gyro': {'deg/h': ShownUnit('°', 180.0 / math.pi), 'SI': ShownUnit('rad', 1.0)},
+    'accel': dict.fromkeys(UNIT_SYSTEMS, ShownUnit('m/s', 1.0)),
 }
 """Sensor -> system of units -> unit of the integrated error (an angle or a velocity)."""
 
@@ -62,9 +60,9 @@ COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
 def in_units(html_of: Callable[[str], str]) -> str:
     """Return HTML with a text in datasheet units and in SI; the page shows one of them.
 
-    ``html_of`` returns the text for 'datasheet' or 'si'.
+    ``html_of`` returns the text for 'deg/h' or 'SI'.
     """
-    return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in SYSTEMS)
+    return ''.join(f'<span data-units="{units}">{html_of(units)}</span>' for units in UNIT_SYSTEMS)
 
 
 def headline_table(sensor: str, axes: Axes) -> str:
@@ -130,7 +128,7 @@ def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
         )
     for name, axis in axes.items():
         if axis.turn_on:
-            units = {system: shown_unit(name, 'B', system) for system in SYSTEMS}
+            units = {system: shown_unit(name, 'B', system) for system in UNIT_SYSTEMS}
             size = _size(axis.turn_on.std, axis.turn_on.ci95, units)
             yield (
                 f'<p class="note">Bias of {name[-1]} between {axis.turn_on.recordings} '

@@ -51,7 +51,7 @@ def pages(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[s
         spectra = [spectrum_of(s, results.tau0) for s in recorded.spectra]
         context = ReportContext(signal, [s for s in spectra if s is not None])
         made[name] = folder / f'{name}.html'
-        made[name].write_text(render_report(results, context, 'datasheet'), encoding='utf-8')
+        made[name].write_text(render_report(results, context, 'deg/h'), encoding='utf-8')
     return made
 
 
@@ -70,7 +70,7 @@ def test_every_axis_has_three_labels_within_the_figure(
 ) -> None:
     opened(browser, pages[name], width)
     assert browser.evaluate('document.documentElement.scrollWidth') <= width
-    browser.evaluate('document.getElementById("units-si").click()')
+    browser.evaluate('document.querySelector("[name=units][value=SI]").click()')
     browser.wait_for(f'{LABELS}.every(axes => axes.every(labels => labels.length >= 3))')
 
 

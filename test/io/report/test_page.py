@@ -97,7 +97,7 @@ def data_of(page: Page) -> dict[str, Any]:
 
 
 def test_the_page_is_self_contained_and_runs_only_its_own_scripts(small_results: Results) -> None:
-    page = Page(render_report(small_results, everything(small_results), 'datasheet'))
+    page = Page(render_report(small_results, everything(small_results), 'deg/h'))
     assert "default-src 'none'" in page.policy
     script_rule = re.search(r'script-src ([^;]*)', page.policy)
     assert script_rule is not None and 'unsafe' not in script_rule[1]
@@ -123,8 +123,8 @@ def test_texts_of_a_recording_stay_text(small_results: Results) -> None:
     )
     results = replace(results, baselines={HOSTILE: small_results})
     extras = replace(everything(results), method={HOSTILE: HOSTILE})
-    plain = Page(render_report(small_results, everything(small_results), 'datasheet'))
-    page = Page(render_report(results, extras, 'datasheet'))
+    plain = Page(render_report(small_results, everything(small_results), 'deg/h'))
+    page = Page(render_report(results, extras, 'deg/h'))
     assert len(page.scripts) == len(plain.scripts)
     assert page.text.count('alert(1)') >= 8
     assert page.policy == plain.policy
@@ -137,7 +137,7 @@ def test_a_script_element_cannot_be_ended_by_its_data() -> None:
     assert json.loads(text) == {'a': HOSTILE}
 
 
-@pytest.mark.parametrize('units', ['datasheet', 'si'])
+@pytest.mark.parametrize('units', ['deg/h', 'SI'])
 def test_the_page_agrees_with_the_results(small_results: Results, units: str) -> None:
     extras = everything(small_results)
     text = render_report(small_results, extras, units)
@@ -161,7 +161,7 @@ def test_the_page_is_complete_with_an_absent_sensor_and_an_empty_curve(
     gyro['gyro_y'] = replace(gyro['gyro_y'], curve=None)
     for axes in (gyro, {'accel_y': small_results.axes['accel_y']}, {}):
         results = replace(small_results, axes=axes)
-        data = data_of(Page(render_report(results, ReportContext(), 'si')))
+        data = data_of(Page(render_report(results, ReportContext(), 'SI')))
         assert [a['name'] for s in data['sensors'] for a in s['axes']] == list(axes)
 
 
@@ -171,12 +171,12 @@ def test_charts_contain_si_values_and_factors(small_results: Results) -> None:
     assert curve is not None
     assert np.allclose(chart['tau'], curve.tau, rtol=1e-4)
     assert np.allclose(chart['axes'][1]['adev'], curve.adev, rtol=1e-4)
-    assert chart['units']['datasheet']['curve'] == ['µg', pytest.approx(1.0 / 9.80665e-6)]
-    assert chart['units']['si']['N'] == ['m/s²/√Hz', 1.0]
+    assert chart['units']['deg/h']['curve'] == ['µg', pytest.approx(1.0 / 9.80665e-6)]
+    assert chart['units']['SI']['N'] == ['m/s²/√Hz', 1.0]
 
 
 def test_copied_numbers_are_those_of_the_fit(small_results: Results) -> None:
-    made = copies(small_results, ['gyro_x', 'gyro_y'], 'si')
+    made = copies(small_results, ['gyro_x', 'gyro_y'], 'SI')
     fit = small_results.axes['gyro_y'].fit.noise
     tree = yaml.safe_load(made['YAML'])
     assert tree['gyro_y']['N']['value'] == pytest.approx(fit['N'].value, rel=1e-5)

@@ -51,7 +51,7 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     results = replace(results, baselines={'May': small_results})
     context = ReportContext(summary, [spectrum], {'command': 'x'}, ['results.json'])
     path = tmp_path_factory.mktemp('page') / 'report.html'
-    path.write_text(render_report(results, context, 'datasheet'), encoding='utf-8')
+    path.write_text(render_report(results, context, 'deg/h'), encoding='utf-8')
     return path
 
 
@@ -134,7 +134,7 @@ def test_units_are_switched_everywhere_and_copied(browser: Chromium, page: Path)
         'document.querySelector(".coefficients tbody tr:nth-child(1) th").innerText])'
     )
     assert '°/√h' in browser.evaluate(shown)
-    browser.evaluate('document.getElementById("units-si").click()')
+    browser.evaluate('document.querySelector("[name=units][value=SI]").click()')
     assert 'rad/s' in browser.evaluate(shown) and '°' not in browser.evaluate(shown)
     browser.evaluate('document.querySelector(".copy button").click()')
     browser.wait_for('document.querySelector(".copy [role=status]").textContent === "TSV copied"')

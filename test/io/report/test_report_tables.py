@@ -22,7 +22,7 @@ DEG = 180.0 / math.pi
 
 def cells(html: str, units: str) -> list[str]:
     """Return the cells of a table in one system of units, tags replaced by a space."""
-    other = {'datasheet': 'si', 'si': 'datasheet'}[units]
+    other = {'deg/h': 'SI', 'SI': 'deg/h'}[units]
     shown = re.sub(rf'<span data-units="{other}">.*?</span>', '', html)
     found = re.findall(r'<td[^>]*>(.*?)</td>', shown)
     return [' '.join(re.sub('<[^>]*>', ' ', cell).split()) for cell in found]
@@ -33,7 +33,7 @@ def axis_of(**noise: Coefficient) -> AxisResult:
     return AxisResult(0.01, AxisFit({**unknown, **noise}), name='gyro_x')
 
 
-@pytest.mark.parametrize(('units', 'factor'), [('datasheet', DEG), ('si', 1.0)])
+@pytest.mark.parametrize(('units', 'factor'), [('deg/h', DEG), ('SI', 1.0)])
 def test_the_growth_is_that_of_the_axis(small_results: Results, units: str, factor: float) -> None:
     axes = {name: small_results.axes[name] for name in ('gyro_x', 'gyro_y')}
     html = ''.join(growth_table('gyro', axes))
@@ -51,7 +51,7 @@ def test_of_terms_that_are_not_resolved_only_a_limit_is_given() -> None:
     limits = {term: Coefficient(None, None, 1e-3, 'not_observable') for term in 'NBK'}
     axis = axis_of(**limits)
     assert all(growth.ci95[0] == 0.0 for growth in axis.growth)
-    shown = cells(''.join(growth_table('gyro', {'gyro_x': axis})), 'si')
+    shown = cells(''.join(growth_table('gyro', {'gyro_x': axis})), 'SI')
     highs = [significant(growth.ci95[1], 2) for growth in axis.growth]
     assert shown == [f'&lt; {high}' for high in highs]
 
