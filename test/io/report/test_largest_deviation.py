@@ -93,7 +93,8 @@ def test_a_broad_hump_deviates() -> None:
     ((relative, _),) = check(results)  # type: ignore[misc]
     assert abs(relative) > 0.05
     (finding,) = [f for f in results.findings if f.id == 'misfit']
-    assert f'{abs(results["gyro_z"].fit.deviation.relative):.0%}'.replace('%', ' %') in finding.message
+    deviation = abs(results['gyro_z'].fit.deviation.relative)
+    assert f'{100.0 * deviation:.0f} %' in finding.message
 
 
 @pytest.mark.parametrize('name', ['imu1', 'imu2', 'mpu6050'])
