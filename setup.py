@@ -12,7 +12,6 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'allan_ros'
 DASK = 'distributed>=2022.2'
-ROSBAGS = 'rosbags>=0.11.7'
 ULOG = 'pyulog>=1.0'
 README = Path(__file__).resolve().with_name('README.md')
 """In the folder of the resolved path: `colcon build --symlink-install` runs a link to this file."""
@@ -88,7 +87,8 @@ setup(
         'numpy>=1.21',
         'PyYAML>=5.4',
         'rich>=10',  # tables of allan_watch; plain text without it
-        'lz4>=3.1',  # mcap and ROS 1 bags with this compression
+        'lz4>=3.1',  # mcap bags with this compression
+        'rosbags>=0.11.7',  # writes bags; reads ROS 1 bags and Imu fields in other messages
         'scipy>=1.8',
         'zstandard>=0.18',  # mcap and sqlite3 bags with this compression
     ],
@@ -97,7 +97,6 @@ setup(
         'dask': [DASK],
         'jazzy': ros_wheels('jazzy'),
         'kilted': ros_wheels('kilted'),
-        'rosbags': [ROSBAGS],  # Imu fields in other messages; writing ROS 1 bags
         'ulog': [ULOG],  # PX4 logs
         # For tests: filter libraries that read the exported files, and another DDS. gtsam 4.2
         # requires numpy 1, and newer versions do not support Python 3.10.
@@ -115,7 +114,6 @@ setup(
             'pytest>=7',
             'pytest-xdist>=3',
             DASK,
-            ROSBAGS,
             ULOG,
         ],
     },

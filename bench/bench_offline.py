@@ -60,7 +60,7 @@ def bag(folder: Path, name: str, messages: int) -> Path:
 def table(path: Path) -> int:
     """Read a bag to its Allan table."""
     from allan_ros.core.stream.pipeline import ImuStream
-    from allan_ros.io.readers.recording import open_recordings
+    from allan_ros.io.readers import open_recordings
 
     (recording,) = open_recordings([path])
     accumulator = ImuStream()
@@ -73,7 +73,7 @@ def table(path: Path) -> int:
 
 def read(path: Path) -> int:
     """Read a bag to arrays of samples."""
-    from allan_ros.io.readers.recording import open_recordings
+    from allan_ros.io.readers import open_recordings
 
     (recording,) = open_recordings([path])
     return sum(map(len, recording.batches()))

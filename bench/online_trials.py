@@ -29,7 +29,7 @@ from allan_ros.core.allan.document import sums_from_document
 from allan_ros.core.allan.engine import RunningAllan
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
-from allan_ros.io.readers.recording import open_recordings
+from allan_ros.io.readers import open_recordings
 from allan_ros.io.writing import write_recording
 
 GYRO, ACCEL = [NoiseTerms(N=5e-5, B=2e-5)] * 3, [NoiseTerms(N=8e-4, B=3e-4)] * 3

@@ -24,8 +24,8 @@ from online_nodes import Client, start
 
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
+from allan_ros.io.readers import open_recordings
 from allan_ros.io.readers.cdr import encode_imus
-from allan_ros.io.readers.recording import open_recordings
 from allan_ros.io.writing import write_recording
 
 RATE_HZ = 1000.0

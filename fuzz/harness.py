@@ -289,7 +289,7 @@ def _address_space() -> int:
     return pages * resource.getpagesize()
 
 
-NAMES: tuple[str, ...] = ('mcap', 'sqlite3', 'ros1', 'folder', 'tables', 'losses', 'hostile', 'imu')
+NAMES: tuple[str, ...] = ('mcap', 'folder', 'tables', 'losses', 'hostile', 'imu')
 NAMES += ('documents', 'absurd', 'nodes')
 
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import bz2
 import os
 import resource
 import sqlite3
@@ -23,8 +22,6 @@ from allan_ros.io.writing import write_recording
 from .harness import BrokenRule, Target
 from .mcap_target import MAGIC, record
 from .reading import read_and_check, small_batch
-from .ros1_target import Damage
-from .ros1_target import build as build_ros1
 
 GROWTH_BYTES = 450 << 20
 """Memory that reading one of these may take: three chunks of the largest size."""
@@ -60,8 +57,6 @@ def zstd_frame(size: int, states_size: bool, byte: bytes = b'\0') -> bytes:
 @lru_cache(maxsize=8)
 def packed(how: str, size: int) -> bytes:
     """Return compressed zeros; slow compressors get fewer."""
-    if how == 'bz2':
-        return bz2.compress(bytes(min(size, 140 << 20)), 1)
     if how == 'lz4':
         import lz4.frame
 
@@ -80,7 +75,7 @@ def deflated() -> bytes:
 
 @st.composite
 def _inputs(draw: Any) -> tuple[Any, ...]:
-    match draw(st.sampled_from(['special', 'mcap', 'ros1', 'messages', 'file', 'line', 'sparse'])):
+    match draw(st.sampled_from(['special', 'mcap', 'messages', 'file', 'line', 'sparse'])):
         case 'special':
             return 'special', draw(st.sampled_from(KINDS)), draw(st.sampled_from(PLACES))
         case 'mcap':
@@ -88,8 +83,6 @@ def _inputs(draw: Any) -> tuple[Any, ...]:
             size = draw(st.sampled_from(EXPANDED))
             stated = draw(st.sampled_from([size, size, 0, 1000, 2**63, 64 << 20]))
             return 'mcap', how, size, stated, draw(st.integers(1, 3))
-        case 'ros1':
-            return 'ros1', draw(st.sampled_from(['bz2', 'lz4'])), draw(st.sampled_from(EXPANDED))
         case 'messages':
             how, size = (
                 draw(st.sampled_from(['zstd', 'zstd stated'])),
@@ -148,22 +141,6 @@ def _mcap(folder: Path, how: str, size: int, stated: int, chunks: int) -> Path:
     return path
 
 
-def _ros1(folder: Path, how: str, size: int) -> Path:
-    data = packed(how, size)
-    fields = b''.join(
-        struct.pack('<I', len(pair)) + pair
-        for pair in (
-            b'op=\x05',
-            b'compression=' + how.encode(),
-            b'size=' + struct.pack('<I', min(size, 2**32 - 1)),
-        )
-    )
-    chunk = struct.pack('<I', len(fields)) + fields + struct.pack('<I', len(data)) + data
-    path = folder / 'a.bag'
-    path.write_bytes(build_ros1(Damage()) + chunk)
-    return path
-
-
 def _file(folder: Path, how: str, size: int, suffix: str) -> Path:
     path = folder / f'a{suffix}'
     path.write_bytes(packed(how, size))
@@ -189,7 +166,6 @@ def _line(folder: Path, text: str, size: int) -> Path:
 MAKE: dict[str, Callable[..., Path]] = {
     'special': _special,
     'mcap': _mcap,
-    'ros1': _ros1,
     'messages': _messages,
     'file': _file,
     'line': _line,

@@ -11,7 +11,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from allan_ros.io.readers.recording import open_recordings
+from allan_ros.io.readers import open_recordings
 from allan_ros.io.writing import write_recording
 
 from .damage import damaged
@@ -23,8 +23,6 @@ FORMS = {
     'run.mcap': ('mcap', 'none'),
     'zstd.mcap': ('mcap', 'chunk'),
     'run.db3': ('sqlite3', 'none'),
-    'run.bag': ('ros1', 'none'),
-    'bz2.bag': ('ros1', 'bz2'),
     'run.csv': ('csv', 'none'),
 }
 """File -> storage and compression; rosbag2 files have a metadata.yaml next to them."""

@@ -14,8 +14,9 @@ from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.documents import sums_file_from_document, sums_file_to_document
 from allan_ros.io.files import to_json
+from allan_ros.io.readers import open_recordings
 from allan_ros.io.readers.cdr import encode_imus
-from allan_ros.io.readers.recording import ReadOptions, open_recordings
+from allan_ros.io.readers.recording import ReadOptions
 from allan_ros.io.recorded import Provenance
 
 from .harness import BrokenRule, check_document, check_line, refused_or_valid

@@ -27,7 +27,7 @@ from ..core.imu import SENSORS, sensor_of
 from ..io.documents import RESULTS, load, load_sums, results_to_document
 from ..io.files import write_atomic
 from ..io.format import known_numbers, shown_unit, value_text
-from ..io.readers.recording import topics_of
+from ..io.readers import topics_of
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
 from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of

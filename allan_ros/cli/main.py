@@ -286,13 +286,13 @@ def _names(what: str, prefix: str, parsed_args: argparse.Namespace, **_: Any) ->
 
 def _topics(parsed_args: argparse.Namespace) -> list[str]:
     """Return the Imu topics of the bags on the command line, or all topics if none is Imu."""
+    from ..io.readers.bag import bag_of
     from ..io.readers.cdr import IMU_TYPE
-    from ..io.readers.recording import bag_files, open_storage
 
     topics = []
     for path in getattr(parsed_args, 'inputs', None) or ():
-        with open_storage(bag_files(Path(path)).files[0]) as (storage, _compression):
-            topics += storage.topics
+        bag = bag_of(Path(path))
+        topics += bag.storage(bag.files[0]).topics
     imus = {topic.name for topic in topics if topic.type == IMU_TYPE}
     return sorted(imus or {topic.name for topic in topics})
 

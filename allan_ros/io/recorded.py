@@ -25,7 +25,8 @@ from ..core.findings import SEVERITIES, Finding
 from ..core.settings import SegmenterSettings
 from ..core.stream.health import Counts, Segment
 from ..core.stream.pipeline import ImuStream
-from .readers.recording import ReadOptions, Recording, SourceInfo, open_recordings
+from .readers import open_recordings
+from .readers.recording import ReadOptions, Recording, SourceInfo
 from .signal import SignalEnvelope, TemperatureTrace
 
 if TYPE_CHECKING:
@@ -213,6 +214,8 @@ def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iter
     """Read the recordings one after the other, in this process."""
     # All are opened before the first is read, so that a wrong name is reported at once.
     recordings = [job.open() for job in jobs]
+    for recording in recordings[1:]:
+        recording.close()
     for job, recording in zip(jobs, recordings):
         bar = observer.progress(job.path, recording.messages)
         with observer.timed(f'read {job.path}'), bar as progress:

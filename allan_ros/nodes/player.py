@@ -29,8 +29,9 @@ from ..core.errors import AllanError
 from ..core.imu import ImuBatch
 from ..core.noise import NoiseTerms
 from ..core.simulate import simulate_imu
+from ..io.readers import open_recordings
 from ..io.readers.cdr import encode_imus
-from ..io.readers.recording import ReadOptions, Recording, open_recordings
+from ..io.readers.recording import ReadOptions, Recording
 from .imu_input import NAMELESS, full_name
 from .shell import STEADY, run
 

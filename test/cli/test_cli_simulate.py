@@ -11,7 +11,7 @@ from allan_ros.core.fit import TERMS
 from allan_ros.core.imu import AXES, sensor_of, to_datasheet
 from allan_ros.core.simulate import PRESETS
 from allan_ros.io.datasheets import load_sensor
-from allan_ros.io.readers.recording import open_recordings
+from allan_ros.io.readers import open_recordings
 from allan_ros.io.user_files import read_noise, truth_path
 
 SHORT = ['--hours', '0.01', '--rate', '50']  # 1800 samples

@@ -15,7 +15,8 @@ import pytest
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch
-from allan_ros.io.readers.recording import ReadOptions, Recording, open_recordings
+from allan_ros.io.readers import open_recordings
+from allan_ros.io.readers.recording import ReadOptions, Recording
 
 START_NS = 1_700_000_000_123_456_789
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from allan_ros.io.readers.recording import open_recordings
+from allan_ros.io.readers import open_recordings
 from allan_ros.io.signal import Decimated, trace_of
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
@@ -61,6 +61,7 @@ def test_the_temperature_topic_of_the_imu_is_found(
 ) -> None:
     write_bag(tmp_path / 'bag', topics, imu_topic)
     (recording,) = open_recordings([tmp_path / 'bag'])
+    assert sum(map(len, recording.batches())) == 10
     trace = recording.temperature('imu_link')
     if expected is None:
         assert trace is None

@@ -13,7 +13,7 @@ import yaml
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.files import MOST_BRACKETS, parse_yaml
-from allan_ros.io.readers.recording import open_recordings
+from allan_ros.io.readers import open_recordings
 
 LETTERS = 'abcdefghi'
 

@@ -17,7 +17,7 @@ from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.readers.recording import open_recordings
+from allan_ros.io.readers import open_recordings
 from allan_ros.io.writing import COMPRESSIONS, write_recording
 
 pytest.importorskip('rosbags')

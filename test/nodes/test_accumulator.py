@@ -16,7 +16,7 @@ pytest.importorskip('rclpy')
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.readers.recording import open_recordings
+from allan_ros.io.readers import open_recordings
 from allan_ros.io.writing import write_recording
 from allan_ros.nodes.accumulation import _events
 

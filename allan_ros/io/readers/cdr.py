@@ -116,13 +116,11 @@ def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 
 def decode_imus(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void],
     encoding: Encoding,
-    trust_covariance: bool = False,
 ) -> DecodedImus:
     """Decode serialized Imu messages.
 
     A sensor is absent (NaN in the result) where covariance[0] is -1 or NaN and its data are
-    invalid. With ``trust_covariance``, it is absent even if its data are valid. Raises
-    MalformedMessage for the first payload that is not an Imu message.
+    invalid. Raises MalformedMessage for the first payload that is not an Imu message.
     """
     n = len(payloads)
     room = np.empty((len(AXES), n)).T
@@ -135,7 +133,7 @@ def decode_imus(
             first = records[f'{sensor}_covariance'][:, 0].copy()
             if not first.min() >= 0.0:  # also for NaN
                 absent = np.arange(n)[rows][(first == ABSENT) | np.isnan(first)]
-                _drop_absent(decoded, sensor, absent, trust_covariance)
+                _drop_absent(decoded, sensor, absent)
         distinct, which = _distinct(records['frame_id'])
         places = []
         for name in distinct:
@@ -147,22 +145,16 @@ def decode_imus(
     return decoded
 
 
-def _drop_absent(
-    decoded: DecodedImus, sensor: str, absent: NDArray[np.intp], trust_covariance: bool
-) -> None:
+def _drop_absent(decoded: DecodedImus, sensor: str, absent: NDArray[np.intp]) -> None:
     """Set a sensor to NaN in the messages that declare it absent; ``absent`` are their indices.
 
-    Many drivers declare this by mistake. So valid data (finite, not all zero) are kept unless
-    ``trust_covariance`` is set.
+    Many drivers declare this by mistake. So valid data (finite, not all zero) are kept.
     """
-    if not trust_covariance:
-        values = decoded.samples[absent, SENSORS[sensor]]
-        valid = np.isfinite(values).all(axis=1) & values.any(axis=1)
-        if valid.any():
-            kept = decoded.kept.get(sensor, 0) + int(np.count_nonzero(valid))
-            decoded.kept[sensor] = kept
-        absent = absent[~valid]
-    decoded.samples[absent, SENSORS[sensor]] = np.nan
+    values = decoded.samples[absent, SENSORS[sensor]]
+    valid = np.isfinite(values).all(axis=1) & values.any(axis=1)
+    if valid.any():
+        decoded.kept[sensor] = decoded.kept.get(sensor, 0) + int(np.count_nonzero(valid))
+    decoded.samples[absent[~valid], SENSORS[sensor]] = np.nan
 
 
 def _grouped_by_layout(
@@ -258,16 +250,6 @@ def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[m
     A sensor whose axes are all NaN is declared absent (zeros, covariance[0] = -1), and so is the
     orientation.
     """
-    joined = memoryview(encode_records(batch, encoding, order).tobytes())
-    size = len(joined) // max(len(batch), 1)
-    return [joined[start : start + size] for start in range(0, len(joined), size or 1)]
-
-
-def encode_records(batch: ImuBatch, encoding: Encoding, order: str = '<') -> NDArray[Any]:
-    """Serialize a batch to an array of message records, one per sample.
-
-    A sensor whose axes are all NaN is declared absent, and so is the orientation.
-    """
     frame = batch.frame_id.encode() + (b'\0' if encoding == 'cdr' else b'')
     dtype = imu_dtype(encoding, order, len(frame))
     records = np.zeros(len(batch), dtype)
@@ -283,7 +265,9 @@ def encode_records(batch: ImuBatch, encoding: Encoding, order: str = '<') -> NDA
         absent = np.asarray(np.isnan(values).all(axis=1))
         records[name] = np.where(absent[:, None], 0.0, values)
         records[f'{name}_covariance'][absent, 0] = ABSENT
-    return records
+    joined = memoryview(records.tobytes())
+    size = dtype.itemsize
+    return [joined[start : start + size] for start in range(0, len(joined), size)]
 
 
 def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:

@@ -3,37 +3,52 @@
 """Reads an mcap file, with or without its summary (https://mcap.dev/spec).
 
 The summary at the end lists the chunks. The rest of the file is searched for messages outside
-chunks, and for chunks that the summary does not list. If the recorder was killed, there is no
-summary, and the complete file is searched. One chunk is decompressed at a time, so the memory does
-not depend on the size of the file.
+chunks, and for chunks that the summary does not list. If there is no summary, because the recorder
+was killed, or if it contradicts itself, the complete file is searched. One chunk is decompressed at
+a time, so the memory does not depend on the size of the file.
 """
 
 from __future__ import annotations
 
+import os
 import struct
+import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import chain
-from typing import Any
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..files import open_regular
 from .storage import (
-    Chunk,
-    ChunkStorage,
+    MAX_CHUNK_BYTES,
     Messages,
     Payloads,
+    Storage,
     Topic,
     Truncation,
     among,
+    as_list,
     damaged,
-    gathered,
+    decompress,
     normal_type,
+    translated,
 )
 
-MESSAGE, MESSAGE_INDEX = 0x05, 0x07
+MAGIC = b'\x89MCAP0\r\n'
+
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
+
+CHUNK_INDEX, STATISTICS, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
+
+FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
+"""Opcode -> only valid length of a record."""
 
 RECORD = struct.Struct('<BQ')
 """Opcode and length at the start of each record."""
@@ -43,131 +58,6 @@ MESSAGE_HEAD = struct.Struct('<HIQQ')
 
 INDEX_HEAD = struct.Struct('<HI')
 """Channel, and size of the pairs (log time, offset) that follow."""
-
-HEAD = np.dtype(
-    [('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4')]
-    + [('log_time', '<i8'), ('publish_time', '<u8')]
-)
-"""A message record up to its payload."""
-
-MAX_GAPS = 64
-"""Number of places in a chunk with records other than messages above which the index is not used,
-because reading record by record is as fast."""
-
-
-def chunk_messages(data: bytes, ids: set[int], index: Callable[[], bytes] = bytes) -> Messages:
-    """Return the messages of the channels ``ids`` in a decompressed chunk, in the order stored.
-
-    ``index`` returns the MessageIndex records of the chunk, or b''; it is only called if needed.
-    Raises struct.error when a record extends beyond the end of the data.
-    """
-    start = _starts_if_equal(data)
-    if start is None:
-        start = _starts_by_index(data, index())
-    if start is None:
-        start = _starts_by_search(data)
-    head = _records_at(data, start, HEAD)
-    mine = among(head['channel'], ids)
-    if not mine.all():
-        head, start = head[mine], start[mine]
-    return Messages(head['log_time'].astype(np.int64), _payloads(data, start, head['length']))
-
-
-def records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, offset and end offset of the content of each record.
-
-    Raises struct.error when a record extends beyond the end of the data.
-    """
-    at, size = 0, len(data)
-    while at + RECORD.size <= size:
-        opcode, length = RECORD.unpack_from(data, at)
-        start = at + RECORD.size
-        at = start + length
-        if at > size or not opcode:
-            raise struct.error('a record extends beyond the end of its chunk')
-        yield opcode, start, at
-
-
-def _starts_if_equal(data: bytes) -> NDArray[np.int64] | None:
-    """Return the message offsets if only messages of equal length follow the first, else None."""
-    message = next((record for record in records(data) if record[0] == MESSAGE), None)
-    if message is None:
-        return np.empty(0, np.int64)
-    _, start, end = message
-    first, size = start - RECORD.size, end - start + RECORD.size
-    if (len(data) - first) % size or size < HEAD.itemsize:
-        return None
-    starts = np.arange(first, len(data), size)
-    head = _records_at(data, starts, HEAD)
-    equal = (head['opcode'] == MESSAGE) & (head['length'] == size - RECORD.size)
-    return starts if equal.all() else None
-
-
-def _starts_by_index(data: bytes, index: bytes) -> NDArray[np.int64] | None:
-    """Return the offset of each message from the index; None if the index is wrong or missing."""
-    found = [np.empty(0, np.int64)]
-    for opcode, at, _ in records(index):
-        if opcode == MESSAGE_INDEX:
-            _, size = INDEX_HEAD.unpack_from(index, at)
-            pairs = np.frombuffer(index, '<i8', size // 8, at + INDEX_HEAD.size)
-            found.append(pairs.reshape(-1, 2)[:, 1].astype(np.int64))
-    start = np.sort(np.concatenate(found))
-    if not len(start) or start[0] < 0 or start[-1] > len(data) - HEAD.itemsize:
-        return None
-    head = gathered(data, start, HEAD)
-    end = start + (RECORD.size + head['length'].astype(np.int64))
-    if (head['opcode'] != MESSAGE).any() or (head['length'] < MESSAGE_HEAD.size).any():
-        return None
-    # The index is complete if there are no messages between the listed ones.
-    gap_start, gap_end = np.append(0, end), np.append(start, len(data))
-    gaps = np.flatnonzero(gap_start != gap_end)
-    if (gap_start > gap_end).any() or len(gaps) > MAX_GAPS:
-        return None
-    others = [records(data[gap_start[gap] : gap_end[gap]]) for gap in gaps]
-    unlisted = any(opcode == MESSAGE for opcode, _, _ in chain.from_iterable(others))
-    return None if unlisted else start
-
-
-def _starts_by_search(data: bytes) -> NDArray[np.int64]:
-    """Return the offset of each message, found record by record."""
-    found = [(at, end - at) for opcode, at, end in records(data) if opcode == MESSAGE]
-    if any(length < MESSAGE_HEAD.size for _, length in found):
-        raise struct.error('a message record is too short')
-    return np.array([at - RECORD.size for at, _ in found], dtype=np.int64)
-
-
-def _records_at(data: bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the records at these offsets, (n,); a view of the data if they are evenly spaced."""
-    step = np.diff(start)
-    if len(step) and (step == step[0]).all():
-        return np.ndarray((len(start),), dtype, data, int(start[0]), (int(step[0]),))
-    return gathered(data, start, dtype)
-
-
-def _payloads(data: bytes, start: NDArray[np.int64], length: NDArray[np.uint64]) -> Payloads:
-    """Return the content of messages whose records begin at these offsets."""
-    head = HEAD.itemsize
-    if len(length) and (length == length[0]).all() and length[0] > MESSAGE_HEAD.size:
-        dtype = _message_dtype(int(length[0]))
-        return _records_at(data, start, dtype)['payload']
-    view, end = memoryview(data), start + (RECORD.size + length.astype(np.int64))
-    return [view[a + head : b] for a, b in zip(start.tolist(), end.tolist())]
-
-
-@lru_cache(maxsize=64)
-def _message_dtype(length: int) -> np.dtype[np.void]:
-    """Return the layout of a message record whose content has ``length`` bytes."""
-    return np.dtype([*HEAD.descr, ('payload', np.void, length - MESSAGE_HEAD.size)])
-
-
-MAGIC = b'\x89MCAP0\r\n'
-
-FOOTER, SCHEMA, CHANNEL, CHUNK = 0x02, 0x03, 0x04, 0x06
-
-CHUNK_INDEX, STATISTICS, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
-
-FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
-"""Opcode -> only valid length of a record."""
 
 CHUNK_HEAD = struct.Struct('<QQQI')
 """First and last log time, uncompressed size, CRC-32 (0: none)."""
@@ -179,47 +69,128 @@ STATISTICS_HEAD = struct.Struct('<QHIIIIQQI')
 """Numbers of messages, schemas, channels, attachments, metadata and chunks, first and last log
 time, and size of the map from channel to number of messages that follows."""
 
+CRC_BYTES = 4
+"""Size of the CRC-32 of the summary, the last field of the footer; 0 if there is none."""
+
 FOOTER_BYTES = RECORD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
+
+HEAD = np.dtype(
+    [('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4')]
+    + [('log_time', '<i8'), ('publish_time', '<u8')]
+)
+"""A message record up to its payload."""
+
+MAX_GAPS = 64
+"""Number of places in a chunk with records other than messages above which the index is not used,
+because reading record by record is as fast."""
 
 LOOSE_BYTES = 1 << 20
 """Messages outside chunks are read about this many bytes at a time."""
 
+MAX_SORT_BYTES = 512 * 2**20
+"""Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
 
-class McapStorage(ChunkStorage):
-    """An open mcap file."""
+DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
+"""Exceptions when a file is damaged."""
 
-    DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
-    REMEDY = 'copy it again, or repair it with "mcap recover"'
+REMEDY = 'copy it again, or repair it with "mcap recover"'
 
-    def _survey(self) -> None:
+
+@dataclass(frozen=True, order=True)
+class Chunk:
+    """A part of a file that contains messages: time of the first one, offset and length in bytes.
+
+    An index of ``index_length`` bytes follows the chunk. ``loose`` marks a sequence of messages
+    outside chunks.
+    """
+
+    start_ns: int
+    offset: int
+    length: int
+    index_length: int = 0
+    loose: bool = False
+
+
+class McapStorage:
+    """An open mcap file; error messages name it ``path``.
+
+    Raises one of `DAMAGE` when it is of another format or damaged.
+    """
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self._path = path
+        self._file = file
+        self._size = os.fstat(file.fileno()).st_size
+        self._clear()
+        if self._read(0, len(MAGIC)) != MAGIC:
+            raise damaged(path, 'it is not an mcap file', 'give a recording')
+        if not self._survey_by_summary():
+            self._clear()
+            self._survey_all()
+        self._chunks.sort()
+        self.topics = list(self._topics.values())
+
+    def _clear(self) -> None:
+        self._topics: dict[int, Topic] = {}
         self._schemas: dict[int, tuple[str, str, str]] = {}
+        self._counts: Counter[int] = Counter()
+        # number of messages in the statistics
+        self._stated: Counter[int] = Counter()
         # number of messages in MessageIndex records and outside chunks
         self._indexed: Counter[int] = Counter()
-        if self._read(0, len(MAGIC)) != MAGIC:
-            raise damaged(self._path, 'it is not an mcap file', 'give a recording')
-        listed, end = self._read_summary()
-        at = len(MAGIC)
-        for chunk in listed:
-            end_of_index = chunk.offset + chunk.length + chunk.index_length
-            at = max(self._scan(at, chunk.offset - RECORD.size), end_of_index)
-            self._chunks.append(chunk)
-        at = self._scan(at, end)
-        if listed:
-            self._counts = Counter(self._stated)
-            return
-        if not self._stated:
-            self._stated = self._counts | self._indexed
-        magic_at = end - len(MAGIC)
-        ended = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
-        if not self.truncation and not ended:
-            self.truncation = Truncation(at, end)
+        self._chunks: list[Chunk] = []
+        self.truncation: Truncation | None = None
 
-    def _messages(self, chunk: Chunk, ids: set[int]) -> Messages:
+    def counts(self) -> dict[int, int]:
+        """Return topic id -> number of messages."""
+        return dict(self._counts)
+
+    def stated(self, ids: set[int], read: int) -> int:
+        """Return the number of messages of these topics in the index; ``read`` if there is none."""
+        if not self._stated:
+            return read
+        stated = sum(self._stated[number] for number in ids)
+        return max(stated, read) if self.truncation else stated  # the index may be truncated, too
+
+    def blocks(self, groups: Sequence[set[int]]) -> Iterator[list[Messages]]:
+        """Yield the next messages of each group of topic ids, in the order of record time."""
+        with translated(self._path, DAMAGE, REMEDY):
+            sorters = [ChunkSorter() for _ in groups]
+            ends = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
+            for chunk, until in zip(self._chunks, ends):
+                found = self._messages(chunk, groups)
+                yield [sorter.add(one, until) for sorter, one in zip(sorters, found)]
+
+    def _messages(self, chunk: Chunk, groups: Sequence[set[int]]) -> list[Messages]:
+        """Return the messages of each group of topics in a chunk, in the order of the chunk."""
+        data = self._data(chunk)
         index = partial(self._read, chunk.offset + chunk.length, chunk.index_length)
-        return chunk_messages(self._data(chunk), ids, index)
+        start, others = message_starts(data, index)
+        for opcode, at, _ in others:
+            if opcode == CHANNEL:
+                self._check_channel(data, at)
+        head = _records_at(data, start, HEAD)
+        return [_of_channels(data, start, head, ids) for ids in groups]
+
+    def _check_channel(self, data: bytes, at: int) -> None:
+        """Raise ValueError if the channel at ``data[at:]`` differs from the one that is known."""
+        number, _ = struct.unpack_from('<HH', data, at)
+        name, _ = _text(data, at + 4)
+        known = self._topics.get(number)
+        if known is None or known.name != name:
+            stated = 'not known' if known is None else known.name
+            raise ValueError(f'channel {number} is {name} in a chunk, but {stated} in the summary')
+
+    def _read(self, offset: int, length: int) -> bytes:
+        if length > MAX_CHUNK_BYTES:
+            raise ValueError(
+                f'a record of {length} bytes at byte {offset}, the limit is {MAX_CHUNK_BYTES}'
+            )
+        self._file.seek(offset)
+        return self._file.read(length)
 
     def _data(self, chunk: Chunk) -> bytes:
-        """Return the decompressed records of a chunk."""
+        """Return the decompressed records of a chunk, after checking its CRC-32."""
         data = self._read(chunk.offset, chunk.length)
         if chunk.loose:
             return data
@@ -227,32 +198,76 @@ class McapStorage(ChunkStorage):
         compression, at = _text(data, CHUNK_HEAD.size)
         (stored,) = struct.unpack_from('<Q', data, at)
         packed = memoryview(data)[at + 8 : at + 8 + stored]
-        return self._unpacked(chunk.offset, packed, compression, size, checksum)
+        try:
+            plain = decompress(packed, compression, min(size, MAX_CHUNK_BYTES))
+            if len(plain) != size:
+                raise ValueError(f'{len(plain)} bytes instead of {size}')
+            if checksum and zlib.crc32(plain) != checksum:
+                raise ValueError('its checksum is wrong')
+        except ValueError as error:
+            reason = f'the chunk at byte {chunk.offset} is damaged: {error}'
+            raise damaged(self._path, reason, REMEDY) from error
+        return plain
+
+    def _survey_by_summary(self) -> bool:
+        """Find topics, counts and chunks by the summary; return False if there is no valid one."""
+        try:
+            chunks, end = self._read_summary()
+        except (struct.error, ValueError):
+            return False
+        if not chunks:
+            return False
+        at = len(MAGIC)
+        for chunk in chunks:
+            after = chunk.offset + chunk.length + chunk.index_length
+            at = max(self._scan(at, chunk.offset - RECORD.size), after)
+            self._chunks.append(chunk)
+        self._scan(at, end)
+        self._counts = Counter(self._stated)
+        return True
 
     def _read_summary(self) -> tuple[list[Chunk], int]:
-        """Read schemas, channels and counts from the summary.
+        """Read topics and counts from the summary; return the chunks in order, and its offset.
 
-        Returns the chunks in the order of the file, and the offset of the summary. Without a valid
-        summary, there are no chunks, and the offset is the end of the file.
+        There are no chunks if its records contradict each other.
         """
         unusable: tuple[list[Chunk], int] = ([], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
         if not footer.endswith(MAGIC) or footer[0] != FOOTER:
             return unusable
-        (start,) = struct.unpack_from('<Q', footer, RECORD.size)
+        start, _, checksum = struct.unpack_from('<QQI', footer, RECORD.size)
         end = self._size - FOOTER_BYTES
         if not 0 < start <= end:
             return unusable
-        chunks: dict[int, Chunk] = {}
         data = self._read(start, end - start)
+        if checksum and zlib.crc32(data + footer[: -CRC_BYTES - len(MAGIC)]) != checksum:
+            return unusable
+        chunks: dict[int, Chunk] = {}
+        channels: set[int] = set()
+        totals: tuple[int, ...] = ()
         for opcode, at, stop in records(data):
             self._store_record(opcode, data, at, stop)
             if opcode == CHUNK_INDEX:
-                chunk = _listed_chunk(data, at)
+                chunk, inside = _listed_chunk(data, at)
                 chunks[chunk.offset] = chunk
-        if not self._stated or not set(self._stated) <= set(self._topics):
+                channels |= inside
+            elif opcode == STATISTICS:
+                totals = STATISTICS_HEAD.unpack_from(data, at)
+        counted = sum(self._stated.values()), len(self._topics), len(chunks)
+        agrees = totals and (totals[0], totals[2], totals[5]) == counted
+        if not (agrees and counted[0] and channels | {*self._stated} <= {*self._topics}):
             return unusable
-        return [chunks[offset] for offset in sorted(chunks)], start if chunks else self._size
+        return [chunks[offset] for offset in sorted(chunks)], start
+
+    def _survey_all(self) -> None:
+        """Find topics, counts and chunks in the complete file."""
+        at = self._scan(len(MAGIC), self._size)
+        if not self._stated:
+            self._stated = self._counts | self._indexed
+        magic_at = self._size - len(MAGIC)
+        ended = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
+        if not self.truncation and not ended:
+            self.truncation = Truncation(at, self._size)
 
     def _scan(self, at: int, stop: int) -> int:
         """Read the records from offset ``at`` on, and return the offset of the first unread byte.
@@ -329,12 +344,14 @@ class McapStorage(ChunkStorage):
             self._stated = Counter(dict(struct.iter_unpack('<HQ', data[at : min(at + size, stop)])))
 
 
-def _listed_chunk(data: bytes, at: int) -> Chunk:
-    """Return the chunk that the ChunkIndex record at ``data[at:]`` describes."""
+def _listed_chunk(data: bytes, at: int) -> tuple[Chunk, set[int]]:
+    """Return the chunk that the ChunkIndex record at ``data[at:]`` describes, and its channels."""
     first, _, offset, length, map_bytes = CHUNK_INDEX_HEAD.unpack_from(data, at)
-    (index_length,) = struct.unpack_from('<Q', data, at + CHUNK_INDEX_HEAD.size + map_bytes)
+    at += CHUNK_INDEX_HEAD.size
+    channels = {n for n, _ in struct.iter_unpack('<HQ', data[at : at + map_bytes])}
+    (index_length,) = struct.unpack_from('<Q', data, at + map_bytes)
     start, length = offset + RECORD.size, length - RECORD.size
-    return Chunk(first, start, length, index_length=index_length)
+    return Chunk(first, start, length, index_length=index_length), channels
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
@@ -342,3 +359,202 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
     (length,) = struct.unpack_from('<I', data, at)
     end = at + 4 + length
     return data[at + 4 : end].decode(errors='replace'), end
+
+
+@contextmanager
+def open_mcap(path: Path, shown: Path) -> Iterator[Storage]:
+    """Open an mcap file for reading.
+
+    Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
+    when it is of another format or damaged.
+    """
+    with translated(shown, DAMAGE, REMEDY):
+        file = open_regular(path)
+    with file:
+        with translated(shown, DAMAGE, REMEDY):
+            storage = McapStorage(shown, file)
+        yield storage
+
+
+# --- messages in a chunk -----------------------------------------------------------------------
+
+Record = tuple[int, int, int]
+"""Opcode, offset and end offset of the content of a record."""
+
+
+def records(data: bytes, at: int = 0, size: int | None = None) -> Iterator[Record]:
+    """Yield the records in ``data[at:size]``.
+
+    Raises struct.error when a record extends beyond the end.
+    """
+    size = len(data) if size is None else size
+    while at + RECORD.size <= size:
+        opcode, length = RECORD.unpack_from(data, at)
+        start = at + RECORD.size
+        at = start + length
+        if at > size or not opcode:
+            raise struct.error('a record extends beyond the end of its chunk')
+        yield opcode, start, at
+
+
+def message_starts(
+    data: bytes, index: Callable[[], bytes] = bytes
+) -> tuple[NDArray[np.int64], list[Record]]:
+    """Return the offsets of the messages in a decompressed chunk, and its other records.
+
+    ``index`` returns the MessageIndex records of the chunk, or b''; it is only called if needed.
+    Raises struct.error when a record extends beyond the end of the data.
+    """
+    others: list[Record] = []
+    start = _starts_if_equal(data, others)
+    if start is None:
+        start = _starts_by_index(data, index(), others)
+    return _starts_by_search(data) if start is None else (start, others)
+
+
+def _starts_if_equal(data: bytes, others: list[Record]) -> NDArray[np.int64] | None:
+    """Return the message offsets if only messages of equal length follow the first, else None.
+
+    The records before the first message are appended to ``others``.
+    """
+    for record in records(data):
+        if record[0] == MESSAGE:
+            break
+        others.append(record)
+    else:
+        return np.empty(0, np.int64)
+    _, start, end = record
+    first, size = start - RECORD.size, end - start + RECORD.size
+    if (len(data) - first) % size or size < HEAD.itemsize:
+        return None
+    starts = np.arange(first, len(data), size)
+    head = _records_at(data, starts, HEAD)
+    equal = (head['opcode'] == MESSAGE) & (head['length'] == size - RECORD.size)
+    return starts if equal.all() else None
+
+
+def _starts_by_index(data: bytes, index: bytes, others: list[Record]) -> NDArray[np.int64] | None:
+    """Return the offset of each message from the index; None if the index is wrong or missing.
+
+    ``others`` are replaced by the records between the messages.
+    """
+    found = [np.empty(0, np.int64)]
+    for opcode, at, _ in records(index):
+        if opcode == MESSAGE_INDEX:
+            _, size = INDEX_HEAD.unpack_from(index, at)
+            pairs = np.frombuffer(index, '<i8', size // 8, at + INDEX_HEAD.size)
+            found.append(pairs.reshape(-1, 2)[:, 1].astype(np.int64))
+    start = np.sort(np.concatenate(found))
+    if not len(start) or start[0] < 0 or start[-1] > len(data) - HEAD.itemsize:
+        return None
+    head = _gathered(data, start, HEAD)
+    end = start + (RECORD.size + head['length'].astype(np.int64))
+    if (head['opcode'] != MESSAGE).any() or (head['length'] < MESSAGE_HEAD.size).any():
+        return None
+    # The index is complete if there are no messages between the listed ones.
+    gap_start, gap_end = np.append(0, end), np.append(start, len(data))
+    gaps = np.flatnonzero(gap_start != gap_end)
+    if (gap_start > gap_end).any() or len(gaps) > MAX_GAPS:
+        return None
+    others[:] = chain.from_iterable(
+        records(data, int(gap_start[gap]), int(gap_end[gap])) for gap in gaps
+    )
+    return None if any(opcode == MESSAGE for opcode, _, _ in others) else start
+
+
+def _starts_by_search(data: bytes) -> tuple[NDArray[np.int64], list[Record]]:
+    """Return the offset of each message, found record by record, and the other records."""
+    starts, others = [], []
+    for record in records(data):
+        opcode, at, end = record
+        if opcode != MESSAGE:
+            others.append(record)
+        elif end - at < MESSAGE_HEAD.size:
+            raise struct.error('a message record is too short')
+        else:
+            starts.append(at - RECORD.size)
+    return np.array(starts, dtype=np.int64), others
+
+
+def _records_at(data: bytes, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return the records at these offsets, (n,); a view of the data if they are evenly spaced."""
+    step = np.diff(start)
+    if len(step) and (step == step[0]).all():
+        return np.ndarray((len(start),), dtype, data, int(start[0]), (int(step[0]),))
+    return _gathered(data, start, dtype)
+
+
+def _gathered(data: Any, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return copies of the records, of type ``dtype``, that begin at these byte offsets, (n,)."""
+    if not len(start):
+        return np.empty(0, dtype)
+    anywhere = np.ndarray((len(data) - dtype.itemsize + 1,), dtype, data, strides=(1,))
+    return anywhere[start]
+
+
+def _of_channels(
+    data: bytes, start: NDArray[np.int64], head: NDArray[Any], ids: set[int]
+) -> Messages:
+    """Return the messages of the channels ``ids``, in the order stored."""
+    mine = among(head['channel'], ids)
+    if not mine.all():
+        head, start = head[mine], start[mine]
+    return Messages(head['log_time'].astype(np.int64), _payloads(data, start, head['length']))
+
+
+def _payloads(data: bytes, start: NDArray[np.int64], length: NDArray[np.uint64]) -> Payloads:
+    """Return the content of messages whose records begin at these offsets."""
+    head = HEAD.itemsize
+    if len(length) and (length == length[0]).all() and length[0] > MESSAGE_HEAD.size:
+        dtype = _message_dtype(int(length[0]))
+        return _records_at(data, start, dtype)['payload']
+    view, end = memoryview(data), start + (RECORD.size + length.astype(np.int64))
+    return [view[a + head : b] for a, b in zip(start.tolist(), end.tolist())]
+
+
+@lru_cache(maxsize=64)
+def _message_dtype(length: int) -> np.dtype[np.void]:
+    """Return the layout of a message record whose content has ``length`` bytes."""
+    return np.dtype([*HEAD.descr, ('payload', np.void, length - MESSAGE_HEAD.size)])
+
+
+class ChunkSorter:
+    """Sorts the messages of overlapping chunks by record time.
+
+    The chunks are added in the order of their start times. Only messages that were recorded after
+    the start of the next chunk are kept in memory.
+    """
+
+    def __init__(self) -> None:
+        self._pending = Messages(np.empty(0, np.int64), [])
+
+    def add(self, chunk: Messages, until: int | None) -> Messages:
+        """Add the messages of a chunk, and return all messages recorded before ``until``.
+
+        ``until`` is the start of the next chunk in ns, or None after the last chunk.
+        """
+        pending, times = self._pending, chunk.record_ns
+        complete = until is None or not len(times) or times[-1] < until
+        if complete and not len(pending.record_ns) and (times[1:] >= times[:-1]).all():
+            return chunk
+        both = _joined(pending, chunk)
+        order = np.argsort(both.record_ns, kind='stable')
+        times = both.record_ns[order]
+        ready = len(times) if until is None else int(np.searchsorted(times, until))
+        self._pending = both.chosen(order[ready:])
+        later = self._pending.payloads
+        size = sum(map(len, later)) if isinstance(later, list) else later.nbytes
+        if size > MAX_SORT_BYTES:
+            raise ValueError(f'chunks overlap by more than {MAX_SORT_BYTES} bytes')
+        return both.chosen(order[:ready])
+
+
+def _joined(first: Messages, second: Messages) -> Messages:
+    """Concatenate messages: to one array if all have the same length, else to a list."""
+    times = np.concatenate([first.record_ns, second.record_ns])
+    a, b = first.payloads, second.payloads
+    if not len(a):
+        return Messages(times, b)
+    if isinstance(a, list) or isinstance(b, list) or a.dtype != b.dtype:
+        return Messages(times, [*as_list(a), *as_list(b)])
+    return Messages(times, np.concatenate([a, b]))

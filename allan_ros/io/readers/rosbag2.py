@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial, reduce
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -21,24 +21,16 @@ from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch, joined
 from ..signal import Decimated, TemperatureTrace, trace_of
+from .bag import Bag, bag_of
 from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
 from .columns import listed
-from .recording import (
-    BATCH,
-    METADATA,
-    BagFiles,
-    ReadOptions,
-    Recording,
-    Report,
-    SourceInfo,
-    bag_files,
-    in_batches,
-    open_storage,
-)
+from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
 from .storage import (
     MAX_MESSAGE_BYTES,
+    METADATA,
     Messages,
     Payloads,
+    Storage,
     Topic,
     Truncation,
     as_list,
@@ -60,7 +52,6 @@ class Survey:
 
     topics: dict[Key, Topic] = field(default_factory=dict)
     counts: Counter[Key] = field(default_factory=Counter)
-    storage: str = ''  # format of the files: 'mcap', 'sqlite3' or 'ros1'
     truncation: Truncation | None = None  # of the first truncated file
 
     def listed(self, keys: Iterable[Key]) -> str:
@@ -92,32 +83,42 @@ class ImuSource:
         return ':'.join([self.key[0], '.'.join(self.field)]) if self.field else self.key[0]
 
 
+MAX_TOPICS = 100
+"""Number of Imu topics of a bag above which one must be selected: each is read separately."""
+
+
 def imu_topics(path: Path) -> list[str]:
     """Return the Imu topics of a bag, as `ReadOptions.topic` accepts them.
 
-    Topics without messages are only listed if no Imu topic has messages.
+    Topics without messages are only listed if no Imu topic has messages. The list is empty if there
+    are more than `MAX_TOPICS`.
     """
-    return [source.label for source in _candidates(survey_bag(bag_files(path)))]
+    bag = bag_of(path)
+    sources = _candidates(survey_bag(bag))
+    bag.close()
+    return [source.label for source in sources] if len(sources) <= MAX_TOPICS else []
 
 
-def survey_bag(bag: BagFiles) -> Survey:
+def survey_bag(bag: Bag) -> Survey:
     """Return the topics of a bag; files are opened until all topics with messages are found."""
     survey = Survey()
-    described = bag.described
-    expected = None if described is None else {k for k, d in described.items() if d.messages}
+    described = bag.described or {}
+    expected = {key for key, stated in described.items() if stated.messages}
+    # a metadata.yaml without any Imu message may be wrong, so that the messages are counted
+    counted = not any(key[1] == IMU_TYPE for key in expected)
     for file in bag.files:
-        with open_storage(file) as (storage, survey.storage):
-            counts = storage.counts() if described is None else {}
-            for topic in storage.topics:
-                key = (topic.name, topic.type)
-                survey.topics.setdefault(key, topic)
-                survey.counts[key] += counts.get(topic.id, 0)
-            survey.truncation = survey.truncation or storage.truncation
-        if expected is not None and expected <= set(survey.topics):
+        storage = bag.storage(file)
+        counts = storage.counts() if counted else {}
+        for topic in storage.topics:
+            key = (topic.name, topic.type)
+            survey.topics.setdefault(key, topic)
+            survey.counts[key] += counts.get(topic.id, 0)
+        survey.truncation = survey.truncation or storage.truncation
+        if expected <= set(survey.topics) and not counted:
             break
-    for key, stated in (described or {}).items():
+    for key, stated in described.items():
         if key in survey.topics:
-            survey.counts[key] = stated.messages
+            survey.counts[key] = survey.counts[key] or stated.messages
             survey.topics[key] = replace(survey.topics[key], encoding=stated.encoding)
     return survey
 
@@ -131,7 +132,7 @@ def chosen_source(path: Path, survey: Survey, wanted: str) -> ImuSource:
     if not candidates:
         raise _no_imu(path, survey)
     if len(candidates) > 1:
-        labels = ', '.join(f'{c.label} ({survey.counts[c.key]})' for c in candidates)
+        labels = listed([f'{c.label} ({survey.counts[c.key]})' for c in candidates])
         raise AllanError(
             f'{path}: has {len(candidates)} Imu topics: {labels}: choose one with --topic'
         )
@@ -168,7 +169,7 @@ def _named(path: Path, survey: Survey, wanted: str) -> ImuSource:
     if len(matching) == 1:
         return matching[0]
     if matching:
-        labels = ', '.join(source.label for source in matching)
+        labels = listed([source.label for source in matching])
         problem = f'topic {wanted} contains several Imus: choose one of {labels}'
     elif not keys:
         imus = [key for key in survey.topics if key[1] == IMU_TYPE]
@@ -271,64 +272,113 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     Raises AllanError when the bag cannot be read or has no Imu topic, or when it has several and
     the options select none.
     """
-    bag = bag_files(path)
+    bag = bag_of(path)
     survey = survey_bag(bag)
     source = chosen_source(path, survey, options.topic)
-    info = SourceInfo(str(path), source.label, source.key[1], survey.storage)
     topic = survey.topics[source.key]
     topics = [topic for topic in survey.topics.values() if topic.encoding in ENCODINGS]
+    reader = _Reader(bag, topic, source, options, _thermometers(topics, topic.name))
     return Recording(
-        info,
+        SourceInfo(str(path), source.label, source.key[1], bag.format),
         survey.counts.get(source.key),
-        partial(_read, bag, topic, source, options),
-        partial(bag_temperature, bag.files, topics, topic.name),
+        reader.read,
+        reader.temperature,
         options,
+        close=bag.close,
     )
 
 
-def _read(
-    bag: BagFiles, topic: Topic, source: ImuSource, options: ReadOptions, report: Report
-) -> Iterator[ImuBatch]:
-    """Yield the samples of the selected topic in all files, in order."""
-    extract = extractor(topic, source.field) if source.field else None
-    kept: Counter[str] = Counter()  # sensor -> number of messages that wrongly declare it absent
-    total = 0
+Message = tuple[int, bytes]
+"""Record time in ns, and serialized bytes."""
 
-    def decoded(file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
+
+@dataclass
+class _Reader:
+    """Reads the Imu of one topic, and messages of its possible temperature topics beside it."""
+
+    bag: Bag
+    topic: Topic
+    source: ImuSource
+    options: ReadOptions
+    thermometers: list[Topic]
+    _temperatures: list[Decimated[Message]] = field(default_factory=list)
+    # sensor -> number of messages that wrongly declare it absent
+    _kept: Counter[str] = field(default_factory=Counter)
+
+    def read(self, report: Report) -> Iterator[ImuBatch]:
+        """Yield the samples of all files, in order."""
+        self._temperatures = [Decimated() for _ in self.thermometers]
+        self._kept.clear()
+        bag, key, total = self.bag, self.source.key, 0
+        for file in bag.files:
+            storage = bag.storage(file)
+            if found := storage.truncation:
+                report(finding('bag_cut', path=file, read=found.read, size=found.size))
+            ids = _ids(storage, self.topic)
+            read = 0
+            for batch in _rebatched(self._decoded(file, self._blocks(storage))):
+                read += len(batch)
+                yield self.options.in_si(batch)
+            _compare(storage.stated(ids, read), read, file, report)
+            total += read
+        bag.close()
+        if bag.described is not None and key in bag.described:
+            _compare(bag.described[key].messages, total, bag.path / METADATA, report)
+        for sensor, count in sorted(self._kept.items()):
+            axes = AXES[SENSORS[sensor]]
+            report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
+        if not total:
+            raise no_message(bag.path, self.source)
+
+    def _blocks(self, storage: Storage) -> Iterator[Messages]:
+        """Yield the messages of the topic in one file; keep some of the temperature topics."""
+        groups = [_ids(storage, topic) for topic in (self.topic, *self.thermometers)]
+        if not any(groups[1:]):
+            groups = groups[:1]
+        for imus, *others in storage.blocks(groups):
+            for kept, block in zip(self._temperatures, others):
+                for message in zip(block.record_ns.tolist(), as_list(block.payloads)):
+                    kept.add((message[0], bytes(message[1])))
+            yield imus
+
+    def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
+        extract = extractor(self.topic, self.source.field) if self.source.field else None
         done = 0  # number of messages of this file
         for block in blocks:
             at = 0
             try:
                 for payloads in _imu_payloads(block.payloads, extract):
-                    imus = decode_imus(payloads, _encoding(topic), options.trust_covariance)
-                    kept.update(imus.kept)
+                    imus = decode_imus(payloads, _encoding(self.topic))
+                    self._kept.update(imus.kept)
                     yield from imus.batches(block.record_ns[at : at + len(payloads)])
                     at += len(payloads)
             except MalformedMessage as error:
                 raise AllanError(
-                    f'{file}: message {done + at + error.index + 1} of {source.label} is not a '
-                    f'{source.key[1]} ({error}): record it again'
+                    f'{file}: message {done + at + error.index + 1} of {self.source.label} is not '
+                    f'a {self.source.key[1]} ({error}): record it again'
                 ) from error
             done += at
 
-    for file in bag.files:
-        with open_storage(file) as (storage, _):
-            if found := storage.truncation:
-                report(finding('bag_cut', path=file, read=found.read, size=found.size))
-            ids = {t.id for t in storage.topics if (t.name, t.type) == source.key}
-            read = 0
-            for batch in _rebatched(decoded(file, storage.blocks(ids))):
-                read += len(batch)
-                yield options.in_si(batch)
-            _compare(storage.stated(ids, read), read, file, report)
-            total += read
-    if bag.described is not None and source.key in bag.described:
-        _compare(bag.described[source.key].messages, total, bag.path / METADATA, report)
-    for sensor, count in sorted(kept.items()):
-        axes = AXES[SENSORS[sensor]]
-        report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
-    if not total:
-        raise no_message(bag.path, source)
+    def temperature(self, frame_id: str) -> TemperatureTrace | None:
+        """Return the temperature of the IMU; None if no topic, or more than one, can contain it.
+
+        If there are several topics, the one with the ``frame_id`` of the IMU is used.
+        """
+        found = [
+            (topic, [t for message in kept if (t := _temperature(topic, *message))])
+            for topic, kept in zip(self.thermometers, self._temperatures)
+        ]
+        if len(found) > 1:
+            found = [(topic, read) for topic, read in found if read and read[0][1] == frame_id]
+        if len(found) != 1:
+            return None
+        ((topic, read),) = found
+        return trace_of(topic.name, [reading for reading, _ in read])
+
+
+def _ids(storage: Storage, topic: Topic) -> set[int]:
+    """Return the numbers of a topic in one file."""
+    return {t.id for t in storage.topics if (t.name, t.type) == (topic.name, topic.type)}
 
 
 def _compare(stated: int, read: int, where: Path, report: Report) -> None:
@@ -410,51 +460,25 @@ def extractor(topic: Topic, field: tuple[str, ...]) -> Callable[[bytes], bytes]:
 
 TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
 
-Message = tuple[int, bytes]
-"""Record time in ns, and serialized bytes."""
+MAX_THERMOMETERS = 16
+"""Number of equally near Temperature topics above which none can be assigned to the Imu."""
 
 
-def bag_temperature(
-    files: Sequence[Path], topics: Sequence[Topic], imu_topic: str, frame_id: str
-) -> TemperatureTrace | None:
-    """Return the temperature of an IMU from the Temperature topics of a bag.
+def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
+    """Return the Temperature topics that have the longest common namespace with the Imu topic.
 
-    Only topics whose names have the longest common namespace with ``imu_topic`` are considered. If
-    there are several, the one with the ``frame_id`` of the IMU is used. Returns None if there is no
-    such topic, or more than one.
+    The list is empty if they are more than `MAX_THERMOMETERS`.
     """
-    near = _nearest([t for t in topics if t.type == TEMPERATURE_TYPE], imu_topic)
-    if len(near) > 1:
-        firsts = [next(_messages(files, topic), (0, b'')) for topic in near]
-        found = [_temperature(topic, *first) for topic, first in zip(near, firsts)]
-        near = [topic for topic, t in zip(near, found) if t and t[1] == frame_id]
-    if len(near) != 1:
-        return None
-    kept: Decimated[Message] = Decimated()
-    for message in _messages(files, near[0]):
-        kept.add(message)
-    readings = [t[0] for message in kept if (t := _temperature(near[0], *message))]
-    return trace_of(near[0].name, readings)
-
-
-def _nearest(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
-    """Return the topics that have the longest common namespace with the Imu topic."""
 
     def shared(topic: Topic) -> int:
         pairs = list(zip(topic.name.strip('/').split('/'), imu_topic.strip('/').split('/')))
         equal = [a == b for a, b in pairs]
         return equal.index(False) if False in equal else len(equal)
 
-    most = max(map(shared, topics), default=0)
-    return [topic for topic in topics if shared(topic) == most]
-
-
-def _messages(files: Sequence[Path], topic: Topic) -> Iterator[Message]:
-    for file in files:
-        with open_storage(file) as (storage, _):
-            ids = {t.id for t in storage.topics if (t.name, t.type) == (topic.name, topic.type)}
-            for block in storage.blocks(ids) if ids else ():
-                yield from zip(block.record_ns.tolist(), map(bytes, as_list(block.payloads)))
+    found = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
+    most = max(map(shared, found), default=0)
+    nearest = [topic for topic in found if shared(topic) == most]
+    return nearest if len(nearest) <= MAX_THERMOMETERS else []
 
 
 def _temperature(

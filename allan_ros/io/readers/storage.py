@@ -1,22 +1,19 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Common parts of the readers of bag files: topics, messages, chunks, decompression."""
+"""Common parts of the readers of bag files: topics, messages, errors, decompression."""
 
 from __future__ import annotations
 
 import bz2
 import importlib
 import os
-import zlib
-from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Collection, Iterator
+import threading
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +29,6 @@ MAX_MESSAGE_BYTES = 4 * 2**20
 
 MAX_FILE_RATIO = 250
 """Largest expansion of a compressed bag file; `MAX_CHUNK_BYTES` more are always allowed."""
-
-MAX_SORT_BYTES = 512 * 2**20
-"""Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
 
 MAX_FRAME_HEADER = 18
 """Longest header of a zstd frame in bytes (RFC 8878, section 3.1.1)."""
@@ -77,6 +71,12 @@ class Messages:
     record_ns: NDArray[np.int64]
     payloads: Payloads
 
+    def chosen(self, rows: NDArray[np.intp]) -> Messages:
+        """Return the messages at these positions as copies."""
+        if isinstance(self.payloads, np.ndarray):
+            return Messages(self.record_ns[rows], self.payloads[rows])
+        return Messages(self.record_ns[rows], [bytes(self.payloads[i]) for i in rows.tolist()])
+
 
 @dataclass(frozen=True)
 class Truncation:
@@ -95,8 +95,8 @@ class Storage(Protocol):
     def counts(self) -> dict[int, int]:
         """Return topic id -> number of messages."""
 
-    def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield the messages of the topics with these ids in the order of their record time."""
+    def blocks(self, groups: Sequence[set[int]]) -> Iterator[list[Messages]]:
+        """Yield the next messages of each group of topic ids, in the order of record time."""
 
     def stated(self, ids: set[int], read: int) -> int:
         """Return how many messages of these topics the file contains, according to its index.
@@ -104,14 +104,6 @@ class Storage(Protocol):
         Call it after `blocks` with the number of messages that were read, which is returned if the
         file has no index.
         """
-
-
-def gathered(data: Any, start: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return copies of the records, of type ``dtype``, that begin at these byte offsets, (n,)."""
-    if not len(start):
-        return np.empty(0, dtype)
-    anywhere = np.ndarray((len(data) - dtype.itemsize + 1,), dtype, data, strides=(1,))
-    return anywhere[start]
 
 
 def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
@@ -164,6 +156,35 @@ def optional_package(module: str, purpose: str) -> Any:
             f'{purpose} needs the Python package {package!r}: "pip install {package}"'
             f'{DEBIAN_PACKAGES.get(package, "")}'
         ) from None
+
+
+METADATA = 'metadata.yaml'
+
+_LFS_MAGIC = b'version https://git-lfs'
+
+
+def first_bytes(path: Path) -> bytes:
+    """Return the first 64 bytes of a file.
+
+    Raises AllanError when it is missing, unreadable, not a regular file, empty, or a Git-LFS
+    pointer.
+    """
+    try:
+        with open_regular(path) as file:
+            head = file.read(64)
+    except FileNotFoundError:
+        raise AllanError(f'{path}: no such file or folder: check the path') from None
+    except OSError as error:
+        raise AllanError(
+            f'{path}: cannot be read ({error.strerror}): check its permissions'
+        ) from error
+    if not head:
+        raise AllanError(f'{path}: is empty (0 bytes): record or copy it again')
+    if head.startswith(_LFS_MAGIC):
+        raise AllanError(
+            f'{path}: is a Git-LFS pointer, not the recording: fetch it with "git lfs pull"'
+        )
+    return head
 
 
 # --- decompression with a limit ------------------------------------------------------------------
@@ -240,169 +261,18 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
             raise ValueError(f'{compression} data that end early')
 
 
-@lru_cache(maxsize=1)
 def _zstd() -> Any:
     return optional_package('zstandard', 'reading zstd data')
 
 
-@lru_cache(maxsize=1)
+_LOCAL = threading.local()
+
+
 def _zstd_decompressor() -> Any:
-    """Return a cached decompressor, because creating one takes longer than using it."""
-    return _zstd().ZstdDecompressor()
+    """Return the decompressor of this thread; creating one takes longer than using it.
 
-
-# --- files that consist of chunks ----------------------------------------------------------------
-
-
-@dataclass(frozen=True, order=True)
-class Chunk:
-    """A part of a file that contains messages: time of the first one, offset and length in bytes.
-
-    In mcap, an index of ``index_length`` bytes follows the chunk, and ``loose`` marks a sequence of
-    messages outside chunks.
+    Two threads must not use one decompressor at the same time.
     """
-
-    start_ns: int
-    offset: int
-    length: int
-    index_length: int = 0
-    loose: bool = False
-
-
-class ChunkStorage(ABC):
-    """An open bag file that consists of chunks; subclasses implement the format.
-
-    `DAMAGE` are the exceptions caused by a damaged file, and `REMEDY` is the advice to the user.
-    """
-
-    DAMAGE: ClassVar[tuple[type[Exception], ...]]
-    REMEDY: ClassVar[str]
-
-    def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path = path
-        self._file = file
-        self._size = os.fstat(file.fileno()).st_size
-        self._topics: dict[int, Topic] = {}
-        self._counts: Counter[int] = Counter()
-        self._stated: Counter[int] = Counter()
-        self._chunks: list[Chunk] = []
-        self.truncation: Truncation | None = None
-        self._survey()
-        self._chunks.sort()
-        self.topics = list(self._topics.values())
-
-    @classmethod
-    @contextmanager
-    def open(cls, path: Path, shown: Path) -> Iterator[Storage]:
-        """Open the file ``path``.
-
-        Error messages name it ``shown``, because it may be a decompressed copy. Raises AllanError
-        when the file is of another format or damaged.
-        """
-        with translated(shown, (OSError,), cls.REMEDY):
-            file = open_regular(path)
-        with file:
-            with translated(shown, cls.DAMAGE, cls.REMEDY):
-                storage = cls(shown, file)
-            yield storage
-
-    def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages."""
-        return dict(self._counts)
-
-    def stated(self, ids: set[int], read: int) -> int:
-        """Return the number of messages of these topics in the index; ``read`` if there is none."""
-        if not self._stated:
-            return read
-        stated = sum(self._stated[number] for number in ids)
-        return max(stated, read) if self.truncation else stated  # the index may be truncated, too
-
-    def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield the messages of the topics with these ids in the order of their record time."""
-        with translated(self._path, self.DAMAGE, self.REMEDY):
-            in_order = ChunkSorter()
-            ends = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
-            for chunk, until in zip(self._chunks, ends):
-                yield in_order.add(self._messages(chunk, ids), until)
-
-    @abstractmethod
-    def _survey(self) -> None:
-        """Find the topics, the chunks, the number of messages, and whether data are missing."""
-
-    @abstractmethod
-    def _messages(self, chunk: Chunk, ids: set[int]) -> Messages:
-        """Return the messages of these topics in a chunk, in the order of the chunk."""
-
-    def _read(self, offset: int, length: int) -> bytes:
-        if length > MAX_CHUNK_BYTES:
-            raise ValueError(
-                f'a record of {length} bytes at byte {offset}, the limit is {MAX_CHUNK_BYTES}'
-            )
-        self._file.seek(offset)
-        return self._file.read(length)
-
-    def _unpacked(
-        self, offset: int, stored: bytes | memoryview, compression: str, size: int, crc: int = 0
-    ) -> bytes:
-        """Decompress a chunk to ``size`` bytes and check its CRC-32 unless ``crc`` is 0.
-
-        ``stored`` is the compressed chunk, and ``offset`` its position for error messages.
-        """
-        try:
-            data = decompress(stored, compression, min(size, MAX_CHUNK_BYTES))
-            if len(data) != size:
-                raise ValueError(f'{len(data)} bytes instead of {size}')
-            if crc and zlib.crc32(data) != crc:
-                raise ValueError('its checksum is wrong')
-        except ValueError as error:
-            reason = f'the chunk at byte {offset} is damaged: {error}'
-            raise damaged(self._path, reason, self.REMEDY) from error
-        return data
-
-
-class ChunkSorter:
-    """Sorts the messages of overlapping chunks by record time.
-
-    The chunks are added in the order of their start times. Only messages that were recorded after
-    the start of the next chunk are kept in memory.
-    """
-
-    def __init__(self) -> None:
-        self._pending = Messages(np.empty(0, np.int64), [])
-
-    def add(self, chunk: Messages, until: int | None) -> Messages:
-        """Add the messages of a chunk, and return all messages recorded before ``until``.
-
-        ``until`` is the start of the next chunk in ns, or None after the last chunk.
-        """
-        pending, times = self._pending, chunk.record_ns
-        complete = until is None or not len(times) or times[-1] < until
-        if complete and not len(pending.record_ns) and (times[1:] >= times[:-1]).all():
-            return chunk
-        payloads = _joined(pending.payloads, chunk.payloads)
-        times = np.concatenate([pending.record_ns, times])
-        order = np.argsort(times, kind='stable')
-        times = times[order]
-        ready = len(times) if until is None else int(np.searchsorted(times, until))
-        later = _copied(payloads, order[ready:])
-        size = sum(map(len, later)) if isinstance(later, list) else later.nbytes
-        if size > MAX_SORT_BYTES:
-            raise ValueError(f'chunks overlap by more than {MAX_SORT_BYTES} bytes')
-        self._pending = Messages(times[ready:], later)
-        return Messages(times[:ready], _copied(payloads, order[:ready]))
-
-
-def _joined(first: Payloads, second: Payloads) -> Payloads:
-    """Concatenate messages: to one array if all have the same length, else to a list."""
-    if not len(first):
-        return second
-    if isinstance(first, list) or isinstance(second, list) or first.dtype != second.dtype:
-        return [*as_list(first), *as_list(second)]
-    return np.concatenate([first, second])
-
-
-def _copied(payloads: Payloads, rows: NDArray[np.intp]) -> Payloads:
-    """Return the messages at these positions as copies, so that their chunk can be freed."""
-    if isinstance(payloads, np.ndarray):
-        return payloads[rows]
-    return [bytes(payloads[row]) for row in rows.tolist()]
+    if not hasattr(_LOCAL, 'zstd'):
+        _LOCAL.zstd = _zstd().ZstdDecompressor()
+    return _LOCAL.zstd

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from allan_ros.core.imu import STANDARD_GRAVITY
-from allan_ros.io.readers import arrays
-from allan_ros.io.readers.recording import ReadOptions, open_recordings
+from allan_ros.io.readers import arrays, open_recordings
+from allan_ros.io.readers.recording import ReadOptions
 
 RNG = np.random.default_rng(3)
 N = 1000

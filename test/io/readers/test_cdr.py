@@ -82,18 +82,6 @@ def imu_message(store: Any, covariance: float) -> Any:
     )
 
 
-@pytest.mark.parametrize(
-    'covariance, absent', [(-1.0, True), (np.nan, True), (0.0, False), (2.0, False)]
-)
-def test_the_covariance_marks_an_absent_sensor(covariance: float, absent: bool) -> None:
-    payload = ROS2.serialize_cdr(imu_message(ROS2, covariance), IMU_TYPE)
-    decoded = decode_imus([bytes(payload)], 'cdr', trust_covariance=True)
-    gyro = [np.nan] * 3 if absent else [1.0, 2.0, 3.0]
-    np.testing.assert_array_equal(decoded.samples, [[*gyro, 1.0, 2.0, 3.0]])
-    assert decoded.stamps_ns.tolist() == [7_000_000_008]
-    assert decoded.frame_ids == ['imu']
-
-
 @pytest.mark.parametrize('covariance', [-1.0, np.nan])
 @pytest.mark.parametrize(
     'x, kept', [(1.0, True), (0.0, False), (np.nan, False), (np.inf, False), (5e-324, True)]

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import bz2
 import os
 import sqlite3
 import struct
@@ -249,7 +248,7 @@ def limited(path: Path, megabytes: int = 500) -> str:
         'import resource, sys\n'
         'from allan_ros.core.errors import AllanError\n'
         'import allan_ros.io.readers.rosbag2, allan_ros.io.readers.tables, zstandard, yaml\n'
-        'from allan_ros.io.readers.recording import open_recordings\n'
+        'from allan_ros.io.readers import open_recordings\n'
         'pages = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()\n'
         f'limit = pages + {megabytes} * 2**20\n'
         'resource.setrlimit(resource.RLIMIT_AS, (limit, limit))\n'
@@ -300,27 +299,6 @@ def test_a_chunk_that_expands_without_limit(
     path = tmp_path / 'bomb.mcap'
     path.write_bytes(data[:at] + chunk + struct.pack('<BQI', DATA_END, 4, 0))
     assert 'the chunk at byte' in limited(path)
-
-
-def test_a_ros1_chunk_that_expands_without_limit(tmp_path: Path, imu_batches: Any) -> None:
-    pytest.importorskip('rosbags')
-    write_recording(tmp_path / 'run.bag', imu_batches(100), compression='bz2')
-    data = (tmp_path / 'run.bag').read_bytes()
-    at = data.index(b'compression=bz2') - 4
-    head_at = data.rindex(b'op=\x05') - 8 if data.find(b'op=\x05') < at else at - 8
-    packer = bz2.BZ2Compressor(1)
-    packed = b''.join(packer.compress(ZEROS) for _ in range(9)) + packer.flush()
-
-    def fields(**values: bytes) -> bytes:
-        pairs = [name.encode() + b'=' + value for name, value in values.items()]
-        return b''.join(struct.pack('<I', len(pair)) + pair for pair in pairs)
-
-    for size in (1000, 9 << 24):
-        head = fields(op=b'\x05', compression=b'bz2', size=struct.pack('<I', size))
-        chunk = struct.pack('<I', len(head)) + head + struct.pack('<I', len(packed)) + packed
-        path = tmp_path / 'bomb.bag'
-        path.write_bytes(data[:head_at][:4109] + chunk)
-        assert 'the chunk at byte' in limited(path, 300)
 
 
 @pytest.mark.parametrize('which', ['stated', 'not stated'])

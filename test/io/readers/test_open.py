@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.readers.recording import ReadOptions, bag_files
+from allan_ros.io.readers.bag import bag_of
+from allan_ros.io.readers.recording import ReadOptions
 from allan_ros.io.writing import write_recording
 
 pytest.importorskip('rosbags')
@@ -113,7 +114,7 @@ def test_bag_files_are_sorted_by_the_numbers_in_their_names(tmp_path: Path) -> N
     names = ['a_2.mcap', 'a_10.mcap', 'a_10²11.mcap']
     for name in reversed(names):
         (tmp_path / name).write_bytes(b'x')
-    assert [file.name for file in bag_files(tmp_path).files] == names
+    assert [file.name for file in bag_of(tmp_path).files] == names
 
 
 @pytest.mark.parametrize(('name', 'storage'), [('m', 'mcap'), ('s', 'sqlite3'), ('r.bag', 'ros1')])
@@ -138,7 +139,7 @@ def test_bad_options_are_rejected() -> None:
 READ_ALL = """
 import sys
 from allan_ros.core.errors import AllanError
-from allan_ros.io.readers.recording import open_recordings
+from allan_ros.io.readers import open_recordings
 
 for name in {hidden}:
     sys.modules[name] = None
@@ -161,21 +162,21 @@ def read_without(hidden: list[str], *paths: Path) -> list[str]:
 
 
 def test_bags_are_read_without_optional_packages(tmp_path: Path, imu_batches: Any) -> None:
-    """Only an Imu in another message needs rosbags, and only compressed bags need a package."""
+    """ROS 1 and an Imu in another message need rosbags, and compressed bags need a package."""
     paths = []
-    for name, storage in (('m', 'mcap'), ('s', 'sqlite3'), ('r.bag', 'ros1'), ('t.csv', 'csv')):
+    for name, storage in (('m', 'mcap'), ('s', 'sqlite3'), ('t.csv', 'csv')):
         write_recording(tmp_path / name, imu_batches(30), storage=storage)
         paths.append(tmp_path / name)
     hidden = ['rosbags', 'zstandard', 'lz4', 'lz4.frame', 'pyulog']
-    assert read_without(hidden, *paths) == ['30 False'] * 4
+    assert read_without(hidden, *paths) == ['30 False'] * 3
 
 
 def test_a_missing_package_is_one_line(tmp_path: Path, imu_batches: Any, shared_data: Path) -> None:
     write_recording(tmp_path / 'z', imu_batches(30), compression='chunk')
-    write_recording(tmp_path / 'l.bag', imu_batches(30), compression='lz4')
+    write_recording(tmp_path / 'r.bag', imu_batches(30))
     hidden = ['rosbags', 'zstandard', 'lz4', 'lz4.frame', 'pyulog']
     log = shared_data / 'ulog' / 'sample.ulg'
-    said = read_without(hidden, tmp_path / 'z', tmp_path / 'l.bag', log)
-    for line, package in zip(said, ('zstandard', 'lz4', 'pyulog')):
+    said = read_without(hidden, tmp_path / 'z', tmp_path / 'r.bag', log)
+    for line, package in zip(said, ('zstandard', 'rosbags', 'pyulog')):
         assert f'needs the Python package \'{package}\': "pip install {package}"' in line
-        assert ('apt install python3-' in line) == (package != 'pyulog')
+        assert ('apt install python3-' in line) == (package == 'zstandard')

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from allan_ros.io.readers import open_recordings
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
-from allan_ros.io.readers.recording import open_recordings
 from allan_ros.io.writing import write_recording
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
@@ -87,17 +87,13 @@ def test_a_recording_can_be_read_twice(tmp_path: Path, imu_batches: Any) -> None
     assert [sum(map(len, recording.batches())) for _ in range(2)] == [10, 10]
 
 
-@pytest.mark.parametrize('storage, suffix', [('mcap', ''), ('ros1', '.bag')])
-@pytest.mark.parametrize('compression', ['none', 'best'])
+@pytest.mark.parametrize('compression', ['none', 'chunk'])
 def test_a_truncated_file_yields_its_complete_chunks(
-    storage: str, suffix: str, compression: str, tmp_path: Path, imu_batches: Any, joined: Any,
-    read: Any,
-) -> None:  # fmt: skip
-    best = {'mcap': 'chunk', 'ros1': 'lz4'}[storage]
+    compression: str, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
+) -> None:
     batches = imu_batches(20_000)  # several chunks of 1 MB
-    how = best if compression == 'best' else 'none'
-    write_recording(tmp_path / f'run{suffix}', batches, storage=storage, compression=how)
-    source = tmp_path / ('run/run.mcap' if storage == 'mcap' else 'run.bag')
+    write_recording(tmp_path / 'run', batches, compression=compression)
+    source = tmp_path / 'run/run.mcap'
     data = source.read_bytes()
     cut = tmp_path / f'cut{source.suffix}'
     cut.write_bytes(data[: int(0.7 * len(data))])
@@ -341,8 +337,6 @@ def test_an_imu_inside_another_message_is_found_by_the_schema(
     np.testing.assert_array_equal(back.samples, imus)
     np.testing.assert_array_equal(back.stamps_ns, np.arange(30) * 10**9 + 5)
     assert set(back.frame_ids) == {'rig'}
-    imus[3, :3] = np.nan
-    np.testing.assert_array_equal(read(tmp_path / 'rig', trust_covariance=True).samples, imus)
     for name in ('/rig', 'rig:left'):
         assert len(read(tmp_path / 'rig', topic=name).stamps_ns) == 30
 

@@ -230,7 +230,7 @@ def test_bytes_that_are_not_text_are_rejected(tmp_path: Path, refused: Any) -> N
 def test_any_batch_is_read_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, drawn: Any
 ) -> None:
-    from allan_ros.io.readers.recording import open_recordings
+    from allan_ros.io.readers import open_recordings
 
     stamps, samples, record = drawn
     path = tmp_path_factory.mktemp('table') / 'imu.csv'
