@@ -310,20 +310,21 @@ class _Reader:
         self._temperatures = [Decimated() for _ in self.thermometers]
         self._kept.clear()
         bag, key, total = self.bag, self.source.key, 0
+        stated = bag.described or {}
         for file in bag.files:
             storage = bag.storage(file)
             if found := storage.truncation:
                 report(finding('bag_cut', path=file, read=found.read, size=found.size))
-            ids = _ids(storage, self.topic)
             read = 0
             for batch in _rebatched(self._decoded(file, self._blocks(storage))):
                 read += len(batch)
                 yield self.options.in_si(batch)
-            _compare(storage.stated(ids, read), read, file, report)
+            if key not in stated:
+                _compare(storage.stated(_ids(storage, self.topic), read), read, file, report)
             total += read
         bag.close()
-        if bag.described is not None and key in bag.described:
-            _compare(bag.described[key].messages, total, bag.path / METADATA, report)
+        if key in stated:
+            _compare(stated[key].messages, total, bag.path / METADATA, report)
         for sensor, count in sorted(self._kept.items()):
             axes = AXES[SENSORS[sensor]]
             report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
