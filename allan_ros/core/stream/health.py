@@ -206,6 +206,8 @@ class StreamHealth:
     # axis -> largest ratio of its noise at rest to the noise floor; empty if none became louder
     loudest: Mapping[str, float] = field(default_factory=dict)
     discarded_s: float = 0.0  # from the start of the discarded sums to the first sample kept
+    # axis with heavy tails -> share of its samples that are outliers
+    outliers: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
 
     @property
@@ -361,6 +363,8 @@ def stream_findings(
     add('bridged', bridged > REPORTED_BRIDGED_SHARE, bridged=counts.bridged, share=bridged)
     many = counts.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * counts.used)
     add('spikes', many, count=counts.spikes, share=counts.spikes / max(counts.used, 1))
+    heavy = tuple(health.outliers)
+    add('outliers', heavy, heavy, share=max(health.outliers.values(), default=0.0))
     shocks = [event for event in health.events if event.kind == 'shock']
     share = counts.replaced / max(counts.used, 1)
     add('shocks', counts.shocks, count=counts.shocks, share=share, times=_times(shocks, health))

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from .health import Counts, Event, EventLog, State
 from .noise_floor import (
+    EXAMINED,
     LEAST_WINDOW,
     SPIKE_NEIGHBORS,
     NoiseFloor,
@@ -69,6 +70,9 @@ indicate motion."""
 LOUDER_BLOCKS = 2
 """Number of consecutive blocks (together about 30 s) after which noise that exceeds the limits is
 classified as louder noise instead of motion."""
+
+MOST_FILLED = 0.1
+"""Largest share of interpolated samples in a window that is searched for outliers."""
 
 MIN_PLATEAU, PLATEAU_STEP_LSB = 3, 4.0
 """An axis may be saturated if this number of consecutive samples has its largest value, and the
@@ -153,6 +157,15 @@ class MotionGate:
         return self._motion is not None
 
     @property
+    def heavy_tails(self) -> dict[str, float]:
+        """Axes with heavy tails, and the share of their samples that are outliers."""
+        floor = self._floor
+        if floor is None or not floor.heavy.any():
+            return {}
+        share = floor.outliers / floor.examined
+        return {axis: float(share[i]) for i, axis in enumerate(self._axes) if floor.heavy[i]}
+
+    @property
     def state(self) -> State:
         """Current state; 'learning' until the noise floor is known or a motion is found."""
         if self._floor is None and not self.moving:
@@ -189,6 +202,12 @@ class MotionGate:
         parts = [np.concatenate([b.rows for b in blocks], axis=1) for blocks in _contiguous(first)]
         floor = NoiseFloor.learned(parts, self.size, self._limits)
         if floor.is_plausible():
+            for blocks in _contiguous(first):
+                joined = Block.joined(blocks)
+                joined = joined.part(slice(len(joined) // self.size * self.size))
+                windows = Windows.of(joined.rows, self.size)
+                found = classify_windows(windows, None, self.size, floor, self._ratio)
+                floor = floor.with_outliers(_usable(joined, self.size, ~found.moving))
             self._floor = floor
             blocks, self._learning = self._learning, []
             self._log_motion()
@@ -405,9 +424,18 @@ class MotionGate:
         rotating = all(part.found.rotating.all() for part in block)
         updated = floor.updated(windows, still, rotating)
         if updated.is_plausible():
-            self._floor = updated
+            self._floor = updated.with_outliers(self._examined(block))
         self._count_louder(block, windows, still)
         return []
+
+    def _examined(self, block: list[_Part]) -> Floats:
+        """Return every `EXAMINED`-th window of a block if it is at rest, (axes, k * size)."""
+        found, at = [], 0
+        for part in block:
+            chosen = part.still & (np.arange(at, at + len(part.still)) % EXAMINED == 0)
+            found.append(_usable(part.samples, self.size, chosen))
+            at += len(part.still)
+        return np.concatenate(found, axis=1)
 
     def _count_louder(self, block: list[_Part], windows: Windows, still: Flags) -> None:
         """Count a block of moving windows as louder noise if the IMU did not move."""
@@ -458,6 +486,15 @@ def _contiguous(blocks: list[Block]) -> list[list[Block]]:
             groups.append([])
         groups[-1].append(block)
     return groups
+
+
+def _usable(block: Block, size: int, chosen: Flags) -> Floats:
+    """Return the chosen windows without those that contain many interpolated samples."""
+    cube = block.rows.reshape(len(block.rows), -1, size)
+    if block.filled is not None:
+        share = block.filled.reshape(cube.shape).mean(axis=2).max(axis=0)
+        chosen = chosen & (share <= MOST_FILLED)
+    return cube[:, chosen].reshape(len(cube), -1)
 
 
 def _split(blocks: list[Block], samples: int) -> tuple[list[Block], list[Block]]:

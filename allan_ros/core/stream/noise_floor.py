@@ -43,10 +43,19 @@ white."""
 LOW_FREQUENCY = 0.2
 """Below this von Neumann ratio, low frequencies dominate the noise."""
 
-HEAVY_BAND, HEAVY_SHARE, LEAST_HEAVY = (4.5, 7.0), 1.5e-3, 3
-"""Noise has heavy tails if this share of the samples, and at least this number, deviate by a number
-of standard deviations in this band. The share is 2e-5 for white noise and 7e-3 for a t distribution
-with three degrees of freedom."""
+OUTLIER_MADS = 6.0
+"""An outlier deviates from the median of its window by more than this number of median absolute
+deviations (four standard deviations of white noise)."""
+
+HEAVY_SHARE, LEAST_HEAVY = 5e-3, 3
+"""Noise has heavy tails if this share of the samples, and at least this number, are outliers. The
+share is 5e-5 for white noise, and 7e-3 for a t distribution with five degrees of freedom."""
+
+EXAMINED = 8
+"""One of this number of windows at rest is searched for outliers, to save time."""
+
+MEMORY = 2.0**20
+"""Number of samples from which the share of outliers is computed; older ones lose weight."""
 
 LOUDER_RATIO = 1.5
 """Ratio of the standard deviation of an axis to its noise floor above which the noise has become
@@ -154,9 +163,11 @@ class NoiseFloor:
     mean: Floats
     lsb: Floats  # smallest change between two samples: at most the resolution of the sensor
     ratio: Floats  # von Neumann ratio of the samples
-    heavy: NDArray[np.bool_]  # heavy tails: single large values are noise, not spikes
     size: int
     limits: RestLimits
+    # outliers among the samples that were searched for them: number of each axis, and of samples
+    outliers: Floats
+    examined: float
 
     @classmethod
     def learned(cls, parts: Iterable[Floats], size: int, limits: RestLimits) -> NoiseFloor:
@@ -181,19 +192,39 @@ class NoiseFloor:
         zero = np.zeros(axes)
         if not measured:
             unknown = np.full(axes, np.nan)
-            return cls(zero, zero, zero, lsb, unknown, zero > 0.0, size, limits)
+            return cls(zero, zero, zero, lsb, unknown, size, limits, zero, 0.0)
         windows, step = Windows.joined(measured), np.concatenate(steps, axis=1)
-        variance = _quantile(windows.variance, QUANTILE)
-        scale = np.maximum(variance, 0.25 * lsb**2)
         return cls(
-            variance,
+            _quantile(windows.variance, QUANTILE),
             MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
             _quantile(windows.mean, 0.5),
             lsb,
             von_neumann_ratio(parts),
-            _have_heavy_tails(parts, size, np.sqrt(scale)),
             size,
             limits,
+            zero,
+            0.0,
+        )
+
+    @property
+    def heavy(self) -> NDArray[np.bool_]:
+        """Which axes have heavy tails, (axes,): their single large values are noise, not spikes."""
+        return np.asarray(self.outliers >= max(LEAST_HEAVY, HEAVY_SHARE * self.examined))
+
+    def with_outliers(self, rows: Floats) -> NoiseFloor:
+        """Return the noise floor after the search for outliers in k windows, (axes, k * size)."""
+        if not rows.size:
+            return self
+        cube = rows.reshape(len(rows), -1, self.size)
+        off = np.abs(cube - _quantile(cube, 0.5)[:, :, None]).reshape(len(rows), -1)
+        # half a resolution more, because the deviations are rounded
+        limit = OUTLIER_MADS * (_quantile(off, 0.5) + 0.5 * self.lsb)
+        found = np.count_nonzero(off > limit[:, None], axis=1)
+        kept = max(0.0, 1.0 - off.shape[1] / MEMORY) if self.examined >= MEMORY else 1.0
+        return replace(
+            self,
+            outliers=kept * self.outliers + found,
+            examined=kept * self.examined + off.shape[1],
         )
 
     @property
@@ -225,7 +256,11 @@ class NoiseFloor:
         steps = np.abs(np.diff(block.mean, axis=1))
         mean = block.mean[:, at_rest] if at_rest.any() else block.mean
         return replace(
-            new, step=MAD_TO_SIGMA * _quantile(steps, QUANTILE), mean=_quantile(mean, 0.5)
+            new,
+            step=MAD_TO_SIGMA * _quantile(steps, QUANTILE),
+            mean=_quantile(mean, 0.5),
+            outliers=np.zeros(len(quiet)),
+            examined=0.0,
         )
 
     def updated(self, block: Windows, still: NDArray[np.bool_], rotating: bool) -> NoiseFloor:
@@ -281,23 +316,10 @@ class NoiseFloor:
         return None if (change > allowed).any() else ratio
 
 
-def _have_heavy_tails(parts: list[Floats], size: int, sigma: Floats) -> NDArray[np.bool_]:
-    """Return which axes have heavy tails, (axes,); ``sigma`` are their standard deviations."""
-    low, high = (factor * sigma[:, None, None] for factor in HEAVY_BAND)
-    inside, samples = np.zeros(len(sigma), np.int64), 0
-    for rows in parts:
-        window = max(min(size, rows.shape[1]), 1)
-        cube = rows[:, : rows.shape[1] // window * window].reshape(len(rows), -1, window)
-        off = np.abs(cube - np.median(cube, axis=2, keepdims=True))
-        inside += np.count_nonzero((off > low) & (off < high), axis=(1, 2))
-        samples += rows.shape[1]
-    return np.asarray(inside >= max(LEAST_HEAVY, HEAVY_SHARE * samples))
-
-
 def _quantile(values: Floats, share: float) -> Floats:
-    """Return a quantile of each row without interpolation (the lower value)."""
-    k = int(share * (values.shape[1] - 1))
-    return np.asarray(np.partition(values, k, axis=1)[:, k])
+    """Return a quantile over the last dimension without interpolation (the lower value)."""
+    k = int(share * (values.shape[-1] - 1))
+    return np.asarray(np.partition(values, k, axis=-1)[..., k])
 
 
 def without_spikes(

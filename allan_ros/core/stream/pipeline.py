@@ -178,6 +178,7 @@ class ImuStream:
             sum(stream.relearned for stream in streams),
             {axis: ratio for s in frame.sensors for axis, ratio in s.loudest.items()},
             max((stream.discarded_s for stream in streams), default=0.0),
+            {axis: share for s in frame.sensors for axis, share in s.outliers.items()},
             tuple(event for s in frame.sensors for event in s.events.events),
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
@@ -334,6 +335,11 @@ class SensorStream:
         if self._gate is None or not self._gate.loudest.any():
             return {}
         return dict(zip(self._axes, self._gate.loudest.tolist()))
+
+    @property
+    def outliers(self) -> dict[str, float]:
+        """Axes with heavy tails, and the share of their samples that are outliers."""
+        return {} if self._gate is None else self._gate.heavy_tails
 
     @property
     def clock(self) -> Clock | None:

@@ -116,6 +116,20 @@ def test_noise_with_heavy_tails_is_not_motion_and_is_not_changed():
     assert counts.moving < 0.05 * passed.size and counts.spikes == 0
 
 
+def test_large_values_are_spikes_or_noise_for_a_whole_recording_and_for_any_start():
+    rng = np.random.default_rng(4)
+    white_part, n = white(900), 900 * RATE
+    tails = 5 * SIGMA * rng.normal(size=(6, n)) * (rng.random((6, n)) < 0.05)
+    large = 60 * SIGMA * (rng.random((6, n)) < 2e-4)
+    for rows, heavy in ((white_part + large, False), (white_part + tails + large, True)):
+        for start in (0, 7_000, 31_000):
+            out, counts, passed = gate(rows[:, start:])
+            expected = 0 if heavy else np.count_nonzero(large[:, start:])
+            # some are in shocks or next to another one
+            assert counts.spikes == pytest.approx(expected, rel=0.05)
+            assert counts.moving < 0.01 * passed.size
+
+
 def test_noise_that_grows_by_half_is_reported_and_not_excluded():
     rows = white(240)
     rows[:, 24_000:] += 0.5 * (rows[:, 24_000:] - MEAN)

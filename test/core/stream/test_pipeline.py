@@ -468,6 +468,14 @@ def test_the_segments_are_those_of_the_sums_that_are_shown(change):
     assert sum(s.samples for s in result.segments) == sums.samples
 
 
+def test_heavy_tails_are_reported_with_the_share_of_outliers():
+    t, x = still(20_000)
+    x[:, 4] += 5e-3 * np.random.default_rng(1).standard_t(3, len(x))
+    (found,) = [f for f in accumulate(t, x).findings if f.severity == 'warning']
+    # the share of |t| > 6 median absolute deviations is 1.9 %
+    assert found.id == 'outliers' and found.axes == ('accel_y',) and ' 1.' in found.message
+
+
 def test_a_sensor_of_zeros_is_absent_and_named():
     t, x = still(5000)
     result = accumulate(t, x * [0, 0, 0, 1, 1, 1])
