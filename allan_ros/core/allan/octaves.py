@@ -54,6 +54,11 @@ def octave(o: int) -> Octave:
     return Octave(1 << means, SHORTEST_BLOCK << (o - means), bins)
 
 
+def bins_up_to(octaves: int) -> int:
+    """Return the number of bins of the first ``octaves`` octaves."""
+    return sum(len(octave(o).bins) for o in range(octaves))
+
+
 @lru_cache
 def tapers(size: int, bins: range) -> NDArray[np.complex128]:
     """Return complex tapers of unit power, (bins, size); block power is |tapers @ block|^2.

@@ -18,7 +18,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from .octaves import octave
+from .octaves import bins_up_to
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -63,6 +63,11 @@ def add_padded(a: NDArray, b: NDArray) -> NDArray:  # type: ignore[type-arg]
     return out
 
 
+def nonzero_length(counts: Ints) -> int:
+    """Return the number of elements up to the last one that is not zero."""
+    return int(np.max(np.flatnonzero(counts), initial=-1)) + 1
+
+
 @dataclass(frozen=True, eq=False)
 class Period(ByValue):
     """Sums of one period of a recording."""
@@ -99,9 +104,8 @@ class Period(ByValue):
 
     def stored(self) -> Period:
         """Return a copy without zeros at the end, and with rounded values."""
-        factors = int(np.max(np.flatnonzero(self.count), initial=-1)) + 1
-        octaves = int(np.max(np.flatnonzero(self.blocks), initial=-1)) + 1
-        power = self.power[: sum(len(octave(o).bins) for o in range(octaves))]
+        factors, octaves = nonzero_length(self.count), nonzero_length(self.blocks)
+        power = self.power[: bins_up_to(octaves)]
         return replace(
             self,
             count=self.count[:factors],
