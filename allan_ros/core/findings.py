@@ -115,7 +115,7 @@ class Finding:
 
 def _catalog(text: str) -> Iterator[Finding]:
     """Yield each kind of finding without values."""
-    for entry in re.split(r'\n(?=\w)', re.sub(r'(?m)^(#.*)?\n', '', text)):
+    for entry in re.split(r'\n(?=\w)', re.sub(r'(?m)^(#.*)?\n|^\[.*\n( .*\n)*', '', text)):
         head, _, words = entry.partition('\n')
         id, _, severity = head.partition(': ')
         message, _, remedy = (' '.join(part.split()) for part in words.partition('  > '))
@@ -126,6 +126,19 @@ _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
 
 CATALOG = {one.id: one for one in _catalog(_TEXT)}
 """Finding by id, without values."""
+
+_FAULTS, _NUMBERS = (
+    re.findall(rf'(?m)^\[{name}\]\n((?: .*\n)*)', _TEXT)[0].split()
+    for name in ('faults', 'numbers')
+)
+
+MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
+    'level_changes': lambda of: of['high'].value < 1.1 * of['low'].value,
+    'bias_differs': lambda of: of['size'].value < {'gyro': 2e-3, 'accel': 0.1}[of['size'].sensor],
+    'misfit': lambda of: of['deviation'] < 0.05,
+}
+"""Id -> whether values are so small that a filter is not affected: the severity is then info. The
+limits of the bias (rad/s and m/s^2) are changes between two starts of common MEMS sensors."""
 
 FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')
 """A template field ``{name}`` or ``{name:format}``. The format is one of Python, ``duration`` for a
@@ -156,7 +169,8 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
         used[name] = _value(value)
     if missing := [name for name in required(known) if used[name] is None]:
         raise KeyError(f'{id}: {", ".join(missing)}')
-    return replace(known, axes=axes, values=used)
+    severity = 'info' if id in MINOR and MINOR[id](used) else known.severity
+    return replace(known, severity=severity, axes=axes, values=used)
 
 
 def _value(value: Any) -> Any:
@@ -292,8 +306,28 @@ def _merged(alike: Sequence[Finding]) -> Finding:
 
 
 def by_consequence(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings in the order of their effect on the user, the largest first."""
-    return tuple(sorted(findings, key=lambda each: SEVERITIES.index(each.severity)))
+    """Return findings in the order of their effect on the user, the largest first.
+
+    Faults come first, then what changes the numbers for a filter, other warnings, and notes. The
+    order of each group is that of the catalog.
+    """
+    return tuple(sorted(findings, key=_rank))
+
+
+def is_note(finding: Finding) -> bool:
+    """Return whether a finding affects neither the data nor the numbers."""
+    return _rank(finding)[0] == len(SEVERITIES)
+
+
+def _rank(finding: Finding) -> tuple[int, int]:
+    """Return the group of a finding and its place in this group."""
+    known = CATALOG.get(finding.id, finding)
+    if finding.severity == known.severity:
+        for group, ids in enumerate((_FAULTS, _NUMBERS)):
+            if finding.id in ids:
+                return group, ids.index(finding.id)
+    group = {'error': 0, 'warning': 1, 'info': len(SEVERITIES)}[finding.severity]
+    return group, len(_TEXT)
 
 
 def _plain(value: Any) -> Any:

@@ -10,7 +10,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..core.compare import Comparison
-from ..core.findings import Finding, duration_text, grouped
+from ..core.findings import Finding, by_consequence, duration_text, grouped, is_note
 from ..core.fit import TERMS
 from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
@@ -49,9 +49,6 @@ are common between units of one model."""
 ODD_AXIS = 2.0
 """Ratio of the white noise of two axes above which the noisier axis should be checked; the z axis
 of many accelerometers reaches 1.5."""
-
-CHANGES_NUMBERS = ('settled_part',)
-"""Ids of notes that are shown before all other findings: they name the part of the data used."""
 
 NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
 """Ids of findings whose remedy is not a next step: they need no action, or only a longer recording,
@@ -256,10 +253,9 @@ def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
 def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) -> Iterator[str]:
     """Yield the next steps, the most urgent first."""
     remedies: dict[str, list[str]] = {}
-    for severity in ('error', 'warning'):
-        for finding in results.findings:
-            if finding.severity == severity and finding.id not in NO_STEP:
-                remedies.setdefault(finding.remedy, []).extend(finding.axes)
+    for finding in by_consequence(results.findings):
+        if finding.severity != 'info' and finding.id not in NO_STEP:
+            remedies.setdefault(finding.remedy, []).extend(finding.axes)
     for remedy, axes in remedies.items():
         where = f' ({_axes_text(axes, results)})' if axes else ''
         yield f'{remedy.rstrip(".")}{where}.'
@@ -277,15 +273,12 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
 
 
 def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
-    """Return the findings that are always shown, and the remaining notes (severity 'info').
+    """Return the findings that affect the data or the numbers, and the notes.
 
-    Equal findings of several axes are merged. The first list begins with notes on the used data;
-    errors and warnings follow.
+    Equal findings of several axes are merged. Both are in the order of their consequence.
     """
     found = grouped(results.findings)
-    notes = [f for f in found if f.severity == 'info' and f.id not in CHANGES_NUMBERS]
-    shown = sorted((f for f in found if f not in notes), key=lambda f: f.id not in CHANGES_NUMBERS)
-    return shown, notes
+    return [f for f in found if not is_note(f)], [f for f in found if is_note(f)]
 
 
 def finding_text(finding: Finding, results: Results, units: str) -> str:

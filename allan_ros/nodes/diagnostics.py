@@ -16,7 +16,7 @@ from ..core.allan.parts import RecentNoise
 from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison, Difference
 from ..core.errors import one_line
-from ..core.findings import Finding, Quantity, duration_text, finding
+from ..core.findings import Finding, Quantity, by_consequence, duration_text, finding
 from ..core.fit.interpretation import recommended_duration
 from ..core.fit.model import TERMS, Coefficient
 from ..core.imu import sensor_of
@@ -96,11 +96,11 @@ def status_of(
 ) -> DiagnosticStatus:
     """Return a status with the level of its most severe finding.
 
-    The message is the first warning or error in ``findings``; without one it is ``otherwise``. The
+    The message is the warning or error with the largest consequence; without one it is ``otherwise``. The
     values are ``pairs`` and all findings. Findings in ``noted`` change neither level nor message.
     """
     shown = [(f'finding: {f.id}', f) for f in (*findings, *noted)]
-    severe = [f for f in findings if f.severity != 'info']
+    severe = [f for f in by_consequence(findings) if f.severity != 'info']
     more = f' (and {len(severe) - 1} more)' if len(severe) > 1 else ''
     return DiagnosticStatus(
         level=max((LEVELS[f.severity] for f in findings), default=DiagnosticStatus.OK),

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from allan_ros.core import findings
 from allan_ros.core.fields import Fields
 from allan_ros.core.findings import (
     CATALOG,
@@ -22,6 +23,7 @@ from allan_ros.core.findings import (
     duration_text,
     finding,
     grouped,
+    is_note,
     significant,
 )
 from allan_ros.core.imu import DATASHEET_UNITS, SI_UNITS, to_datasheet
@@ -168,10 +170,27 @@ def test_merging_loses_no_axis_and_keeps_different_findings_apart(ids):
     assert set(grouped(kept)) == set(kept)
 
 
-def test_the_most_severe_comes_first():
-    levels = ('info', 'error', 'warning')
-    found = (Finding(level, level, '', '') for level in levels)
-    assert [f.severity for f in by_consequence(found)] == ['error', 'warning', 'info']
+def test_findings_are_in_the_order_of_their_consequence():
+    size = {'before': 2.0, 'after': 1.0}
+    expected = [
+        finding('no_noise', ('gyro_x',)),
+        finding('gyro_unit', n=1.0, rate=1.0),
+        Finding('unknown', 'error', '', ''),
+        finding('bias_steps', ('gyro_x',), size=1.0, **size),
+        finding('bias_differs', ('accel_x',), size=0.3),
+        Finding('unknown', 'warning', '', ''),
+        finding('bias_differs', ('accel_x',), size=0.001),
+        finding('level_changes', ('gyro_x',), which='here', value=1.0, low=0.99, high=1.003),
+        Finding('unknown', 'info', '', ''),
+    ]
+    assert by_consequence(expected) == tuple(expected)
+    assert set(by_consequence(reversed(expected))[:5]) == set(expected[:5])
+    assert [is_note(each) for each in expected] == [False] * 6 + [True] * 3
+
+
+def test_the_order_names_only_findings_that_exist():
+    listed = [*findings._FAULTS, *findings._NUMBERS]
+    assert set(listed) <= set(CATALOG) and len(set(listed)) == len(listed)
 
 
 @given(st.floats(1e-12, 1e12), st.integers(2, 6))
