@@ -96,8 +96,9 @@ def status_of(
 ) -> DiagnosticStatus:
     """Return a status with the level of its most severe finding.
 
-    The message is the warning or error with the largest consequence; without one it is ``otherwise``. The
-    values are ``pairs`` and all findings. Findings in ``noted`` change neither level nor message.
+    The message is the warning or error with the largest consequence; without one it is
+    ``otherwise``. The values are ``pairs`` and all findings. Findings in ``noted`` change neither
+    level nor message.
     """
     shown = [(f'finding: {f.id}', f) for f in (*findings, *noted)]
     severe = [f for f in by_consequence(findings) if f.severity != 'info']
