@@ -7,6 +7,7 @@ standard output. Warnings about its numbers are in its header and on stderr.
 
   allan export --list
   allan export results --to openvins -o kalibr_imu_chain.yaml
+  allan export results --to openvins --against my_imu_chain.yaml
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from ..core.errors import AllanError
 from ..core.imu import SI_UNITS, UNITS, sensor_of
 from ..io.datasheets import Datasheet, Limit, load_sensor, sensor_names
 from ..io.exporters import TARGETS, ExportOptions
+from ..io.files import MAX_BYTES, read_text
 from ..io.format import shown_unit, significant
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
@@ -44,11 +46,20 @@ def run(args: argparse.Namespace) -> int:
         )
     from ..io.documents import RESULTS, file_in, load
     from ..io.exporters import make_export, target_of
+    from ..io.exporters.against import against, verdicts
     from ..io.files import write_atomic
 
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
     results = load(file_in(args.results, RESULTS))
+    if args.against:
+        drifts = against(results, args.to, read_text(args.against, MAX_BYTES), options)
+        if console.json:
+            compared = [{**drift._asdict(), 'ratio': drift.ratio} for drift in drifts]
+            console.document({'target': args.to, 'against': args.against, 'drift': compared})
+        else:
+            print('\n'.join([*map(str, drifts), *verdicts(drifts)]))
+        return 0
     made = make_export(results, args.to, options)
     path = Path(args.output) if args.output else None
     if path is not None:
@@ -189,6 +200,8 @@ results RESULTS?  results.json, or its folder
 --to TARGET []  filter or simulator that reads the file (--list)
 --list  list the targets, one per line
 -o --output FILE  file to write (default: standard output)
+--against EXISTING  your own file for TARGET: print the drift that a filter expects with it after 1,
+    10 and 60 s, and the measured drift, and write nothing
 """
 
 COMMANDS = {

@@ -194,27 +194,32 @@ class Growth:
     ci95: tuple[float, float] | None
 
 
-def growth_table(fit: AxisFit, integrals: int = 1) -> tuple[Growth, ...]:
-    """Return the predicted error 1, 10, 30, 100 and 300 s after the last correction.
+def growth_table(
+    fit: AxisFit,
+    integrals: int = 1,
+    horizons: tuple[float, ...] = GROWTH_S,
+    window: float = GROWTH_WINDOW_S,
+) -> tuple[Growth, ...]:
+    """Return the predicted error at some times after the last correction.
 
-    ``integrals`` is 1 for the angle of a gyro or the velocity of an accelerometer, 2 for its
+    ``horizons`` are these times and ``window`` the time over which the bias was averaged before, in
+    s. ``integrals`` is 1 for the angle of a gyro or the velocity of an accelerometer, 2 for its
     position. B and R are included only if they are in the selected model. A K that is not resolved
     is included with its expected value (see `expected_model`), except if N is not resolved either.
     For the upper end of the interval, all terms have their 95 % upper limits.
     """
-    h = np.array(GROWTH_S)
+    h = np.array(horizons)
     model = drift_model(expected_model(fit) if fit.selected.terms.N else fit.selected)
-    std = predicted_growth(model, h, GROWTH_WINDOW_S, integrals)
+    std = predicted_growth(model, h, window, integrals)
     ends: list[tuple[float, float] | None] = [None] * len(h)
     if has_intervals(fit):
         low, high = (drift_model(one) for one in interval_models(fit))
         limits = {t: getattr(high.terms, t) or _limit(fit, t) for t in 'NBKR'}
         high = replace(high, terms=NoiseTerms(**limits))
-        bounds = growth_interval(model, low, high, h, GROWTH_WINDOW_S, integrals)
+        bounds = growth_interval(model, low, high, h, window, integrals)
         ends = [(float(bottom), float(top)) for bottom, top in zip(*bounds)]
     return tuple(
-        Growth(float(one), GROWTH_WINDOW_S, float(value), ci95)
-        for one, value, ci95 in zip(h, std, ends)
+        Growth(float(one), window, float(value), ci95) for one, value, ci95 in zip(h, std, ends)
     )
 
 

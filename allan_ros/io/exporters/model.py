@@ -131,11 +131,8 @@ class FilterNoise:
         """Return the row of one key of the target."""
         path = (*self.target.parent, key.name)
         if key.what in ('N', 'K'):
-            notation = NOTATIONS.get(key.unit) or Notation(
-                '', key.unit, factor=UNITS[key.unit].factor
-            )
             sensors = SENSORS if key.sensor == '-' else (key.sensor,)
-            rows = [self.level_row(path, sensor, key.what, notation) for sensor in sensors]
+            rows = [self.level_row(path, sensor, key.what, notation_of(key)) for sensor in sensors]
             row = max(rows, key=lambda one: max(one.values))
             return row if key.limits is None else clamped(row, *key.limits)
         if key.what == 'rate':
@@ -286,6 +283,11 @@ class FilterNoise:
         worst = max(poor.values(), default=0.0)
         note = finding('export_two_numbers', tuple(poor), horizons=self.horizons, ratio=worst)
         return [note] if poor else []
+
+
+def notation_of(key: Key) -> Notation:
+    """Return the notation of a key for N or K."""
+    return NOTATIONS.get(key.unit) or Notation('', key.unit, factor=UNITS[key.unit].factor)
 
 
 def level_words(level: Level) -> str:
