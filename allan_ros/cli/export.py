@@ -51,7 +51,10 @@ def run(args: argparse.Namespace) -> int:
 
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
-    results = load(file_in(args.results, RESULTS))
+    try:
+        results = load(file_in(args.results, RESULTS))
+    except AllanError as error:
+        raise AllanError(_other_kind(Path(args.results)) or str(error)) from error
     if args.against:
         drifts = against(results, args.to, read_text(args.against, MAX_BYTES), options)
         if console.json:
@@ -75,6 +78,36 @@ def run(args: argparse.Namespace) -> int:
         console.say(str(finding))
     return 0
 
+
+def _other_kind(path: Path) -> str:
+    """Return what a path is instead of results, and what reads it; '' if it is not known."""
+    from ..io.readers import family_of
+
+    inside = sorted(path.iterdir())[:MANY] if path.is_dir() else []
+    if path.suffix in FILES or not path.exists():
+        return f'{path}: is {FILES[path.suffix]}' if path.is_file() else ''
+    if any((one / 'results.json').is_file() for one in inside):
+        return f'{path}: contains the results of several recordings: give one of these folders'
+    for one in inside or [path]:
+        try:
+            if not one.is_dir() and family_of(one):
+                return f'{path}: is a recording: run "allan analyze {path} -o results" first'
+        except AllanError:
+            continue
+    return ''
+
+
+FILES = {
+    '.html': 'a report: give the folder that contains it',
+    **dict.fromkeys(
+        ('.yaml', '.params', '.parm', '.sdf', '.m', '.py'),
+        'a file of a filter: give the results of allan analyze, and this file with --against',
+    ),
+}
+"""Suffix -> what a file is that contains no results."""
+
+MANY = 1000
+"""Largest number of files of a folder that are examined."""
 
 GAP = 2
 """Characters between two columns."""

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,22 @@ def test_list_explains_each_target_in_a_line(capsys: pytest.CaptureFixture[str])
     assert all(what in line for line, what in zip(lines, TARGETS.values()))
 
 
+def test_the_own_file_is_compared_and_not_changed(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = folder / 'imu.yaml'
+    before = mine.read_bytes()
+    words = ['export', str(folder), '--to', 'kalibr', '--against', str(mine)]
+    assert main(words) == 0
+    *drifts, gyro, accel = capsys.readouterr().out.splitlines()
+    assert len(drifts) == 18 and 'gyro_x after 1 s: your file ' in drifts[0]
+    assert 'covers' in gyro and 'covers' in accel
+    assert main([*words, '--json']) == 0
+    document = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert document['drift'][0]['axis'] == 'gyro_x' and document['drift'][0]['ratio'] > 0.0
+    assert mine.read_bytes() == before
+
+
 def test_notes_of_an_export_go_to_stderr(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ['export', str(folder / 'results.json'), '--to', 'orb_slam3']
     assert main([*words, '--fidelity', 'coefficients']) == 0
@@ -67,7 +84,12 @@ def test_notes_of_an_export_go_to_stderr(folder: Path, capsys: pytest.CaptureFix
         (['export', '{results}'], 'give a results.json or its folder'),
         (['export', '/no/such.json', '--to', 'kalibr'], 'no such file'),
         (['export', '{results}', '--to', 'klibr'], 'Known are kalibr, openvins'),
-        (['export', '{yaml}', '--to', 'kalibr'], 'is not JSON'),
+        (['export', '{yaml}', '--to', 'kalibr'], 'a file of a filter: give the results'),
+        (['export', '{report}', '--to', 'kalibr'], 'is a report: give the folder'),
+        (['export', '{recording}', '--to', 'kalibr'], 'is a recording: run "allan analyze'),
+        (['export', '{above}', '--to', 'kalibr'], 'give one of these folders'),
+        (['export', '{results}', '--to', 'robot_localization'], 'the node allan_imu_relay'),
+        (['export', '{results}', '--to', 'px4', '--against', '{yaml}'], 'no number of EKF2_GYR'),
         (['export', '{results}', '--to', 'kalibr', '--strict'], 'is not observable'),
         (['export', '{results}', '--to', 'kalibr', '--axis', 'each'], 'worst or mean'),
         (['export', '{results}', '--to', 'kalibr', '--inflate', '0.5'], 'inflate is 0.5'),
@@ -81,9 +103,15 @@ def test_notes_of_an_export_go_to_stderr(folder: Path, capsys: pytest.CaptureFix
     ],
 )
 def test_an_error_of_the_user_gives_one_line_and_exit_code_1(
-    folder: Path, words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    folder: Path,
+    recording: Path,
+    words: list[str],
+    said: str,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     files = {
+        '{recording}': str(recording),
+        '{report}': str(folder / 'report.html'),
         '{results}': str(folder / 'results.json'),
         '{sums}': str(folder / 'sums.json'),
         '{yaml}': str(folder / 'imu.yaml'),

@@ -56,6 +56,9 @@ TARGETS = {
 }
 """Target -> description of its file."""
 
+WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
+"""Filters that read the covariances of each message."""
+
 AXIS_RULE = 'worst'
 """Default of `ExportOptions.axis` for one number per sensor, as users of Kalibr expect."""
 
@@ -245,6 +248,11 @@ class Export:
 
 def target_of(name: str) -> Target:
     """Return the target with this name, or raise AllanError with the known names."""
+    if name in WITHOUT_PARAMETERS:
+        raise AllanError(
+            f'{name} has no parameters for the noise of an IMU: it reads the covariances of the '
+            'messages, which the node allan_imu_relay fills in'
+        )
     if name not in TARGETS:
         near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)
         meant = f'did you mean {near[0]}? Known are' if near else 'choose one of'

@@ -29,6 +29,9 @@ SHOWN = {'gyro': (DEGREE, 'deg'), 'accel': (1.0, 'm/s')}
 DIGITS = 2
 """Significant digits of a drift."""
 
+ROUNDING = 0.01
+"""Relative difference that is due to the rounding of the numbers in a file."""
+
 COMMENT = re.compile(r'(?m)^\s*(?:#|%|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
 """Comments of YAML, MATLAB, Python and JSON, and strings with a space."""
 
@@ -112,7 +115,7 @@ def verdicts(drifts: tuple[Drift, ...]) -> list[str]:
         worst = max((d for d in drifts if sensor_of(d.axis) == sensor), key=lambda d: d.ratio)
         factor = significant(max(worst.ratio, 1.0 / worst.ratio), DIGITS)
         said = f'your file covers the measured drift, by {factor} or more'
-        if worst.ratio > 1.0:
+        if worst.ratio > 1.0 + ROUNDING:
             said = f'a filter with your file is overconfident by {factor}'
             if not worst.overconfident:
                 said += ', within the interval of the measured drift'

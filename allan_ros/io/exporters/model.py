@@ -357,10 +357,14 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
     results, target, inflate = noise.results, noise.target, noise.options.inflate
     limits = dict.fromkeys(row.key for row in rows if row.is_limit)
     unsure = dict.fromkeys(row.key for row in rows if row.no_interval)
-    found = [note for note in results.findings if note.severity != 'info']
-    found.sort(key=lambda note: note.id not in WRONG_UNITS)
+    wrong = [f'warning: {note}' for note in results.findings if note.id in WRONG_UNITS]
+    others = [
+        f'warning: {", ".join(note.axes)}{": " if note.axes else ""}{note.message}'
+        for note in results.findings
+        if note.severity != 'info' and note.id not in WRONG_UNITS
+    ]
     lines = [
-        *(f'warning: {note}' for note in found),
+        *wrong,
         f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
         f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '
         f'{significant(results.rate_hz, 5)} Hz',
@@ -375,6 +379,7 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
         *(f'note: {note}' for note in target.notes),
         *dict.fromkeys(f'note: {note}' for row in rows for note in row.findings),
         *(f'warning: {note}' for note in noise.reduction_findings()),
+        *others,
     ]
     return [one_line(line) for line in lines]
 

@@ -61,7 +61,7 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
     """Return the Imu topics of a bag; the list is empty for other formats and unreadable files."""
     place = Path(path)
     try:
-        if _family(place) != 'bag':
+        if family_of(place) != 'bag':
             return []
         from .rosbag2 import imu_topics
 
@@ -73,11 +73,11 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
 def _open(path: Path, options: ReadOptions) -> Recording:
     if path.name == METADATA:
         path = path.parent
-    module, opener = _OPENERS[_family(path)]
+    module, opener = _OPENERS[family_of(path)]
     return cast(Recording, getattr(import_module(module, __package__), opener)(path, options))
 
 
-def _family(path: Path) -> str:
+def family_of(path: Path) -> str:
     """Return the family of formats of a path: by its first bytes, else by its suffix.
 
     Raises AllanError when it is unknown.
