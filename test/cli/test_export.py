@@ -63,7 +63,7 @@ def test_the_own_file_is_compared_and_not_changed(
     assert len(drifts) == 18 and 'gyro_x after 1 s: your file ' in drifts[0]
     assert 'covers' in gyro and 'covers' in accel
     assert main([*words, '--json']) == 0
-    document = json.loads(capsys.readouterr().out.splitlines()[-1])
+    document = json.loads(capsys.readouterr().out)
     assert document['drift'][0]['axis'] == 'gyro_x' and document['drift'][0]['ratio'] > 0.0
     assert mine.read_bytes() == before
 
