@@ -177,9 +177,10 @@ def _judged(
     code = 0
     if verdict.level == 'failed' or fails(results, args.fail_on):
         code = EXIT_FAILED
-    elif verdict.level == 'unknown':
+    elif verdict.level in ('measured', 'unknown'):
         code = EXIT_UNJUDGED
-    word = WORDS['failed' if code == EXIT_FAILED else verdict.level].lower()
+    words = {EXIT_FAILED: WORDS['failed'], EXIT_UNJUDGED: WORDS['unknown']}
+    word = words.get(code, WORDS[verdict.level]).lower()
     note = ''
     values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
     samples = (results.samples, *values) if any(values) else None

@@ -18,8 +18,8 @@ from typing import Any, TextIO
 
 from ..core.errors import one_line
 
-WIDTH = 100
-"""Width in columns if there is no terminal and ``COLUMNS`` is not set."""
+UNLIMITED = 100_000
+"""Width in columns if there is no terminal and ``COLUMNS`` is not set: lines are not wrapped."""
 
 LABEL = 30
 """Largest length of the label of a progress bar; only the end of a longer text is shown."""
@@ -128,8 +128,8 @@ class Console:
 
 
 def width() -> int:
-    """Return the width of the output in columns: ``COLUMNS``, else the terminal, else `WIDTH`."""
-    return max(shutil.get_terminal_size((WIDTH, 24)).columns, NARROWEST)
+    """Return the width in columns: ``COLUMNS``, else that of the terminal, else `UNLIMITED`."""
+    return max(shutil.get_terminal_size((UNLIMITED, 24)).columns, NARROWEST)
 
 
 def colored(stream: TextIO) -> bool:

@@ -4,16 +4,20 @@
 
 from __future__ import annotations
 
-import textwrap
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from ..core.compare import Comparison, LimitVerdict
+from ..core.errors import AllanError
+from ..core.findings import prefixed
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import SMALL_DEVIATION
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..io.comparison import RunComparison, comparison_headline, ratio_text, verdict_text
 from ..io.datasheets import VERDICT_TEXT, DatasheetComparison
+from ..io.exporters import Row, target_rows
 from ..io.format import (
+    VALUE_DIGITS,
     ShownUnit,
     deviation_text,
     interval_text,
@@ -37,6 +41,7 @@ from .console import SEVERITY_COLORS, painted, wrapped
 LEVEL_COLORS: dict[Level, str] = {
     'healthy': '1;32',
     'attention': '1;33',
+    'measured': '1;36',
     'unknown': '1;36',
     'failed': '1;31',
 }
@@ -89,10 +94,13 @@ LABEL, GAP = 16, 2
 """Width of the first column, and space between the columns of two axes, in characters."""
 
 DEVIATION, NOTHING = 'deviation', '-'
-"""Label of the last row, and its text for a curve that the model describes well."""
+"""Label of the last row, and the text of a cell without a number."""
 
 MOST_FINDINGS, MOST_STEPS = 5, 4
 """Largest number of findings without ``--verbose``, and of next steps."""
+
+Cell = tuple[str, str]
+"""A value and its interval; '' for no interval."""
 
 
 def results_lines(
@@ -103,34 +111,41 @@ def results_lines(
     colors: bool = False,
     complete: bool = False,
 ) -> Iterator[str]:
-    """Yield the lines of the results: headline, verdict, tables, findings, next steps.
+    """Yield the lines of the results: verdict, coefficients, numbers for a filter, findings, steps.
 
-    ``units`` is 'deg/h' or 'SI', ``columns`` the width of the text, ``colors`` whether to
-    color it; ``complete`` includes all findings and their remedies.
+    ``units`` is 'deg/h' or 'SI', ``columns`` the width of the text, ``colors`` whether to color it;
+    ``complete`` includes all findings, and the dominant noise by averaging time.
     """
     yield from wrapped(headline(results), columns, '  ')
     yield from verdict_lines(verdict, columns, colors)
     for sensor, where in SENSORS.items():
         axes = [axis for axis in AXES[where] if axis in results.axes]
-        cells = [
-            [*axis_cells(a, results.axes[a].fit.noise, units), _deviation(results, a)] for a in axes
-        ]
-        yield from table_lines([*term_labels(sensor, units), DEVIATION], cells, columns)
-    if any(a.regions for a in results.axes.values()):
+        known = [axis for axis in axes if _has_numbers(results, axis)]
+        fitted = {axis: results.axes[axis].fit.noise for axis in known}
+        rows = [*coefficient_rows(sensor, fitted, units)]
+        deviations = [(_deviation(results, axis), '') for axis in known]
+        yield from table_lines([*rows, (DEVIATION, deviations)] if known else [], columns)
+        if len(known) < len(axes):
+            absent = ', '.join(axis[-1] for axis in axes if axis not in known)
+            yield from ('' * (not known), f'{sensor} {absent}: no coefficients')
+    yield from _filter_lines(results, columns)
+    if complete and any(a.regions for a in results.axes.values()):
         yield ''
         yield 'dominant noise by averaging time, and slope of the curve'
         yield from _region_lines(results, columns)
     yield ''
-    yield from wrapped(_legend(results), columns)
+    yield from wrapped(_legend(results, complete), columns)
     if results.datasheet is not None:
         yield ''
         judged = not too_short(results)
         yield from datasheet_lines(results.datasheet, units, columns, judged)
     yield from findings_lines(results, units, columns, colors, complete)
-    for i, step in enumerate(verdict.next_steps[:MOST_STEPS]):
-        if i == 0:
-            yield ''
-        yield from wrapped(f'{"next:" if i == 0 else "     "} {step}', columns, ' ' * 6)
+    yield from _step_lines(results, verdict, columns)
+
+
+def _has_numbers(results: Results, axis: str) -> bool:
+    noise = results.axes[axis].fit.noise.values()
+    return any(value_text(c, ShownUnit('', 1.0)) != NOTHING for c in noise)
 
 
 def verdict_lines(verdict: Verdict, columns: int, colors: bool = False) -> list[str]:
@@ -143,56 +158,94 @@ def verdict_lines(verdict: Verdict, columns: int, colors: bool = False) -> list[
 def findings_lines(
     results: Results, units: str, columns: int, colors: bool, complete: bool
 ) -> Iterator[str]:
-    """Yield the first findings, one per line; with ``complete``, all with their remedies."""
+    """Yield findings with their remedies: with ``complete`` all, else the most important."""
     shown, notes = findings_and_notes(results)
-    if not shown and not notes:
+    first = [*shown, *notes][: None if complete else MOST_FINDINGS]
+    if first:
+        yield ''
+    for each in first:
+        text = f'{each.severity}: {finding_text(each, results, units)} {each.texts(units).remedy}'
+        lines = wrapped(text, columns, '  ')
+        color = SEVERITY_COLORS[each.severity]
+        yield from (painted(lines[0], each.severity, color, colors), *lines[1:])
+    if hidden := len(shown) + len(notes) - len(first):
+        yield f'and {hidden} more finding{"s" * (hidden > 1)}: -v shows all'
+
+
+def _step_lines(results: Results, verdict: Verdict, columns: int) -> Iterator[str]:
+    """Yield the next steps that are not remedies of findings."""
+    remedies = tuple(each.remedy.rstrip('.') for each in results.findings)
+    steps = [step for step in verdict.next_steps if not (remedies and step.startswith(remedies))]
+    for i, step in enumerate(steps[:MOST_STEPS]):
+        if i == 0:
+            yield ''
+        yield from wrapped(f'{"next:" if i == 0 else "     "} {step}', columns, ' ' * 6)
+
+
+def _filter_lines(results: Results, columns: int) -> Iterator[str]:
+    """Yield the numbers of the file for Kalibr; nothing if it cannot be made."""
+    try:
+        rows = target_rows(results, 'kalibr')
+    except AllanError:
         return
     yield ''
-    first = [*shown, *notes]
-    if len(first) > MOST_FINDINGS and not complete:
-        first = shown[: MOST_FINDINGS - (bool(notes) or len(shown) > MOST_FINDINGS)]
-    for finding in first:
-        color = SEVERITY_COLORS[finding.severity]
-        line = f'{finding.severity}: {finding_text(finding, results, units)}'
-        if complete:
-            lines = wrapped(f'{line} {finding.texts(units).remedy}', columns, '  ')
-        else:
-            lines = [textwrap.shorten(line, columns - 1, placeholder=' ...')]
-        yield from (painted(lines[0], finding.severity, color, colors), *lines[1:])
-    left = {
-        'warning': sum(f not in first for f in shown),
-        'note': sum(f not in first for f in notes),
-    }
-    hidden = [f'{n} {word}{"" if n == 1 else "s"}' for word, n in left.items() if n]
-    if hidden:
-        yield f'and {" and ".join(hidden)}: -v shows all, with remedies'
+    yield 'numbers for a filter (imu.yaml): SI, noisiest axis'
+    name = max(len(row.key) for row in rows)
+    for row in rows:
+        text = f'{row.key:{name}}  {significant(row.value, VALUE_DIGITS):9}'
+        yield from wrapped(f'{text} {origin(row)}'.rstrip(), columns, ' ' * (name + 12))
+    if any(level.raised_from is not None for row in rows for level in row.levels):
+        yield from wrapped(
+            'K is raised so that a filter with N and K alone does not underestimate the growth of '
+            'the error, to which B and the other terms contribute.',
+            columns,
+        )
 
 
-def _legend(results: Results) -> str:
+def origin(row: Row) -> str:
+    """Return how a number for a filter differs from the coefficient as measured."""
+    (level,) = row.levels
+    limit = ', a 95 % upper limit' if level.is_limit else ''
+    if level.raised_from is None:
+        return f'{level.term} as measured{limit}'
+    if not level.raised_from:
+        return f'covers the growth of the error: {level.term} is not in the model'
+    factor, measured = level.value / level.raised_from, significant(level.raised_from, VALUE_DIGITS)
+    return f'{factor:.2g} times {level.term} as measured, {measured}{limit}'
+
+
+def _legend(results: Results, complete: bool) -> str:
     known = [c for axis in results.axes.values() for c in axis.fit.noise.values()]
     if not any(c.ci95 or c.upper95 for c in known):
         return f'method {results.method} gives no intervals'
     text = '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
-    likely = any(axis.fit.likely and axis.regions for axis in results.axes.values())
-    processes = any('GM' in r.term for axis in results.axes.values() for r in axis.regions)
+    regions = [(r, axis.fit) for axis in results.axes.values() for r in axis.regions if complete]
+    likely = any(fit.likely for _, fit in regions)
+    processes = any('GM' in region.term for region, _ in regions)
     text += '; "?" is a part of the model that is likely but not resolved' * likely
     return text + '; "GM" is a Gauss-Markov process with its correlation time' * processes
 
 
-def term_labels(sensor: str, units: str) -> list[str]:
-    """Return the first column of a table of noise terms: the sensor, then terms with units."""
-    return [sensor, *(f'{term} {shown_unit(sensor, term, units).name}' for term in TERMS)]
+def coefficient_rows(
+    sensor: str, axes: Mapping[str, Mapping[str, Coefficient]], units: str
+) -> Iterator[tuple[str, list[Cell]]]:
+    """Yield the heading and the rows of a table: a label, and a cell for each axis.
+
+    ``axes`` maps the axes of the sensor to their coefficients. The prefix of the unit of each row
+    depends on its values.
+    """
+    yield sensor, [(axis[-1], '') for axis in axes]
+    for term in TERMS:
+        known = [noise[term] for noise in axes.values()]
+        unit = row_unit(sensor, term, units, known)
+        yield f'{term} {unit.name}', [(value_text(c, unit), interval_text(c, unit)) for c in known]
 
 
-def axis_cells(axis: str, noise: Mapping[str, Coefficient], units: str) -> list[str]:
-    """Return the column of one axis: x, y or z, then the values with their intervals."""
-    shown = [(noise[term], shown_unit(axis, term, units)) for term in TERMS]
-    return [axis[-1], *(coefficient_cell(c, unit) for c, unit in shown)]
-
-
-def coefficient_cell(coefficient: Coefficient, unit: ShownUnit) -> str:
-    """Return the value, padded to a fixed width, and its interval."""
-    return f'{value_text(coefficient, unit):9} {interval_text(coefficient, unit)}'
+def row_unit(sensor: str, term: str, units: str, known: Sequence[Coefficient]) -> ShownUnit:
+    """Return the unit of the coefficients of several axes, with the prefix for the largest."""
+    sizes = [c.value if c.status == 'estimated' else c.upper95 for c in known]
+    size = max((s for s in sizes if s is not None and math.isfinite(s)), default=0.0)
+    return prefixed(shown_unit(sensor, term, units), size)
 
 
 def _deviation(results: Results, axis: str) -> str:
@@ -201,29 +254,37 @@ def _deviation(results: Results, axis: str) -> str:
     return deviation_text(deviation) if large and not too_short(results) else NOTHING
 
 
-def table_lines(
-    labels: Sequence[str], columns: Sequence[Sequence[str]], width: int
-) -> Iterator[str]:
-    """Yield a table with a first column of labels, split into blocks of at most ``width``."""
-    if not columns:
+def table_lines(rows: Sequence[tuple[str, Sequence[Cell]]], width: int) -> Iterator[str]:
+    """Yield a table with a first column of labels; rows without a number are left out.
+
+    If the table is too wide, intervals are printed below their values; if it is still too wide, it
+    is split into blocks of at most ``width`` characters.
+    """
+    rows = [row for row in rows if any(cell != (NOTHING, '') for cell in row[1])]
+    if not rows:
         return
-    label = max(LABEL, *(len(text) + GAP for text in labels))
-    cell = max(len(text) for column in columns for text in column) + GAP
-    across = max(1, (width - label + GAP) // cell)
-    for at in range(0, len(columns), across):
+    label = max(LABEL, *(len(text) + GAP for text, _ in rows))
+    cells = [cell for _, row in rows for cell in row]
+    value, interval = (max(len(cell[part]) for cell in cells) for part in (0, 1))
+    count = len(rows[0][1])
+    is_flat = label + count * (value + 1 + interval + GAP) - GAP <= width
+    column = (value + 1 + interval if is_flat else max(value, interval)) + GAP
+    across = count if is_flat else max(1, (width - label + GAP) // column)
+    for at in range(0, count, across):
         yield ''
-        for text, *row in zip(labels, *columns[at : at + across]):
-            if all(entry == NOTHING for entry in row) and text == DEVIATION:
-                continue
-            yield (f'{text:{label}}' + ''.join(f'{entry:{cell}}' for entry in row)).rstrip()
+        for text, row in rows:
+            part = row[at : at + across]
+            upper = [f'{v:{value}} {i}' if is_flat and i else v for v, i in part]
+            yield (f'{text:{label}}' + ''.join(f'{each:{column}}' for each in upper)).rstrip()
+            if not is_flat and any(i for _, i in part):
+                yield (' ' * label + ''.join(f'{i:{column}}' for _, i in part)).rstrip()
 
 
 def _region_lines(results: Results, columns: int) -> Iterator[str]:
     for axis, result in results.axes.items():
-        if not result.regions:
-            continue
-        reading = ', '.join(region_text(r, result.fit.likely) for r in result.regions)
-        yield from wrapped(f'{axis:{len("accel_x")}}  {reading}', columns, ' ' * 9)
+        if result.regions:
+            reading = ', '.join(region_text(r, result.fit.likely) for r in result.regions)
+            yield from wrapped(f'{axis:{len("accel_x")}}  {reading}', columns, ' ' * 9)
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
@@ -232,9 +293,7 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
         yield from wrapped(sentence, columns, '  ')
     for sensor, where in SENSORS.items():
         axes = [a for a in AXES[where] if any(a in r.results.axes for r in comparison.runs)]
-        labels = [sensor, *_run_labels(comparison, sensor, units)]
-        cells = [[a[-1], *_run_cells(comparison, a, units)] for a in axes]
-        yield from table_lines(labels, cells, columns)
+        yield from table_lines([*_comparison_rows(comparison, sensor, axes, units)], columns)
     if comparison.pairs:
         yield ''
         yield from wrapped(
@@ -248,25 +307,36 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
         yield from datasheet_lines(checked, units, columns)
 
 
-def _run_labels(comparison: RunComparison, sensor: str, units: str) -> Iterator[str]:
-    for label in term_labels(sensor, units)[1:]:
-        for i, subject in enumerate(comparison.runs):
-            yield f'{"" if i else label:{LABEL}}{subject.label}'
-        yield from (f'{"":{LABEL}}{pair.second} ratio' for pair in comparison.pairs)
-    yield from (f'{DEVIATION} {pair.second}' for pair in comparison.pairs)
-
-
-def _run_cells(comparison: RunComparison, axis: str, units: str) -> Iterator[str]:
-    """Yield the cells of one axis: values and ratios, then counts of significant deviations."""
+def _comparison_rows(
+    comparison: RunComparison, sensor: str, axes: Sequence[str], units: str
+) -> Iterator[tuple[str, list[Cell]]]:
+    """Yield the rows of one sensor: values and ratios, then counts of significant deviations."""
+    yield sensor, [(axis[-1], '') for axis in axes]
     for term in TERMS:
-        unit = shown_unit(axis, term, units)
-        for subject in comparison.runs:
-            result = subject.results.axes.get(axis)
-            yield coefficient_cell(result.fit.noise[term], unit).rstrip() if result else ''
-        for difference in (pair.of(axis, term) for pair in comparison.pairs):
-            text = difference and f'{ratio_text(difference)} {verdict_text(difference)}'
-            yield (text or '').strip()
+        fitted = {
+            subject.label: [_coefficient(subject.results, axis, term) for axis in axes]
+            for subject in comparison.runs
+        }
+        unit = row_unit(sensor, term, units, [c for row in fitted.values() for c in row])
+        for i, (run, row) in enumerate(fitted.items()):
+            label = '' if i else f'{term} {unit.name}'
+            cells = [(value_text(c, unit), interval_text(c, unit)) for c in row]
+            yield f'{label:{LABEL}}{run}', cells
+        for pair in comparison.pairs:
+            ratios = [pair.of(axis, term) for axis in axes]
+            texts = [f'{ratio_text(d)} {verdict_text(d)}'.strip() if d else '' for d in ratios]
+            yield f'{"":{LABEL}}{pair.second} ratio', [(text, '') for text in texts]
     for pair in comparison.pairs:
-        tested = [d for d in pair.differences if d.axis == axis and d.tau is not None]
-        differ = sum(d.significant for d in tested)
-        yield f'{differ} of {len(tested)} differ' if tested else ''
+        counts = []
+        for axis in axes:
+            tested = [d for d in pair.differences if d.axis == axis and d.tau is not None]
+            differ = sum(d.significant for d in tested)
+            counts.append((f'{differ} of {len(tested)} differ' if tested else '', ''))
+        yield f'{DEVIATION} {pair.second}', counts
+
+
+def _coefficient(results: Results, axis: str, term: str) -> Coefficient:
+    """Return a coefficient; one without a value if the axis is absent."""
+    if axis in results.axes:
+        return results.axes[axis].fit.noise[term]
+    return Coefficient(None, status='not_observable')

@@ -119,11 +119,11 @@ def region_text(region: Region, likely: Collection[str] = ()) -> str:
     The terms in ``likely``, which the model contains although they are not resolved, get a '?'.
     """
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
-    return f'{low}-{high} s {part_text(region.term, likely)} (slope {region.slope:+.2f})'
+    return f'{low}..{high} s {part_text(region.term, likely)} (slope {region.slope:+.2f})'
 
 
 def deviation_text(deviation: Deviation | None) -> str:
-    """Return a deviation of a curve from its model, such as '+12% at 3.4 s'; '' for None."""
+    """Return a deviation of a curve from its model, such as '+12 % at 3.4 s'; '' for None."""
     if deviation is None:
         return ''
-    return f'{deviation.relative:+.0%} at {significant(deviation.tau, 2)} s'
+    return f'{100.0 * deviation.relative:+.0f} % at {significant(deviation.tau, 2)} s'

@@ -79,7 +79,7 @@ class Results:
     >>> results.samples, round(results.rate_hz), list(results)[:2]
     (18000, 50, ['gyro_x', 'gyro_y'])
     >>> results.noise['gyro_x']['N'].status, len(results.table()), results.verdict.level
-    ('estimated', 30, 'unknown')
+    ('estimated', 30, 'measured')
     >>> figure = results.plot('gyro')
     >>> checked = results.compared(sensor='adis16475-3')
     >>> checked.comparisons[0].term, checked.comparisons[0].verdict

@@ -26,11 +26,12 @@ if TYPE_CHECKING:
     from .axis_result import AxisResult
     from .results import Results
 
-Level = Literal['healthy', 'attention', 'unknown', 'failed']
+Level = Literal['healthy', 'attention', 'measured', 'unknown', 'failed']
 
 WORDS: dict[Level, str] = {
     'healthy': 'Healthy',
     'attention': 'Usable with care',
+    'measured': 'Measured',
     'unknown': 'Not judged',
     'failed': 'Failed',
 }
@@ -61,9 +62,10 @@ class Verdict:
 
     Attributes
     ----------
-    level : 'healthy', 'attention', 'unknown' or 'failed'
+    level : 'healthy', 'attention', 'measured', 'unknown' or 'failed'
         'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, an error,
-        or no decided comparison with a datasheet or earlier run; 'attention' for a warning.
+        or no decided comparison; 'measured' without a datasheet or earlier run to compare with;
+        'attention' for a warning.
     summary : str
         One sentence.
     reasons : tuple of str
@@ -116,8 +118,10 @@ def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
         return 'unknown'
     if 'beyond' in {c.verdict for c in comparisons}:
         return 'failed'
-    if 'error' in severities or not _within_limits(comparisons):
+    if 'error' in severities or (comparisons and not _within_limits(comparisons)):
         return 'unknown'
+    if not comparisons:
+        return 'measured'
     return 'attention' if 'warning' in severities else 'healthy'
 
 
@@ -147,7 +151,7 @@ def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], 
     if results.duration_s < TOO_SHORT_S:
         return f'Too short to judge: {duration_text(results.duration_s, 3)} at rest.'
     if not comparisons:
-        return 'No datasheet and no earlier run to compare with.'
+        return quality(results)
     unsettled = [c for c in comparisons if c.verdict == 'open']
     if not unsettled:
         return f'All {len(comparisons)} numbers are within {_references(comparisons)}.'
@@ -159,6 +163,36 @@ def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], 
         f'{len(comparisons) - len(unsettled)} of {len(comparisons)} numbers are within '
         f'{_references(comparisons)}, none is above; not settled: {_joined(named)}.'
     )
+
+
+def quality(results: Results) -> str:
+    """Return a sentence on the precision of N, B and K: 'N to 0.4 %, B to 8 %, K needs 3 h.'
+
+    The percentage is half the width of the 95 % interval, on the axis where it is largest.
+    """
+    if not any(c.ci95 or c.upper95 for a in results.axes.values() for c in a.fit.noise.values()):
+        return f'Method {results.method} gives no intervals.'
+    advice = time_to_record(results)
+    parts: list[str] = []
+    needs: list[str] = []
+    limits: list[str] = []
+    for term in ADVISED_TERMS:
+        known = [axis.fit.noise[term] for axis in results.axes.values()]
+        widths = [
+            (c.ci95[1] - c.ci95[0]) / (2.0 * c.value)
+            for c in known
+            if c.status == 'estimated' and c.value and c.ci95
+        ]
+        if len(widths) == len(known):
+            parts.append(f'{term} to {float(f"{100.0 * max(widths):.2g}"):g} %')
+        else:
+            (needs if advice and term in advice[1] else limits).append(term)
+    if advice and needs:
+        parts.append(f'{_joined(needs)} need{"s" * (len(needs) == 1)} {duration_text(advice[0])}')
+    if limits:
+        parts.append(f'only a limit of {_joined(limits)}')
+    text = ', '.join(parts)
+    return f'{text[0].upper()}{text[1:]}.'
 
 
 def _references(comparisons: Sequence[Comparison]) -> str:
@@ -268,7 +302,7 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
         yield 'Record at least a minute at rest.'
     if not comparisons and measured(results):
         yield 'Compare with a datasheet (--sensor NAME) or an earlier run (--baseline FILE).'
-    if level in ('healthy', 'attention'):
+    if level in ('healthy', 'attention', 'measured'):
         yield 'Write a file for a filter: allan export FOLDER --to openvins.'
 
 

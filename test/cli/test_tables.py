@@ -8,12 +8,22 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
+from support.findings import example
 
-from allan_ros.cli.tables import comparison_lines, findings_lines, results_lines
-from allan_ros.core.findings import Finding, finding
+from allan_ros.cli.tables import (
+    coefficient_rows,
+    comparison_lines,
+    findings_lines,
+    origin,
+    results_lines,
+)
+from allan_ros.core.filters.reductions import Level
+from allan_ros.core.findings import CATALOG, Finding, finding
 from allan_ros.core.fit import TERMS, Coefficient, Deviation
+from allan_ros.core.imu import SENSORS
 from allan_ros.io.comparison import Subject, compare_runs
 from allan_ros.io.datasheets import load_sensor
+from allan_ros.io.exporters import Row, target_rows
 from allan_ros.io.format import interval_text, shown_unit, value_text
 from allan_ros.io.results import Results
 from allan_ros.io.verdict import headline, summary_lines, verdict_of
@@ -31,6 +41,55 @@ def test_no_line_is_wider_than_the_terminal(small_results: Results, width: int, 
     results = replace(small_results, findings=(LONG,))
     lines = lines_of(results, units, width)
     assert max(map(len, lines)) <= width
+
+
+@pytest.mark.parametrize('units', ['deg/h', 'SI'])
+@pytest.mark.parametrize('id', CATALOG)
+def test_no_finding_is_cut_or_wider_than_80_columns(
+    small_results: Results, id: str, units: str
+) -> None:
+    found = example(id, 0.123456)
+    results = replace(small_results, findings=(found,))
+    narrow, wide = (list(findings_lines(results, units, w, False, False)) for w in (80, 10_000))
+    assert max(map(len, narrow)) <= 80
+    assert ' '.join(line.strip() for line in narrow) == ' '.join(wide)
+    assert '...' not in wide[1] and wide[1].endswith(found.texts(units).remedy)
+
+
+def test_80_columns_hold_three_axes(small_results: Results) -> None:
+    lines = lines_of(small_results, 'deg/h', 80)
+    for sensor in SENSORS:
+        (heading,) = (line.split() for line in lines if line.startswith(f'{sensor} '))
+        assert heading == [sensor, 'x', 'y', 'z']
+
+
+def test_the_prefix_of_a_row_fits_its_largest_value(small_results: Results) -> None:
+    large = Coefficient(0.0274, (0.026, 0.029))
+    rows = dict(coefficient_rows('accel', {'accel_x': {**dict.fromkeys(TERMS, large)}}, 'deg/h'))
+    assert rows['B mg'] == [('2.794', '2.65..2.96')]
+
+
+def test_constant_data_have_one_line(small_results: Results) -> None:
+    nothing = {term: Coefficient(None, status='not_observable') for term in TERMS}
+    axes = {
+        name: replace(axis, fit=replace(axis.fit, noise=nothing, deviation=None))
+        for name, axis in small_results.axes.items()
+    }
+    lines = lines_of(replace(small_results, axes=axes), 'deg/h', 80)
+    assert 'gyro x, y, z: no coefficients' in lines
+    assert not any(line.startswith(('N ', 'gyro  ')) or ' - ' in line for line in lines)
+
+
+def test_a_raised_k_has_its_factor_and_the_measured_value(small_results: Results) -> None:
+    raised = Level('gyro_x', 'K', 3e-6, None, False, 1e-6)
+    row = Row(('gyroscope_random_walk',), 3e-6, levels=(raised,))
+    assert origin(row) == '3 times K as measured, 1.000e-06'
+    lines = lines_of(small_results, 'deg/h', 200)
+    rows = {row.key: row for row in target_rows(small_results, 'kalibr')}
+    shown = [line.split() for line in lines if line.split(' ')[0] in rows]
+    assert [float(value) for _, value, *_ in shown] == pytest.approx(
+        [row.value for row in rows.values()], rel=1e-3
+    )
 
 
 @pytest.mark.parametrize('width', [60, 200])
@@ -76,7 +135,7 @@ def test_the_largest_deviation_is_shown_where_there_is_one(small_results: Result
     results = replace(small_results, axes={**small_results.axes, 'accel_z': bent})
     rows = [line for line in lines_of(results, 'SI', 200) if line.startswith('deviation')]
     assert len(rows) == 1
-    assert rows[0].endswith('-12% at 32 s')
+    assert rows[0].endswith('-12 % at 32 s')
     brief = lines_of(replace(results, duration_s=4.8), 'SI', 200)
     assert not any(line.startswith('deviation') for line in brief)
 
@@ -99,7 +158,7 @@ def test_findings_are_colored_only_on_request(small_results: Results) -> None:
     assert plain[2:] == colored[2:]
 
 
-def test_five_lines_of_findings_at_most_and_all_on_demand(small_results: Results) -> None:
+def test_five_findings_at_most_and_all_on_demand(small_results: Results) -> None:
     axes = tuple(small_results.axes)
     many = tuple(
         Finding(f'kind_{i}', 'warning', f'Cause {"abcdefgh"[i]}.', f'Do {i}.', (axis,))
@@ -109,9 +168,9 @@ def test_five_lines_of_findings_at_most_and_all_on_demand(small_results: Results
     results = replace(small_results, findings=(*many, Finding('n', 'info', 'Note.', 'Nothing.')))
     short = lines_of(results, 'SI', 100)
     shown = [line for line in short if line.startswith(('warning', 'info', 'and '))]
-    assert len(shown) == 5
-    assert shown[-1] == 'and 4 warnings and 1 note: -v shows all, with remedies'
-    assert shown[0] == 'warning: gyro x, gyro y: Cause a.'
+    assert len(shown) == 6
+    assert shown[-1] == 'and 4 more findings: -v shows all'
+    assert shown[0] == 'warning: gyro x, gyro y: Cause a. Do 0.'
     complete = lines_of(results, 'SI', 100, complete=True)
     assert sum(line.startswith('warning: ') for line in complete) == 8
     assert 'info: Note. Nothing.' in complete
@@ -123,7 +182,7 @@ def test_a_part_that_is_left_out_is_named_first(small_results: Results) -> None:
     shown = lines_of(replace(small_results, findings=(*warnings, left_out)), 'SI', 100)
     first = next(i for i, line in enumerate(shown) if line.startswith(('info', 'warning')))
     assert shown[first].startswith('info: gyro x: The first 1 h differ from the later data')
-    assert 'and 5 warnings: -v shows all, with remedies' in shown
+    assert 'and 4 more findings: -v shows all' in shown
 
 
 def test_the_verdict_comes_before_the_tables(small_results: Results) -> None:

@@ -8,14 +8,12 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.findings import example
 
 from allan_ros.core import findings
 from allan_ros.core.fields import Fields
 from allan_ros.core.findings import (
     CATALOG,
-    FIELD,
-    OPTIONAL,
-    QUANTITIES,
     SEVERITIES,
     Finding,
     Quantity,
@@ -31,25 +29,6 @@ from allan_ros.io.documents import _finding_from_document
 
 IN_DEG_H = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
 IN_SI = {unit for units in SI_UNITS.values() for unit in units.values()}
-
-
-def templates(known: Finding) -> str:
-    return f'{known.message_template} {known.remedy_template}'
-
-
-def value_of(spec: str, number: float) -> object:
-    """Return a value for a field with this format."""
-    if spec.rstrip('0123456789') in QUANTITIES or '.' in spec or spec == 'duration':
-        return number
-    return int(number) if spec == 'd' or '|' in spec else 'words'
-
-
-def example(id: str, number: float = 2.0, axis: str = 'gyro_x', optional: bool = True) -> Finding:
-    """Return a finding of the catalog whose numbers all have the same value in SI."""
-    text = templates(CATALOG[id])
-    specs = dict(reversed(FIELD.findall(text if optional else OPTIONAL.sub('', text))))
-    values = {name: value_of(spec, number) for name, spec in specs.items()}
-    return finding(id, (axis,), **{**values, 'sensor': axis[:-2]})
 
 
 def test_every_kind_of_finding_has_a_severity_a_message_and_a_remedy():

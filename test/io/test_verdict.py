@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -84,10 +85,10 @@ def test_n_within_its_limit_is_enough(small_results: Results) -> None:
     )
 
 
-def test_nothing_is_judged_without_a_reference(small_results: Results) -> None:
+def test_without_a_reference_the_precision_is_stated(small_results: Results) -> None:
     verdict = verdict_of(calm(small_results))
-    assert verdict.level == 'unknown'
-    assert verdict.summary == 'No datasheet and no earlier run to compare with.'
+    assert verdict.level == 'measured'
+    assert re.fullmatch(r'N to [\d.]+ %, B and K need \d h\.', verdict.summary)
     assert any('--sensor' in step for step in verdict.next_steps)
 
 

@@ -68,6 +68,7 @@ SCRIPTS = (
 ICONS = {
     'healthy': '<path d="M7 12.5l3.5 3.5L17 9"/>',
     'attention': '<path d="M12 6.5v7M12 17v.5"/>',
+    'measured': '<path d="M7 12.5l3.5 3.5L17 9"/>',
     'unknown': '<path d="M9 9.5a3 3 0 1 1 4.2 2.8c-.8.4-1.2.9-1.2 1.7v.4M12 17.3v.4"/>',
     'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
 }
