@@ -37,7 +37,7 @@ from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH
 from .io.plot_style import check_plots
-from .io.readers.arrays import recording_in_memory, without_absent
+from .io.readers.arrays import recording_in_memory
 from .io.readers.recording import ReadOptions
 from .io.recorded import (
     Observer,
@@ -252,8 +252,6 @@ def analyze(
         recording = recording_in_memory(source, reading, axes)
         job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
         recorded = read_recording(job, recording)
-        findings = without_absent(recorded.provenance.findings, recording.axes)
-        recorded = replace(recorded, provenance=replace(recorded.provenance, findings=findings))
     return analyze_recorded(recorded, method).compared(sensor, baseline, margin)
 
 

@@ -148,11 +148,14 @@ def read_recording(
         advance(len(batch))
     stream.end()
     known = stream.result()
-    findings = (*recording.findings, *known.findings)
+    findings = tuple(
+        f
+        for f in (*recording.findings, *known.findings)
+        if not f.axes or not {*f.axes}.isdisjoint(recording.axes)
+    )
     counts = known.health.counts
     if not known.sums:
-        possible = [f for f in findings if not f.axes or {*f.axes} & {*recording.axes}]
-        raise AllanError(_no_data(job, counts, possible))
+        raise AllanError(_no_data(job, counts, findings))
     settings = {
         **asdict(job.segmenter),
         **asdict(recording.options),

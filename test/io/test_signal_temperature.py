@@ -78,6 +78,7 @@ def test_a_table_has_it_in_a_column(name: str, tmp_path: Path) -> None:
     text = '\n'.join([f't,gx,gy,gz,ax,ay,az,{name}', *rows, '9,0,0'])
     (tmp_path / 'one.csv').write_text(text)
     (recording,) = open_recordings([tmp_path / 'one.csv'])
+    assert sum(map(len, recording.batches())) == 9
     trace = recording.temperature('')
     assert trace is not None and trace.source == name
     assert trace.celsius.tolist() == [20.0 + t for t in range(9)]

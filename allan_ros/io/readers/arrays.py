@@ -2,18 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads samples from memory and from numpy files: ``.npz`` with the array ``imu``, or ``.npy``.
 
-``imu`` is float64 with columns t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2). The array ``stamps_ns``
-(int64) replaces t. ``record_ns`` (int64) and ``frame_id`` (one string) are optional. Files are read
-in blocks of rows, so the memory does not depend on their size.
+The columns of a file are t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2), or some of them (`NAMES`), or
+those in the options. In a ``.npz`` file, the array ``stamps_ns`` (int64) replaces t, and
+``record_ns`` (int64) and ``frame_id`` (one string) are optional. Files are read in blocks of rows,
+so the memory does not depend on their size.
 """
 
 from __future__ import annotations
 
-import shutil
 import struct
-import tempfile
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from io import BytesIO
@@ -27,16 +27,22 @@ from numpy.typing import NDArray
 
 from ...core.errors import AllanError
 from ...core.fields import MAX_INTEGER
-from ...core.findings import Finding
+from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, STAMP_UNITS, ImuBatch, even_stamps
 from ..files import open_regular
-from .columns import columns_of, listed
-from .recording import BATCH, ReadOptions, Recording, SourceInfo, in_batches
+from .columns import Columns, columns_of, listed
+from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
 from .storage import translated
 
 COLUMNS = 't, gx, gy, gz, ax, ay, az'
 
+NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: 't,gx,gy,gz,ax,ay,az'}
+"""Number of columns of an array -> their names."""
+
 SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
+
+FIRST_ROWS = 200
+"""Number of rows from which the unit of the stamps is recognized."""
 
 MAX_FRAME_BYTES = 4096
 """Largest size of a frame_id in bytes."""
@@ -52,6 +58,7 @@ class _Column:
     """
 
     def __init__(self, path: Path, name: str, stack: ExitStack) -> None:
+        self.name = name
         self.where = f'{path}: array {name!r}' if name else f'{path}'
         self._file = stack.enter_context(_opened(path, name))
         self.shape, fortran, self.dtype = _read_header(self._file, self.where)
@@ -66,12 +73,20 @@ class _Column:
                 file.seek(start + column * self.shape[0] * self.dtype.itemsize)
                 self._by_column.append(file)
 
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return int(np.prod(self.shape[1:], dtype=np.int64))
+
     def take(self, rows: int) -> NDArray[Any]:
-        """Return the next ``rows`` rows; raise AllanError if the file has fewer."""
+        """Return the next ``rows`` rows; raise AllanError if the file has fewer.
+
+        Samples are (rows, columns), and times (rows,).
+        """
         if self._by_column:
             return np.column_stack([self._block(file, rows) for file in self._by_column])
-        width = int(np.prod(self.shape[1:], dtype=np.int64))
-        return self._block(self._file, rows * width).reshape(rows, *self.shape[1:])
+        block = self._block(self._file, rows * self.width)
+        return block if self.name in (STAMPS, RECORD) else block.reshape(rows, self.width)
 
     def _block(self, file: IO[bytes], count: int) -> NDArray[Any]:
         data = file.read(count * self.dtype.itemsize)
@@ -90,10 +105,35 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
     with translated(path, _LIBRARY_ERRORS, REMEDY):
         members = _members(path) if zipped else ('',)
         with ExitStack() as stack:
-            n = _open_columns(path, members, options, stack)[0].shape[0]
-    storage = 'npz' if zipped else 'npy'
-    info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', storage)
-    return Recording(info, n, lambda _: _read(path, members, options), options=options)
+            samples, stamps, _ = _open_arrays(path, members, stack)
+            n, width = samples.shape[0], samples.width
+            names = tuple(options.columns or NAMES.get(width, '').split(','))
+            if len(names) != width or any('=' in name for name in names):
+                raise AllanError(
+                    f'{samples.where} has shape {samples.shape}: name each of its columns, such '
+                    f'as --columns {",".join(["t", *AXES][:width])} (- leaves one out)'
+                )
+            columns = columns_of(path, names, options)
+            if len(columns.stamp) == 1 and stamps is None:
+                first = samples.take(min(n, FIRST_ROWS))[:, columns.stamp[0][0]].astype(float)
+                columns = columns.with_time_unit(samples.where, first, options.stamp_unit)
+    if not columns.axes:
+        raise AllanError(f'{path}: no column ({listed(names)}) is an axis: correct --columns')
+    if not columns.stamp and stamps is None and not options.rate_hz:
+        raise AllanError(
+            f'{samples.where} has {width} columns and no time: add {STAMPS!r}, put t first, '
+            'or state the sample rate with --rate'
+        )
+    info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', 'npz' if zipped else 'npy')
+
+    def read(report: Report) -> Iterator[ImuBatch]:
+        if unit := columns.time_unit:
+            name = names[columns.stamp[0][0]]
+            report(finding('stamp_unit_assumed', path=path, unit=unit, name=name))
+        yield from _read(path, members, columns, options)
+
+    known = options.with_units(columns.units)
+    return Recording(info, n, read, options=known, axes=columns.given)
 
 
 _LIBRARY_ERRORS = (
@@ -141,29 +181,23 @@ def _read_header(file: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np
     return header
 
 
-def _open_columns(
-    path: Path, members: tuple[str, ...], options: ReadOptions, stack: ExitStack
+def _open_arrays(
+    path: Path, members: tuple[str, ...], stack: ExitStack
 ) -> tuple[_Column, _Column | None, _Column | None]:
     """Return the arrays of samples, stamps and record times, after checking their shapes.
 
     ``members`` are the names of the arrays in the file. Missing times are None.
     """
-    name = SAMPLES if SAMPLES in members else ''
-    samples = _Column(path, name, stack)
+    samples = _Column(path, SAMPLES if SAMPLES in members else '', stack)
     stamps = _Column(path, STAMPS, stack) if STAMPS in members else None
     record = _Column(path, RECORD, stack) if RECORD in members else None
-    if len(samples.shape) != 2 or samples.shape[1] not in (len(AXES), len(AXES) + 1):
+    if len(samples.shape) not in (1, 2):
         raise AllanError(
             f'{samples.where} has shape {samples.shape}: give one row per sample with columns '
             f'{COLUMNS}'
         )
     if not samples.shape[0]:
         raise AllanError(f'{samples.where} contains no sample: record or export it again')
-    if samples.shape[1] == len(AXES) and stamps is None and not options.rate_hz:
-        raise AllanError(
-            f'{samples.where} has six columns and no time: add {STAMPS!r}, put t first, '
-            'or state the sample rate with --rate'
-        )
     for times in (stamps, record):
         if times is None:
             continue
@@ -175,29 +209,37 @@ def _open_columns(
     return samples, stamps, record
 
 
-def _read(path: Path, members: tuple[str, ...], options: ReadOptions) -> Iterator[ImuBatch]:
+def _read(
+    path: Path, members: tuple[str, ...], columns: Columns, options: ReadOptions
+) -> Iterator[ImuBatch]:
     with translated(path, _LIBRARY_ERRORS, REMEDY):
         frame_id = _frame_id(path) if FRAME in members else ''
         with ExitStack() as stack:
-            samples, stamps, record = _open_columns(path, members, options, stack)
+            samples, stamps, record = _open_arrays(path, members, stack)
             for first in range(0, samples.shape[0], BATCH):
                 rows = min(BATCH, samples.shape[0] - first)
                 block = samples.take(rows)
                 if stamps is not None:
                     stamps_ns = stamps.take(rows).astype(np.int64)
-                elif block.shape[1] > len(AXES):
-                    unit = STAMP_UNITS[options.stamp_unit]
-                    stamps_ns = _to_nanoseconds(block[:, 0], unit, samples.where, first)
+                elif columns.stamp:
+                    parts = (
+                        _to_nanoseconds(block[:, at], size, samples.where, first)
+                        for at, size in columns.stamp
+                    )
+                    stamps_ns = sum(parts, np.zeros(rows, np.int64))
                 else:
                     stamps_ns = even_stamps(first, rows, options.rate_hz)
-                values = block[:, -len(AXES) :].astype(np.float64)
+                values = np.full((rows, len(AXES)), np.nan)
+                for axis, (at, scale) in columns.axes.items():
+                    values[:, axis] = block[:, at] * scale
                 record_ns = None if record is None else record.take(rows).astype(np.int64)
-                yield options.in_si(ImuBatch(stamps_ns, values, record_ns, frame_id))
+                yield ImuBatch(stamps_ns, values, record_ns, frame_id)
 
 
-def _to_nanoseconds(
-    times: NDArray[np.float64], unit: int, where: str, first: int
-) -> NDArray[np.int64]:
+def _to_nanoseconds(times: NDArray[Any], unit: int, where: str, first: int) -> NDArray[np.int64]:
+    if times.dtype.kind in 'iu' and unit == 1:
+        return times.astype(np.int64)
+    times = times.astype(np.float64)
     with np.errstate(over='ignore'):  # checked below
         times = times * unit
     bad = ~(np.abs(times) < np.iinfo(np.int64).max)
@@ -221,52 +263,30 @@ def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False)
     """Write the batches to a .npz file, and return the number of samples.
 
     With ``deflate`` it is compressed. The arrays are ``imu`` (column t in s), ``stamps_ns``,
-    ``frame_id`` and, if known, ``record_ns``. They are written to temporary files first, because
-    their length is known only at the end.
+    ``frame_id`` and, if known, ``record_ns``. All samples are in memory while it is written.
 
     Raises AllanError when the batches have several frame_ids, or only some of them have record
     times.
     """
-    frames: list[str] = []
-    counts = {SAMPLES: 0, STAMPS: 0, RECORD: 0}
-    with ExitStack() as stack:
-        files = {
-            name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in counts
-        }
-        for batch in batches:
-            if batch.frame_id not in frames:
-                frames.append(batch.frame_id)
-            seconds = batch.stamps_ns / STAMP_UNITS['s']
-            arrays = {
-                SAMPLES: np.column_stack([seconds, batch.samples]),
-                STAMPS: batch.stamps_ns,
-                RECORD: batch.record_ns,
-            }
-            for name, array in arrays.items():
-                if array is not None:
-                    files[name].write(np.ascontiguousarray(array).tobytes())
-                    counts[name] += len(array)
-        n = counts[SAMPLES]
-        if len(frames) > 1:
-            raise AllanError(f'{path}: npz stores one frame_id, not {len(frames)}: write a bag')
-        if counts[RECORD] not in (0, n):
-            raise AllanError(f'{path}: some batches have record times and some do not: write a bag')
-        how = zipfile.ZIP_DEFLATED if deflate else zipfile.ZIP_STORED
-        with zipfile.ZipFile(path, 'w', how) as archive:
-            for name, shape, dtype in (
-                (SAMPLES, (n, len(AXES) + 1), np.dtype('<f8')),
-                (STAMPS, (n,), np.dtype('<i8')),
-                (RECORD, (n,), np.dtype('<i8')),
-            ):
-                if counts[name] or name != RECORD:
-                    files[name].seek(0)
-                    header = {'descr': npy.dtype_to_descr(dtype), 'shape': shape}
-                    with archive.open(f'{name}.npy', 'w', force_zip64=True) as member:
-                        npy.write_array_header_1_0(member, {**header, 'fortran_order': False})
-                        shutil.copyfileobj(files[name], member)
-            with archive.open(f'{FRAME}.npy', 'w') as member:
-                npy.write_array(member, np.array(frames[0] if frames else ''))
-    return n
+    parts = list(batches)
+    frames = list(dict.fromkeys(batch.frame_id for batch in parts)) or ['']
+    if len(frames) > 1:
+        raise AllanError(f'{path}: npz stores one frame_id, not {len(frames)}: write a bag')
+    record = [batch.record_ns for batch in parts if batch.record_ns is not None]
+    if len(record) not in (0, len(parts)):
+        raise AllanError(f'{path}: some batches have record times and some do not: write a bag')
+    stamps = np.concatenate([np.empty(0, np.int64), *(batch.stamps_ns for batch in parts)])
+    samples = np.concatenate([np.empty((0, len(AXES))), *(batch.samples for batch in parts)])
+    arrays: dict[str, Any] = {
+        SAMPLES: np.column_stack([stamps / STAMP_UNITS['s'], samples]),
+        STAMPS: stamps,
+        FRAME: np.array(frames[0]),
+    }
+    if record:
+        arrays[RECORD] = np.concatenate(record)
+    with path.open('wb') as file:
+        (np.savez_compressed if deflate else np.savez)(file, **arrays)
+    return len(stamps)
 
 
 # --- samples in memory --------------------------------------------------------------------------
@@ -300,6 +320,9 @@ def recording_in_memory(
     if isinstance(samples, Mapping) or hasattr(samples, 'columns'):
         keys = list(samples.columns if hasattr(samples, 'columns') else samples)
         names = tuple(map(str, keys))
+        if len(set(names)) < len(names):
+            ((twice, _),) = Counter(names).most_common(1)
+            raise AllanError(f'the column {twice!r} occurs more than once: rename it')
         wanted = AXES if axes is None else _axis_names(axes)
         columns: Any = [samples[key] for key in keys]
     else:
@@ -322,6 +345,7 @@ def recording_in_memory(
     if rate:
         stamps = even_stamps(0, n, rate)
     elif found.stamp:
+        found = _with_times(found, columns, options)
         stamps = np.sum([_stamps(columns[at], size) for at, size in found.stamp], axis=0)
     elif index.dtype.kind in 'Mm':
         stamps = _stamps(index, 1)
@@ -340,15 +364,6 @@ def _recording(
         raise AllanError('there are no samples: give an array with at least some thousand rows')
     info = SourceInfo(NAME, '', 'array', 'memory')
     return Recording(info, len(batch), lambda _: in_batches(batch), options=options, axes=axes)
-
-
-def without_absent(findings: Sequence[Finding], axes: tuple[str, ...]) -> tuple[Finding, ...]:
-    """Return the findings except those about absent sensors and about axes not in ``axes``."""
-    return tuple(
-        f
-        for f in findings
-        if f.id != 'sensor_absent' and not (f.id == 'axis_absent' and set(axes).isdisjoint(f.axes))
-    )
 
 
 def _numbers(samples: Any) -> NDArray[np.float64]:
@@ -391,6 +406,14 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str
             'column'
         )
     return names
+
+
+def _with_times(found: Columns, columns: Any, options: ReadOptions) -> Columns:
+    """Return the columns with the unit of the stamps, unless these are dates or durations."""
+    first = np.asarray(columns[found.stamp[0][0]][:FIRST_ROWS])
+    if first.dtype.kind in 'Mm' or len(found.stamp) > 1:
+        return found
+    return found.with_time_unit('the samples', _numbers(first)[:, 0], options.stamp_unit)
 
 
 def _stamps(times: Any, scale: int) -> NDArray[np.int64]:

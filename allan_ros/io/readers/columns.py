@@ -11,8 +11,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...core.errors import AllanError
 from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
@@ -20,6 +23,10 @@ from .recording import ReadOptions
 
 LEFT_OUT = '-'
 """Name of a column that is not used."""
+
+UNKNOWN, DATES = 0, -1
+"""In place of a factor to ns: times whose unit is not stated, and dates such as 2026-01-31T12:00.
+"""
 
 _BRACKET = re.compile(r'^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$')
 
@@ -34,7 +41,7 @@ _KINDS = {
         'sec': '(?:^|_)secs?()$',
         'nanosec': '(?:^|_)(?:nanosecs?|nsecs?|nanoseconds)()$',
         'stamp': '(?:^|_)(?:timestamp|stamp)s?(?:_(s|ms|us|ns))?$',
-        'time': '(?:^|_)(?:t|time)(?:_(s|ms|us|ns))?$',
+        'time': '(?:^|_)(?:t|time|seconds_elapsed)(?:_(s|ms|us|ns))?$',
         'temperature': '(?:^|_)(?:temp|temperature)(?:_(c|degc|celsius))?$',
     }.items()
 }
@@ -43,9 +50,14 @@ _KINDS = {
 _STAMPS = (('sec', 'nanosec'), ('stamp',), ('time',))
 """Kinds of columns whose sum is the stamp; the first that are present are used."""
 
+_UNIT_SUFFIX = re.compile(r'^(.*[xyz])_(dps|deg_s|degs|rad_s|rads|m_s2|m_s_2|ms2|mps2|mg|g)$')
+"""Axis name that ends with a unit, in which all other characters are replaced by _."""
+
 _UNIT_SPELLINGS = {
     'rads^-1': 'rad/s', 'degs^-1': 'deg/s', 'dps': 'deg/s', 'deg/sec': 'deg/s', 'rad/sec': 'rad/s',
     'm/s2': 'm/s^2', 'm/s/s': 'm/s^2', 'ms^-2': 'm/s^2', 'm/s²': 'm/s^2', 'sec': 's', 'µs': 'us',
+    'deg_s': 'deg/s', 'degs': 'deg/s', 'rad_s': 'rad/s', 'rads': 'rad/s', 'm_s2': 'm/s^2',
+    'm_s_2': 'm/s^2', 'ms2': 'm/s^2', 'mps2': 'm/s^2',
 }  # fmt: skip
 
 
@@ -68,6 +80,75 @@ class Columns:
     temperature: int | None  # column of the temperature in degC
     units: dict[str, str]  # sensor -> unit of its columns
     assumed: dict[str, str]  # sensor -> name of a column whose unit is not stated anywhere
+    time_unit: str = ''  # unit of the stamps if only their increments suggest it
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """The names of the axes that have a column."""
+        return tuple(AXES[axis] for axis in sorted(self.axes))
+
+    def with_time_unit(self, where: object, times: NDArray[np.float64], stated: str) -> Columns:
+        """Return the columns with the unit of the stamps.
+
+        ``times`` are the first stamps. The unit is ``stated`` in the options, or in the name of the
+        column, or is recognized from the stamps: by their size if they are times since 1970, else
+        by their increments. Raises AllanError when the name contradicts the stamps.
+        """
+        if len(self.stamp) != 1 or not len(times):
+            return self
+        ((column, factor),) = self.stamp
+        by_size, by_step = _unit_by_size(times), _unit_by_step(times)
+        if stated:
+            unit = stated
+        elif factor == UNKNOWN:
+            unit = by_size or by_step
+        elif by_size and len(times) >= ENOUGH and _step(times) * factor < SHORTEST_NS:
+            raise AllanError(
+                f'{where}: the name of column {column + 1} states another unit of time than its '
+                f'values, which are times since 1970 in {by_size}: use --stamp-unit {by_size}'
+            )
+        else:
+            return self
+        doubtful = unit != 's' or (len(times) >= ENOUGH and _step(times) >= FASTEST_MS)
+        assumed = unit if not stated and not by_size and doubtful else ''
+        return replace(self, stamp=((column, STAMP_UNITS[unit]),), time_unit=assumed)
+
+
+EPOCH_S = (9.4e8, 4.2e9)
+"""Seconds since 1970 of the years 1999 and 2103."""
+
+SHORTEST_NS, LONGEST_NS = 1e4, 1e12
+"""Range of sample periods in ns that are plausible for an IMU."""
+
+FASTEST_MS = 0.3
+"""Increment from which times in seconds could also be in milliseconds."""
+
+ENOUGH = 100
+"""Number of times from which a doubtful unit is reported: fewer are no measurement."""
+
+LONGEST_STEP = {'s': 2.0, 'ms': 300.0, 'us': 3e5}
+"""Unit -> increments above which the next unit is more plausible: IMUs have 3 Hz to 3 kHz."""
+
+
+def _step(times: NDArray[np.float64]) -> float:
+    """Return the median increment of the times; 0 if they do not advance."""
+    steps = np.diff(times)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+def _unit_by_size(times: NDArray[np.float64]) -> str:
+    """Return the unit in which these are times since 1970, or '' if there is none."""
+    for unit, size in STAMP_UNITS.items():
+        is_epoch = EPOCH_S[0] <= times[0] * size * 1e-9 <= EPOCH_S[1]
+        if is_epoch and (not _step(times) or SHORTEST_NS <= _step(times) * size <= LONGEST_NS):
+            return unit
+    return ''
+
+
+def _unit_by_step(times: NDArray[np.float64]) -> str:
+    """Return the most plausible unit of the times, judged by their increments."""
+    step = _step(times)
+    return next((unit for unit, longest in LONGEST_STEP.items() if step < longest), 'ns')
 
 
 def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Columns:
@@ -101,8 +182,9 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
             if temperature is None and unit in ('', 'c', 'degc', 'celsius'):
                 temperature = column
         elif kind:
-            size = STAMP_UNITS[unit if unit in STAMP_UNITS else detail or options.stamp_unit]
-            times.setdefault(kind, (column, size))
+            stated = (unit if unit in STAMP_UNITS else detail) or options.stamp_unit
+            otherwise = STAMP_UNITS['s'] if kind == 'record' else UNKNOWN
+            times.setdefault(kind, (column, STAMP_UNITS.get(stated, otherwise)))
     stamp: tuple[str, ...] = next((kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ())
     return Columns(
         axes,
@@ -158,6 +240,8 @@ def _meaning(name: str) -> Meaning:
     unit = unit.replace(' ', '').replace('°', 'deg')
     unit = _UNIT_SPELLINGS.get(unit, unit)
     base = re.sub(r'[^a-z0-9]+', '_', base).strip('_')
+    if not unit and (suffix := _UNIT_SUFFIX.match(base)):
+        base, unit = suffix[1], _UNIT_SPELLINGS.get(suffix[2], suffix[2])
     # names in tables written by this package and in ROS messages, which are in SI
     is_si = base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
     for kind, pattern in _KINDS.items():

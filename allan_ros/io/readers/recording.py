@@ -46,7 +46,10 @@ class ReadOptions(CheckedSettings):
         choices=('', *SAMPLE_UNITS['accel']),
     )
     stamp_unit: str = parameter(
-        's', 'unit of the stamp column of a table or array', choices=tuple(STAMP_UNITS)
+        '',
+        'unit of the stamp column of a table or array; empty: as stated in its name, else '
+        'recognized from the stamps',
+        choices=('', *STAMP_UNITS),
     )
 
     def in_si(self, batch: ImuBatch) -> ImuBatch:

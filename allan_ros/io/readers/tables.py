@@ -13,12 +13,13 @@ a comment::
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal, DecimalException
 from io import TextIOWrapper
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import TextIO
 
@@ -27,10 +28,10 @@ from numpy.typing import NDArray
 
 from ...core.errors import AllanError
 from ...core.findings import finding
-from ...core.imu import AXES, SAMPLE_SI, SENSORS, ImuBatch, even_stamps
+from ...core.imu import AXES, SAMPLE_SI, ImuBatch, even_stamps
 from ..files import is_number, open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
-from .columns import LEFT_OUT, Columns, columns_of, listed, picked_names
+from .columns import DATES, LEFT_OUT, Columns, columns_of, listed, picked_names
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
 
 FRAME_COMMENT = '# frame_id:'
@@ -44,6 +45,20 @@ MAX_LINE = 1 << 20
 
 EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
+FIRST_ROWS = 200
+"""Number of rows from which the unit of the stamps and the decimal mark are recognized."""
+
+DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
+"""Start of a date with a time (ISO 8601)."""
+
+TIME_ZONE = re.compile(r'([+-])(\d\d):?(\d\d)$|Z$')
+"""End of a date with a time zone."""
+
+TOPIC_NAMES = ('sec', 'nanosec', LEFT_OUT, *[LEFT_OUT] * 13, 'angular_velocity_x')
+TOPIC_NAMES += ('angular_velocity_y', 'angular_velocity_z', *[LEFT_OUT] * 9)
+TOPIC_NAMES += tuple(f'linear_acceleration_{axis}' for axis in 'xyz') + (LEFT_OUT,) * 9
+"""Columns of ``ros2 topic echo --csv``, which writes no header. The third is the frame_id."""
+
 
 @dataclass(frozen=True)
 class _Table:
@@ -56,23 +71,25 @@ class _Table:
     header_line: int  # number of the line with the names; 0 without a header
     columns: Columns
     rate_hz: float  # sample rate if there are no stamps
+    comma: bool  # whether decimals are written with a comma
 
 
 def open_table(path: Path, options: ReadOptions) -> Recording:
     """Open a table of numbers in a text file as a recording.
 
-    Raises AllanError when it has no rows, when an axis of a sensor or both sensors are missing, or
-    when the times are unknown.
+    Raises AllanError when it has no rows, when it has no axis, or when the times are unknown.
     """
     with _text(path) as file:
         table = _read_layout(path, file, options)
     info = SourceInfo(str(path), '', 'table', 'tsv' if table.delimiter == '\t' else 'csv')
+    reader = _Reader(table)
     return Recording(
         info,
         None,
-        lambda report: _read(table, report),
-        lambda frame_id: _temperature(table),
+        reader.read,
+        lambda frame_id: reader.temperature(),
         options.with_units(table.columns.units),
+        table.columns.given,
     )
 
 
@@ -91,8 +108,9 @@ def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
     if '\0' in line:
         raise AllanError(f'{path}: is UTF-16 or not text: save the table as UTF-8')
     delimiter = next((mark for mark in '\t;,' if mark in line), '')
+    more = (one for one in lines if not one.startswith(COMMENT) and not one.isspace())
+    rows = _split(chain([line], more), delimiter)
     try:
-        rows = _split(chain([line], lines), delimiter)
         first = tuple(cell.strip() for cell in next(rows))
         number += getattr(rows, 'line_num', 1) - 1  # a header may contain quoted line breaks
         above = next(_split([comment.lstrip('# ')], delimiter)) if comment else []
@@ -100,8 +118,35 @@ def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         raise AllanError(
             f'{path}: line {number} is not a row of a table: correct the file'
         ) from error
+    names, header_line = _names(path, first, above, number, options.columns)
+    next_rows = [] if header_line else [list(first)]
+    empty = False
+    with suppress(csv.Error):  # reported when the line is read
+        next_rows += islice(rows, FIRST_ROWS)
+        empty = not next_rows
+    if empty:
+        raise AllanError(f'{path}: has no line after its header: record or export it again')
+    comma = any(
+        not is_number(cell) and is_number(cell.replace(',', '.')) and ',' in cell
+        for row in next_rows[:1]
+        for cell in row
+    )
+    columns = columns_of(path, names, options)
+    _check_complete(path, names, columns, options)
+    if len(columns.stamp) == 1:
+        columns = _with_times(path, columns, next_rows, comma, options.stamp_unit)
+    return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz, comma)
 
-    given = tuple(name.strip() for name in options.columns)
+
+def _names(
+    path: Path, first: tuple[str, ...], above: list[str], number: int, columns: tuple[str, ...]
+) -> tuple[tuple[str, ...], int]:
+    """Return the names of the columns, and the number of the line that contains them or 0.
+
+    ``first`` are the cells of the first line, which is line ``number``, and ``above`` those of the
+    last comment before it. ``columns`` are the names in the options.
+    """
+    given = tuple(name.strip() for name in columns)
     picked = bool(given) and all('=' in name for name in given)
     if given and not picked:
         if len(given) != len(first):
@@ -110,40 +155,55 @@ def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
                 f'name each ({LEFT_OUT} leaves one out), or pick some as in gx=NAME'
             )
         used = [cell for name, cell in zip(given, first) if name != LEFT_OUT]
-        names, header_line = given, 0 if all(map(is_number, used)) else number
-    elif not all(map(is_number, first)):
-        names, header_line = first, number
-    elif len(above) == len(first) and not all(map(is_number, above)):
-        names, header_line = tuple(cell.strip() for cell in above), 0
+        return given, 0 if all(map(_is_value, used)) else number
+    if not all(map(_is_value, first)):
+        values = [_is_value(cell) for cell in first]
+        if len(first) == len(TOPIC_NAMES) and values.index(False) == 2 and sum(values) == 39:
+            return TOPIC_NAMES, 0
+        names, line = first, number
+    elif len(above) == len(first) and not all(map(_is_value, above)):
+        names, line = tuple(cell.strip() for cell in above), 0
     else:
         raise AllanError(
             f'{path}: has {len(first)} columns of numbers and no header: '
             f'name them, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out)'
         )
-    if header_line and all(line.startswith(COMMENT) or line.isspace() for line in lines):
-        raise AllanError(f'{path}: has no line after its header: record or export it again')
-    if picked:
-        names = picked_names(path, names, given)
-    columns = columns_of(path, names, options)
-    _check_complete(path, names, columns, options)
-    return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz)
+    return (picked_names(path, names, given) if picked else names), line
+
+
+def _is_value(cell: str) -> bool:
+    """Return whether a cell is a number, also with a decimal comma, or a date."""
+    return is_number(cell.replace(',', '.', 1)) or bool(DATE.match(cell))
+
+
+def _with_times(
+    path: Path, columns: Columns, rows: list[list[str]], comma: bool, stated: str
+) -> Columns:
+    """Return the columns with the unit of the stamps, which is recognized from the first rows."""
+    ((column, _),) = columns.stamp
+    cells = [row[column] for row in rows if len(row) > column]
+    if cells and DATE.match(cells[0]):
+        return replace(columns, stamp=((column, DATES),))
+    times = []
+    with suppress(ValueError):
+        for cell in cells:
+            times.append(float(cell.replace(',', '.') if comma else cell))
+    return columns.with_time_unit(path, np.array(times or [0.0]), stated)
 
 
 def _check_complete(
     path: Path, names: tuple[str, ...], columns: Columns, options: ReadOptions
 ) -> None:
-    """Raise AllanError if a sensor lacks an axis, or if all sensors or the times are missing."""
-    for sensor, place in SENSORS.items():
-        have = [AXES[axis] for axis in range(place.start, place.stop) if axis in columns.axes]
-        if have and len(have) < 3:
-            raise AllanError(
-                f'{path}: has {", ".join(have)} only: name all three {sensor} columns in the '
-                'header or with --columns'
-            )
+    """Raise AllanError if there is no axis, or if the times are missing."""
     if not columns.axes:
+        bases = [name.strip().lower() for name in names]
+        example = f'--columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out) or gx=NAME,...'
+        if {'x', 'y', 'z'} <= set(bases):  # the sensor is stated by the name of the file
+            time = next((f't={name},' for name in names if 'time' in name.lower()), '')
+            example = f'--columns {time}gx=x,gy=y,gz=z for a gyro, or ax=x,ay=y,az=z'
         raise AllanError(
             f'{path}: no column ({listed(names)}) is a gyro or accel axis: name them, '
-            f'such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out) or gx=NAME,...'
+            f'such as {example}'
         )
     if not columns.stamp and not options.rate_hz:
         raise AllanError(
@@ -278,6 +338,8 @@ class _Rows:
 
     def _floats(self, cells: tuple[str, ...], column: int) -> NDArray[np.float64]:
         """Convert a column to numbers; an empty cell becomes NaN."""
+        if self.table.comma:
+            cells = tuple(cell.replace(',', '.') for cell in cells)
         with suppress(ValueError):
             return np.array(list(map(float, cells)))
         for row, cell in enumerate(cells):
@@ -287,6 +349,10 @@ class _Rows:
 
     def _nanoseconds(self, cells: tuple[str, ...], column: int, scale: int) -> NDArray[np.int64]:
         """Convert a column of times exactly to ns; ``scale`` is the size of its unit in ns."""
+        if scale == DATES:
+            return self._dates(cells, column)
+        if self.table.comma:
+            cells = tuple(cell.replace(',', '.') for cell in cells)
         if scale == 1:
             with suppress(ValueError, OverflowError):
                 return np.array(list(map(int, cells)), dtype=np.int64)
@@ -305,69 +371,92 @@ class _Rows:
             result[row] = value
         return result
 
+    def _dates(self, cells: tuple[str, ...], column: int) -> NDArray[np.int64]:
+        """Convert dates with a time (ISO 8601) to ns since 1970."""
+        zone = TIME_ZONE.search(cells[0].strip())
+        texts = [TIME_ZONE.sub('', cell.strip().replace(',', '.')) for cell in cells]
+        try:
+            stamps = np.array(texts, 'datetime64[ns]').astype(np.int64)
+        except ValueError:
+            valid = [DATE.match(cell) is not None for cell in cells]
+            row = valid.index(False) if False in valid else 0
+            raise self._not_a_number(row, column) from None
+        offset_min = (
+            int(zone[1] + '1') * (60 * int(zone[2]) + int(zone[3])) if zone and zone[1] else 0
+        )
+        return stamps - offset_min * 60 * 10**9
+
     def _not_a_number(self, row: int, column: int) -> AllanError:
         cell = self.cells[row][column].strip()[:40]
         name = f' ({self.table.names[column]})' if self.table.names else ''
         comma = ',' in cell and is_number(cell.replace(',', '.'))
-        remedy = 'write decimals with a point' if comma else 'correct or remove the line'
+        remedy = 'use one decimal mark' if comma else 'correct or remove the line'
         return AllanError(
             f'{self.table.path}: line {self.numbers[row]}, column {column + 1}{name}: {cell!r} is '
             f'not a number: {remedy}'
         )
 
 
-def _rows(table: _Table, file: TextIO, report: Report) -> Iterator[_Rows]:
-    """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
+class _Reader:
+    """Reads the samples of a table, and keeps rows for the temperature."""
 
-    The last line is not used if it has no line end, because its last number may be truncated.
-    """
-    path = table.path
-    lines, rows = _Lines(table, file), _Rows(table)
-    try:
-        for cells in _split(lines, table.delimiter):
-            if not lines.complete:
-                report(finding('table_cut', path=path, line=lines.number))
-                break
-            if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
-                if rows.cells:
-                    yield rows
-                rows = _Rows(table, rows.first + len(rows.cells), lines.frame_id)
-            rows.numbers.append(lines.number)
-            rows.cells.append(cells)
-    except csv.Error as error:
-        if lines.complete:
-            raise AllanError(
-                f'{path}: line {lines.number} is not a row of a table ({error}): '
-                'correct or remove it'
-            ) from error
-        report(finding('table_cut', path=path, line=lines.number))
-    if rows.cells:
-        yield rows
+    def __init__(self, table: _Table) -> None:
+        self._table = table
+        self._kept: Decimated[tuple[int, float]] = Decimated()
 
+    def read(self, report: Report) -> Iterator[ImuBatch]:
+        """Yield the samples in order."""
+        table = self._table
+        self._kept = Decimated()
+        for sensor, name in table.columns.assumed.items():
+            unit = SAMPLE_SI[sensor]
+            report(finding('unit_assumed', path=table.path, sensor=sensor, unit=unit, name=name))
+        if unit := table.columns.time_unit:
+            name = table.names[table.columns.stamp[0][0]]
+            report(finding('stamp_unit_assumed', path=table.path, unit=unit, name=name))
+        column = table.columns.temperature
+        with _text(table.path) as file:
+            for rows in self._rows(file, report):
+                batch = rows.batch()
+                if column is not None:
+                    celsius = (row[column] for row in rows.cells)
+                    for stamp, cell in zip(batch.stamps_ns.tolist(), celsius):
+                        text = cell.replace(',', '.') if table.comma else cell
+                        self._kept.add((stamp, float(text) if is_number(text) else np.nan))
+                yield batch
 
-def _read(table: _Table, report: Report) -> Iterator[ImuBatch]:
-    for sensor, name in table.columns.assumed.items():
-        unit = SAMPLE_SI[sensor]
-        report(finding('unit_assumed', path=table.path, sensor=sensor, unit=unit, name=name))
-    with _text(table.path) as file:
-        for rows in _rows(table, file, report):
-            yield rows.batch()
+    def temperature(self) -> TemperatureTrace | None:
+        """Return the temperature over time; None if the table has no such column."""
+        column = self._table.columns.temperature
+        if column is None:
+            return None
+        readings = [(stamp, stamp, celsius) for stamp, celsius in self._kept]
+        return trace_of(self._table.names[column].strip(), readings)
 
+    def _rows(self, file: TextIO, report: Report) -> Iterator[_Rows]:
+        """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
 
-def _temperature(table: _Table) -> TemperatureTrace | None:
-    """Return the temperature over time; None if the table has no such column."""
-    column = table.columns.temperature
-    if column is None:
-        return None
-    kept: Decimated[tuple[int, list[str]]] = Decimated()
-    with _text(table.path) as file:
-        for row, cells in enumerate(_split(_Lines(table, file), table.delimiter)):
-            kept.add((row, cells))
-    readings = []
-    for row, cells in kept:
-        with suppress(ValueError, IndexError, DecimalException):  # an invalid line
-            stamp = round(row * 1e9 / table.rate_hz) if table.rate_hz else 0
-            if parts := table.columns.stamp:
-                stamp = sum(round(Decimal(cells[at].strip()) * size) for at, size in parts)
-            readings.append((stamp, stamp, float(cells[column])))
-    return trace_of(table.names[column].strip(), readings)
+        The last line is not used if it has no line end, because its last number may be truncated.
+        """
+        table = self._table
+        lines, rows = _Lines(table, file), _Rows(table)
+        try:
+            for cells in _split(lines, table.delimiter):
+                if not lines.complete:
+                    report(finding('table_cut', path=table.path, line=lines.number))
+                    break
+                if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
+                    if rows.cells:
+                        yield rows
+                    rows = _Rows(table, rows.first + len(rows.cells), lines.frame_id)
+                rows.numbers.append(lines.number)
+                rows.cells.append(cells)
+        except csv.Error as error:
+            if lines.complete:
+                raise AllanError(
+                    f'{table.path}: line {lines.number} is not a row of a table ({error}): '
+                    'correct or remove it'
+                ) from error
+            report(finding('table_cut', path=table.path, line=lines.number))
+        if rows.cells:
+            yield rows

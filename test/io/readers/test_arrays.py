@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from allan_ros.core.imu import STANDARD_GRAVITY
+from allan_ros.core.errors import AllanError
+from allan_ros.core.imu import AXES, STANDARD_GRAVITY
 from allan_ros.io.readers import arrays, open_recordings
 from allan_ros.io.readers.recording import ReadOptions
 
@@ -79,6 +80,35 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
     assert peak < 2e6
 
 
+@pytest.mark.parametrize(
+    'columns, options, axes',
+    [
+        (IMU[:, 1], {'rate_hz': 200.0}, ('gyro_x',)),
+        (IMU[:, 1:4], {'rate_hz': 200.0}, AXES[:3]),
+        (IMU[:, :4], {}, AXES[:3]),
+        (IMU[:, [6, 0]], {'columns': ('az [g]', 't')}, ('accel_z',)),
+    ],
+)
+def test_some_columns_are_enough(
+    columns: np.ndarray, options: Any, axes: tuple[str, ...], tmp_path: Path, read: Any
+) -> None:
+    np.save(tmp_path / 'imu.npy', columns)
+    back = read(tmp_path / 'imu.npy', **options)
+    assert back.recording.axes == axes
+    np.testing.assert_array_equal(back.stamps_ns, np.arange(N) * 5_000_000)
+    present = [axis in axes for axis in AXES]
+    scale = STANDARD_GRAVITY if 'accel_z' in axes else 1.0
+    np.testing.assert_array_equal(back.samples[:, present], IMU[:, 1:][:, present] * scale)
+    assert np.isnan(back.samples[:, np.invert(present)]).all()
+
+
+def test_duplicate_columns_are_rejected() -> None:
+    pandas = pytest.importorskip('pandas')
+    frame = pandas.DataFrame(IMU[:, :3], columns=['t', 'gx', 'gx'])
+    with pytest.raises(AllanError, match="'gx' occurs more than once"):
+        arrays.recording_in_memory(frame, ReadOptions())
+
+
 def with_time(value: float) -> np.ndarray:
     """Return the samples with one invalid time."""
     spoiled = IMU.copy()
@@ -90,8 +120,8 @@ def with_time(value: float) -> np.ndarray:
     'content, says',
     [
         ({'gyro': IMU}, "has no array 'imu' (it has gyro)"),
-        ({'imu': IMU[:, :4]}, 'has shape (1000, 4)'),
-        ({'imu': IMU[:, 0]}, 'has shape (1000,)'),
+        ({'imu': IMU[:, :5]}, 'has shape (1000, 5): name each of its columns'),
+        ({'imu': np.zeros((9, 2, 3))}, 'has shape (9, 2, 3)'),
         ({'imu': IMU[:0]}, 'contains no sample'),
         ({'imu': IMU[:, 1:]}, 'state the sample rate with --rate'),
         ({'imu': IMU.astype(str)}, 'save it as float64'),

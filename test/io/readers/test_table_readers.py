@@ -188,15 +188,24 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
         ('\n\n# nothing\n', {}, 'has no line of data'),
         (f'{HEADER}1,{ROW}\n2,1,2,oops,4,5,6\n', {}, "line 3, column 4 (gz): 'oops' is not"),
         (f'{HEADER}1,{ROW}\nnoon,{ROW}\n', {}, "line 3, column 1 (t): 'noon' is not a number"),
-        ('t;gx;gy;gz\n0;0,1;0,2;0,3\n', {}, "'0,1' is not a number: write decimals with a point"),
+        (
+            't;gx;gy;gz\n0;0.1;0.2;0.3\n1;0,1;0,2;0,3\n',
+            {},
+            "'0,1' is not a number: use one decimal",
+        ),
         ('t\0,\0g\0x\0', {}, 'is UTF-16 or not text: save the table as UTF-8'),
         (f'{HEADER}1,{ROW}\n2,1,2,3\n3,{ROW}\n', {}, 'line 3 has 4 columns, 7 expected'),
         (f'{HEADER}1,{ROW}\n2,{ROW},8\n', {}, 'line 3 has 8 columns, 7 expected'),
-        (f'{HEADER}1700000000000000000,{ROW}\n', {}, 'state its unit with --stamp-unit'),
+        (f'{HEADER}1700000000000000000,{ROW}\n', {'stamp_unit': 's'}, 'state its unit with'),
+        (
+            'stamp_ns,gx,gy,gz\n1700000000000000,1,2,3\n1700000000005000,1,2,3\n',
+            {},
+            'which are times since 1970 in us: use --stamp-unit us',
+        ),
+        ('time,z,y,x\n1,2,3,4\n', {}, 'such as --columns t=time,gx=x,gy=y,gz=z for a gyro'),
         (f'1,{ROW}\n', {}, 'has 7 columns of numbers and no header'),
         (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, 2 are named by --columns'),
         ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate with --rate'),
-        ('t,gx,gy\n1,2,3\n', {}, 'has gyro_x, gyro_y only'),
         ('t,a,b\n1,2,3\n', {}, 'no column (t, a, b) is a gyro or accel axis'),
         ('t,gx [mph],gy,gz\n1,2,3,4\n', {}, "the unit of column 'gx [mph]' is unknown"),
         ('t,gx,gy,gz\n1,"2,3,4\n', {}, 'line 2 is not a row of a table'),
@@ -209,6 +218,73 @@ def test_errors_are_reported_with_line_and_column(
     path = tmp_path / 'imu.csv'
     path.write_text(text)
     assert says in refused(path, **options)
+
+
+RATE_STEPS_S = (1 / 400, 1 / 100, 1 / 10)
+
+
+@pytest.mark.parametrize('unit', ['s', 'ms', 'us', 'ns'])
+@pytest.mark.parametrize('start_s', [0.0, 3.5, 1.7e9])
+@pytest.mark.parametrize('step_s', RATE_STEPS_S)
+def test_the_unit_of_times_is_recognized(
+    unit: str, start_s: float, step_s: float, tmp_path: Path, read: Any
+) -> None:
+    path = tmp_path / 'imu.csv'
+    stamps_ns = int(start_s * 1e9) + np.arange(300) * round(step_s * 1e9)
+    scale = {'s': 9, 'ms': 6, 'us': 3, 'ns': 0}[unit]
+    times = [f'{stamp}e-{scale}' for stamp in stamps_ns.tolist()]
+    path.write_text('time,gx\n' + ''.join(f'{time},{i}\n' for i, time in enumerate(times)))
+    back = read(path)
+    np.testing.assert_array_equal(back.stamps_ns, stamps_ns)
+    assumed = unit != 's' and start_s < 1e9
+    expected = {'unit_assumed'} | ({'stamp_unit_assumed'} if assumed else set())
+    assert {f.id for f in back.findings} == expected
+    assert back.recording.axes == ('gyro_x',)
+    assert read(path, stamp_unit=unit).stamps_ns.tolist() == stamps_ns.tolist()
+
+
+def echoed(name: str) -> str:
+    return f'field.{name}.x,field.{name}.y,field.{name}.z,field.{name}_covariance0'
+
+
+@pytest.mark.parametrize(
+    'header, row, stamp_ns',
+    [
+        (
+            '%time,field.header.seq,field.header.stamp,field.header.frame_id,'
+            f'{echoed("angular_velocity")},{echoed("linear_acceleration")}',
+            '1700000000000000001,7,1700000000000000000,imu,1,2,3,0,4,5,6,0',
+            1_700_000_000_000_000_000,
+        ),
+        ('', ','.join(['1700000000', '5', 'imu', *'0' * 13, *'123', *'0' * 9, *'456', *'0' * 9]),
+         1_700_000_000_000_000_005),
+        ('"Time (s)";gx;gy;gz;ax;ay;az', '0,5;1,0;2,0;3,0;4,0;5,0;6,0', 500_000_000),
+        (
+            'time;gx_rads;gy_rads;gz_rads;ax_ms2;ay_ms2;az_ms2',
+            '2026-01-31T12:00:00,250+01:00;1;2;3;4;5;6',
+            1_769_857_200_250_000_000,
+        ),
+        (
+            'Timestamp,gx,gy,gz,ax,ay,az',
+            '2026-01-31 12:00:00.000000001,1,2,3,4,5,6',
+            1_769_860_800_000_000_001,
+        ),
+    ],
+)  # fmt: skip
+def test_tables_of_loggers_are_read(
+    header: str, row: str, stamp_ns: int, tmp_path: Path, read: Any
+) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text('\n'.join([header, row, row, '']).lstrip('\n'))
+    back = read(path)
+    np.testing.assert_array_equal(back.samples, [VALUES, VALUES])
+    assert back.stamps_ns.tolist() == [stamp_ns] * 2
+
+
+def test_a_unit_can_end_a_name(tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_text('time,gyro_x_dps,gyro_y_dps,gyro_z_dps\n1,1,2,3\n')
+    np.testing.assert_array_equal(read(path).samples[0, :3], VALUES[:3] * DEG)
 
 
 def test_bytes_that_are_not_text_are_rejected(tmp_path: Path, refused: Any) -> None:
