@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .cascade import BLOCK
+from .cascade import level_of
 from .grid import grid
 from .new_sums import AllanSums, Lengths, add_lengths
 from .octaves import SAMPLE_OCTAVES
@@ -74,7 +74,7 @@ def _excerpt(recording: Recording, tau0: float | None, first: int, last: int | N
 
 def _without_long_blocks(recording: Recording, longest: int) -> Recording:
     """Return a recording without factors and octaves of levels with blocks above ``longest``."""
-    levels = max((longest // BLOCK).bit_length(), 1)
+    levels = max((longest // level_of(1).block).bit_length(), 1)
     factors, octaves = len(grid(levels)[0]), SAMPLE_OCTAVES + levels - 1
     periods = tuple(
         replace(p, count=p.count[:factors], blocks=p.blocks[:octaves]).stored()

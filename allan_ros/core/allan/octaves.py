@@ -47,6 +47,7 @@ class Octave(NamedTuple):
         return self.step * self.size
 
 
+@lru_cache
 def octave(o: int) -> Octave:
     """Return blocks and bins of octave o."""
     means = max(o - SAMPLE_OCTAVES + 1, 0)

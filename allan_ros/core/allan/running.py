@@ -44,12 +44,12 @@ class _RunningPeriod:
 
     def plus(self, levels: Iterable[LevelSums]) -> _RunningPeriod:
         """Return the period with more sums of some levels."""
-        total = list(self.levels)
+        both = list(self.levels)
         for more in levels:
-            for j in range(len(total), more.level + 1):
-                total.append(LevelSums.zero(j, more.values.shape[1]))
-            total[more.level] = total[more.level] + more
-        return replace(self, levels=tuple(total))
+            for j in range(len(both), more.level + 1):
+                both.append(LevelSums.zero(j, more.values.shape[1]))
+            both[more.level] = both[more.level] + more
+        return _RunningPeriod(self.begin, self.start, self.samples, self.total, tuple(both))
 
     def extended(self, later: _RunningPeriod) -> _RunningPeriod:
         """Return one period of this and the next one."""
