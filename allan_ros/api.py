@@ -24,10 +24,12 @@ from .core.settings import (
     CheckedSettings,
     SegmenterSettings,
     check_names,
+    check_range,
     check_rate,
     describe,
     expect,
     parameter,
+    public,
     settings_from,
 )
 from .core.simulate import Faults, simulate_imu
@@ -150,6 +152,7 @@ def is_document(path: str | os.PathLike[str]) -> bool:
     return in_folder or place.suffix.lower() == '.json'
 
 
+@public
 def analyze(
     source: Any,
     *,
@@ -290,6 +293,7 @@ def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Re
     return fit_recorded(add_recordings(map(_recorded, sources)), settings)
 
 
+@public
 def compare(
     *sources: Results | str | os.PathLike[str],
     labels: Sequence[str] = (),
@@ -358,6 +362,7 @@ def compare(
     return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin)
 
 
+@public
 def inflate(
     rest: Results | str | os.PathLike[str],
     running: Results | str | os.PathLike[str],
@@ -401,12 +406,13 @@ def inflate(
     >>> round(ar.inflate(off, on).axes['gyro_x'].white.factor, 1)
     2.0
     """
-    expect(Real, horizon=horizon)
+    check_range(1e-3, 1e9, 's', horizon=horizon)
     quiet = results_of(rest, observer=observer)
     still = SegmenterSettings(motion_gate=False)
     return inflation_of(quiet, results_of(running, 'gls', observer, still), horizon)
 
 
+@public
 def simulate(
     hours: float = 1.0,
     rate: float = 100.0,
@@ -439,8 +445,8 @@ def simulate(
     frame_id : str
         The frame_id of the messages.
     **faults
-        Faults of the IMU, which are the options of `allan simulate` with underscores: ``motion``,
-        ``gaps`` (both as pairs of start and length in s), ``low_pass`` (Hz), ``drop`` ...
+        Faults of the IMU, as in the files of `allan simulate --spec`: ``motion``, ``gaps`` (both as
+        pairs of start and length in s), ``low_pass`` (Hz), ``drop`` ...
 
     Returns
     -------
@@ -460,7 +466,8 @@ def simulate(
     >>> one_noisy = ar.simulate(hours=0.01, gyro={'z': {'N': 5.0}})
     >>> three = ar.simulate(hours=0.01, gyro=[{'N': 0.1}, {'N': 0.2}, {'N': 0.3}])
     """
-    expect(Real, hours=hours, rate=rate)
+    check_range(0.0, 1e6, 'h', hours=hours)
+    expect(Real, rate=rate)
     expect(Integral, seed=seed)
     expect(str, preset=preset, sensor=sensor, frame_id=frame_id)
     if seed < 0:

@@ -30,11 +30,9 @@ COLORS = 96
 """Number of colors of a picture: enough for smooth text, at a third of the file size."""
 
 RUNS = {
-    'monday': ['--seed', '1'],
-    'tuesday': [
-        *('--seed', '2', '--vibration-gyro', '8e-5', '--vibration-frequency', '0.4'),
-        *('--motion', '1500:60', '--gaps', '2600:30'),
-    ],
+    'monday': '{}',
+    'tuesday': '{vibration_gyro: 8.0e-5, vibration_frequency: 0.4, motion: [[1500, 60]], '
+    'gaps: [[2600, 30]]}',
 }
 """Name of a recording -> faults simulated in it."""
 
@@ -58,10 +56,13 @@ def main() -> int:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as made:
         scratch = Path(made)
-        for run, how in RUNS.items():
+        for seed, (run, faults) in enumerate(RUNS.items(), 1):
             bag, results = str(scratch / f'{run}.npz'), str(scratch / run)
+            spec = scratch / 'spec.yaml'
+            spec.write_text(f'faults: {faults}\n')
+            how = ['--hours', '1', '--seed', str(seed), '--spec', str(spec)]
             for words in (
-                ['simulate', bag, '--preset', 'paper', '--hours', '1', *how],
+                ['simulate', bag, '--preset', 'paper', *how],
                 ['analyze', bag, '-o', results, '-q', '--sensor', 'adis16475-3'],
             ):
                 if code := allan(words):

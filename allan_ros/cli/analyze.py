@@ -190,7 +190,8 @@ def check(args: argparse.Namespace) -> int:
     for path in (path for given in args.inputs for path in recordings_in(given, units=True)):
         bag = Path(path).parent
         is_split = Path(path).suffix in STORAGES and (bag / METADATA).is_file()
-        units.setdefault(str(bag) if is_split else path, []).append(path)
+        paths = units.setdefault(str(bag) if is_split else path, [])
+        paths += [] if path in paths else [path]
     if args.hardware_id and len(units) > 1:
         raise AllanError('--hardware-id is the number of one IMU: check each unit by itself')
     return run_check([Unit(name, read_jobs(paths, args)) for name, paths in units.items()], args)

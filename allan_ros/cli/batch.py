@@ -84,6 +84,7 @@ def recordings_in(path: str, units: bool = False) -> list[str]:
         return [path]
     children = sorted(folder.iterdir())
     files = [child for child in children if child.suffix.lower() in RECORDINGS and child.is_file()]
+    files = [file for file in files if file.name != SUMMARY]
     bags = [child for child in children if child.is_dir() and (child / METADATA).is_file()]
     if _one_bag(files, units) and not bags:
         analyses = [child for child in children if (child / RESULTS).is_file()]
@@ -200,7 +201,9 @@ def _unit_text(outcome: Outcome, verdict: Verdict, note: str, units: str) -> str
     for sensor in SENSORS:
         cells, unit = _cells(results, sensor, 'N', units), shown_unit(sensor, 'N', units)
         numbers += [f'{sensor} N {" ".join(cells)} {unit.name}'] if cells else []
-    parts = (note, verdict.summary.rstrip('.'), ', '.join(numbers))
+    warning = next((str(f) for f in results.findings if f.severity == 'warning'), '')
+    reason = warning if verdict.level == 'attention' else ''
+    parts = (note, *(text.rstrip('.') for text in (verdict.summary, reason)), ', '.join(numbers))
     name = f'{outcome.unit.name}, serial {serial}' if serial else outcome.unit.name
     return f'{name}: {"; ".join(filter(None, parts))}'
 

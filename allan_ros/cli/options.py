@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple, TypeVar
 
-from ..core.settings import AUTO, describe
+from ..core.settings import AUTO, ParameterInfo, describe
 
 T = TypeVar('T')
 
@@ -52,20 +52,26 @@ def _terms(text: str) -> dict[str, float]:
         raise argparse.ArgumentTypeError(f'{text!r}: write terms as N=0.3,B=7') from None
 
 
-def _period(text: str) -> tuple[float, float]:
-    """Parse ``60:2.5`` to (start, length) in s."""
+TIME_UNITS = {'': 1.0, 's': 1.0, 'm': 60.0, 'min': 60.0, 'h': 3600.0, 'd': 86400.0}
+"""Unit of a time on the command line -> s."""
+
+
+def _seconds(text: str) -> float:
+    """Parse ``300``, ``300s``, ``5min`` or ``2h`` to s."""
+    number = text.rstrip('smindh')
     try:
-        start, length = text.split(':')
-        return float(start), float(length)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f'{text!r}: write a period as START:LENGTH') from None
+        return float(number) * TIME_UNITS[text[len(number) :]]
+    except (KeyError, ValueError):
+        raise argparse.ArgumentTypeError(
+            f'{text!r}: write a time in seconds, or with a unit: 300, 5min, 2h'
+        ) from None
 
 
 TYPES: dict[str, Callable[[str], Any]] = {
-    **dict.fromkeys(('HZ', 'HOURS', 'SECONDS'), float),
+    **dict.fromkeys(('HZ', 'HOURS'), float),
+    'SECONDS': _seconds,
     'N': int,
     'N=..,B=..': _terms,
-    'START:LENGTH': _period,
 }
 """Placeholder of an option in `add_options` -> function that parses its value; others are text."""
 
@@ -159,7 +165,7 @@ def add_settings(
         group.add_argument(
             f'--{name}',
             dest=setting.name,
-            type=_words if isinstance(default, tuple) else _number if info.auto else type(default),
+            type=_parser_of(info, default),
             choices=info.choices or None,
             default=default,
             metavar=metavar,
@@ -174,8 +180,13 @@ def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) 
     return settings_type(**{**parsed, **given})
 
 
-def _number(text: str) -> float:
-    return AUTO if text == 'auto' else float(text)
+def _parser_of(info: ParameterInfo, default: object) -> Callable[[str], Any]:
+    """Return the function that parses the value of a setting."""
+    if isinstance(default, tuple):
+        return _words
+    if info.auto:
+        return lambda text: AUTO if text == 'auto' else _seconds(text)
+    return _seconds if info.unit == 's' else type(default)
 
 
 def _words(text: str) -> tuple[str, ...]:

@@ -2,14 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write a recording of an IMU with known noise, and a file of the true values next to it.
 
-The levels of the five noise terms are exact. Select them by a preset, a datasheet or a file, and
-change single terms with --gyro, --accel, --gyro-x ..., in datasheet units:
+The levels of the five noise terms are exact. Select them by a preset or a datasheet, and change
+single terms by a file or with --gyro, --accel, --gyro-x ..., in datasheet units:
 
   gyro   Q urad   N deg/sqrt(h)   B deg/h   K deg/h^1.5   R deg/h^2
   accel  Q um/s   N m/s/sqrt(h)   B ug      K ug/sqrt(h)  R ug/h
 
   allan simulate bag --preset paper
   allan simulate imu.csv --gyro N=0.3,B=7 --gyro-z K=30 --accel N=0.02
+  allan simulate shaken.mcap --preset paper --spec faults.yaml
+
+A specification has `noise`, `faults` or both, for example
+  faults: {drop: 0.01, motion: [[60, 2.5]], vibration_gyro: 0.001, vibration_frequency: 25}
 
 OUT is a bag (a folder), or a file by its suffix: .mcap, .db3, .bag (ROS 1), .csv, .tsv, .npz.
 """
@@ -22,9 +26,9 @@ from typing import TYPE_CHECKING
 
 from ..core.errors import AllanError
 from ..core.imu import AXES, HOUR, NANOSECONDS, SENSORS
-from ..core.simulate import PRESETS, Faults, simulate_imu
+from ..core.simulate import PRESETS, samples_in, simulate_imu
 from .console import Console
-from .options import Command, Settings, settings_of
+from .options import Command
 
 if TYPE_CHECKING:
     from ..core.imu import ImuBatch
@@ -44,8 +48,8 @@ output OUT  recording to write
 noise:
   | --preset {{{','.join(PRESETS)}}}  noise of a known IMU; paper: ADIS16475-3
   | --sensor NAME  N and B at the limits of this datasheet; a name of `allan sensors`, or a file
-  | --spec FILE  YAML file of axes and terms, or a truth file of an earlier simulation
   {NOISE_OPTIONS}
+  --spec FILE  YAML file of noise terms and faults, or the truth file of an earlier simulation
 recording:
   --hours HOURS [2]  length in hours
   --rate HZ [100]  samples per second
@@ -58,21 +62,16 @@ recording:
   --overwrite  replace an existing recording
 """
 
-PERIODS = """
-faults in periods of time:
-  --motion START:LENGTH...  the IMU moves for LENGTH seconds from START on; can be repeated
-  --gaps START:LENGTH...  samples are missing for LENGTH seconds from START on; can be repeated
-"""
-
 
 def run(args: argparse.Namespace) -> int:
     """Simulate a recording, and write it and its true values."""
-    from ..io.user_files import stated_noise, write_truth
+    from ..io.user_files import Specification, read_specification, stated_noise, write_truth
     from ..io.writing import write_recording
 
     changes = {name: getattr(args, name) for name in NOISES if getattr(args, name)}
-    noise = stated_noise(args.preset or '', args.sensor or '', args.spec or '', changes)
-    faults = settings_of(Faults, args, motion=tuple(args.motion), gaps=tuple(args.gaps))
+    stated, faults = read_specification(args.spec) if args.spec else Specification()
+    noise = stated_noise(args.preset or '', args.sensor or '', stated, changes)
+    samples = samples_in(args.hours * HOUR, args.rate)
     if args.seed < 0:
         raise AllanError(f'--seed is {args.seed}: give 0 or more')
     console = Console.of(args)
@@ -90,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     )
     written = write_recording(
         args.output,
-        _tracked(batches, round(seconds * args.rate), console),
+        _tracked(batches, samples, console),
         storage=args.storage,
         compression=args.compression,
         topic=args.topic,
@@ -124,7 +123,5 @@ def _tracked(batches: Iterator[ImuBatch], samples: int, console: Console) -> Ite
 
 
 COMMANDS = {
-    'simulate': Command(
-        __doc__ or '', [OPTIONS, Settings('faults', Faults, ['motion', 'gaps']), PERIODS], run
-    )
+    'simulate': Command(__doc__ or '', [OPTIONS], run),
 }

@@ -5,15 +5,16 @@
 from __future__ import annotations
 
 import difflib
-import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+import os
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import partial
+from functools import partial, wraps
 from numbers import Integral, Real
-from typing import Any, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from .errors import AllanError, one_line
 
+P = ParamSpec('P')
 T = TypeVar('T')
 
 
@@ -66,10 +67,10 @@ LIST = (tuple, list)
 
 EXPECTED: dict[Any, str] = {
     bool: 'True or False',
+    Integral: 'a whole number',
     Real: 'a number',
     str: 'a text',
     LIST: 'a list',
-    Integral: 'a whole number',
 }
 """Type -> its name in messages. The type of a setting is the first one that matches its default."""
 
@@ -93,6 +94,31 @@ def choose(choices: Collection[str], **values: object) -> None:
             known = ', '.join(choice for choice in choices if choice)
             shown = one_line(repr(value))
             raise AllanError(f'{name} is {shown:.60}: choose one of {known}')
+
+
+def public(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorate a public function: errors of the operating system become AllanError.
+
+    Also raises AllanError for an argument with a null character, which no path can contain.
+    """
+
+    @wraps(function)
+    def checked(*args: P.args, **given: P.kwargs) -> T:
+        for value in (*args, *given.values()):
+            for text in value if isinstance(value, LIST) else (value,):
+                if isinstance(text, (str, os.PathLike)) and '\0' in str(text):
+                    shown = one_line(repr(text))
+                    raise AllanError(f'{shown:.60} has a null character: give a name without it')
+        try:
+            return function(*args, **given)
+        except OSError as error:
+            where = one_line(str(error.filename or function.__name__))
+            raise AllanError(
+                f'{where:.80}: {error.strerror or error}: check the path, its permissions and the '
+                'disk'
+            ) from error
+
+    return checked
 
 
 def check_names(given: Iterable[str], known: Sequence[str]) -> None:
@@ -122,6 +148,7 @@ class CheckedSettings:
 
     def __post_init__(self) -> None:
         defaults = {f.name: f.default for f in fields(self)}  # type: ignore[arg-type]
+        hints = {f.name: f.type for f in fields(self)}  # type: ignore[arg-type]
         for name, info in describe(self).items():
             value = getattr(self, name)
             if info.choices:
@@ -131,19 +158,35 @@ class CheckedSettings:
                 continue
             kind = next(kind for kind in EXPECTED if isinstance(defaults[name], kind))
             expect(kind, **{name: value})
-            if isinstance(value, Real):
-                _check_range(name, value, info)
+            if hints[name] == 'tuple[str, ...]':
+                for each in value:
+                    expect(str, **{name: each})
+            if isinstance(value, Real) and not isinstance(value, bool):
+                check_range(info.low, info.high, info.unit, **{name: value})
 
 
-def _check_range(name: str, value: Any, info: ParameterInfo) -> None:
-    low = -math.inf if info.low is None else info.low
-    high = math.inf if info.high is None else info.high
-    if not low <= value <= high:
-        unit = f' {info.unit}' if info.unit else ''
-        limits = (
-            f'be at least {low:g}' if info.high is None else f'lie between {low:g} and {high:g}'
-        )
-        raise AllanError(f'{name} is {value}: it must {limits}{unit}')
+SLOWEST_HZ = 1e-6
+"""Smallest sample rate: two samples in eleven days."""
+
+LARGEST = 1e150
+"""Largest magnitude of a number: its square is a finite float64."""
+
+
+def check_range(low: float | None, high: float | None, unit: str = '', /, **values: object) -> None:
+    """Raise AllanError for the first keyword argument that is no number or out of range.
+
+    ``low`` or ``high`` may be None for no limit; NaN and infinity are never valid.
+    """
+    for name, value in values.items():
+        expect(Real, **{name: value})
+        within = (-LARGEST if low is None else low), (LARGEST if high is None else high)
+        if not within[0] <= value <= within[1]:  # type: ignore[operator]
+            limits = 'be finite'
+            if low is not None:
+                limits = (
+                    f'be at least {low:g}' if high is None else f'lie between {low:g} and {high:g}'
+                )
+            raise AllanError(f'{name} is {value!s:.40}: it must {limits} {unit}'.rstrip())
 
 
 @dataclass(frozen=True)
@@ -203,4 +246,5 @@ class SegmenterSettings(CheckedSettings):
 def check_rate(rate: object) -> None:
     """Raise AllanError unless a sample rate in Hz is 0 (unknown) or a plausible number."""
     expect(Real, rate=rate)
-    _check_range('rate', rate, describe(SegmenterSettings)['declared_rate'])
+    if rate != 0.0:
+        check_range(SLOWEST_HZ, 1e6, 'Hz', rate=rate)

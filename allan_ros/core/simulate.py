@@ -12,10 +12,10 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import AllanError
+from .errors import AllanError, one_line
 from .imu import AXES, SENSORS, STANDARD_GRAVITY, ImuBatch
 from .noise import NoiseTerms
-from .settings import CheckedSettings, parameter
+from .settings import LIST, CheckedSettings, check_range, expect, parameter
 
 Floats = NDArray[np.float64]
 
@@ -111,12 +111,28 @@ class Faults(CheckedSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ('motion', 'gaps'):
-            for start, length in getattr(self, name):
-                if not (start >= 0.0 and length > 0.0):
-                    raise AllanError(
-                        f'{name}: a period of {length} s at {start} s: give a start of at least 0 '
-                        'and a positive length'
-                    )
+            periods = tuple(_period(name, each) for each in getattr(self, name))
+            object.__setattr__(self, name, periods)
+
+
+def _period(name: str, given: object) -> tuple[float, float]:
+    """Return a period as (start, length) in s; raise AllanError if it is none."""
+    expect(LIST, '(start, length)', **{name: given})
+    if len(given) != 2:  # type: ignore[arg-type]
+        raise AllanError(f'{name} has {one_line(repr(given)):.60}: give (start, length) in s')
+    start, length = given  # type: ignore[misc]
+    check_range(0.0, 1e10, 's', **{f'start of {name}': start})
+    check_range(1e-9, 1e10, 's', **{f'length of {name}': length})
+    return start, length
+
+
+def samples_in(seconds: float, rate: float) -> int:
+    """Return the number of samples; raise AllanError unless duration and rate are plausible."""
+    check_range(0.0, 1e10, 's', seconds=seconds)
+    check_range(1e-6, 1e6, 'Hz', rate=rate)
+    if round(seconds * rate) < 1:
+        raise AllanError(f'cannot simulate {seconds} s at {rate} Hz: give a longer time')
+    return round(seconds * rate)
 
 
 def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generator) -> Floats:
@@ -233,12 +249,10 @@ def simulate_imu(
         When the duration or rate is not positive, a sensor does not have three axes, or the samples
         do not fit into memory.
     """
-    if not (seconds > 0.0 and rate > 0.0 and round(seconds * rate) >= 1):
-        raise AllanError(f'cannot simulate {seconds} s at {rate} Hz: give positive numbers')
+    n, tau0 = samples_in(seconds, rate), 1.0 / rate
     terms = (*gyro, *accel)
     if len(gyro) != len(accel) or len(terms) != len(AXES):
         raise AllanError(f'{len(gyro)} gyro and {len(accel)} accelerometer axes: give three each')
-    n, tau0 = round(seconds * rate), 1.0 / rate
     axis_seeds, fault_seed = (s for s in np.random.SeedSequence(seed).spawn(2))
     try:
         samples = np.empty((n, len(AXES)))

@@ -28,7 +28,7 @@ from ..core.fields import Fields, plain
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, Quantity, required
 from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Processes, Sinusoid
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
-from ..core.settings import expect
+from ..core.settings import expect, public
 from ..core.stream.health import Counts, Segment
 from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
@@ -153,6 +153,7 @@ def sums_file_from_document(
     )
 
 
+@public
 def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
     """Read the results of an earlier analysis.
 

@@ -122,7 +122,13 @@ def write_together(
                 check_replaceable(path)
                 drafts[path] = path.with_name(f'.{name}.{uuid4().hex}.part')
                 with drafts[path].open('xb') as file:
-                    file.write(content.encode() if isinstance(content, str) else content)
+                    # a file name in the text may not be UTF-8
+                    text = (
+                        content.encode(errors='backslashreplace')
+                        if isinstance(content, str)
+                        else content
+                    )
+                    file.write(text)
                     file.flush()
                     os.fsync(file.fileno())
             for name in remove:
@@ -191,8 +197,20 @@ MAX_DIGITS = 20
 
 
 def to_json(document: Mapping[str, Any]) -> str:
-    """Return a document as JSON text; raises ValueError if it contains NaN or infinity."""
-    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + '\n'
+    """Return a document as JSON text; raises ValueError if it contains NaN or infinity.
+
+    Bytes of a file name that are not UTF-8 are written as ``\\xff``.
+    """
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + '\n'
+    return text if text.isascii() else SURROGATE.sub(_escaped, text)
+
+
+SURROGATE = re.compile('[\ud800-\udfff]')
+"""Characters by which Python represents bytes of a file name that are not UTF-8 (PEP 383)."""
+
+
+def _escaped(match: re.Match[str]) -> str:
+    return f'\\\\x{ord(match[0]) & 0xFF:02x}'
 
 
 def parse_json(text: str, where: str) -> object:
@@ -216,6 +234,12 @@ def parse_json(text: str, where: str) -> object:
 
 def read_json(path: str | os.PathLike[str]) -> object:
     """Read a JSON file; raises AllanError if it cannot be read, is too large or is invalid."""
+    with contextlib.suppress(OSError), open_regular(path) as file:
+        if (head := file.read(64).lstrip()) and head[:1] not in b'{[':
+            raise AllanError(
+                f'{os.fspath(path)}: is not a JSON document; `allan analyze` reads recordings, and '
+                'writes results.json and sums.json with -o'
+            )
     return parse_json(read_text(path, MAX_BYTES), str(path))
 
 

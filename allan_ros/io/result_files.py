@@ -170,7 +170,8 @@ def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
 
 def _names(sources: Sequence[tuple[str, str]]) -> list[str]:
     """Return file name and topic of each source, sorted."""
-    return sorted(f'{Path(path).name} {topic}'.strip() for path, topic in sources)
+    text = sorted(f'{Path(path).name} {topic}'.strip() for path, topic in sources)
+    return [os.fsencode(name).decode(errors='backslashreplace') for name in text]
 
 
 def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, str], Results]:

@@ -20,7 +20,7 @@ from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, ImuIdentity, sensor_of
-from ..core.settings import AUTO, LIST, UNIT_SYSTEMS, choose, expect, settings_from
+from ..core.settings import AUTO, LIST, UNIT_SYSTEMS, choose, expect, public, settings_from
 from ..core.stream.health import sums_findings
 from .axis_result import AxisResult, axis_results
 from .datasheets import (
@@ -235,6 +235,7 @@ class Results:
         draw_axes(ax, axes, units)
         return ax
 
+    @public
     def export(
         self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
     ) -> str:
@@ -263,6 +264,7 @@ class Results:
             write_atomic(place / target_of(target).file_name if place.is_dir() else place, text)
         return text
 
+    @public
     def save(
         self,
         folder: str | os.PathLike[str],
@@ -306,6 +308,7 @@ class Results:
         files = {'targets': targets, 'plots': plots, 'overwrite': overwrite}
         return write_result_files(folder, self, units=units, **files)[1]
 
+    @public
     def check(
         self,
         sensor: Datasheet | str = '',

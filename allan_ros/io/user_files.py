@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read files of the user: noise to simulate, and filter mappings.
 
-The noise of an IMU is a YAML or JSON mapping from axes to coefficients. A coefficient is a number
-in datasheet units, or ``{value, unit}``. ``gyro`` and ``accel`` apply to three axes, and a single
-axis takes precedence:
+A specification of a simulated IMU is a YAML or JSON file. ``noise`` maps axes to coefficients: a
+number in datasheet units, or ``{value, unit}``. ``gyro`` and ``accel`` apply to three axes, and a
+single axis takes precedence. ``faults`` has the fields of `Faults`, in SI:
 
-    gyro: {N: 0.3, B: {value: 7, unit: deg/h}}
-    gyro_z: {N: 0.4}
+    noise:
+      gyro: {N: 0.3, B: {value: 7, unit: deg/h}}
+      gyro_z: {N: 0.4}
+    faults: {drop: 0.01, motion: [[60, 2.5]], vibration_gyro: 0.001, vibration_frequency: 25}
 
-The truth file that is written next to a simulated recording contains such a mapping under the key
-``noise``.
+The truth file that is written next to a simulated recording is such a file.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..core.errors import AllanError
 from ..core.fields import Fields, located
 from ..core.filters.mapping import Expression, FilterMapping, FilterParameter, check_mapping
 from ..core.imu import AXES, SI_UNITS, from_datasheet, sensor_of
 from ..core.noise import NoiseTerms
+from ..core.settings import settings_from
 from ..core.simulate import PRESETS, Faults
 from .datasheets import load_sensor
 from .files import config_file, read_yaml, to_json, write_atomic
@@ -44,17 +46,35 @@ def truth_path(recording: str | os.PathLike[str]) -> Path:
     return path.with_name(path.name + TRUTH_SUFFIX)
 
 
-def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
-    """Read the noise of an IMU from a YAML or JSON file: axis -> coefficients in SI.
+class Specification(NamedTuple):
+    """What to simulate: noise as stated in a file (None if it states none), and faults."""
 
-    The truth file of a simulated recording is accepted, too. Axes that are not named have no noise.
+    noise: Fields | None = None
+    faults: Faults = Faults()
+
+
+def read_specification(path: str | os.PathLike[str]) -> Specification:
+    """Read what to simulate from a YAML or JSON file, such as a truth file.
+
     Raises AllanError with the position of an invalid entry.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
-    if 'noise' in fields:
+    if 'schema' in fields:
         fields.schema(TRUTH_SCHEMA)
-        fields = fields.fields('noise')
-    return with_noise({axis: NoiseTerms() for axis in AXES}, fields)
+    fields.only('noise', 'faults', 'schema', 'seconds', 'rate_hz', 'seed')
+    stated = fields.optional_fields('faults')
+    with located(f'{path}.faults'):
+        faults = settings_from(Faults, {name: stated.value(name) for name in stated or ()})
+    return Specification(fields.optional_fields('noise'), faults)
+
+
+def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
+    """Read the noise of an IMU from a specification: axis -> coefficients in SI.
+
+    Axes that are not named have no noise.
+    """
+    none = {axis: NoiseTerms() for axis in AXES}
+    return with_noise(none, read_specification(path).noise or Fields({}, str(path)))
 
 
 def with_noise(noise: Mapping[str, NoiseTerms], stated: Fields) -> AxesNoise:
@@ -77,27 +97,27 @@ def with_noise(noise: Mapping[str, NoiseTerms], stated: Fields) -> AxesNoise:
 def stated_noise(
     preset: str = '',
     sensor: str = '',
-    spec: str = '',
+    spec: Fields | None = None,
     changes: Mapping[str, Mapping[str, float]] | None = None,
 ) -> AxesNoise:
     """Return the noise to simulate: axis -> coefficients in SI.
 
-    It is read from the file ``spec``, else from the preset, else from the datasheet ``sensor``,
-    which states N and B. Then ``changes`` (axis or sensor -> term -> value in datasheet units)
-    replace single coefficients. Raises AllanError if nothing is given or a name is unknown.
+    It is that of the preset, or of the datasheet ``sensor``, which states N and B. Then the noise
+    of a specification (``spec``) and ``changes`` (axis or sensor -> term -> value in datasheet
+    units) replace single coefficients. Raises AllanError if nothing is given or a name is unknown.
     """
     noise = {axis: NoiseTerms() for axis in AXES}
-    if spec:
-        noise = read_noise(spec)
-    elif preset:
+    if preset:
         if preset not in PRESETS:
             raise AllanError(f'preset {preset!r} is unknown: choose one of {", ".join(PRESETS)}')
         noise = with_noise(noise, Fields({**PRESETS[preset]}, f'preset {preset}'))
     elif sensor:
         limits = load_sensor(sensor).values()
         noise = {axis: NoiseTerms(**limits.get(axis, {})) for axis in AXES}
-    elif not changes:
+    elif not changes and spec is None:
         raise AllanError('no noise to simulate: give --preset paper, --sensor, --spec or --gyro ..')
+    if spec is not None:
+        noise = with_noise(noise, spec)
     return with_noise(noise, Fields({**(changes or {})}, 'noise'))
 
 

@@ -76,4 +76,59 @@ def test_a_rate_out_of_range_is_named_as_it_was_given(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['check', str(tmp_path / 'x.csv'), '--rate', '-1']) == 1
-    assert 'rate is -1.0: it must lie between 0 and 1e+06 Hz' in capsys.readouterr().err
+    assert 'rate is -1.0: it must lie between 1e-06 and 1e+06 Hz' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        ('export {npz} --to kalibr', 'is not a JSON document; `allan analyze` reads recordings'),
+        (
+            'export {truth} --to kalibr',
+            'contains the truth of a simulation; `allan simulate --spec',
+        ),
+        ('export {folder}/sums.json --to kalibr', 'kalibr'),
+        ('analyze {folder}/results.json', 'contains the results of an analysis; `allan check`'),
+        ('compare {npz} {truth}', 'contains the truth of a simulation'),
+        ('simulate {folder}/x.npz --spec {folder}/results.json', 'contains the results of an'),
+        ('check {folder}/imu.yaml', 'not a known type of recording'),
+    ],
+)
+def test_a_wrong_kind_of_file_is_named_with_what_reads_it(
+    words: str, said: str, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['analyze', str(recording), '-o', str(tmp_path), '--method', 'paper', '-q']) == 0
+    files = {'npz': recording, 'truth': f'{recording}.truth.json', 'folder': tmp_path}
+    code = main(words.format(**files).split())
+    shown = capsys.readouterr()
+    assert said in shown.err + shown.out * (code == 0)
+    assert code in (0, 1)
+
+
+def test_a_name_that_is_not_utf8_is_kept_readable(recording: Path, tmp_path: Path) -> None:
+    path = tmp_path / 'imu_\udcff\x1b[31m.npz'
+    path.write_bytes(recording.read_bytes())
+    out = tmp_path / 'out \udcfe'
+    words = ['--method', 'paper', '-q']
+    assert main(['analyze', str(path), '-o', str(out), *words]) == 0
+    text = (out / 'results.json').read_text(encoding='utf-8')
+    assert r'imu_\\xff' in text
+    assert main(['analyze', str(path), '-o', str(out), *words]) == 0
+    assert main(['check', str(out), str(path), '--json']) == 4
+    assert main(['analyze', str(out), *words]) == 0
+    for batch in ([], ['-o', str(tmp_path / 'batch')]):
+        assert main(['analyze', str(tmp_path), *batch, *words]) == 0
+
+
+def test_results_of_another_recording_are_kept(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / 'other.npz'
+    other.write_bytes(recording.read_bytes())
+    out = str(tmp_path / 'out')
+    quick = ['--method', 'paper', '-q', '-o', out]
+    assert main(['analyze', str(recording), *quick]) == 0
+    assert main(['analyze', str(other), *quick]) == 1
+    assert 'has the results of another recording, imu.npz imu: give' in capsys.readouterr().err
+    assert main(['analyze', str(other), *quick, '--overwrite']) == 0
+    assert main(['analyze', str(other), *quick]) == 0

@@ -104,3 +104,72 @@ def test_the_verdict_of_the_file_is_that_of_the_terminal(
     shown = json.loads(capsys.readouterr().out)
     written = json.loads((accepted / 'results.json').read_text())['verdict']
     assert {key: shown[key] for key in written} == written
+
+
+def write_unit(path: Path, seed: int, scale: float = 1.0) -> None:
+    imu = np.random.default_rng(seed).normal(size=(9000, 7)) * 1e-3 * scale
+    imu[:, 0] = np.arange(9000) / 100.0
+    imu[:, 6] += 9.80665
+    if path.suffix == '.csv':
+        gyro, accel = (','.join(f'{s}{a} [{unit}]' for a in 'xyz')
+                       for s, unit in (('g', 'rad/s'), ('a', 'm/s^2')))  # fmt: skip
+        np.savetxt(path, imu, delimiter=',', header=f't,{gyro},{accel}', comments='')
+    else:
+        np.savez(path, imu=imu)
+
+
+@pytest.fixture(scope='module')
+def units(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of five good units, a noisy one, a copy, and a damaged file."""
+    folder = tmp_path_factory.mktemp('units')
+    for number in range(5):
+        write_unit(folder / f'unit_{number}.csv', number)
+    write_unit(folder / 'unit_5.csv', 5, scale=3.0)
+    (folder / 'unit_6.csv').write_bytes((folder / 'unit_2.csv').read_bytes())
+    (folder / 'unit_7.csv').write_text('t,gx\n1,two\n')
+    sheet(folder / 'limit.yaml', 0.4)  # 1e-4 rad/s/sqrt(Hz) is 0.34 deg/sqrt(h)
+    return folder
+
+
+@pytest.mark.parametrize('how', ['folder', 'files'])
+def test_units_are_never_pooled(how: str, units: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(path) for path in sorted(units.glob('*.csv'))]
+    given = files if how == 'files' else [str(units)]
+    words = ['check', *given, '--sensor', str(units / 'limit.yaml'), '--method', 'gls']
+    assert main([*words, '--jobs', '2' if how == 'files' else '1']) == 3
+    *lines, totals = capsys.readouterr().out.splitlines()
+    assert [line.split(': ')[1] for line in lines] == files
+    assert [line.split(':')[0] for line in lines] == [
+        'healthy', 'healthy', 'healthy', 'healthy', 'healthy', 'failed', 'healthy', 'error',
+    ]  # fmt: skip
+    assert f'duplicate: it has the samples of {files[2]}' in lines[6]
+    assert 'gyro N' in lines[5] and 'Above TEST' in lines[5]
+    assert totals == '8 units: 6 healthy, 1 failed, 1 error'
+    assert main([*words, '--json']) == 3
+    *documents, last = map(json.loads, capsys.readouterr().out.splitlines())
+    assert [document['exit_code'] for document in documents] == [0, 0, 0, 0, 0, 3, 0, 1]
+    assert documents[0]['axes']['gyro_x']['N'] == pytest.approx(1e-4, rel=0.1)
+    assert last == {
+        'units': 8,
+        'totals': {'healthy': 6, 'failed': 1, 'error': 1},
+        'exit_code': 3,
+    }
+
+
+def test_the_exit_code_is_that_of_the_worst_unit(
+    units: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, broken = str(units / 'unit_0.csv'), str(units / 'unit_7.csv')
+    limit = ['--sensor', str(units / 'limit.yaml')]
+    assert main(['check', good, *limit]) == 0
+    assert main(['check', good]) == 4
+    assert main(['check', good, broken, *limit]) == 1
+    assert main(['check', good, 'missing.csv']) == 1
+    assert main(['check', good, good, '--hardware-id', '7', *limit]) == 0  # one unit
+    assert main(['check', good, broken, '--hardware-id', '7']) == 1
+    assert '--hardware-id is the number of one IMU' in capsys.readouterr().err
+    out = str(tmp_path / 'batch')
+    assert main(['analyze', str(units), '-o', out, '--method', 'paper']) == 1
+    capsys.readouterr()
+    assert main(['check', out, *limit]) == 3  # folders of results
+    assert capsys.readouterr().out.splitlines()[-1].startswith('7 units: ')

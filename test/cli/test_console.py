@@ -132,7 +132,9 @@ def test_the_detail_states_how_many_samples_each_sensor_used(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = str(tmp_path / 'held.npz')
-    words = f'simulate {bag} --preset paper --hours .02 --accel-rate 62.5 -q'.split()
+    (tmp_path / 'held.yaml').write_text('faults: {accel_rate: 62.5}\n')
+    spec = f'--spec {tmp_path}/held.yaml'
+    words = f'simulate {bag} --preset paper --hours .02 {spec} -q'.split()
     assert main(words) == 0
     assert main(['analyze', bag, '-v', '--method', 'paper']) == 0
     said = capsys.readouterr().err

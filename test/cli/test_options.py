@@ -95,3 +95,20 @@ def test_options_are_read_from_a_text() -> None:
             parser.parse_args(['a', *wrong])
     said = ' '.join(parser.format_help().split())
     assert 'a switch of two lines' in said and 'a number (default 100)' in said
+
+
+@pytest.mark.parametrize(
+    ('text', 'seconds'), [('300', 300.0), ('300s', 300.0), ('5m', 300.0), ('.5h', 1800.0)]
+)
+def test_a_time_may_have_a_unit(text: str, seconds: float) -> None:
+    assert parsed(['--skip', text], SegmenterSettings).skip == seconds
+    assert parsed(['--skip', 'auto'], SegmenterSettings).skip == SegmenterSettings().skip
+
+
+@pytest.mark.parametrize('text', ['5x', 'min', '5 minutes', ''])
+def test_a_wrong_time_is_answered_with_the_expected_form(
+    text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        parsed(['--skip', text], SegmenterSettings)
+    assert 'write a time in seconds, or with a unit: 300, 5min, 2h' in capsys.readouterr().err

@@ -93,5 +93,5 @@ def test_stamps_start_at_the_given_time_and_batches_are_bounded():
 
 @pytest.mark.parametrize('arguments', [(0.0, 100.0), (1.0, -1.0), (float('nan'), 1.0)])
 def test_nothing_to_simulate_is_rejected(arguments):
-    with pytest.raises(AllanError, match='give positive numbers'):
+    with pytest.raises(AllanError, match=r'must lie between|longer time'):
         next(simulate_imu(*arguments, QUIET, QUIET))

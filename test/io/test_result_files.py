@@ -14,6 +14,7 @@ import pytest
 
 import allan_ros as ar
 from allan_ros.core.errors import AllanError
+from allan_ros.io.documents import SUMS, load, load_sums
 from allan_ros.io.files import PathLock
 from allan_ros.io.result_files import write_result_files
 
@@ -128,3 +129,15 @@ def test_special_files_are_not_replaced(runs: list[ar.Results], tmp_path: Path) 
     with pytest.raises(AllanError, match='regular file'):
         write_result_files(tmp_path, runs[0])
     assert [path.name for path in tmp_path.iterdir()] == ['report.html']
+
+
+def test_a_kill_between_two_files_is_noticed(runs: list[ar.Results], tmp_path: Path) -> None:
+    """New sums beside old results, as after a kill between the renames."""
+    runs[0].save(tmp_path)
+    assert load(tmp_path).recorded is not None
+    document = json.loads((tmp_path / SUMS).read_text())
+    document['sums'] = document['sums'] * 2
+    (tmp_path / SUMS).write_text(json.dumps(document))
+    for read in (load, load_sums):
+        with pytest.raises(AllanError, match='of different analyses: analyze'):
+            read(tmp_path)

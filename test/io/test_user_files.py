@@ -22,7 +22,7 @@ def read(tmp_path):
 
 
 def test_a_sensor_sets_its_axes_and_an_axis_takes_precedence(read):
-    noise = read('gyro: {N: 0.3, B: {value: 7, unit: deg/h}}\ngyro_z: {N: 0.4, R: -2}\n')
+    noise = read('noise: {gyro: {N: 0.3, B: {value: 7, unit: deg/h}}, gyro_z: {N: 0.4, R: -2}}\n')
     assert tuple(noise) == AXES
     n, b = (from_datasheet(t, 'gyro', v) for t, v in (('N', 0.3), ('B', 7)))
     assert noise['gyro_x'] == noise['gyro_y'] == NoiseTerms(N=n, B=b)
@@ -45,13 +45,18 @@ def test_the_truth_file_is_exact(tmp_path):
 @pytest.mark.parametrize(
     'text, said',
     [
-        ('gyros: {N: 1}', "'gyros' is unknown, use gyro, accel, gyro_x"),
-        ('gyro: {n: 1}', r"gyro: 'n' is unknown, use Q, N, B, K, R"),
-        ('gyro: {N: -1}', r'gyro: N is -0.0002\d*: give a finite number of 0 or above'),
-        ('gyro: {N: .inf}', r'gyro.N is a number beyond 1.8e308: a number within'),
-        ('gyro: {N: {value: 1}}', r'gyro.N: unit is missing'),
-        ('gyro: {N: {value: 1, unit: ug}}', r"gyro.N: unit 'ug' cannot be used here"),
-        ('gyro: 3', r'gyro is 3: an object is expected'),
+        ('gyro: {N: 1}', "'gyro' is unknown, use noise, faults"),
+        ('noise: {gyros: {N: 1}}', "'gyros' is unknown, use gyro, accel, gyro_x"),
+        ('noise: {gyro: {n: 1}}', r"gyro: 'n' is unknown, use Q, N, B, K, R"),
+        ('noise: {gyro: {N: -1}}', r'gyro: N is -0.0002\d*: give a finite number of 0 or above'),
+        ('noise: {gyro: {N: .inf}}', r'gyro.N is a number beyond 1.8e308: a number within'),
+        ('noise: {gyro: {N: {value: 1}}}', r'gyro.N: unit is missing'),
+        ('noise: {gyro: {N: {value: 1, unit: ug}}}', r"gyro.N: unit 'ug' cannot be used here"),
+        ('noise: {gyro: 3}', r'gyro is 3: an object is expected'),
+        ('faults: {drop: 2}', r'spec.yaml.faults: drop is 2: it must lie between 0 and 1'),
+        ('faults: {bumps: 1.5}', r'bumps is 1.5: a whole number is expected'),
+        ('faults: {gaps: [[1, -2]]}', r'length of gaps is -2: it must lie between'),
+        ('faults: {gap: 1}', r"option 'gap' is unknown: use gaps"),
         ('schema: other/1\nnoise: {}', "schema is 'other/1'"),
     ],
 )
