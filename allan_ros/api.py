@@ -29,7 +29,6 @@ from .core.settings import (
     describe,
     expect,
     parameter,
-    public,
     settings_from,
 )
 from .core.simulate import Faults, simulate_imu
@@ -37,7 +36,7 @@ from .io.comparison import Inflation, RunComparison, Subject, compare_runs
 from .io.comparison import inflate as inflation_of
 from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
-from .io.files import PATH
+from .io.files import PATH, public
 from .io.plot_style import check_plots
 from .io.readers.arrays import recording_in_memory
 from .io.readers.recording import ReadOptions

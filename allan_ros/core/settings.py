@@ -5,16 +5,14 @@
 from __future__ import annotations
 
 import difflib
-import os
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import partial, wraps
+from functools import partial
 from numbers import Integral, Real
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
 from .errors import AllanError, one_line
 
-P = ParamSpec('P')
 T = TypeVar('T')
 
 
@@ -94,31 +92,6 @@ def choose(choices: Collection[str], **values: object) -> None:
             known = ', '.join(choice for choice in choices if choice)
             shown = one_line(repr(value))
             raise AllanError(f'{name} is {shown:.60}: choose one of {known}')
-
-
-def public(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a public function: errors of the operating system become AllanError.
-
-    Also raises AllanError for an argument with a null character, which no path can contain.
-    """
-
-    @wraps(function)
-    def checked(*args: P.args, **given: P.kwargs) -> T:
-        for value in (*args, *given.values()):
-            for text in value if isinstance(value, LIST) else (value,):
-                if isinstance(text, (str, os.PathLike)) and '\0' in str(text):
-                    shown = one_line(repr(text))
-                    raise AllanError(f'{shown:.60} has a null character: give a name without it')
-        try:
-            return function(*args, **given)
-        except OSError as error:
-            where = one_line(str(error.filename or function.__name__))
-            raise AllanError(
-                f'{where:.80}: {error.strerror or error}: check the path, its permissions and the '
-                'disk'
-            ) from error
-
-    return checked
 
 
 def check_names(given: Iterable[str], known: Sequence[str]) -> None:

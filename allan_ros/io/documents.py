@@ -28,11 +28,11 @@ from ..core.fields import Fields, plain
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, Quantity, required
 from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Processes, Sinusoid
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
-from ..core.settings import expect, public
+from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
 from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
-from .files import PATH, read_json, to_json
+from .files import PATH, public, read_json, to_json
 from .readers.recording import SourceInfo
 from .recorded import Provenance, RecordingSums
 from .results import Results, analyze_recorded

@@ -16,20 +16,49 @@ import os
 import re
 import stat
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ParamSpec, TypeVar
 from uuid import uuid4
 
 import yaml
 
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
+
+P = ParamSpec('P')
+T = TypeVar('T')
 
 PATH = (str, os.PathLike)
 """Accepted types of a path."""
 
 ABANDONED_S = 3600.0
 """Age in s after which a temporary file is removed: the process that wrote it was killed."""
+
+
+def public(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorate a public function: errors of the operating system become AllanError.
+
+    Also raises AllanError for an argument with a null character, which no path can contain.
+    """
+
+    @wraps(function)
+    def checked(*args: P.args, **given: P.kwargs) -> T:
+        for value in (*args, *given.values()):
+            for text in value if isinstance(value, (tuple, list)) else (value,):
+                if isinstance(text, PATH) and '\0' in str(text):
+                    shown = one_line(repr(text))
+                    raise AllanError(f'{shown:.60} has a null character: give a name without it')
+        try:
+            return function(*args, **given)
+        except OSError as error:
+            where = one_line(str(error.filename or function.__name__))
+            raise AllanError(
+                f'{where:.80}: {error.strerror or error}: check the path, its permissions and the '
+                'disk'
+            ) from error
+
+    return checked
 
 
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:

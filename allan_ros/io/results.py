@@ -20,7 +20,7 @@ from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
 from ..core.imu import AXES, ImuIdentity, sensor_of
-from ..core.settings import AUTO, LIST, UNIT_SYSTEMS, choose, expect, public, settings_from
+from ..core.settings import AUTO, LIST, UNIT_SYSTEMS, choose, expect, settings_from
 from ..core.stream.health import sums_findings
 from .axis_result import AxisResult, axis_results
 from .datasheets import (
@@ -31,7 +31,7 @@ from .datasheets import (
     load_sensor,
 )
 from .exporters import ExportOptions, make_export, target_of
-from .files import PATH, write_atomic
+from .files import PATH, public, write_atomic
 from .format import shown_unit
 from .recorded import Provenance, RecordingSums
 from .verdict import TOO_SHORT_S, Verdict, html_summary, summary_lines, verdict_of
