@@ -198,7 +198,7 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
         (f'{HEADER}1,{ROW}\n2,{ROW},8\n', {}, 'line 3 has 8 columns, 7 expected'),
         (f'{HEADER}1700000000000000000,{ROW}\n', {'stamp_unit': 's'}, 'state its unit with'),
         (
-            'stamp_ns,gx,gy,gz\n1700000000000000,1,2,3\n1700000000005000,1,2,3\n',
+            'stamp_ns,gx\n' + ''.join(f'{17 * 10**14 + 5000 * i},1\n' for i in range(120)),
             {},
             'which are times since 1970 in us: use --stamp-unit us',
         ),
