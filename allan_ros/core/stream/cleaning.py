@@ -18,7 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..findings import Finding, finding
-from ..imu import AXES, LARGEST, SENSORS, ImuBatch, even_stamps, joined
+from ..imu import (
+    AXES,
+    LARGEST,
+    NANOSECONDS,
+    SENSORS,
+    STAMP_UNITS,
+    ImuBatch,
+    even_stamps,
+    joined,
+)
 from .health import Counts
 
 Floats = NDArray[np.float64]
@@ -30,20 +39,51 @@ BACKWARD_RUN = 16
 back. Fewer such samples are dropped."""
 
 
+REORDER = 32
+"""Samples that arrive out of order are sorted if their place is at most this far away."""
+
+EPOCH_S = (1e9, 4e9)
+"""Present times of a clock, in s: the years 2001 to 2096."""
+
+SLOWEST_S = 0.1
+"""Longest sample period, in s, for which the unit of the stamps is recognized."""
+
+
+def unit_of_stamps(stamps: Stamps) -> str:
+    """Return 'us' or 'ms' if stamps, (n,), that should be in ns are times in this unit, else 'ns'.
+
+    >>> import numpy as np
+    >>> unit_of_stamps(1_700_000_000_000_000 + 5000 * np.arange(9))
+    'us'
+    """
+    step = np.median(np.abs(np.diff(stamps))) if len(stamps) > 1 else 0
+    for unit in ('us', 'ms'):
+        second = NANOSECONDS // STAMP_UNITS[unit]
+        low, high = (limit * second for limit in EPOCH_S)
+        if low <= stamps.min() and stamps.max() < high and 0 < step <= SLOWEST_S * second:
+            return unit
+    return 'ns'
+
+
 class StampChoice:
     """Chooses the stamps of a stream: from the header, the record times, or the declared rate."""
 
     def __init__(self, use_record: bool, declared_rate: float) -> None:
         self.use_record = use_record
         self._rate = declared_rate
+        self._unit = 1  # of the stamps, in ns
         # number of samples whose stamps were computed from the rate; None if it is not used
         self._computed: int | None = None
 
     def learn(self, first: ImuBatch) -> list[Finding]:
         """Choose the stamps from the first samples, and return the findings about the choice."""
         stamps = first.stamps_ns
-        if self.use_record or len(stamps) < 2 or stamps.min() != stamps.max():
+        if self.use_record:
             return []
+        if len(stamps) < 2 or stamps.min() != stamps.max():
+            unit = unit_of_stamps(stamps)
+            self._unit = STAMP_UNITS[unit]
+            return [finding('stamps_unit', unit=unit)] if unit != 'ns' else []
         what = 'all equal' if stamps.any() else 'all zero'
         if first.record_ns is not None:
             self.use_record = True
@@ -58,9 +98,81 @@ class StampChoice:
         if self.use_record and batch.record_ns is not None:
             return batch.record_ns
         if self._computed is None:
-            return batch.stamps_ns
+            return batch.stamps_ns * self._unit if self._unit > 1 else batch.stamps_ns
         self._computed += len(batch)
         return even_stamps(self._computed - len(batch), len(batch), self._rate)
+
+
+class StampSorter:
+    """Sorts samples that arrive slightly out of order, as over UDP or from several threads.
+
+    Sorting begins at the first backward stamp, so that a stream in order is not delayed. Windows of
+    2 * `REORDER` samples that overlap by half are sorted, except where a sample is later than
+    `REORDER` sample periods: then the clock was set back, or there are two clocks. ``sorted`` is
+    the number of samples that arrived late.
+    """
+
+    def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
+        """Learn the sample period from the first stamps, (n,), in ns."""
+        self.sorted = 0
+        self.sorting = bool((np.diff(stamps) < 0).any())
+        places = min(len(stamps) - 1, REORDER)
+        ordered = np.sort(stamps)
+        # largest delay that is sorted
+        self._longest_ns = np.median(ordered[places:] - ordered[:-places]) if places > 0 else 0.0
+        self._stamps: Stamps = np.empty(0, np.int64)  # buffered
+        self._rows: Floats = np.empty((len(AXES), 0))
+        self._latest: int | None = None  # the last stamp that was returned
+
+    def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
+        """Add samples: stamps (n,) in ns, values (6, n); return those whose place is known."""
+        start = 0
+        if not self.sorting and len(stamps):
+            latest = stamps[0] if self._latest is None else self._latest
+            backward = np.diff(stamps, prepend=latest) < 0
+            self.sorting = bool(backward.any())
+            start = int(np.argmax(backward)) if self.sorting else len(stamps)
+            self._latest = int(stamps[start - 1]) if start else self._latest
+            if not self.sorting:
+                return stamps, rows
+        self._stamps = np.concatenate([self._stamps, stamps[start:]])
+        self._rows = np.concatenate([self._rows, rows[:, start:]], axis=1)
+        groups = max(0, len(self._stamps) // REORDER - 1)
+        out = self._take(groups * REORDER)
+        if not start:
+            return out
+        before = stamps[:start], rows[:, :start]
+        return np.concatenate([before[0], out[0]]), np.concatenate([before[1], out[1]], axis=1)
+
+    def flush(self) -> tuple[Stamps, Floats]:
+        """Return the buffered samples at the end of the input."""
+        return self._take(len(self._stamps))
+
+    @classmethod
+    def all_sorted(cls, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
+        """Return complete data sorted in the same way."""
+        sorter = cls(stamps)
+        parts = [sorter.feed(stamps, rows), sorter.flush()]
+        return tuple(np.concatenate([part[i] for part in parts], axis=-1) for i in (0, 1))
+
+    def _take(self, number: int) -> tuple[Stamps, Floats]:
+        """Return the first buffered samples, sorted."""
+        stamps = self._stamps
+        for at in range(0, number, REORDER):
+            window = stamps[at : at + 2 * REORDER]
+            reached = np.maximum.accumulate(window)
+            if self._latest is not None:
+                reached = np.maximum(reached, self._latest)
+            delay = reached - window
+            if delay.any() and delay.max() <= self._longest_ns:
+                order = at + np.argsort(window, kind='stable')
+                self.sorted += int(np.count_nonzero(delay))
+                stamps[at : at + len(order)] = stamps[order]
+                self._rows[:, at : at + len(order)] = self._rows[:, order]
+            self._latest = int(stamps[min(at + REORDER, len(stamps)) - 1])
+        out = stamps[:number], self._rows[:, :number]
+        self._stamps, self._rows = stamps[number:].copy(), self._rows[:, number:].copy()
+        return out
 
 
 class StampFilter:
@@ -267,6 +379,44 @@ def clipped_share(samples: Floats) -> float:
     return share if share >= MIN_CLIPPED else 0.0
 
 
+ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2
+"""The samples alternate if the means of even and odd ones differ by this number of standard
+deviations on this number of axes."""
+
+SWITCH_SHARE, SEPARATION = 0.25, 8.0
+"""The samples of an axis are those of two IMUs if the largest gap between their values, in standard
+deviations on either side, is at least the second value, and if at least the first value of the
+steps cross it."""
+
+
+def are_interleaved(rows: Floats) -> bool:
+    """Return whether samples, (axes, n), seem to come from two IMUs with different biases.
+
+    >>> import numpy as np
+    >>> noise = np.random.default_rng(0).normal(size=(6, 1000))
+    >>> are_interleaved(noise), are_interleaved(noise + np.arange(1000) % 2)
+    (False, True)
+    """
+    n = rows.shape[1] // 2 * 2
+    if n < 4 * LEAST_REPEATS:
+        return False
+    with np.errstate(invalid='ignore', divide='ignore'):
+        rows = rows[:, :n] - rows[:, :n].mean(axis=1, keepdims=True)
+        difference = np.abs(rows[:, ::2].sum(axis=1) - rows[:, 1::2].sum(axis=1))
+        sigma = np.sqrt(0.5 * n * np.mean((rows[:, 2:] - rows[:, :-2]) ** 2, axis=1))
+        if np.count_nonzero(difference > ALTERNATE_SIGMAS * sigma) >= ALTERNATE_AXES:
+            return True
+        for values in rows:
+            ordered = np.sort(values)
+            middle = n // 4 + int(np.argmax(np.diff(ordered[n // 4 : 3 * n // 4]))) + 1
+            low, high = ordered[:middle], ordered[middle:]
+            switches = np.count_nonzero(np.diff(values >= high[0]))
+            apart = high[0] - low[-1] > SEPARATION * max(low.std(), high.std()) > 0.0
+            if apart and switches > SWITCH_SHARE * n:
+                return True
+    return False
+
+
 def plan_sensors(
     stamps: Stamps, rows: Floats
 ) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
@@ -311,6 +461,9 @@ def plan_sensors(
             if share := clipped_share(samples):
                 findings.append(finding('clipped', (axis,), share=share))
         plans.append(plan)
+    kept = [AXES.index(axis) for plan in plans if not plan.drop for axis in plan.axes]
+    if kept and are_interleaved(rows[kept]):
+        findings.append(finding('interleaved', tuple(AXES[i] for i in kept)))
     random = [plan for plan in plans if plan.random_repeats]
     if random:
         flags = np.array([_all_repeat(plan, repeats) for plan in random])

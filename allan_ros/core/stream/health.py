@@ -75,6 +75,7 @@ class Counts:
     not_finite: int = 0
     duplicate: int = 0  # the stamp and all values equal those of the previous sample
     backward: int = 0  # the stamp is earlier than the latest one
+    reordered: int = 0  # kept: arrived after a sample with a later stamp, and sorted
     untimed: int = 0  # more than a thousand consecutive stamps are equal
     # missing according to the stamps
     lost: int = 0
@@ -196,6 +197,7 @@ class StreamHealth:
     state: State = 'waiting'
     rate_hz: float | None = None  # None before it is learned
     bursty: bool = False  # whether stamps come in bursts
+    base_rate_hz: float | None = None  # rate without the samples that are missing regularly
     first_ns: int | None = None  # first and latest stamp with the current frame_id
     last_ns: int | None = None
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
@@ -313,6 +315,7 @@ class RunningMeans:
 EVENTS = (
     *('clock_jumps', 'frame_changed', 'rate_changed', 'stuck', 'not_finite', 'duplicates'),
     'backward_stamps',
+    'reordered',
 )
 """Ids of findings about events, ordered from causes to effects."""
 
@@ -322,7 +325,7 @@ def events(health: StreamHealth) -> Counter[str]:
     c = health.counts
     jumps, changes = c.cuts['clock jump'], c.cuts['rate change']
     counts = (jumps, health.frame_changes, changes, c.stuck, c.not_finite, c.duplicate, c.backward)
-    return Counter(dict(zip(EVENTS, counts)))
+    return Counter(dict(zip(EVENTS, (*counts, c.reordered))))
 
 
 def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -> list[Finding]:
@@ -352,6 +355,8 @@ def stream_findings(
     if declared and rate:
         differs = abs(rate / declared - 1.0) > RATE_CHANGE
         add('rate_differs', differs, measured=rate, declared=declared)
+    base = health.base_rate_hz
+    add('rate_assumed', base and rate, rate=rate, base=base)
     add('bursty_stamps', health.bursty and rate, rate=rate)
     kept = 1.0 - counts.backward / max(counts.received, 1)
     mixed = health.bursty and kept < 1.0 - REPORTED_DROPPED_SHARE

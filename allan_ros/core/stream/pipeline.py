@@ -24,7 +24,14 @@ from ..errors import AllanError
 from ..findings import Finding
 from ..imu import AXES, ImuBatch, ImuIdentity, joined
 from ..settings import SegmenterSettings
-from .cleaning import SampleHoldFilter, SensorPlan, StampChoice, StampFilter, plan_sensors
+from .cleaning import (
+    SampleHoldFilter,
+    SensorPlan,
+    StampChoice,
+    StampFilter,
+    StampSorter,
+    plan_sensors,
+)
 from .health import (
     LISTED_SEGMENTS,
     Accumulation,
@@ -169,6 +176,7 @@ class ImuStream:
             state,
             1e9 / clock.period_ns if clock else None,
             clock.bursty if clock else False,
+            1e9 / clock.base_ns if clock and clock.base_ns else None,
             frame.first_ns,
             frame.last_ns,
             'record' if frame.stamps.use_record else 'header',
@@ -202,6 +210,7 @@ class FrameStream:
         settings = options.settings
         self.stamps = StampChoice(settings.stamps == 'record', settings.declared_rate)
         self._options = options
+        self._sorter = StampSorter()
         self._learning: list[ImuBatch] = []
         self._learned = 0
         self._skip_ns = round(settings.skip * 1e9)  # 0 once the warm-up time is over
@@ -218,7 +227,7 @@ class FrameStream:
     @property
     def counts(self) -> Counts:
         """Counts of all sensor streams; ``received`` is 0, since `ImuStream` counts it."""
-        counts = Counts(skipped=self._skipped)
+        counts = Counts(skipped=self._skipped, reordered=self._sorter.sorted)
         for sensor in self.sensors:
             counts.add(sensor.counts)
         return counts
@@ -230,7 +239,7 @@ class FrameStream:
     def update(self, batch: ImuBatch) -> None:
         """Process the next samples with this frame_id."""
         if self.sensors:
-            self._feed(batch)
+            self._sort(batch)
             return
         # exactly the first LEARN samples are evaluated, so that batch sizes do not matter
         take = min(LEARN - self._learned, len(batch))
@@ -239,25 +248,35 @@ class FrameStream:
         if self._learned == LEARN:
             self._learn()
             if take < len(batch):
-                self._feed(batch[take:])
+                self._sort(batch[take:])
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
         if not self.sensors and self._learned:
             self._learn()
+        self._feed(*self._sorter.flush())
         for sensor in self.sensors:
             sensor.flush()
 
     def _learn(self) -> None:
         """Choose the stamps and the sensor streams from the first samples, then process these."""
         first, self._learning, self._learned = joined(self._learning), [], 0
-        plans, findings = plan_sensors(first.stamps_ns, first.samples.T)
-        self.notes += [*self.stamps.learn(first), *findings]
+        self.notes += self.stamps.learn(first)
+        chosen = self.stamps.of(first)
+        plans, findings = plan_sensors(*StampSorter.all_sorted(chosen, first.samples.T))
+        self.notes += [note for note in findings if note not in self.notes]
+        if not self.sensors:
+            self._sorter = StampSorter(chosen)
         self.sensors = tuple(SensorStream(p, self.identity, self._options) for p in plans)
-        self._feed(first)
+        self._feed(*self._sorter.feed(chosen, first.samples.T))
 
-    def _feed(self, batch: ImuBatch) -> None:
-        stamps, rows = self.stamps.of(batch), batch.samples.T
+    def _sort(self, batch: ImuBatch) -> None:
+        self._feed(*self._sorter.feed(self.stamps.of(batch), batch.samples.T))
+
+    def _feed(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+        """Pass samples to the sensor streams: stamps (n,) in ns, values (6, n)."""
+        if not len(stamps):
+            return
         if self.first_ns is None:
             self.first_ns = int(stamps[0])
         self.last_ns = int(stamps[-1])
@@ -396,7 +415,8 @@ class SensorStream:
         parts, self._learning = self._learning, []
         stamps, jumped = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
         rows = np.concatenate([part[1] for part in parts], axis=1)
-        clock = learn_clock(stamps[:LEARN], self._polled)
+        declared = self._options.settings.declared_rate
+        clock = learn_clock(stamps[:LEARN], self._polled, declared)
         if clock is None:
             # equal stamps contain no time, and buffering them would fill the memory
             self.counts.untimed += len(stamps)

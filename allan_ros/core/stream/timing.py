@@ -52,6 +52,10 @@ POLLED_SHARE = 0.95
 """Polled samples are evenly spaced on average if this share of the steps between their stamps is
 between 0.4 and 2.2 mean steps."""
 
+MANY, EXACT = 0.2, 0.15
+"""Samples are missing regularly if at least the first share of the steps is one sample period and
+the same share is longer, with deviations of at most the second fraction of a period."""
+
 JITTER_SHARE = 0.01
 """Stamps have jitter if more than this share of the steps is shorter than half the period."""
 
@@ -77,6 +81,7 @@ class Clock:
     step_ns: float
     bursty: bool
     jitter: bool = False
+    base_ns: float = 0.0  # if samples are missing regularly: step without a missing one
 
     @property
     def look_ahead(self) -> int:
@@ -98,16 +103,40 @@ class Clock:
         return max(0.5, BURST_PAUSE_S * 1e9 / self.period_ns) if self.bursty else 0.5
 
 
-def learn_clock(stamps: Stamps, polled: bool = False) -> Clock | None:
+def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> Clock | None:
     """Estimate the sample period of a stream from its first stamps, (n,), in ns.
 
     Backward stamps are ignored. If ``polled`` is set, the stamps are those of the messages in which
     a slower sensor had a new sample. The steps between them are multiples of the period of the
-    messages, and only their mean is the sample period. Returns None if all stamps are equal.
+    messages, and only their mean is the sample period. If samples are missing regularly, the period
+    is the mean step, unless the smallest step is that of the ``declared`` rate in Hz. Returns None
+    if all stamps are equal.
     """
     step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
     if not step.any():
         return None
+    clock = _clock_of(step, stamps, polled)
+    base = 0.0 if polled else _common_step(step)
+    if not base or abs(base / clock.period_ns - 1.0) < RATE_CHANGE:
+        return clock
+    if abs(declared * base * 1e-9 - 1.0) < RATE_CHANGE:
+        return Clock(base, 1.5 * base, bursty=False)
+    return replace(clock, base_ns=base)
+
+
+def _common_step(step: Floats) -> float:
+    """Return the shortest step, (n,), if all are multiples of it and many are longer, else 0."""
+    shortest = float(np.quantile(step, MANY))
+    near = step[np.abs(step - shortest) <= EXACT * shortest]
+    base = float(near.mean())
+    number = np.rint(step / base) if base else step
+    exact = (np.abs(step - number * base) <= EXACT * base) & (number > 0)
+    many = min(np.mean(number == 1), np.mean(number > 1)) >= MANY if base else False
+    return base if many and exact.mean() >= POLLED_SHARE else 0.0
+
+
+def _clock_of(step: Floats, stamps: Stamps, polled: bool) -> Clock:
+    """Estimate the sample period from the ``step`` between the stamps in ns, (n - 1,)."""
     size = max(1, min(CLOCK_BLOCK, len(step) // 4))
     # one long gap does not change the median of block means
     mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))

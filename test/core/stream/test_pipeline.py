@@ -86,6 +86,14 @@ FAULTS = {
     'gap': lambda t, x, g: (np.delete(t, slice(3000, 3500)), np.delete(x, slice(3000, 3500), 0)),
     'jitter': lambda t, x, g: (np.sort(t + g.integers(-1_000_000, 1_000_000, len(t))), x),
     'disorder': lambda t, x, g: (t + g.integers(-6_000_000, 6_000_000, len(t)), x),
+    'swapped': lambda t, x, g: (
+        (lambda k: (t[k], x[k]))(np.arange(len(t)) // 8 * 8 + 7 - np.arange(len(t)) % 8)
+        if not len(t) % 8
+        else (t, x)
+    ),
+    'late': lambda t, x, g: (lambda k: (t[k], x[k]))(
+        np.argsort(np.arange(len(t)) + 20 * (g.random(len(t)) < 0.01))
+    ),
     'bursts': lambda t, x, g: (START + (t - START) // (8 * PERIOD) * 8 * PERIOD, x),
     'clock back': lambda t, x, g: (t - (np.arange(len(t)) > 4000) * 3600 * 10**9, x),
     'clock forth': lambda t, x, g: (t + (np.arange(len(t)) > 4000) * 3600 * 10**9, x),
@@ -196,6 +204,8 @@ def test_the_present_health_is_that_of_the_result_but_for_buffered_samples(fault
         ('repeats', {'repeated'}),
         ('repeats of each sensor', {'repeated'}),
         ('no accel', {'sensor_absent'}),
+        ('swapped', {'reordered'}),
+        ('late', {'reordered'}),
         ('bursts', {'bursty_stamps'}),
         ('no stamps', {'stamps_missing', 'nothing_left'}),
     ],
@@ -474,6 +484,57 @@ def test_heavy_tails_are_reported_with_the_share_of_outliers():
     (found,) = [f for f in accumulate(t, x).findings if f.severity == 'warning']
     # the share of |t| > 6 median absolute deviations is 1.9 %
     assert found.id == 'outliers' and found.axes == ('accel_y',) and ' 1.' in found.message
+
+
+@pytest.mark.parametrize('places', [2, 8, 30])
+@pytest.mark.parametrize('begin', [0, 5000])
+def test_samples_that_arrive_out_of_order_are_sorted(places, begin):
+    t, x = still(20_160)
+    at = np.arange(len(t))
+    order = np.where(at < begin, at, at // places * places + places - 1 - at % places)
+    result = accumulate(t[order], x[order])
+    assert {'reordered'} <= ids(result) <= {'reordered', 'backward_stamps', 'bridged', 'gaps'}
+    # only the first late sample, before which nothing was sorted, is lost
+    assert result.health.counts.backward <= (places if begin else 0)
+    assert result.health.rate_hz == pytest.approx(200.0, rel=1e-6)
+    if not begin:
+        assert_identical(result.sums[0], accumulate(t, x).sums[0])
+
+
+@pytest.mark.parametrize('unit, size', [('us', 1000), ('ms', 10**6)])
+def test_stamps_in_another_unit_are_recognized(unit, size):
+    t, x = still(5000)
+    result = accumulate((t + 7 * 10**17) // size, x)
+    assert result.health.rate_hz == pytest.approx(200.0)
+    (found,) = result.findings
+    assert found.id == 'stamps_unit' and f' {unit} ' in found.message
+
+
+def test_stamps_of_a_clock_that_began_at_zero_keep_their_unit():
+    t, x = still(5000)
+    for start in (0, 10**9, 10**12, 10**15):
+        result = accumulate(t - START + start, x)
+        assert result.health.rate_hz == pytest.approx(200.0) and not result.findings
+
+
+@pytest.mark.parametrize('difference', [3.0, 100.0])
+@pytest.mark.parametrize('delay', [0.0, 0.2, 0.5])
+def test_two_imus_with_one_frame_id_are_reported(difference, delay):
+    t, x = still(12_000)
+    y = x + difference * 1e-3 * np.random.default_rng(3).choice([-1, 1], 6)
+    times = np.sort(np.concatenate([t, t + int(delay * PERIOD)]))
+    both = np.empty((2 * len(t), 6))
+    both[::2], both[1::2] = x, y
+    assert 'interleaved' in ids(accumulate(times, both))
+
+
+@pytest.mark.parametrize('declared, rate', [(0.0, 400 / 3), (200.0, 200.0)])
+def test_samples_that_are_missing_regularly_are_reported_with_the_assumed_rate(declared, rate):
+    t, x = still(30_000)
+    kept = np.arange(len(t)) % 3 != 1
+    result = accumulate(t[kept], x[kept], declared_rate=declared)
+    assert result.health.rate_hz == pytest.approx(rate, rel=1e-3) and len(result.segments) == 1
+    assert ids(result) == ({'bridged'} if declared else {'rate_assumed'})
 
 
 def test_a_sensor_of_zeros_is_absent_and_named():
