@@ -66,6 +66,7 @@ LIVE_FINDINGS = (
     *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'axis_absent'),
     *('sensor_all_zero', 'zero_filled', 'held', 'no_noise', 'gyro_unit'),
     *('accel_unit', 'accel_scale', 'clipped', 'stamps_mixed', 'repeated', 'stuck_now'),
+    *('stamps_unit', 'rate_assumed', 'interleaved', 'outliers'),
 )
 """Ids of findings about a complete stream that a node also reports while the stream continues."""
 

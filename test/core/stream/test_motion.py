@@ -123,7 +123,7 @@ def test_large_values_are_spikes_or_noise_for_a_whole_recording_and_for_any_star
     large = 60 * SIGMA * (rng.random((6, n)) < 2e-4)
     for rows, heavy in ((white_part + large, False), (white_part + tails + large, True)):
         for start in (0, 7_000, 31_000):
-            out, counts, passed = gate(rows[:, start:])
+            _, counts, passed = gate(rows[:, start:])
             expected = 0 if heavy else np.count_nonzero(large[:, start:])
             # some are in shocks or next to another one
             assert counts.spikes == pytest.approx(expected, rel=0.05)
