@@ -136,9 +136,11 @@ MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'level_changes': lambda of: of['high'].value < 1.1 * of['low'].value,
     'bias_differs': lambda of: of['size'].value < {'gyro': 2e-3, 'accel': 0.1}[of['size'].sensor],
     'misfit': lambda of: of['deviation'] < 0.05,
+    'tilted': lambda of: of['angle'] < 1.0,
 }
 """Id -> whether values are so small that a filter is not affected: the severity is then info. The
-limits of the bias (rad/s and m/s^2) are changes between two starts of common MEMS sensors."""
+limits of the bias (rad/s and m/s^2) are changes between two starts of common MEMS sensors; that of
+a tilt is in deg."""
 
 FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')
 """A template field ``{name}`` or ``{name:format}``. The format is one of Python, ``duration`` for a

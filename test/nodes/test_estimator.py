@@ -150,7 +150,7 @@ def test_reset_removes_the_coefficients_and_fit_restores_them(graph, still_imu):
     graph.until(lambda: len(models) > before)
     assert graph.call('/allan_monitor/reset').success
     status = graph.until(lambda: (s := graph.status('gyro x')).level == WARN and s)
-    assert status.message.startswith('The coefficients were withdrawn')
+    assert status.message.startswith('The coefficients were invalidated')
     assert graph.until(lambda: models[-1]['axes'] == {})
 
 

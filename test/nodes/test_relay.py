@@ -152,7 +152,7 @@ def test_after_a_withdrawal_no_covariance_is_filled(graph, still_imu, results: R
     withdrawn = replace(results, axes={}, samples=0)
     model.publish(String(data=json.dumps(results_to_document(withdrawn, curves=False))))
     status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
-    assert status.message.startswith('The noise model on /noise_model was withdrawn')
+    assert status.message.startswith('The noise model on /noise_model was invalidated')
     batch = still_imu(10)
     graph.send(publisher, batch)
     graph.until(lambda: len(received) == 10)

@@ -69,7 +69,7 @@ def test_replaced_sums_withdraw_the_model_at_once_and_are_fitted(graph, still_im
     assert [model['samples'] for model in models] == [8000, 0, 2000]
     withdrawn = models[1]
     assert withdrawn['axes'] == {} and withdrawn['findings'][-1]['id'] == 'model_withdrawn'
-    assert '100%' in withdrawn['findings'][-1]['message']
+    assert '100 %' in withdrawn['findings'][-1]['message']
     status = graph.until(
         lambda: (s := graph.status('imu gyro x')) and s.message.startswith('N') and s
     )

@@ -11,16 +11,20 @@ def templates(known: Finding) -> str:
     return f'{known.message_template} {known.remedy_template}'
 
 
-def value_of(spec: str, number: float) -> object:
-    """Return a value for a field with this format."""
-    if spec.rstrip('0123456789') in QUANTITIES or '.' in spec or spec == 'duration':
-        return number
-    return int(number) if spec == 'd' or '|' in spec else 'words'
+def value_of(specs: list[str], number: float) -> object:
+    """Return a value for a field that occurs with these formats."""
+    if any('|' in spec for spec in specs):
+        return 2
+    first = specs[0].rstrip('0123456789')
+    is_number = first in (*QUANTITIES, 'duration') or first.endswith(('g', 'f', '%'))
+    return number if is_number else 'words'
 
 
 def example(id: str, number: float = 2.0, axis: str = 'gyro_x', optional: bool = True) -> Finding:
     """Return a finding of the catalog whose numbers all have the same value in SI."""
     text = templates(CATALOG[id])
-    specs = dict(reversed(FIELD.findall(text if optional else OPTIONAL.sub('', text))))
-    values = {name: value_of(spec, number) for name, spec in specs.items()}
+    specs: dict[str, list[str]] = {}
+    for name, spec in FIELD.findall(text if optional else OPTIONAL.sub('', text)):
+        specs.setdefault(name, []).append(spec)
+    values = {name: value_of(found, number) for name, found in specs.items()}
     return finding(id, (axis,), **{**values, 'sensor': axis[:-2]})

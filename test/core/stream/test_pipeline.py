@@ -570,7 +570,7 @@ def test_louder_noise_at_rest_is_a_warning_with_its_size_and_no_motion():
     (found,) = [f for f in result.findings if f.id == 'noise_louder']
     assert result.health.state == 'louder' and found.axes == AXES
     # the largest of six standard deviations over the lowest quarter of the floor: 4.0 to 4.6
-    ratio = float(found.message.split('rose to ')[1].split(' ')[0])
+    ratio = float(found.message.split('increased to ')[1].split(' ')[0])
     assert 3.9 < ratio < 4.8 and found.severity == 'warning'
     assert result.sums[0].samples == pytest.approx(20_000, abs=400)
 
