@@ -167,19 +167,23 @@ class McapStorage:
         index = partial(self._read, chunk.offset + chunk.length, chunk.index_length)
         start, others = message_starts(data, index)
         for opcode, at, _ in others:
-            if opcode == CHANNEL:
-                self._check_channel(data, at)
+            self._check_known(opcode, data, at)
         head = _records_at(data, start, HEAD)
         return [_of_channels(data, start, head, ids) for ids in groups]
 
-    def _check_channel(self, data: bytes, at: int) -> None:
-        """Raise ValueError if the channel at ``data[at:]`` differs from the one that is known."""
-        number, _ = struct.unpack_from('<HH', data, at)
-        name, _ = _text(data, at + 4)
-        known = self._topics.get(number)
-        if known is None or known.name != name:
-            stated = 'not known' if known is None else known.name
-            raise ValueError(f'channel {number} is {name} in a chunk, but {stated} in the summary')
+    def _check_known(self, opcode: int, data: bytes, at: int) -> None:
+        """Raise ValueError if a schema or channel in a chunk differs from the known one."""
+        if opcode == SCHEMA:
+            number, schema = _schema(data, at)
+            if self._schemas.get(number, schema)[0] != schema[0]:
+                raise ValueError(f'schema {number} is {schema[0]} in a chunk only')
+        elif opcode == CHANNEL:
+            found = self._topic(data, at)
+            known = self._topics.get(found.id)
+            if known is None or (known.name, known.type) != (found.name, found.type):
+                raise ValueError(
+                    f'channel {found.id} is {found.name} in a chunk, but not elsewhere'
+                )
 
     def _read(self, offset: int, length: int) -> bytes:
         if length > MAX_CHUNK_BYTES:
@@ -327,21 +331,32 @@ class McapStorage:
         if opcode == MESSAGE:
             self._counts[MESSAGE_HEAD.unpack_from(data, at)[0]] += 1
         elif opcode == SCHEMA:
-            (number,) = struct.unpack_from('<H', data, at)
-            name, at = _text(data, at + 2)
-            form, at = _text(data, at)
-            text, at = _text(data, at)
-            self._schemas[number] = (name, form, text)
+            number, schema = _schema(data, at)
+            self._schemas[number] = schema
         elif opcode == CHANNEL:
-            number, schema = struct.unpack_from('<HH', data, at)
-            topic, at = _text(data, at + 4)
-            encoding, at = _text(data, at)
-            name, form, text = self._schemas.get(schema, ('', '', ''))
-            self._topics[number] = Topic(number, topic, normal_type(name), encoding, form, text)
+            topic = self._topic(data, at)
+            self._topics[topic.id] = topic
         elif opcode == STATISTICS:
             *_, size = STATISTICS_HEAD.unpack_from(data, at)
             at += STATISTICS_HEAD.size
             self._stated = Counter(dict(struct.iter_unpack('<HQ', data[at : min(at + size, stop)])))
+
+    def _topic(self, data: bytes, at: int) -> Topic:
+        """Return the topic of the channel record at ``data[at:]``."""
+        number, schema = struct.unpack_from('<HH', data, at)
+        topic, at = _text(data, at + 4)
+        encoding, at = _text(data, at)
+        name, form, text = self._schemas.get(schema, ('', '', ''))
+        return Topic(number, topic, normal_type(name), encoding, form, text)
+
+
+def _schema(data: bytes, at: int) -> tuple[int, tuple[str, str, str]]:
+    """Return number, and name, format and text of the schema record at ``data[at:]``."""
+    (number,) = struct.unpack_from('<H', data, at)
+    name, at = _text(data, at + 2)
+    form, at = _text(data, at)
+    text, at = _text(data, at)
+    return number, (name, form, text)
 
 
 def _listed_chunk(data: bytes, at: int) -> tuple[Chunk, set[int]]:

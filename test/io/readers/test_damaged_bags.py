@@ -9,6 +9,7 @@ import sqlite3
 import struct
 import subprocess
 import sys
+import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +18,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.io.readers import topics_of
+from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.io.writing import write_recording
 
 zstandard = pytest.importorskip('zstandard')
@@ -76,6 +78,95 @@ def test_a_count_that_differs_is_a_warning(tmp_path: Path, imu_batches: Any, rea
     assert ids(back) == ['count_differs']
     assert back.findings[0].severity == 'warning'
     assert 'states 6000 messages, but 3000 were read' in str(back.findings[0])
+
+
+def two_channels(folder: Path, batch: Any, checksum: bool) -> bytes:
+    """Return an mcap in which the messages of a topic alternate between two channels."""
+    rosbag2 = pytest.importorskip('rosbags.rosbag2')
+    typesys = pytest.importorskip('rosbags.typesys')
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    writer = rosbag2.Writer(folder / 'two', version=8, storage_plugin=rosbag2.StoragePlugin.MCAP)
+    with writer:
+        channels = [
+            writer.add_connection('/imu', IMU_TYPE, typestore=store, serialization_format=form)
+            for form in ('cdr', 'cdr\0')
+        ]
+        for i, (stamp, payload) in enumerate(
+            zip(batch.stamps_ns.tolist(), encode_imus(batch, 'cdr'))
+        ):
+            writer.write(channels[i % 2], stamp, payload)
+    data = (folder / 'two/two.mcap').read_bytes().replace(b'\4\0\0\0cdr\0', b'\4\0\0\0cdr1')
+    if checksum:
+        at = len(data) - len(MAGIC) - 4
+        (start,) = struct.unpack_from('<Q', data, at - 16)
+        crc = struct.pack('<I', zlib.crc32(data[start:at]))
+        data = data[:at] + crc + data[at + 4 :]
+    return data
+
+
+@pytest.mark.parametrize('checksum', [True, False])
+def test_a_flipped_bit_in_the_summary_loses_nothing_silently(
+    checksum: bool, tmp_path: Path, imu_batches: Any, outcome: Any, read: Any
+) -> None:
+    [batch] = imu_batches(400, parts=1)
+    data = two_channels(tmp_path, batch, checksum)
+    path = tmp_path / 'flipped.mcap'
+    path.write_bytes(data)
+    assert len(read(path).stamps_ns) == 400
+    (start,) = struct.unpack_from('<Q', data, len(data) - len(MAGIC) - 20)
+    rng = np.random.default_rng(3)
+    for bit in rng.choice(8 * (len(data) - len(MAGIC) - start), 150, replace=False).tolist():
+        spoiled = bytearray(data)
+        spoiled[start + bit // 8] ^= 1 << bit % 8
+        path.write_bytes(spoiled)
+        count, error = outcome(path)
+        assert error or count == 400 or ids(read(path)), bit
+
+
+def test_counts_of_zero_do_not_refuse_a_recording(
+    tmp_path: Path, imu_batches: Any, read: Any
+) -> None:
+    data = bytearray(mcap_file(tmp_path, imu_batches(600)))
+    (place,) = [r[1] for r in records(bytes(data)) if r[0] == STATISTICS]
+    data[place + 9 : place + 17] = data[place + 9 + 46 : place + 9 + 54] = bytes(8)
+    (tmp_path / 'run/run.mcap').write_bytes(data)
+    metadata = tmp_path / 'run/metadata.yaml'
+    metadata.write_text(metadata.read_text().replace('message_count: 600', 'message_count: 0'))
+    for path in (tmp_path / 'run', tmp_path / 'run/run.mcap'):
+        back = read(path)
+        assert len(back.stamps_ns) == 600 and ids(back) == ['count_differs']
+
+
+@pytest.mark.parametrize('compression', ['chunk', 'message'])
+def test_threads_read_at_the_same_time(
+    compression: str, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
+) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    batches = imu_batches(6000)
+    write_recording(tmp_path / 'run', batches, compression=compression)
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(read, [tmp_path / 'run'] * 24))
+    for back in found:
+        np.testing.assert_array_equal(back.samples, joined(batches).samples)
+
+
+def test_many_topics_take_linear_time(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+    [payload] = encode_imus(imu_batches(1, parts=1)[0], 'cdr')
+    path = database(tmp_path, imu_batches(1))
+    with sqlite3.connect(path) as connection:
+        topics = [(i, f'/imu{i}', IMU_TYPE, 'cdr', '', '') for i in range(2, 10_001)]
+        connection.executemany('INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)', topics)
+        rows = [(i, i, bytes(payload)) for i in range(2, 10_001)]
+        connection.executemany(
+            'INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)', rows
+        )
+    began = time.process_time()
+    said = refused(path)
+    assert 'has 10000 Imu topics: /imu/data (1)' in said and said.endswith('with --topic')
+    assert len(said) < 600
+    assert topics_of(path) == []
+    assert time.process_time() - began < 5.0
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
