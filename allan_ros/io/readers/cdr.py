@@ -42,6 +42,9 @@ _FRAME_AT = 16
 """Offset of frame_id: after the encapsulation (ROS 1: seq), sec, nanosec and the length of
 frame_id."""
 
+MAX_FRAME_BYTES = MAX_NAME + 1
+"""Largest serialized length of a frame_id, in CDR with the final NUL."""
+
 _LAYOUT_FIELDS = {'cdr': ('representation', 'frame_bytes'), 'ros1': ('frame_bytes',)}
 """Fields that must be equal in messages of equal length, so that their layout is the same."""
 
@@ -194,6 +197,9 @@ class _Layout(NamedTuple):
 def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _Layout:
     """Return the layout of an Imu message, or raise MalformedMessage with ``index``."""
     order, frame_bytes = _order_and_frame_bytes(payload, encoding, index)
+    if MAX_FRAME_BYTES < frame_bytes < len(payload):
+        reason = f'its frame_id has {frame_bytes} bytes, the limit is {MAX_FRAME_BYTES}'
+        raise MalformedMessage(index, reason)
     try:
         return _layout(encoding, order, frame_bytes, len(payload))
     except (ValueError, OverflowError) as error:
@@ -204,8 +210,8 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
 @lru_cache(maxsize=256)
 def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
     """Return the layout of an Imu message of ``length`` bytes (0: without padding)."""
-    if frame_bytes > MAX_NAME:
-        raise ValueError(f'{frame_bytes} bytes are more than {MAX_NAME}')
+    if frame_bytes > MAX_FRAME_BYTES:
+        raise ValueError(f'{frame_bytes} bytes are more than {MAX_FRAME_BYTES}')
     dtype = imu_dtype(encoding, order, frame_bytes, length)
     offsets = {name: entry[1] for name, entry in (dtype.fields or {}).items()}
     return _Layout(order, dtype, offsets, slice(_FRAME_AT, _FRAME_AT + frame_bytes))
@@ -276,7 +282,7 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
     Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
     """
     order, frame_bytes = _order_and_frame_bytes(payload, encoding)
-    if frame_bytes > min(len(payload), MAX_NAME):
+    if frame_bytes > min(len(payload), MAX_FRAME_BYTES):
         raise MalformedMessage(0, f'a frame_id of {frame_bytes} bytes is too long')
     dtype, offsets = _layout(encoding, order, frame_bytes)[1:3]
     if len(payload) < offsets['orientation'] + _DOUBLE:

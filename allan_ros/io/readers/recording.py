@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
+from ...core.errors import one_line
 from ...core.findings import Finding
 from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, STAMP_UNITS, ImuBatch, sample_factors
 from ...core.settings import CheckedSettings, parameter
@@ -78,6 +79,10 @@ class SourceInfo:
     topic: str
     type: str
     storage: str
+
+    def __post_init__(self) -> None:
+        # a name of a file may contain bytes that cannot be written as text
+        object.__setattr__(self, 'path', one_line(self.path))
 
 
 def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:

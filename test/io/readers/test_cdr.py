@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import numpy as np
@@ -117,6 +118,10 @@ def test_padding_behind_a_message_is_ignored() -> None:
         (lambda good: good[:100], 'too few'),
         (lambda good: b'', 'too few'),
         (lambda good: b'\x00\x07' + good[2:], 'not plain CDR'),
+        (
+            lambda good: good[:12] + struct.pack('<I', 1002) + good[16:] + bytes(900),
+            'has 1002 bytes',
+        ),
         (lambda good: good[:12] + b'\xff\xff\xff\x7f' + good[16:], 'too few for an Imu with'),
     ],
 )

@@ -248,7 +248,8 @@ def test_a_chunk_that_became_another_record_is_missed(
     back = read(path)
     assert 6_000 < len(back.stamps_ns) < 12_000
     assert 'count_differs' in ids(back)
-    assert f'states 12000 messages, but {len(back.stamps_ns)} were read' in str(back.findings)
+    says = f'states 12000 messages, but {len(back.stamps_ns)} were read'
+    assert any(says in str(found) for found in back.findings)
 
 
 def database(tmp_path: Path, batches: list[Any], how: str = 'none') -> Path:

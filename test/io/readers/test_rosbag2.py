@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 import struct
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from allan_ros.core.errors import AllanError
 from allan_ros.io.readers import open_recordings
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.io.writing import write_recording
@@ -357,6 +359,23 @@ def test_an_unknown_type_without_schema_is_reported(tmp_path: Path, refused: Any
         database.execute('DELETE FROM message_definitions')
     assert '1 of them of unknown type without a schema' in refused(tmp_path / 'rig')
     assert 'has no schema that describes it' in refused(tmp_path / 'rig', topic='/rig')
+
+
+@pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.npz'])
+def test_a_name_of_any_bytes_is_shown_in_a_printable_line(
+    name: str, tmp_path: Path, imu_batches: Any, read: Any, refused: Any
+) -> None:
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b'/\xff\x1b[31m\n'))
+    frame_id = 'f' * 1000
+    write_recording(tmp_path / name, imu_batches(20, frame_id=frame_id))
+    path.mkdir()
+    (tmp_path / name).rename(path / name)
+    back = read(path / name)
+    assert back.recording.info.path.isprintable() and set(back.frame_ids) == {frame_id}
+    (path / name).write_bytes(b'')
+    with pytest.raises(AllanError, match=r'x1b\[31m\\n/a.*: is empty') as caught:
+        open_recordings([path / name])
+    assert str(caught.value).isprintable()
 
 
 def test_a_changed_frame_begins_a_batch(tmp_path: Path, imu_batches: Any, read: Any) -> None:
