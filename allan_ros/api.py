@@ -63,8 +63,8 @@ class ResultSettings(CheckedSettings):
     """Settings for fitting, comparing, printing and exporting results."""
 
     method: str = parameter(
-        'gls',
-        'Method of the fit: gls (generalized least squares, with confidence intervals), relative '
+        'likelihood',
+        'Method of the fit: likelihood (maximum likelihood, with confidence intervals), relative '
         '(least squares on relative residuals) or paper (plain least squares, as in Cong et al. '
         '2019).',
         choices=tuple(METHODS),
@@ -125,7 +125,7 @@ def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSetti
 
 def results_of(
     path: Results | str | os.PathLike[str],
-    method: str = 'gls',
+    method: str = 'likelihood',
     observer: Observer = Silent(),
     segmenter: SegmenterSettings = SegmenterSettings(),
 ) -> Results:
@@ -159,7 +159,7 @@ def analyze(
     axes: str | Sequence[str] | None = None,
     gyro_unit: str = '',
     accel_unit: str = '',
-    method: str = 'gls',
+    method: str = 'likelihood',
     sensor: str = '',
     baseline: Results | str | os.PathLike[str] = '',
     margin: float = MARGIN,
@@ -187,7 +187,7 @@ def analyze(
         Units of the samples, such as 'deg/s' and 'g', if the source does not state them. By default
         rad/s and m/s^2.
     method : str
-        Method of the fit: 'gls' (generalized least squares, with confidence intervals), 'relative'
+        Method of the fit: 'likelihood' (maximum likelihood, with confidence intervals), 'relative'
         (least squares on relative residuals) or 'paper' (plain least squares, as in Cong et al.
         2019).
     sensor : str
@@ -257,7 +257,7 @@ def analyze(
     return analyze_recorded(recorded, method).compared(sensor, baseline, margin)
 
 
-def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Results:
+def merge(*sources: Results | str | os.PathLike[str], method: str = 'likelihood') -> Results:
     """Combine several recordings of one IMU into one result, without reading them again.
 
     The stored sums of second differences are added and fitted together. If the sources were
@@ -268,7 +268,7 @@ def merge(*sources: Results | str | os.PathLike[str], method: str = 'gls') -> Re
     *sources : Results or path
         Results of `analyze`, or paths of a sums.json, a checkpoint or the folder of an analysis.
     method : str
-        Method of the fit: 'gls', 'relative' or 'paper', as in `analyze`.
+        Method of the fit: 'likelihood', 'relative' or 'paper', as in `analyze`.
 
     Returns
     -------
@@ -298,7 +298,7 @@ def compare(
     labels: Sequence[str] = (),
     sensor: str | Sequence[str] = (),
     margin: float = MARGIN,
-    method: str = 'gls',
+    method: str = 'likelihood',
     observer: Observer = Silent(),
 ) -> RunComparison:
     """Compare recordings with the first of them, and with datasheets.
@@ -408,7 +408,7 @@ def inflate(
     check_range(1e-3, 1e9, 's', horizon=horizon)
     quiet = results_of(rest, observer=observer)
     still = SegmenterSettings(motion_gate=False)
-    return inflation_of(quiet, results_of(running, 'gls', observer, still), horizon)
+    return inflation_of(quiet, results_of(running, 'likelihood', observer, still), horizon)
 
 
 @public

@@ -267,7 +267,7 @@ def share(names: list[str], records: int, write: bool) -> None:
             own_white, own = draw(name, seconds, rng, 3, BIAS_RATE)
             results = ar.analyze(own, rate=BIAS_RATE, motion_gate=False, skip=0.0)
             for i, axis in enumerate(AXES[:3]):
-                resolved += results[axis].fit.selected.terms.K > 0.0
+                resolved += results[axis].fit.model.terms.K > 0.0
                 for value in SHARES:
                     growth_of.UNRESOLVED_SHARE = value
                     space = results[axis].state_space()
@@ -420,7 +420,7 @@ def figure() -> None:
     path = ROOT / 'docs' / 'images' / 'filter_growth.png'
     chart.savefig(path, dpi=120)
     print(path.relative_to(ROOT))
-    reduction = reduce_model(replace(results['gyro_x'].fit.selected), 'walk', Horizons(1.0, 30.0))
+    reduction = reduce_model(replace(results['gyro_x'].fit.model), 'walk', Horizons(1.0, 30.0))
     print(f'predicted over model growth {reduction.ratio[0]:.2f} to {reduction.ratio[1]:.2f}')
 
 

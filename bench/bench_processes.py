@@ -228,8 +228,8 @@ def models_of(sums: AllanSums, with_gmwm: bool) -> dict[str, list[ProcessModel]]
     """Return method -> the noise models of all axes fitted with it."""
     slopes = [NoiseTerms(N=r['N'], K=r['K']) for r in read_slopes(sums)]
     out = {
-        'this package': [fit.selected for fit in fit_noise(sums).axes.values()],
-        'relative NNLS': [fit.selected for fit in fit_noise(sums, 'relative').axes.values()],
+        'this package': [fit.model for fit in fit_noise(sums).axes.values()],
+        'relative NNLS': [fit.model for fit in fit_noise(sums, 'relative').axes.values()],
         'slopes, N and K': [ProcessModel(terms) for terms in slopes],
     }
     if with_gmwm:
@@ -285,7 +285,7 @@ def adis(skip: float, with_gmwm: bool) -> None:
         rows = rows[len(rows) - sums.samples :]
         tau, half = sums.m * sums.tau0, len(rows) / RATE / 2.0
         for a, (axis, fit) in enumerate(fits.axes.items()):
-            ratio = np.sqrt(sums.avar[:, a] / fit.selected.avar(tau, sums.tau0))
+            ratio = np.sqrt(sums.avar[:, a] / fit.model.avar(tau, sums.tau0))
             for k, (low, high) in enumerate(((600.0, 1500.0), (1500.0, half))):
                 median = float(np.median(ratio[(tau >= low) & (tau <= high)]))
                 ratios.setdefault((axis.split('_')[0], k), []).append(median)

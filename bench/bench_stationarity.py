@@ -274,7 +274,7 @@ def deviations(sums: AllanSums, model) -> tuple[str, str]:
     ratios: dict[str, list[float]] = {'near': [], 'far': []}
     tau = sums.m * sums.tau0
     for i, axis in enumerate(sums.axes):
-        drawn = model.axes[axis].selected.avar(tau, sums.tau0)
+        drawn = model.axes[axis].model.avar(tau, sums.tau0)
         ratio = np.sqrt(sums.avar[:, i] / drawn)
         near, far = (tau >= 600) & (tau < 1500), tau >= 1500
         ratios['near'] += ratio[near].tolist()

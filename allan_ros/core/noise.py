@@ -1,10 +1,20 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise coefficients and processes of one axis, and their Allan variance."""
+"""Noise types, and noise models of one axis.
+
+Each noise type is one function gamma(M, j): the autocovariance of means over M samples at a lag of
+j means. The expected spectrum, the covariance of block means and the Allan variance follow from it,
+for example V(m) = gamma(m, 0) - gamma(m, 1). A constant may be added to gamma, because all three
+depend only on its differences: bias instability and random walk have no other autocovariance
+(G. Matheron, The intrinsic random functions and their applications, 1973).
+
+The unit of time of these functions is the sample period, and the coefficient is 1.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import astuple, dataclass, field
 
 import numpy as np
@@ -12,8 +22,123 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import AllanError
 
+Floats = NDArray[np.float64]
+Gamma = Callable[[ArrayLike, ArrayLike], Floats]
+"""gamma(M, j), whose arguments broadcast."""
+
 FLICKER_FLOOR = 2.0 * math.log(2.0) / math.pi
 """Ratio of the Allan variance of bias instability to B^2: (0.664)^2 (IEEE Std 952-1997, C.1.3)."""
+
+SERIES_FROM = 30
+"""Lag from which the autocovariance of flicker noise is computed by a series."""
+
+
+# --- noise types ----------------------------------------------------------------------------------
+
+
+def quantization(M: ArrayLike, j: ArrayLike) -> Floats:
+    """Quantization noise: the difference of white noise of unit variance."""
+    M, j = np.asarray(M, float), np.asarray(j, float)
+    return np.asarray((2.0 * (j == 0) - (j == 1)) / M**2)
+
+
+def white(M: ArrayLike, j: ArrayLike) -> Floats:
+    """White noise of unit variance per sample."""
+    return np.asarray((np.asarray(j) == 0) / np.asarray(M, float))
+
+
+def flicker(M: ArrayLike, j: ArrayLike) -> Floats:
+    """Flicker noise with B = 1; its autocovariance does not depend on M.
+
+    It is the second difference of -t^2 ln|t| / (2 pi); at long lags, of its series.
+    """
+    j = np.asarray(j, float) + 0.0 * np.asarray(M, float)
+    far = np.maximum(j, 1.0)
+    u = far**-2
+    series = -(2.0 * np.log(far) + 3.0 - u * (1.0 / 6.0 + u * (1.0 / 30.0 + u / 84.0)))
+    near = 2.0 * _square_log(j) - _square_log(j + 1.0) - _square_log(np.abs(j - 1.0))
+    return np.asarray(np.where(j > SERIES_FROM, series, near) / (2.0 * math.pi))
+
+
+def random_walk(M: ArrayLike, j: ArrayLike) -> Floats:
+    """Random walk with steps of unit variance per sample."""
+    M, j = np.asarray(M, float), np.asarray(j, float)
+    return np.asarray(np.where(j >= 1, -j * M / 2.0, 1.0 / (6.0 * M) - M / 6.0))
+
+
+def gauss_markov(time: float) -> Gamma:
+    """First-order Gauss-Markov process of unit variance with a correlation time in samples.
+
+    The variance is subtracted, so that no digits are lost at long correlation times.
+    """
+
+    def gamma(M: ArrayLike, j: ArrayLike) -> Floats:
+        M, j = np.broadcast_arrays(np.asarray(M, float), np.asarray(j, float))
+        x = M / time
+        # lag j >= 1: exp(-((j - 1) M + 1)/T) times the square of the mean of exp(-i/T), i < M
+        mean = np.expm1(-x) / math.expm1(-1.0 / time) / M
+        decay = np.expm1(-((np.maximum(j, 1.0) - 1.0) * x + 1.0 / time))
+        later = mean**2 * decay + (mean - 1.0) * (mean + 1.0)
+        # lag 0: the mean of exp(-|a - b|/T) - 1 over all pairs of samples
+        half = 0.5 / time
+        pairs = (M / math.tanh(half) + np.expm1(-x) / (2.0 * math.sinh(min(half, 300.0)) ** 2)) / M**2
+        lag = (M - 1.0 / M) / (3.0 * time)  # mean of |a - b|/T, then of its square and cube
+        series = -lag + (M**2 - 1.0) / (12.0 * time**2) - x**3 / 60.0 * (1.0 - 1.0 / M**2)
+        return np.where(j >= 1, later, np.where(x < 1e-3, series, pairs - 1.0))
+
+    return gamma
+
+
+def bounded_walk(time: float) -> Gamma:
+    """Gauss-Markov process that grows like a random walk of unit steps before ``time`` samples."""
+    unit = gauss_markov(time)
+    return lambda M, j: np.asarray(time / 2.0 * unit(M, j))
+
+
+def sinusoid(frequency: float) -> Gamma:
+    """Sinusoid of unit amplitude and random phase; the frequency is in cycles per sample."""
+
+    def gamma(M: ArrayLike, j: ArrayLike) -> Floats:
+        M, turn = np.asarray(M, float), math.pi * frequency
+        gain = np.sin(turn * M) / (M * math.sin(turn))
+        return np.asarray(0.5 * gain**2 * np.cos(2.0 * turn * M * np.asarray(j, float)))
+
+    return gamma
+
+
+TERM_TYPES: dict[str, Gamma] = {
+    'Q': quantization,
+    'N': white,
+    'B': flicker,
+    'K': random_walk,
+}
+"""Noise types without a shape: the terms of the Allan variance."""
+
+PROCESS_TYPES: dict[str, Callable[..., Gamma]] = {
+    'gauss_markov': gauss_markov,
+    'bounded_walk': bounded_walk,
+    'sinusoid': sinusoid,
+}
+"""Noise types with a shape: correlation time in samples, or frequency in cycles per sample."""
+
+
+def gamma_of(kind: str, *shape: float) -> Gamma:
+    """Return gamma(M, j) of a term or of a process with the given shape."""
+    return PROCESS_TYPES[kind](*shape) if shape else TERM_TYPES[kind]
+
+
+def unit_avar(m: ArrayLike, kind: str, *shape: float) -> Floats:
+    """Return the Allan variance of a noise type with the coefficient 1 at averaging factors m."""
+    gamma = gamma_of(kind, *shape)
+    return np.asarray(gamma(m, 0) - gamma(m, 1))
+
+
+def _square_log(t: Floats) -> Floats:
+    """Return t^2 ln|t|, 0 at 0."""
+    return np.asarray(t * t * np.log(np.where(t > 0.0, t, 1.0)))
+
+
+# --- models ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -66,7 +191,7 @@ class NoiseTerms:
         )
 
 
-def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float64]:
+def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> Floats:
     """Return the expected Allan variance of each term at the averaging factors m.
 
     The terms are 3 q/m^2, w/m, (2 ln2/pi) b, k (m/3 + 1/(6 m)) and r^2 m^2/2, with q, w, b, k, r
@@ -89,87 +214,24 @@ def term_avar(m: ArrayLike, tau0: float, terms: NoiseTerms) -> NDArray[np.float6
         columns is the Allan variance of the sum of all terms.
     """
     m = np.asarray(m, float)
-    q, w, b, k, r = terms.in_sample_units(tau0)
-    one = np.ones_like(m)
-    return np.stack(
-        [
-            3.0 * q / m**2,
-            w / m,
-            FLICKER_FLOOR * b * one,
-            k * (m / 3.0 + 1.0 / (6.0 * m)),
-            r**2 * m**2 / 2.0,
-        ],
-        axis=-1,
-    )
+    *variances, ramp = terms.in_sample_units(tau0)
+    columns = [v * unit_avar(m, kind) for v, kind in zip(variances, TERM_TYPES)]
+    return np.stack([*columns, ramp**2 * m**2 / 2.0], axis=-1)
 
 
-def gauss_markov_avar(m: ArrayLike, correlation: float) -> NDArray[np.float64]:
-    """Return the Allan variance of first-order Gauss-Markov noise of unit variance.
+def gauss_markov_avar(tau: ArrayLike, time: float) -> Floats:
+    """Return the Allan variance of continuous first-order Gauss-Markov noise of unit variance.
 
-    The noise is continuous in time: (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std
-    952-2020 annex C (exponentially correlated noise). The averaging times ``m`` and the
-    ``correlation`` time T have the same unit.
+    It is (2 T/m) (1 - T/(2 m) (3 - 4 exp(-m/T) + exp(-2 m/T))), IEEE Std 952-2020 annex C
+    (exponentially correlated noise). The averaging times and the correlation time have one unit.
     """
-    x = np.asarray(m, float) / correlation
-    return np.asarray(_gauss_markov_growth(x) / x**2)
-
-
-def sampled_gauss_markov_avar(m: ArrayLike, correlation: ArrayLike) -> NDArray[np.float64]:
-    """Return the Allan variance of sampled first-order Gauss-Markov noise of unit variance.
-
-    It is (4 D(m) - D(2m)) / (2 m^2), where D(n) is the variance of the sum of n samples from
-    `gauss_markov_sums`. For T and m of many samples, it approaches `gauss_markov_avar`.
-
-    The averaging factors ``m`` and the ``correlation`` times T are in samples. The result is
-    (factors,) for a single T, and (factors, processes) for an array.
-    """
-    correlation = np.asarray(correlation, float)
-    x = np.asarray(m, float).reshape(-1, *(1,) * correlation.ndim) / correlation
-    slope, step = gauss_markov_sums(correlation)
-    step /= 2.0 * correlation**2
-    excess = slope / (2.0 * correlation) - step
-    return np.asarray((step * _gauss_markov_growth(x) + 2.0 * excess * x) / x**2)
-
-
-def _gauss_markov_growth(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return 2x - 3 + 4 exp(-x) - exp(-2x), with relative rounding errors of 1e-16/x^2."""
-    return np.asarray(2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x))
-
-
-def gauss_markov_sums(
-    correlation: ArrayLike,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return A and B of D(n) = A n - B (1 - exp(-n/T)), the variance of the sum of n samples.
-
-    The samples are those of a first-order Gauss-Markov process of unit variance, with the
-    autocovariance exp(-k/T) at a lag of k samples: A = coth(1/(2T)), B = 1 / (2 sinh(1/(2T))^2).
-    The ``correlation`` times T are in samples; A and B are (processes,).
-    """
-    half = np.atleast_1d(0.5 / np.asarray(correlation, float))
-    # A and B/T are much larger than their difference of about 1/2: a series avoids rounding errors
-    small = half < 1e-4
-    slope = np.where(small, 1.0 / half + half / 3.0, 1.0 / np.tanh(half))
-    step = np.where(small, 0.5 / half**2 - 1.0 / 6.0, 0.5 / np.sinh(np.minimum(half, 300.0)) ** 2)
-    return slope, step
-
-
-def sinusoid_avar(m: ArrayLike, frequency: ArrayLike) -> NDArray[np.float64]:
-    """Return the Allan variance of a sampled sinusoid of unit amplitude, averaged over its phase.
-
-    It is sin^4(pi f m) / (m sin(pi f))^2, which is the formula of IEEE Std 952-2020 annex C
-    (sinusoidal noise) with sums of samples instead of integrals. The ``frequency`` f is in cycles
-    per sample; it broadcasts with the averaging factors ``m``.
-    """
-    m, turn = np.asarray(m, float), np.pi * np.asarray(frequency, float)
-    return np.asarray(np.sin(turn * m) ** 4 / (m * np.sin(turn)) ** 2)
+    x = np.asarray(tau, float) / time
+    return np.asarray((2.0 * x + 4.0 * np.expm1(-x) - np.expm1(-2.0 * x)) / x**2)
 
 
 @dataclass(frozen=True)
 class ProcessModel:
     """Noise model of one axis: the five terms, Gauss-Markov processes and sinusoids.
-
-    Terms that are not in the model are 0. If the terms alone describe the Allan deviation curve of
-    a sensor, its model has no processes and sinusoids.
 
     Attributes
     ----------
@@ -180,13 +242,18 @@ class ProcessModel:
         samples, correlation time in s.
     sinusoids : tuple of (amplitude, frequency)
         Amplitude in the unit of the samples, frequency in Hz.
+    low_pass : float
+        Effect of a low-pass filter of the sensor on averages that are long compared with its
+        response: 3 ``low_pass``/tau^2 is added to the Allan variance. It has the unit of Q^2 and is
+        negative for most filters.
     """
 
     terms: NoiseTerms = field(default_factory=NoiseTerms)
     gauss_markov: tuple[tuple[float, float], ...] = ()
     sinusoids: tuple[tuple[float, float], ...] = ()
+    low_pass: float = 0.0
 
-    def avar(self, tau: ArrayLike, tau0: float = 0.0) -> NDArray[np.float64]:
+    def avar(self, tau: ArrayLike, tau0: float = 0.0) -> Floats:
         """Return the Allan variance at the averaging times ``tau``.
 
         Parameters
@@ -210,8 +277,8 @@ class ProcessModel:
         tau = np.asarray(tau, float)
         return np.asarray(sum(self.parts(tau, tau0).values(), np.zeros_like(tau)))
 
-    def parts(self, tau: ArrayLike, tau0: float = 0.0) -> dict[str, NDArray[np.float64]]:
-        """Return the Allan variance of each term and process that is not 0; their sum is `avar`.
+    def parts(self, tau: ArrayLike, tau0: float = 0.0) -> dict[str, Floats]:
+        """Return the Allan variance of each part that is not 0; their sum is `avar`.
 
         Parameters
         ----------
@@ -222,7 +289,7 @@ class ProcessModel:
         -------
         dict of name to (times,) float64 array
             Names are the letters of the terms, then 'GM' with the correlation time of a
-            Gauss-Markov process, and 'sine' with the frequency of a sinusoid.
+            Gauss-Markov process, 'sine' with the frequency of a sinusoid, and 'filter'.
 
         Examples
         --------
@@ -240,11 +307,13 @@ class ProcessModel:
             if value
         }
         for sigma, time in (each for each in self.gauss_markov if each[0]):
-            unit = sampled_gauss_markov_avar(m, time / step)
+            unit = unit_avar(m, 'gauss_markov', time / step)
             parts[f'GM {_two_digits(time)} s'] = sigma**2 * unit
         for amplitude, frequency in (each for each in self.sinusoids if each[0]):
-            unit = sinusoid_avar(m, frequency * step)
+            unit = unit_avar(m, 'sinusoid', frequency * step)
             parts[f'sine {_two_digits(frequency)} Hz'] = amplitude**2 * unit
+        if self.low_pass:
+            parts['filter'] = 3.0 * self.low_pass / tau**2
         return parts
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.allan.curve import AllanCurve, AxisCurve, allan_curve
-from ..core.allan.engine import RunningAllan
+from ..core.allan.running import RunningSums
 from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
 from ..core.filters.bias import TurnOnBias, turn_on_bias
@@ -24,7 +24,7 @@ from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel, Processes
 from ..core.fit.findings import rounding_step
 from ..core.fit.interpretation import ModelLine, Region, dominant_regions, model_line
 from ..core.fit.model import Status
-from ..core.fit.simple_methods import fit_curve
+from ..core.fit.least_squares import fit_curve
 from ..core.imu import AXES, SI_UNITS, UNITS, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import choose, expect
@@ -215,7 +215,7 @@ class AxisResult:
         >>> space.transition(0.02).shape == space.noise(0.02).shape == (space.size, space.size)
         True
         """
-        reduced = reduce_axis(self.name, self.fit, 'processes', expect_walk=True)
+        reduced = reduce_axis(self.name, self.fit, 'processes')
         return StateSpace(reduced.white, reduced.walk, reduced.gauss_markov)
 
     @property
@@ -254,7 +254,7 @@ class AxisResult:
         ``m`` are averaging factors, which are averaging times in samples. A part is a term, a
         Gauss-Markov process or a sinusoid.
         """
-        parts = self.fit.selected.parts(self._tau(m), self.tau0)
+        parts = self.fit.model.parts(self._tau(m), self.tau0)
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
@@ -263,7 +263,7 @@ class AxisResult:
         ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
         deviations in SI, (factors,).
         """
-        model = self.fit.selected.terms
+        model = self.fit.model.terms
         limits = {
             term: c.upper95
             for term, c in self.fit.noise.items()
@@ -282,12 +282,12 @@ class AxisResult:
         curve = self.curve
         if curve is None:
             return ModelLine(np.zeros(0), np.zeros(0))
-        return model_line(self.fit, self.tau0, curve.m, curve.adev, curve.ci_high)
+        return model_line(self.fit, self.tau0, curve.m)
 
     def total_adev(self, m: ArrayLike) -> NDArray[np.float64]:
         """Return the Allan deviation of the fitted model at averaging factors ``m``, in SI,
         (factors,)."""
-        total: NDArray[np.float64] = np.sqrt(self.fit.selected.avar(self._tau(m), self.tau0))
+        total: NDArray[np.float64] = np.sqrt(self.fit.model.avar(self._tau(m), self.tau0))
         return total
 
 
@@ -296,7 +296,7 @@ def axis_results(
 ) -> Iterable[tuple[str, AxisResult]]:
     """Yield the name and the result of each axis, given the sums, curve and fit of each sensor."""
     for sums, curve, model in fitted:
-        means = np.array([one.mean for one in sums.history.recordings])
+        means = np.array([one.mean for one in sums.recordings])
         for i, name in enumerate(curve.axes):
             fit = model.axes[name]
             variance = sample_variance(curve.m, curve.adev[:, i], model.tau0)
@@ -308,7 +308,7 @@ def axis_results(
                 tuple(dominant_regions(curve, name, fit)),
                 None if variance is None else math.sqrt(variance),
                 name,
-                rounding_step(sums.segments[0].phase[:, i], white) if sums.segments else None,
+                rounding_step(sums, i, white) if white else None,
                 turn_on_bias(means[:, i]) if len(means) else None,
             )
             yield name, axis
@@ -356,7 +356,7 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
     if not np.isfinite(table).all():
         bad = int(np.count_nonzero(~np.isfinite(table).all(axis=1)))
         raise AllanError(f'{bad} of {len(table)} samples are NaN or infinite: remove them')
-    engine = RunningAllan(axes=tuple(f'column {i}' for i in range(table.shape[1])))
+    engine = RunningSums(axes=tuple(f'column {i}' for i in range(table.shape[1])))
     if len(table):
         engine.update(table, 0, round((len(table) - 1) / rate * 1e9))
     engine.end_segment()

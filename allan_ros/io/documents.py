@@ -26,7 +26,7 @@ from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError, one_line
 from ..core.fields import Fields, plain
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, Quantity, required
-from ..core.fit import TERMS, AxisFit, Coefficient, GaussMarkov, Processes, Sinusoid
+from ..core.fit import TERMS, AxisFit, Coefficient, Processes
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
@@ -38,8 +38,8 @@ from .recorded import Provenance, RecordingSums
 from .results import Results, analyze_recorded
 from .verdict import verdict_of
 
-RESULTS_SCHEMA = 'allan_ros/results/1'
-SUMS_SCHEMA = 'allan_ros/sums_file/1'
+RESULTS_SCHEMA = 'allan_ros/results/2'
+SUMS_SCHEMA = 'allan_ros/sums_file/2'
 
 RESULTS, SUMS = 'results.json', 'sums.json'
 """Names of the documents in the folder of an analysis: the results, and the sums from which they
@@ -57,7 +57,8 @@ MAX_SETTINGS = 100
 LISTED_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
 
-SIGNED = ('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'mean')
+SIGNED = ('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'mean', 'R', 'low_pass')
+# and the elements of a covariance, which is not read again
 """Keys of numbers that may be negative."""
 
 NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
@@ -154,7 +155,7 @@ def sums_file_from_document(
 
 
 @public
-def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
+def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     """Read the results of an earlier analysis.
 
     Parameters
@@ -163,7 +164,7 @@ def load(path: str | os.PathLike[str], method: str = 'gls') -> Results:
         The folder of an analysis, a results.json, or a sums.json or checkpoint, whose sums are
         fitted again. Only results with sums (all but a results.json) can be merged and saved.
     method : str
-        Method of the fit of sums: 'gls', 'relative' or 'paper', as in `analyze`.
+        Method of the fit of sums: 'likelihood', 'relative' or 'paper', as in `analyze`.
 
     Returns
     -------
@@ -345,9 +346,11 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'unit': unit['B'],
         'tau0_s': axis.tau0,
         'noise': {t: {**plain(fit.noise[t]), 'unit': unit[t]} for t in TERMS},
-        'misfit': plain(fit.misfit),
+        'model': plain(fit.model),
         'm_min': fit.m_min,
+        'filtered': fit.filtered,
         'gof_z': plain(fit.gof_z),
+        'lack_of_fit': plain(fit.lack_of_fit),
         'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
         'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
         'sample_std': plain(axis.sample_std),
@@ -355,25 +358,26 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'turn_on': plain(axis.turn_on),
         'growth': plain(axis.growth),
         'position_growth': plain(axis.position_growth),
-        'gauss_markov': plain(fit.gauss_markov),
-        'sinusoid': plain(fit.sinusoid),
         'processes': plain(fit.processes, NAMES),
         'deviation': plain(fit.deviation),
         'reading': plain(axis.regions),
     }
+    if fit.covariance is not None:
+        document['covariance'] = plain(fit.covariance)
     if curves and axis.curve is not None:
-        document['curve'] = {**plain(axis.curve), 'ci_level': CI_LEVEL}
+        model = plain(axis.model_line().adev)
+        document['curve'] = {**plain(axis.curve), 'model': model, 'ci_level': CI_LEVEL}
     return document
 
 
 def _axis_from_document(name: str, fields: Fields) -> AxisResult:
-    noise, misfit = fields.fields('noise'), fields.typed('misfit', float | None)
+    noise = fields.fields('noise')
     fit = fields.record(
         AxisFit,
         noise={term: noise.fields(term).record(Coefficient) for term in TERMS},
-        misfit=math.nan if misfit is None else misfit,
         m_min=fields.integer('m_min', least=1),
-        processes=_processes_from_document(fields),
+        processes=fields.fields('processes').record(Processes),
+        covariance=None,
     )
     return fields.record(
         AxisResult,
@@ -382,16 +386,6 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         curve=_curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
         name=name,
     )
-
-
-def _processes_from_document(fields: Fields) -> Processes:
-    """Return the fitted processes; older documents have at most one of each kind."""
-    if 'processes' not in fields:
-        process = fields.typed('gauss_markov', GaussMarkov | None)
-        line = fields.typed('sinusoid', Sinusoid | None)
-        return Processes(() if process is None else (process,), () if line is None else (line,))
-    processes: Processes = fields.fields('processes').record(Processes)
-    return processes
 
 
 def _scaled(coefficient: Coefficient, factor: float) -> float | None:

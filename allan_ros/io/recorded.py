@@ -18,7 +18,8 @@ from itertools import product
 from operator import add
 from typing import TYPE_CHECKING, Any, Protocol
 
-from ..core.allan.spectrum import SpectrumSums
+import numpy as np
+
 from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding
@@ -68,14 +69,13 @@ class Provenance:
 class RecordingSums:
     """The sums of one or more recordings of one IMU, with the data for a report.
 
-    ``signals``, ``spectra`` and ``temperatures`` are empty unless they were requested.
+    ``signals`` and ``temperatures`` are empty unless they were requested.
     """
 
     name: str  # path of the first recording
     sums: tuple[AllanSums, ...]  # one for all axes, or one per sensor if the rates differ
     provenance: Provenance = field(default_factory=Provenance)
     signals: tuple[SignalEnvelope, ...] = ()  # one per recording
-    spectra: tuple[SpectrumSums, ...] = ()  # one per element of sums
     temperatures: tuple[TemperatureTrace | None, ...] = ()  # one per recording
     judged: tuple[DatasheetComparison, ...] = ()  # comparisons with datasheets that were read
 
@@ -93,13 +93,11 @@ class RecordingSums:
                 f'{other.name} contains samples of an earlier recording: give each '
                 'recording once, because samples must not count twice'
             )
-        same_spectra = len(self.spectra) == len(other.spectra)
         return RecordingSums(
             self.name,
             sums,
             self.provenance + other.provenance,
             self.signals + other.signals,
-            tuple(a + b for a, b in zip(self.spectra, other.spectra)) if same_spectra else (),
             self.temperatures + other.temperatures,
             self.judged + other.judged,
         )
@@ -113,7 +111,7 @@ class RecordingSums:
 class ReadJob:
     """The path and the settings to read one recording; it can be sent to another process.
 
-    ``with_context`` requests the data for a report: signal, spectrum and temperature.
+    ``with_context`` requests the data for a report: signal and temperature.
     """
 
     path: str
@@ -139,7 +137,7 @@ def read_recording(
     with the number of samples of each batch. Raises AllanError when there is no static data.
     """
     recording = job.open() if recording is None else recording
-    stream = ImuStream(job.segmenter, job.hardware_id, job.with_context)
+    stream = ImuStream(job.segmenter, job.hardware_id)
     signal = SignalEnvelope()
     for batch in recording.batches():
         stream.update(batch)
@@ -165,7 +163,7 @@ def read_recording(
     if not job.with_context:
         return RecordingSums(job.path, known.sums, provenance)
     temperature = recording.temperature(known.sums[0].identity.frame_id)
-    return RecordingSums(job.path, known.sums, provenance, (signal,), known.spectra, (temperature,))
+    return RecordingSums(job.path, known.sums, provenance, (signal,), (temperature,))
 
 
 def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
@@ -182,10 +180,10 @@ def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
     """Return whether both contain the same segment, judged by its sums: noise never repeats."""
     return any(
-        one.order == other.order and (one.phase == other.phase).all()
-        for one in a.segments
-        for other in b.segments
-        if one.samples > 1
+        (one.samples, one.start_ns) == (other.samples, other.start_ns)
+        and bool(np.array_equal(x.reference, y.reference))
+        for x, y in product(a.recordings, b.recordings)
+        for one, other in product(x.means, y.means)
     )
 
 
@@ -276,5 +274,5 @@ def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
 
 
 def _start_ns(recorded: RecordingSums) -> tuple[int, int]:
-    starts = [segment.start_ns for s in recorded.sums for segment in s.segments]
+    starts = [period.begin_ns for s in recorded.sums for period in s.periods]
     return min(starts, default=0), sum(s.samples for s in recorded.sums)

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..core.allan.spectrum import spectrum_of
+from ..core.allan.spectra import noise_density
 from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.findings import finding
@@ -96,11 +96,7 @@ def write_result_files(
         recorded.signals, known.segments, SIGNAL_BINS, known.counts.cuts, recorded.temperatures
     )
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
-    densities = (
-        spectrum_of(of, s.tau0)
-        for of, s in zip(recorded.spectra, recorded.sums)
-        if s.tau0 is not None
-    )
+    densities = (noise_density(s) for s in recorded.sums)
     drawn: dict[str, bytes] = {}
     if plots:
         from .plots import figure_files  # imports matplotlib

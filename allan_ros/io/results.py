@@ -49,7 +49,7 @@ class Results:
     identity : ImuIdentity
         The frame_id and the serial number of the IMU.
     method : str
-        Method of the fit: 'gls', 'relative' or 'paper'.
+        Method of the fit: 'likelihood', 'relative' or 'paper'.
     tau0, duration_s : float
         Sample period, and total time of all used samples, in s. If gyro and accelerometer have
         different rates, these are of the sensor with more samples.
@@ -411,7 +411,7 @@ class Results:
         return replace(self, datasheet=comparison, margin=margin, findings=(*others, *found))
 
 
-def analyze_recorded(recorded: RecordingSums, method: str = 'gls') -> Results:
+def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Results:
     """Fit the Allan variance sums of one IMU, and return the results.
 
     A warm-up at the start is excluded, unless the settings of the recordings state a time to skip.
@@ -460,7 +460,7 @@ def with_earlier_datasheet(results: Results) -> Results:
     return results
 
 
-def analyze_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'gls') -> Results:
+def analyze_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'likelihood') -> Results:
     """Fit sums that are in memory, for example those of a running node, and return the results.
 
     ``sums`` has one item with all axes, or one item for each sensor if their rates differ. Raises

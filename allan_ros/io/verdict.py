@@ -247,7 +247,7 @@ def _resolved_terms(results: Results) -> Iterator[str]:
     if not measured(results):
         return
     if not any(c.ci95 for axis in axes.values() for c in axis.fit.noise.values()):
-        yield f'Method {results.method} gives no intervals; gls shows which terms are resolved.'
+        yield f'Method {results.method} gives no intervals; likelihood shows which terms are resolved.'
         return
     counts = {
         term: sum(axis.fit.noise[term].status == 'estimated' for axis in axes.values())
@@ -269,9 +269,9 @@ def _warnings(results: Results, units: str) -> Iterator[str]:
 def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
     """Return the recommended length of a recording in s and the terms that it resolves.
 
-    None if the present length suffices, or the method is not 'gls'.
+    None if the present length suffices, or the method is not 'likelihood'.
     """
-    if results.method != 'gls':
+    if results.method != 'likelihood':
         return None
     longest = max((s.duration_s for s in results.provenance.segments), default=0.0)
     limits: dict[str, dict[str, float]] = {}

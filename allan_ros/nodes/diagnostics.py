@@ -12,7 +12,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from ..core.allan.parts import RecentNoise
+from ..core.allan.recent import RecentNoise
 from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison, Difference
 from ..core.errors import one_line
@@ -212,7 +212,6 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
         for term in TERMS:
             pairs += _limit_pairs(term, noise[term], shown_unit(view.axis, term, 'deg/h'))
         pairs += [
-            ('misfit', view.result.fit.misfit),
             ('fit method', view.method),
             ('fit age [s]', view.fit_age_s),
             ('next coefficient', next_term or None),
@@ -337,11 +336,11 @@ def _summary(view: AxisView, static_s: float, next_term: str) -> str:
 
 def _next_term(view: AxisView) -> str:
     """Return text such as 'B and K need 2 h at rest'; '' if all relevant terms are resolved."""
-    if view.result is None or view.method != 'gls':
+    if view.result is None or view.method != 'likelihood':
         return ''  # the prediction is valid only for that fit
     limits = {c.term: c.limit for c in view.comparisons if c.tau is None}
-    segments = view.sums.segments if view.sums else ()
-    longest = max((s.samples for s in segments), default=0) * view.result.tau0
+    recordings = view.sums.recordings if view.sums else ()
+    longest = max((m.samples for r in recordings for m in r.means), default=0) * view.result.tau0
     advice = recommended_duration(view.result.fit, longest, limits)
     if advice is None:
         return ''

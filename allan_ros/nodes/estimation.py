@@ -17,12 +17,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from ..core.allan.parts import RecentNoise, recent_noise
+from ..core.allan.recent import RecentNoise, recent_noise
 from ..core.allan.sums import AllanSums
 from ..core.compare import Comparison, Difference, Measured, differences
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
-from ..core.fit import clear_cache
 from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.transport import faults_of
 from ..io.checkpoint import Total
@@ -307,8 +306,5 @@ def _kinds(faults: tuple[Finding, ...]) -> set[tuple[str, tuple[str, ...]]]:
 def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
     """Return the results of a fit, and its CPU time in s."""
     began = time.thread_time()
-    try:
-        results = analyze_sums(*total, method)
-    finally:
-        clear_cache()  # the next fit has longer segments and needs other tables
+    results = analyze_sums(*total, method)
     return results, time.thread_time() - began

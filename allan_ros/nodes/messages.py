@@ -16,7 +16,8 @@ from geometry_msgs.msg import TwistWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import CompressedImage
 
-from ..core.allan.sums import KEPT_SEGMENTS, AllanSums
+from ..core.allan.periods import KEPT_SEGMENTS
+from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
 from ..core.fields import Fields, plain
 from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
@@ -136,7 +137,7 @@ def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> f
 def _lost(old: AllanSums, new: AllanSums) -> int:
     """Return the number of samples of the old sums that are missing in the new sums."""
     present = _samples_by_start(new)
-    shortest = min(present.values()) if len(new.segments) >= KEPT_SEGMENTS else 0
+    shortest = min(present.values()) if len(present) >= KEPT_SEGMENTS else 0
     lost = sum(
         samples - min(samples, present[start])
         for start, samples in _samples_by_start(old).items()
@@ -148,7 +149,7 @@ def _lost(old: AllanSums, new: AllanSums) -> int:
 def _samples_by_start(sums: AllanSums) -> Counter[int]:
     """Return the number of samples of each listed segment, by the stamp of its start in ns."""
     found: Counter[int] = Counter()
-    for segment in sums.segments:
+    for segment in (m for r in sums.recordings for m in r.means):
         found[segment.start_ns] += segment.samples
     return found
 

@@ -123,7 +123,7 @@ def test_extra_terms_are_kept(small_results: Results) -> None:
     again = results_from_document(document).axes['accel_y'].fit
     assert again.processes == fit.processes
     assert again.deviation == fit.deviation
-    assert again.selected == fit.selected
+    assert again.model == fit.model
     del document['axes']['accel_y']['processes']  # as written by earlier versions
     earlier = results_from_document(document).axes['accel_y'].fit.processes
     assert earlier == Processes(fit.processes.gauss_markov[:1], fit.processes.sinusoid)

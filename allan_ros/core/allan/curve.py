@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..deferred import special
 from ..errors import AllanError
-from .sums import AllanSums, counts
+from .grid import counts
+from .sums import AllanSums
 
 Floats = NDArray[np.float64]
 

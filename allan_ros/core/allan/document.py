@@ -9,10 +9,7 @@ may be damaged, the reader checks all lengths and bounds, and that the fields ar
 from __future__ import annotations
 
 import base64
-import dataclasses
-import math
 import zlib
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -20,47 +17,36 @@ from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..fields import MAX_INTEGER, Fields
-from ..imu import AXES, MAX_NAME, ImuIdentity
-from .engine import PHASE_POINTS
-from .history import (
-    CELLS,
-    FIRST_EDGE,
-    KEPT_RECORDINGS,
-    AgeBin,
-    History,
-    Recording,
-    add_padded,
-    age_bin,
-    edge_age,
-    round_to_stored,
-)
-from .sums import (
-    FIRST_FACTORS,
+from ..imu import AXES, LARGEST, MAX_NAME, ImuIdentity
+from .grid import FIRST_FACTORS, LEVEL_FACTORS, MAX_LEVELS
+from .sums import LONGEST_FILLED, AllanSums, length_class
+from .octaves import SAMPLE_OCTAVES, bins_up_to, octave
+from .periods import (
     KEPT_SEGMENTS,
-    LEVEL_FACTORS,
-    LONGEST_FILLED,
-    MAX_LEVELS,
-    AllanSums,
-    LengthClass,
-    SegmentRecord,
-    counts,
-    grid_for,
+    MAX_MEANS,
+    MAX_PERIODS,
+    MEAN_BYTES,
+    SUM_BYTES,
+    BlockMeans,
+    Period,
+    Recording,
+    totals,
 )
 
-SUMS_SCHEMA = 'allan_ros/sums/1'
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SUMS_SCHEMA = 'allan_ros/sums/2'
 """Name and version of the document format; the reader rejects any other."""
 
 MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
 """Largest accepted number of averaging factors; more would require centuries of samples."""
 
+MAX_OCTAVES = SAMPLE_OCTAVES + MAX_LEVELS
+"""Largest accepted number of octaves."""
+
 MAX_CLASSES = 500
 """Largest accepted number of length classes; class 500 has segments of 1.1^500 = 5e20 samples."""
-
-MAX_BINS = 120
-"""Largest accepted number of bins by age; the last of them begins at 2^66 samples."""
-
-MAX_PERIODS = 1024
-"""Largest accepted number of periods; a recording of 2^60 samples has about 300."""
 
 MAX_SUM = 1e80
 """Largest accepted sum of squares. A fit uses its fourth power, which must not overflow."""
@@ -68,9 +54,9 @@ MAX_SUM = 1e80
 MAX_PERIOD_NS = 10**13
 """Longest accepted sample period in ns, nearly three hours."""
 
-HISTORY_TOLERANCE = 1e-4
-"""Largest relative difference between the total of the sums by age and the sums of the recording;
-the sums by age are rounded to 16 significant bits."""
+PERIOD_TOLERANCE = 1e-4
+"""Largest relative difference between the total of the periods and the sums of the recordings; the
+sums of periods are rounded to 21 significant bits at each addition."""
 
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
@@ -84,91 +70,87 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
         'elapsed_ns': int(sums.elapsed_ns),
         'intervals': int(sums.intervals),
         **{key: getattr(sums, key).tolist() for key in tables},
-        'segments': [_plain(s) for s in sums.segments],
-        'classes': [_plain(c) for c in sums.classes],
+        'lengths': [list(pair) for pair in sums.lengths],
         **({'filled': sums.filled.tolist()} if len(sums.filled) else {}),
-        **({'history': _history_to_document(sums.history)} if sums.history.recordings else {}),
+        'recordings': [_recording_to_document(r) for r in sums.recordings],
     }
 
 
-def _plain(values: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass (integers and arrays) as integers and lists."""
-    found = {f.name: getattr(values, f.name) for f in dataclasses.fields(values)}
-    return {k: v.tolist() if isinstance(v, np.ndarray) else int(v) for k, v in found.items()}
+def _recording_to_document(recording: Recording) -> dict[str, Any]:
+    """Return a recording; the arrays of all periods are joined, which compresses better."""
+    periods = recording.periods
 
+    def joined(key: str, size: int) -> str:
+        return _packed(np.concatenate([getattr(p, key) for p in periods]), size)
 
-def _history_to_document(history: History) -> dict[str, Any]:
     return {
-        'first_age': edge_age(history.first),
-        'recording_count': history.recording_count,
-        'bins': [
+        'age': periods[0].begin,
+        'reference': recording.reference.tolist(),
+        'samples': [p.samples for p in periods],
+        'begin_ns': [p.begin_ns for p in periods],
+        'interpolated': [p.interpolated for p in periods],
+        'total': [p.total.tolist() for p in periods],
+        'factors': [len(p.count) for p in periods],
+        'octaves': [len(p.blocks) for p in periods],
+        **{key: joined(key, 8) for key in ('count', 'blocks', 'pairs')},
+        **{key: joined(key, SUM_BYTES) for key in ('sum_sq', 'power')},
+        'means': [
             {
-                'age': edge_age(b.index),
-                'count': _packed(b.count),
-                'sum_sq': _packed(b.sum_sq),
-                **({'pooled': [list(p) for p in b.pooled]} if b.pooled else {}),
-                **({'ramp_correction': b.ramp.tolist()} if len(b.ramp) else {}),
+                'age': m.age,
+                'start_ns': m.start_ns,
+                'samples': m.samples,
+                'step': m.step,
+                'values': _packed(m.values, MEAN_BYTES),
             }
-            for b in history.bins
-        ],
-        'recordings': [
-            _plain(r) | {key: _packed(getattr(r, key)) for key in PACKED}
-            for r in history.recordings
+            for m in recording.means
         ],
     }
 
 
-PACKED = ('cell_samples', 'cell_means', 'period_begin', 'level_count', 'level_sum_sq')
-"""Arrays of a `Recording` that are stored as compressed text."""
+def _packed(values: NDArray[Any], size: int) -> str:
+    """Return an array as 'z<size>:' and its zlib-compressed bytes in base64.
 
-
-def _packed(values: NDArray[Any]) -> str:
-    """Return an array as 'z4:' (floats) or 'z8:' (integers) and its zlib-compressed base64 bytes.
-
-    The digit is the number of bytes per number. Of the little-endian float64, only the upper 4
-    bytes are stored: `round_to_stored` sets the others to 0. The bytes are transposed: first byte 0
-    of all numbers, then byte 1, and so on, which compresses better.
+    ``size`` is the number of bytes per number: 8 for int64, 4 or 5 for the upper bytes of a
+    little-endian float64, of which the others are 0 (`rounded`). The bytes are transposed: first
+    byte 0 of all numbers, then byte 1, and so on, which compresses better.
     """
-    kind, size = ('<f8', 4) if values.dtype.kind == 'f' else ('<i8', 8)
+    kind = '<f8' if values.dtype.kind == 'f' else '<i8'
     data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)[:, 8 - size :]
     return f'z{size}:' + base64.b64encode(zlib.compress(data.T.tobytes(), 9)).decode('ascii')
 
 
-def _unpacked(fields: Fields, key: str, kind: str, most: int) -> NDArray[Any]:
-    """Return the array from a text of `_packed`, up to ``most`` numbers; kind is 'z4' or 'z8'."""
-    where, size = f'{fields.where}.{key}', int(kind[1])
-    text = fields.text(key, longest=12 * most + 100)
-    if not text.startswith(f'{kind}:'):
-        raise AllanError(f'{where} begins with {text[:3]!r}: {kind!r} is expected')
+def _unpacked(fields: Fields, key: str, size: int, number: int) -> NDArray[Any]:
+    """Return the ``number`` numbers in a text of `_packed`: float64, or int64 if size is 8."""
+    where = f'{fields.where}.{key}'
+    text = fields.text(key, longest=12 * number + 100)
+    if not text.startswith(f'z{size}:'):
+        raise AllanError(f'{where} begins with {text[:3]!r}: {f"z{size}:"!r} is expected')
     try:
         data = base64.b64decode(text[3:], validate=True)
         stream = zlib.decompressobj()
-        planes = np.frombuffer(stream.decompress(data, size * most + 1), np.uint8)
-        full = np.zeros((len(planes) // size, 8), np.uint8)
-        full[:, 8 - size :] = planes.reshape(size, -1).T
+        planes = np.frombuffer(stream.decompress(data, size * number + 1), np.uint8)
     except (ValueError, zlib.error) as error:
         raise AllanError(f'{where} cannot be unpacked: {error!r}') from error
-    if not stream.eof:
-        raise AllanError(f'{where} is truncated, or has more than {most} numbers')
-    return full.view('<f8' if kind == 'z4' else '<i8').ravel()
+    if not stream.eof or len(planes) != size * number:
+        raise AllanError(f'{where} does not have the expected {number} numbers')
+    full = np.zeros((number, 8), np.uint8)
+    full[:, 8 - size :] = planes.reshape(size, number).T
+    return full.view('<i8' if size == 8 else '<f8').reshape(number)
 
 
 def _packed_floats(
-    fields: Fields, key: str, shape: tuple[int, ...], least: float = -MAX_SUM
-) -> NDArray[np.float64]:
-    values = _unpacked(fields, key, 'z4', math.prod(shape)).astype(float)
-    if values.size != math.prod(shape):
-        raise AllanError(f'{fields.where}.{key} has {values.size} numbers: {shape} are expected')
-    if not np.all((least <= values) & (values <= MAX_SUM)):  # this also excludes NaN
-        raise AllanError(
-            f'{fields.where}.{key}: numbers from {least:g} to {MAX_SUM:g} are expected'
-        )
-    return round_to_stored(values).reshape(shape)
+    fields: Fields, key: str, size: int, rows: int, columns: int, least: float, most: float
+) -> Floats:
+    """Return a packed table, (rows, columns), of numbers from ``least`` to ``most``."""
+    values = _unpacked(fields, key, size, rows * columns).astype(float)
+    if not np.all((least <= values) & (values <= most)):  # this also excludes NaN
+        raise AllanError(f'{fields.where}.{key}: numbers from {least:g} to {most:g} are expected')
+    return values.reshape(rows, columns)
 
 
-def _packed_counts(fields: Fields, key: str, most: int) -> NDArray[np.int64]:
-    values = _unpacked(fields, key, 'z8', most).astype(np.int64)
-    if np.any((values < 0) | (values >= MAX_INTEGER)):
+def _packed_counts(fields: Fields, key: str, number: int) -> Ints:
+    values = _unpacked(fields, key, 8, number).astype(np.int64)
+    if np.any((values < 0) | (values >= MAX_INTEGER // MAX_PERIODS)):
         raise AllanError(f'{fields.where}.{key}: whole numbers of 0 or above are expected')
     return values
 
@@ -189,31 +171,37 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
         raise AllanError(
             f'{where}.axes is {axes!r:.80}: some of {", ".join(AXES)} are expected, in order'
         )
-    n = len(top.sequence('count', MAX_FACTORS))
-    width = len(axes)
+    n, width = len(top.sequence('count', MAX_FACTORS)), len(axes)
+    lengths = [_whole(pair, 2, f'{where}.lengths') for pair in top.sequence('lengths', MAX_CLASSES)]
     sums = AllanSums(
         ImuIdentity(*(top.text(key, longest=MAX_NAME) for key in ('frame_id', 'hardware_id'))),
         axes,
         top.integers('count', n),
-        _table(top, 'sum_sq', n, width, 0.0),
+        _table(top, 'sum_sq', n, width),
         top.integers('group_count', n),
-        _table(top, 'group_sum_sq', n, width, 0.0),
-        tuple(_segment(f, width, n) for f in top.each('segments', KEPT_SEGMENTS)),
-        tuple(_length_class(f, width, n) for f in top.each('classes', MAX_CLASSES)),
+        _table(top, 'group_sum_sq', n, width),
         top.integer('elapsed_ns', least=0),
         top.integer('intervals', least=0),
-        _history(top.fields('history'), width, n) if 'history' in top else History(),
+        tuple(_recording(f, width, n) for f in top.each('recordings', MAX_PERIODS)),
+        tuple((samples, number) for samples, number in lengths),
         _filled(top, width) if 'filled' in top else np.zeros((0, 0), np.int64),
     )
     if not np.array_equal(top.integers('m', n), sums.m):
         raise AllanError(f'{where}.m is not the grid of this version: accumulate the data again')
-    _check_consistency(sums, where)
+    _check_lengths(sums, where)
+    _check_recordings(sums, where)
     return sums
 
 
-def _check_consistency(sums: AllanSums, where: str) -> None:
-    """Raise `AllanError` if fields of the sums contradict each other; the message names one."""
-    if sums.intervals != sums.samples - sums.segment_count:
+def _check_lengths(sums: AllanSums, where: str) -> None:
+    """Raise `AllanError` if the lengths of the segments contradict each other or the counts."""
+    for samples, number in sums.lengths:
+        if not 1 <= number <= samples < MAX_INTEGER:
+            raise AllanError(f'{where}.lengths: {samples} samples in {number} segments')
+    classes = [length_class(samples / number) for samples, number in sums.lengths]
+    if classes != sorted(set(classes)):
+        raise AllanError(f'{where}.lengths: the lengths are expected to increase by classes')
+    if sums.samples >= MAX_INTEGER or sums.intervals != sums.samples - sums.segment_count:
         raise AllanError(
             f'{where}.intervals is {sums.intervals}: {sums.samples} samples in '
             f'{sums.segment_count} segments have {sums.samples - sums.segment_count}'
@@ -227,40 +215,38 @@ def _check_consistency(sums: AllanSums, where: str) -> None:
     lengths = np.arange(1, len(sums.filled) + 1)
     if np.any(lengths @ sums.filled > sums.samples):
         raise AllanError(f'{where}.filled has more samples than the segments: the file is damaged')
-    m, stride, none = sums.m, sums.stride, np.zeros_like(sums.count)
-    pooled = sums.count - sum((counts(s.samples, m, stride) for s in sums.segments), none)
-    most = sum((c.samples // stride + c.count for c in sums.classes), none)
-    if np.any(pooled < 0) or np.any(pooled > most):
+    most = sums.samples // sums.stride + sums.segment_count
+    if np.any(sums.count > most) or np.any(sums.group_count > sums.count):
+        raise AllanError(f'{where}.count differs from the lengths: the file is damaged')
+
+
+def _check_recordings(sums: AllanSums, where: str) -> None:
+    """Raise `AllanError` if the periods do not add up to the sums."""
+    periods, means = sums.periods, [m for r in sums.recordings for m in r.means]
+    if len(periods) > MAX_PERIODS or len({m.step for m in means}) > 1:
+        raise AllanError(f'{where}.recordings: too many periods, or different steps of the means')
+    if len(means) > KEPT_SEGMENTS or sum(len(m.values) for m in means) > MAX_MEANS:
+        raise AllanError(f'{where}.recordings: too many means')
+    if sum(p.samples for p in periods) != sums.samples:
+        raise AllanError(f'{where}.recordings: the samples do not add up: the file is damaged')
+    count = totals([np.zeros_like(sums.count), *(p.count for p in periods)])
+    total = totals([np.zeros_like(sums.sum_sq), *(p.sum_sq for p in periods)])
+    near = np.abs(total - sums.sum_sq) <= PERIOD_TOLERANCE * sums.sum_sq
+    if not np.array_equal(count, sums.count) or not near.all():
+        raise AllanError(f'{where}.recordings: the periods do not add up: the file is damaged')
+
+
+def _table(fields: Fields, key: str, rows: int, columns: int) -> Floats:
+    """Return a table of numbers from 0 to `MAX_SUM`."""
+    values = fields.table(key, rows, columns, least=0.0)
+    if np.any(values > MAX_SUM):
         raise AllanError(
-            f'{where}.count differs from the segments and length classes: the file is damaged'
+            f'{fields.where}.{key} is above {MAX_SUM:g}: too large for samples of an IMU'
         )
-    if np.any(sums.group_count > sums.count):
-        raise AllanError(f'{where}.group_count exceeds count: the file is damaged')
-    bins = sums.history.bins
-    if bins:
-        number = reduce(add_padded, (b.count for b in bins), none)
-        total = reduce(add_padded, (b.sum_sq for b in bins), np.zeros_like(sums.sum_sq))
-        near = np.abs(total - sums.sum_sq) <= HISTORY_TOLERANCE * sums.sum_sq
-        if not np.array_equal(number, sums.count) or not near.all():
-            raise AllanError(f'{where}.history does not add up to the sums: the file is damaged')
-
-
-def _table(
-    fields: Fields,
-    key: str,
-    rows: int,
-    columns: int,
-    least: float = -MAX_SUM,
-    most: float = MAX_SUM,
-) -> NDArray[np.float64]:
-    """Return the table of a field; its numbers must be from ``least`` to ``most``."""
-    values = fields.table(key, rows, columns, least=max(least, -most))
-    if np.any(values > most):
-        raise AllanError(f'{fields.where}.{key} is above {most:g}: too large for samples of an IMU')
     return values
 
 
-def _filled(fields: Fields, axes: int) -> NDArray[np.int64]:
+def _filled(fields: Fields, axes: int) -> Ints:
     """Return the number of interpolated gaps of each length, (lengths, axes)."""
     rows = len(fields.sequence('filled', LONGEST_FILLED))
     values = fields.table('filled', rows, axes, least=0.0)
@@ -269,103 +255,77 @@ def _filled(fields: Fields, axes: int) -> NDArray[np.int64]:
     return values.astype(np.int64)
 
 
-def _power_of_two(fields: Fields, key: str) -> int:
-    value = fields.integer(key, least=1)
-    if value & (value - 1):
-        raise AllanError(f'{fields.where}.{key} is {value}: a power of two is expected')
-    return value
+def _whole(values: object, number: int, where: str) -> list[int]:
+    """Return a list of ``number`` whole numbers of 0 or above."""
+    found = values if isinstance(values, list) else []
+    if len(found) != number or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in found):
+        raise AllanError(f'{where}: {number} whole numbers, 0 or above, are expected')
+    return found
 
 
-def _segment(fields: Fields, axes: int, factors: int) -> SegmentRecord:
-    step, samples = _power_of_two(fields, 'phase_step'), fields.integer('samples', least=1)
-    signed = len(grid_for(samples)[0])
-    if signed > factors or samples // step >= PHASE_POINTS:
-        raise AllanError(
-            f'{fields.where}.samples is {samples}: too many for {factors} factors or for phase '
-            f'points {step} samples apart'
-        )
-    return SegmentRecord(
-        fields.integer('start_ns'),
-        samples,
-        _table(fields, 'signed', signed, axes, most=MAX_SUM**0.5),
-        _table(fields, 'phase', samples // step + 1, axes, most=MAX_SUM**0.5),
-        step,
-        fields.integer('age', 0, least=0),
+def _recording(fields: Fields, axes: int, factors: int) -> Recording:
+    number = len(fields.sequence('samples', MAX_PERIODS))
+    samples, of_factors, of_octaves, interpolated = (
+        fields.integers(key, number) for key in ('samples', 'factors', 'octaves', 'interpolated')
     )
-
-
-def _length_class(fields: Fields, axes: int, factors: int) -> LengthClass:
-    rows = len(fields.sequence('ramp_correction', factors))
-    count, samples = fields.integer('count', least=1), fields.integer('samples', least=1)
-    if not count <= samples or len(grid_for(samples // count)[0]) > factors:
-        raise AllanError(
-            f'{fields.where}.samples is {samples}, in {count} segments of at most {factors} factors'
-        )
-    ramp = _table(fields, 'ramp_correction', rows, axes)
-    return LengthClass(fields.integer('index', least=0), count, samples, ramp)
-
-
-def _history(fields: Fields, axes: int, factors: int) -> History:
-    bins = tuple(_age_bin(f, axes, factors) for f in fields.each('bins', MAX_BINS))
-    if [b.index for b in bins] != sorted({b.index for b in bins}):
-        raise AllanError(f'{fields.where}.bins: the ages must increase')
-    recordings = tuple(_recording(f, axes) for f in fields.each('recordings', KEPT_RECORDINGS))
-    first = age_bin(fields.integer('first_age', least=FIRST_EDGE))
-    return History(first, bins, recordings, fields.integer('recording_count', least=1))
-
-
-def _age_bin(fields: Fields, axes: int, factors: int) -> AgeBin:
-    age = fields.integer('age', least=0)
-    if edge_age(age_bin(age)) != age:
-        raise AllanError(f'{fields.where}.age is {age}: not an edge between two bins')
-    count = _packed_counts(fields, 'count', factors)
-    pooled = fields.sequence('pooled', MAX_CLASSES) if 'pooled' in fields else []
-    for each in pooled:
-        if (
-            not isinstance(each, list)
-            or len(each) != 3
-            or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in each)
-        ):
-            raise AllanError(f'{fields.where}.pooled: each entry must be three whole numbers')
-    ramp = np.zeros((0, axes))
-    if 'ramp_correction' in fields:
-        rows = len(fields.sequence('ramp_correction', factors))
-        ramp = _table(fields, 'ramp_correction', rows, axes)
-    return AgeBin(
-        age_bin(age),
-        count,
-        _packed_floats(fields, 'sum_sq', (len(count), axes), 0.0),
-        tuple((each[0], each[1], each[2]) for each in pooled),
-        ramp,
-    )
-
-
-def _recording(fields: Fields, axes: int) -> Recording:
-    step = _power_of_two(fields, 'step')
-    samples = fields.integer('samples', least=1)
-    length = fields.integer('length', least=samples)
-    number = _packed_counts(fields, 'cell_samples', CELLS)
-    cells = len(number)
-    begins = _packed_counts(fields, 'period_begin', MAX_PERIODS)
-    count = _packed_counts(fields, 'level_count', MAX_PERIODS * MAX_LEVELS)
-    levels = len(count) // max(len(begins), 1)
-    if levels * len(begins) != len(count):
-        raise AllanError(f'{fields.where}.level_count: {len(begins)} rows are expected')
-    if levels > MAX_LEVELS or np.any(np.diff(begins, append=length + 1) <= 0):
-        raise AllanError(f'{fields.where}: the periods do not fit the length of {length}')
-    if len(fields.sequence('reference', axes)) != axes:
+    age, begin_ns = fields.integer('age', least=0), fields.sequence('begin_ns', number)
+    if not number or np.any((samples < 1) | (interpolated > samples)):
+        raise AllanError(f'{fields.where}.samples: at least one in each period is expected')
+    if len(begin_ns) != number or not all(
+        type(ns) is int and abs(ns) < MAX_INTEGER for ns in begin_ns
+    ):
+        raise AllanError(f'{fields.where}.begin_ns: {number} whole numbers are expected')
+    if age + sum(samples.tolist()) >= MAX_INTEGER:
+        raise AllanError(f'{fields.where}.samples are too many')
+    if np.any(of_factors > factors) or np.any(of_octaves > MAX_OCTAVES):
+        raise AllanError(f'{fields.where}: too many factors or octaves')
+    total = fields.table('total', number, axes)
+    reference = fields.numbers('reference')
+    if len(reference) != axes or not np.all(np.abs(reference) <= LARGEST):
         raise AllanError(f'{fields.where}.reference: {axes} numbers are expected')
-    if np.any(number > step) or cells * step > length + step:
-        raise AllanError(f'{fields.where}: the cells do not fit the length of {length}')
-    return Recording(
-        fields.integer('start_ns'),
-        length,
-        samples,
-        step,
-        number,
-        _packed_floats(fields, 'cell_means', (cells, axes)),
-        fields.numbers('reference'),
-        begins,
-        count.reshape(len(begins), levels),
-        _packed_floats(fields, 'level_sum_sq', (len(begins), levels, axes), 0.0),
+    if np.any(np.abs(total) > 2.0 * LARGEST * samples[:, None]):
+        raise AllanError(f'{fields.where}.total is too large for the samples')
+    rows, octaves = int(of_factors.sum()), int(of_octaves.sum())
+    of_bins = np.array([bins_up_to(n) for n in of_octaves.tolist()], int)
+    split = [np.cumsum(n)[:-1] for n in (of_factors, of_octaves, of_bins)]
+    blocks, pairs = (_packed_counts(fields, key, octaves) for key in ('blocks', 'pairs'))
+
+    def squares(key: str, number: int) -> Floats:
+        return _packed_floats(fields, key, SUM_BYTES, number, axes, 0.0, MAX_SUM)
+
+    columns = zip(
+        (age + np.cumsum(samples) - samples).tolist(),
+        samples.tolist(),
+        begin_ns,
+        np.split(_packed_counts(fields, 'count', rows), split[0]),
+        np.split(squares('sum_sq', rows), split[0]),
+        np.split(blocks, split[1]),
+        np.split(pairs, split[1]),
+        np.split(squares('power', int(of_bins.sum())), split[2]),
+        total,
+        interpolated.tolist(),
     )
+    periods = tuple(Period(*column) for column in columns)
+    _check_blocks(periods, fields.where)
+    means = tuple(_means(f, axes, periods) for f in fields.each('means', KEPT_SEGMENTS))
+    return Recording(periods, means, reference)
+
+
+def _check_blocks(periods: tuple[Period, ...], where: str) -> None:
+    """Raise `AllanError` if there are more spectral blocks than the samples can have."""
+    blocks, pairs = (totals(getattr(p, key) for p in periods) for key in ('blocks', 'pairs'))
+    for o, number in enumerate(blocks.tolist()):
+        if number * octave(o).length // 2 > periods[-1].end or pairs[o] > number:
+            raise AllanError(f'{where}.blocks: too many for the samples')
+
+
+def _means(fields: Fields, axes: int, periods: tuple[Period, ...]) -> BlockMeans:
+    step, samples = fields.integer('step', least=1), fields.integer('samples', least=1)
+    age = fields.integer('age', least=periods[0].begin)
+    if step & (step - 1):
+        raise AllanError(f'{fields.where}.step is {step}: a power of two is expected')
+    if age + samples > periods[-1].end or samples // step > MAX_MEANS:
+        raise AllanError(f'{fields.where}.samples is {samples}: too many')
+    limit = 2.0 * LARGEST
+    values = _packed_floats(fields, 'values', MEAN_BYTES, samples // step, axes, -limit, limit)
+    return BlockMeans(age, fields.integer('start_ns'), samples, step, values)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .cascade import level_of
 from .grid import grid
-from .new_sums import AllanSums, Lengths, add_lengths
+from .sums import AllanSums, Lengths, add_lengths
 from .octaves import SAMPLE_OCTAVES
 from .periods import MIN_MEANS, BlockMeans, Recording, add_padded, nonzero_length
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..imu import AXES, ImuIdentity
 from .cascade import BLOCK, Block, Cascade, LevelSums
-from .new_sums import AllanSums, Lengths, add_lengths
+from .sums import AllanSums, Lengths, add_lengths
 from .periods import (
     MAX_PERIODS,
     MEAN_BYTES,

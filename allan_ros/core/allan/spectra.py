@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .curve import chi_squared_limits
-from .new_sums import AllanSums
+from .sums import AllanSums
 from .octaves import octave, overlap
 from .periods import totals
 

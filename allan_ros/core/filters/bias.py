@@ -21,7 +21,7 @@ from ..deferred import special
 from ..errors import AllanError
 from ..fit.model import Z_95, AxisFit
 from ..noise import ProcessModel
-from .growth import drift_model, expected_model, predicted_growth
+from .growth import drift_model, predicted_growth
 from .reductions import state_space
 
 Floats = NDArray[np.float64]
@@ -99,8 +99,7 @@ class BiasModel(NamedTuple):
     def of_fit(cls, fit: AxisFit) -> BiasModel:
         """Return the model from the fit of an axis.
 
-        The processes are those of the selected model, with the expected K (see `expected_model`) if
-        K is not resolved. The standard deviation of the slope is the root sum of squares of R and
+        The standard deviation of the slope is the root sum of squares of R and
         its standard error, even if R is not resolved. Without a slope, the 95 % interval of the
         bias 10 min ahead contains only 89 to 93 % of the values of simulated sensors.
         """
@@ -112,7 +111,7 @@ class BiasModel(NamedTuple):
         else:
             error = max(limit - value, 0.0) / Z_95
         std = math.hypot(value, error)
-        return cls(expected_model(fit), std if math.isfinite(std) else 0.0)
+        return cls(fit.model, std if math.isfinite(std) else 0.0)
 
 
 class BiasFilter:

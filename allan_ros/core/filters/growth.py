@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import AllanError
-from ..fit.model import Z_95, AxisFit, Coefficient
+from ..fit.model import AxisFit
 from ..noise import NoiseTerms, ProcessModel
 
 Floats = NDArray[np.float64]
@@ -127,48 +127,13 @@ def drift_model(model: ProcessModel) -> ProcessModel:
     The integrals of both are bounded, so they do not contribute to the growth of the error.
     """
     slow = tuple(pair for pair in model.sinusoids if pair[1] <= SLOW_SINUSOID_HZ)
-    return replace(model, terms=replace(model.terms, Q=0.0), sinusoids=slow)
+    return replace(model, terms=replace(model.terms, Q=0.0), sinusoids=slow, low_pass=0.0)
 
 
 def has_drift(model: ProcessModel) -> bool:
     """Return whether B, K, R, a Gauss-Markov process or a slow sinusoid is in the model."""
     one = drift_model(model)
     return bool(one.terms.B or one.terms.K or one.terms.R or one.gauss_markov or one.sinusoids)
-
-
-UNRESOLVED_SHARE = 0.15
-"""Probability that a K that is not resolved exists; its expected variance is multiplied by it. Of
-the values 0, 15, 30, 50 and 100 %, it has the smallest worst-case error of predictions over 300 s
-(see docs/engineering/accuracy.md)."""
-
-
-def expected_model(fit: AxisFit) -> ProcessModel:
-    """Return the selected model of an axis, with an expected K if K is not resolved.
-
-    The expected K^2 is its expected value if K exists, times the probability that K exists (15 %).
-    Predictions and filters with all processes as states use this model, because without K they
-    would neglect slow drift.
-    """
-    if fit.selected.terms.K:
-        return fit.selected
-    variance = UNRESOLVED_SHARE * expected_variance(fit.noise['K'])
-    terms = replace(fit.selected.terms, K=math.sqrt(variance))
-    return replace(fit.selected, terms=terms)
-
-
-def expected_variance(coefficient: Coefficient) -> float:
-    """Return the expected square of a coefficient that is not resolved, given that it exists.
-
-    It is the mean of a normal distribution truncated at 0. The distribution is defined by the
-    estimate and the 95 % upper limit of the square.
-    """
-    mean, limit = (coefficient.value or 0.0) ** 2, coefficient.upper95 or 0.0
-    error = (limit**2 - mean) / Z_95
-    if not 0.0 < error < math.inf:
-        return mean
-    x = mean / error
-    density = math.exp(-x * x / 2.0) / math.sqrt(2.0 * math.pi)
-    return mean + error * density / (0.5 * math.erfc(-x / math.sqrt(2.0)))
 
 
 @dataclass(frozen=True)
@@ -204,12 +169,10 @@ def growth_table(
 
     ``horizons`` are these times and ``window`` the time over which the bias was averaged before, in
     s. ``integrals`` is 1 for the angle of a gyro or the velocity of an accelerometer, 2 for its
-    position. B and R are included only if they are in the selected model. A K that is not resolved
-    is included with its expected value (see `expected_model`), except if N is not resolved either.
-    For the upper end of the interval, all terms have their 95 % upper limits.
+    position. Terms that are not resolved are included with their estimates. For the upper end of the interval, all terms have their 95 % upper limits.
     """
     h = np.array(horizons)
-    model = drift_model(expected_model(fit) if fit.selected.terms.N else fit.selected)
+    model = drift_model(fit.model)
     std = predicted_growth(model, h, window, integrals)
     ends: list[tuple[float, float] | None] = [None] * len(h)
     if has_intervals(fit):
@@ -230,16 +193,16 @@ def _limit(fit: AxisFit, term: str) -> float:
 
 
 def has_intervals(fit: AxisFit) -> bool:
-    """Return whether N, B, K and R of the selected model all have a 95 % interval."""
+    """Return whether N, B, K and R of the model all have a 95 % interval."""
     return all(_interval(fit, term) is not None for term in 'NBKR')
 
 
 def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
-    """Return the 95 % interval of a term of the selected model, or None if it is unknown.
+    """Return the 95 % interval of a term of the model, or None if it is unknown.
 
     It is (0, 0) for a term that is not in the model, and begins at 0 for a term with only a limit.
     """
-    if not getattr(fit.selected.terms, term):
+    if not getattr(fit.model.terms, term):
         return 0.0, 0.0
     ci95, limit = fit.noise[term].ci95, _limit(fit, term)
     if ci95 is not None:
@@ -248,12 +211,12 @@ def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
 
 
 def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
-    """Return the selected model at the lower and at the upper ends of all 95 % intervals.
+    """Return the model at the lower and at the upper ends of all 95 % intervals.
 
     A coefficient without an interval keeps its value. Q is 0, and the ramp R is replaced by its
     magnitude. Correlation times and sinusoids are unchanged.
     """
-    terms = fit.selected.terms
+    terms = fit.model.terms
     intervals = {t: _interval(fit, t) or (abs(getattr(terms, t)),) * 2 for t in 'NBKR'}
     low, high = (
         ProcessModel(
@@ -262,7 +225,7 @@ def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
                 (max(p.sigma_ci95[end], 0.0), p.correlation_time)
                 for p in fit.processes.gauss_markov
             ),
-            fit.selected.sinusoids,
+            fit.model.sinusoids,
         )
         for end in (0, 1)
     )

@@ -25,7 +25,7 @@ from ..errors import AllanError
 from ..fit.model import AxisFit
 from ..imu import AXES, SENSORS
 from ..noise import ProcessModel
-from .growth import drift_model, expected_model, has_drift, has_intervals, interval_models
+from .growth import drift_model, has_drift, has_intervals, interval_models
 from .reductions import Horizons, Level, Reduction, States, reduce_model
 
 RULES = ('worst', 'mean', 'each')
@@ -55,7 +55,7 @@ def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Leve
     if limit is None or not 0.0 < limit < math.inf:
         raise AllanError(
             f'{term} of {axis} has neither a value nor a limit: record longer, or fit with '
-            'method gls'
+            'method likelihood'
         )
     if strict:
         raise AllanError(
@@ -70,7 +70,7 @@ def _accepted(level: Level, strict: bool) -> Level:
     if strict and level.no_interval:
         raise AllanError(
             f'{level.term} of {level.axis} has no 95 % interval: record longer, fit with method '
-            'gls, or omit --strict'
+            'likelihood, or omit --strict'
         )
     return level
 
@@ -81,13 +81,10 @@ def reduce_axis(
     states: States = 'walk',
     horizons: Horizons = Horizons(1.0, 30.0),
     strict: bool = False,
-    expect_walk: bool = False,
 ) -> Reduction:
     """Return the noise model of one axis, reduced to the states of a filter.
 
-    Coefficients outside the selected model are set to 0, with two exceptions: N is replaced by its
-    upper limit, and so is K if the model has no drift. With ``expect_walk``, a K that is not
-    resolved is replaced by its expected value (see `expected_model`).
+    N is replaced by its upper limit if it is not resolved, and so is K if the model has no drift.
 
     ``states`` are the states with which the filter models the bias, and ``horizons`` the range of
     times that it integrates without a correction. ``strict`` rejects upper limits, values without a
@@ -104,15 +101,13 @@ def reduce_axis(
         If a required coefficient has neither a value nor a limit, or ``strict`` rejects the result.
     """
     white = axis_level(axis, fit, 'N', strict)
-    model = drift_model(fit.selected)
+    model = drift_model(fit.model)
     model = replace(model, terms=replace(model.terms, N=white.value))
     walk = None
     if not has_drift(model):
         walk = axis_level(axis, fit, 'K', strict)
         model = _with_walk(model, walk.value)
     resolved_walk = model.terms.K
-    if expect_walk and not resolved_walk:
-        model = _with_walk(model, expected_model(fit).terms.K)
     reduction = reduce_model(model, states, horizons)
     if states == 'walk' and not reduction.walk:  # all drift is fast and became white noise
         walk = axis_level(axis, fit, 'K', strict)

@@ -32,7 +32,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
-from ..fit.gls_solver import nonnegative_least_squares
 from ..noise import FLICKER_FLOOR, NoiseTerms, ProcessModel, gauss_markov_avar
 from .growth import drift_model, has_drift, predicted_growth
 
@@ -152,7 +151,9 @@ def flicker_processes(bias_instability: float, white: float = 0.0) -> Processes:
     taus = np.geomspace(shortest, LONGEST_FLICKER_S, FLICKER_PROCESSES)
     tau = np.geomspace(1.3 * taus[0], 2.0 * taus[-1], 40)
     columns = np.stack([gauss_markov_avar(tau, one) / FLICKER_FLOOR for one in taus], axis=1)
-    weights = nonnegative_least_squares(columns, np.ones_like(tau))
+    from scipy.optimize import nnls  # slow to import
+
+    weights, _ = nnls(columns, np.ones_like(tau))
     return tuple(
         (bias_instability * math.sqrt(weight), float(one)) for weight, one in zip(weights, taus)
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about a fit by method 'gls': rounding, filters, vibration, drift, record length."""
+"""Findings about a fit: rounding, filters, vibration, drift, lack of fit, record length."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..allan.curve import AllanCurve
+from ..allan.sums import AllanSums
 from ..findings import Finding, finding
-from .goodness import few_averages
+from .estimate import Estimate
 from .interpretation import largest_deviation, model_line, recommended_duration
-from .intervals import Z_DETECT, RampInterval, ScoreTest
-from .model import AxisFit, Floats, K, N, NoiseModel, Q, Sinusoid
-from .model_selection import Selection
-from .table import PooledTable
+from .limits import LEAST_DRIFT_S
+from .model import AxisFit, Floats, NoiseModel, Sinusoid
 
 NEGLIGIBLE_STEP = 0.02
 """Rounding steps below this fraction of the white noise per sample are ignored: they increase its
@@ -25,6 +24,10 @@ variance by a fraction of only 3e-5."""
 
 WHOLE_TOLERANCE = 0.05
 """Largest distance of the phase, divided by the step, from a whole number."""
+
+LARGEST_SHARE = 1.05
+"""Largest variance of the rounding error relative to the white noise that contains it; above, the
+errors of successive samples are not independent."""
 
 LEAST_POINTS = 8
 """Smallest number of different phase values needed to search for a step. Fewer values are multiples
@@ -69,22 +72,12 @@ ROUNDING_SHARE = 0.1
 """Variance of the rounding error, relative to that of the white noise, above which rounding is
 reported."""
 
-FILTERED_FRACTION = 0.1
-"""Fraction of the white noise per sample that a low-pass filter must remove to be reported.
-Interpolation of 1 % of the samples removes 1.5 %."""
 
 SMALL_DEVIATION = 0.05
 """Relative deviation of the curve from the model below which the finding has severity info."""
 
-HUMP_RATIO = 1.5
-"""Neighboring sinusoids with a smaller ratio of frequencies are reported as one broad hump."""
 
-SAME_LINE = 1.02
-"""Sinusoids whose frequency ratio is smaller than this describe one strong vibration."""
 
-WEAK_LINE = 0.2
-"""Amplitude, relative to the largest sinusoid of a hump, below which another one only corrects the
-model of the largest."""
 
 SLOWEST_VIBRATION = 0.5
 """Frequency in Hz below which sinusoids are not called vibration: buildings and tables resonate
@@ -111,183 +104,123 @@ def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(out.values())
 
 
-def rounding_step(phase: Floats, white: float) -> float | None:
-    """Return the step to which the samples are rounded, or None if rounding is negligible.
+def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
+    """Return the step to which the samples of an axis are rounded, or None if it is negligible.
 
-    ``phase`` is the cumulative sum at some samples, ``white`` the white noise variance per sample.
+    ``white`` is the white noise variance per sample. It contains the rounding error, step^2/12, if
+    the errors of successive samples are independent. A counter that carries its remainder to the
+    next sample has less white noise, and its error is quantization noise (Q).
     """
-    step = common_step(phase, math.sqrt(max(white, 0.0)))
-    return step if step is not None and step * step / 12.0 > ROUNDING_SHARE * white else None
+    means = [m for r in sums.recordings for m in r.means]
+    if not means:
+        return None
+    longest = max(means, key=lambda m: m.samples)
+    totals = longest.step * longest.values[:, axis]
+    step = common_step(np.cumsum(totals), math.sqrt(max(white, 0.0)))
+    if step is None or not ROUNDING_SHARE < step * step / 12.0 / white < LARGEST_SHARE:
+        return None
+    return step
 
 
-def findings_without_estimates(pooled: PooledTable, axis: int, constant: bool) -> list[Finding]:
-    """Return the finding that explains why an axis has no estimates, as a list.
-
-    The reason is that the samples have no noise (``constant``), or that there are too few samples.
-    """
-    name = (pooled.sums.axes[axis],)
-    longest = max((s.samples for s in pooled.segments), default=0)
-    if constant and len(pooled.m):
-        return [finding('no_noise', name)]
-    return [finding('record_too_short', name, samples=longest)]
+HARMONIC = 0.01
+"""Largest relative distance of a frequency from a multiple of another one, its harmonic."""
 
 
 def axis_findings(
-    pooled: PooledTable,
-    axis: int,
-    selected: Selection,
-    fit: AxisFit,
-    ramp: RampInterval | None,
-    tau0: float,
+    sums: AllanSums, axis: int, fit: AxisFit, result: Estimate, tau0: float
 ) -> list[Finding]:
-    """Return the findings about the fit of one axis.
-
-    ``selected`` is the selected model and ``fit`` contains the same model in SI units. ``ramp`` is
-    None if it cannot be estimated. ``tau0`` is the sample period in s.
-    """
-    name = (pooled.sums.axes[axis],)
-    found = [*_shape_findings(name, selected, fit, tau0)]
-    white = float(selected.fit.variances[N])
-    step = rounding_step(pooled.segments[0].phase[:, axis], white)
-    if step is not None:
-        share = step * step / 12.0 / white
+    """Return the findings about the fit of one axis; ``tau0`` is the sample period in s."""
+    name = (sums.axes[axis],)
+    found = []
+    if fit.filtered:
+        found.append(finding('low_pass', name, frequency=result.top / tau0))
+    for lines in _with_harmonics(fit.processes.sinusoid):
+        found.append(line_finding(name, lines, tau0))
+    found += _drift_findings(name, fit)
+    if sums.samples * tau0 < LEAST_DRIFT_S:
+        found.append(finding('rest_too_short', name, rest=sums.samples * tau0))
+    white = fit.noise['N'].value
+    step = rounding_step(sums, axis, white**2 / tau0) if white else None
+    if step is not None and white:
+        share = step * step / 12.0 / (white**2 / tau0)
         found.append(finding('rounding', name, step=step, share=min(share, 1.0)))
-    if ramp is not None and ramp.other is not None:
-        rates = {'longest': ramp.value / tau0, 'other': ramp.other / tau0}
-        found.append(finding('ramps_differ', name, **rates))
-    return [*found, *_time_findings(pooled, axis, selected, fit, tau0)]
+    longest = max((m.samples for r in sums.recordings for m in r.means), default=0)
+    advice = recommended_duration(fit, longest * tau0)
+    if advice is not None:
+        seconds, terms = advice
+        found.append(finding('record_longer', name, terms=' and '.join(terms), how_long=seconds))
+    return found
 
 
 def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     """Return a copy of the model with `AxisFit.deviation` computed from the measured curve.
 
-    A finding is added for each axis that has a relative model error and deviates significantly.
+    A finding is added for each axis whose model does not fit: in which octave, and by how much.
     """
     axes, found = {}, []
     for i, name in enumerate(curve.axes):
         fit = model.axes[name]
         adev, low, high = (a[:, i] for a in (curve.adev, curve.ci_low, curve.ci_high))
-        line = model_line(fit, model.tau0, curve.m, adev, high)
-        deviation = largest_deviation(line, curve.tau, adev, low, high)
-        axes[name] = replace(fit, deviation=deviation)
-        if fit.misfit > 0.0 and deviation is not None:
-            relative, tau = deviation
-            misfit = finding('misfit', (name,), deviation=abs(relative), tau=tau)
-            small = abs(relative) < SMALL_DEVIATION
-            found.append(replace(misfit, severity='info') if small else misfit)
+        line = model_line(fit, model.tau0, curve.m)
+        axes[name] = replace(fit, deviation=largest_deviation(line, curve.tau, adev, low, high))
+        if fit.lack_of_fit:
+            worst = max(fit.lack_of_fit, key=lambda each: abs(math.log(each.ratio)))
+            ends = {'low': worst.low, 'high': worst.high}
+            lack = finding('lack_of_fit', (name,), deviation=math.sqrt(worst.ratio) - 1.0, **ends)
+            small = abs(worst.ratio - 1.0) < SMALL_DEVIATION
+            found.append(replace(lack, severity='info') if small else lack)
     return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
 
 
-def _shape_findings(
-    name: tuple[str], selected: Selection, fit: AxisFit, tau0: float
-) -> list[Finding]:
-    """Return the findings about filters, vibration and bounded drift."""
+def _drift_findings(name: tuple[str], fit: AxisFit) -> list[Finding]:
+    """Return the findings about Gauss-Markov processes and about drift without a clear cause."""
     found = []
-    if fit.m_min > 1:
-        # A slow filter and a fast sinusoid have the same effect on the shortest averages.
-        frequency = None if selected.hint is None else selected.hint / tau0
-        hint = (', or' if frequency else ':') + ' a low-pass filter' if selected.filtered else ''
-        tau = fit.m_min * tau0
-        found.append(finding('short_averages', name, tau=tau, frequency=frequency, hint=hint))
-    elif selected.filtered and _filtered_fraction(selected) > FILTERED_FRACTION:
-        found.append(finding('low_pass', name))
-    for lines in _grouped(fit.processes.sinusoid):
-        found.append(line_finding(name, lines, tau0))
-    n = fit.noise['N']
-    if fit.processes.sinusoid and n.status != 'estimated' and n.upper95:
-        line = max(fit.processes.sinusoid, key=lambda each: each.amplitude)
-        ratio = line.amplitude * math.sqrt(tau0) / n.upper95
-        found.append(finding('noise_hidden', name, frequency=line.frequency, ratio=ratio))
-    for process in fit.processes.gauss_markov:
-        time = process.correlation_time
-        found.append(finding('gauss_markov', name, sigma=process.sigma, time=time))
-    if selected.levels_off:
-        few = _first_factor_of_few_averages(selected)
-        found.append(finding('levels_off', name, tau=few * tau0))
+    k = fit.noise['K']
+    for p in fit.processes.gauss_markov:
+        walk = p.sigma * math.sqrt(2.0 / p.correlation_time)
+        if k.value and not fit.model.terms.K and math.isclose(walk, k.value, rel_tol=1e-6):
+            found.append(finding('levels_off', name, tau=p.correlation_time))
+        else:
+            found.append(finding('gauss_markov', name, sigma=p.sigma, time=p.correlation_time))
+    if k.status != 'estimated' and fit.noise['R'].status != 'estimated' and fit.model.terms.R:
+        found.append(finding('drift_not_separable', name))
     return found
 
 
-def _filtered_fraction(selected: Selection) -> float:
-    """Return the fraction of the white noise per sample that a low-pass filter has removed."""
-    fit = selected.fit
-    white = float(fit.table.terms[0, N] * fit.variances[N])
-    return (
-        max(-float(fit.table.terms[0, Q] * fit.variances[Q]) / white, 0.0) if white > 0.0 else 1.0
-    )
-
-
-def _first_factor_of_few_averages(selected: Selection) -> float:
-    """Return the smallest averaging factor whose Allan variance has few degrees of freedom."""
-    few = few_averages(selected.fit.table, selected.fit.variances)
-    return float(selected.fit.table.m[few].min(initial=selected.fit.table.m[-1]))
-
-
-def _grouped(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
-    """Group sinusoids (sorted by frequency) whose frequencies are close together."""
+def _with_harmonics(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
+    """Group sinusoids (sorted by frequency) with their harmonics."""
     groups: list[list[Sinusoid]] = []
     for line in lines:
-        if groups and line.frequency < HUMP_RATIO * groups[-1][-1].frequency:
-            groups[-1].append(line)
+        for group in groups:
+            ratio = line.frequency / group[0].frequency
+            if abs(ratio - round(ratio)) < HARMONIC * ratio:
+                group.append(line)
+                break
         else:
             groups.append([line])
     return groups
 
 
 def line_finding(name: tuple[str], lines: Sequence[Sinusoid], tau0: float) -> Finding:
-    """Return the finding about one sinusoid, or about several that describe one broad hump.
+    """Return the finding about a sinusoid and its harmonics.
 
-    ``name`` contains the axis, ``tau0`` is the sample period in s. The sinusoids are sorted by
-    frequency.
+    ``name`` contains the axis, ``tau0`` is the sample period in s.
     """
-    largest = max(lines, key=lambda line: line.amplitude)
-    amplitude = math.sqrt(sum(line.amplitude**2 for line in lines))
-    strong = [line.frequency for line in lines if line.amplitude > WEAK_LINE * largest.amplitude]
-    if strong[-1] > SAME_LINE * strong[0]:
-        return finding(
-            'broad_hump',
-            name,
-            low=strong[0],
-            high=strong[-1],
-            amplitude=amplitude,
-        )
-    if largest.frequency < SLOWEST_VIBRATION:
-        thermal = largest.frequency * SHORTEST_THERMAL_S < 1.0
+    line = lines[0]
+    amplitude = math.sqrt(sum(each.amplitude**2 for each in lines))
+    if line.frequency < SLOWEST_VIBRATION:
+        thermal = line.frequency * SHORTEST_THERMAL_S < 1.0
         id = 'slow_cycle' if thermal else 'slow_disturbance'
-        return finding(id, name, period=1.0 / largest.frequency, amplitude=amplitude)
+        return finding(id, name, period=1.0 / line.frequency, amplitude=amplitude)
     rate = 1.0 / tau0
-    other = rate - largest.frequency
-    is_other = f'{other:.3g}' != f'{largest.frequency:.3g}'
-    has_alias = rate < FASTEST_VIBRATION and largest.frequency > ALIAS_FROM * rate and is_other
+    other = rate - line.frequency
+    is_other = f'{other:.3g}' != f'{line.frequency:.3g}'
+    has_alias = rate < FASTEST_VIBRATION and line.frequency > ALIAS_FROM * rate and is_other
     return finding(
         'vibration',
         name,
-        frequency=largest.frequency,
+        frequency=line.frequency,
         alias=other if has_alias else None,
+        harmonics=', '.join(f'{each.frequency:.3g}' for each in lines[1:]) or None,
         amplitude=amplitude,
     )
-
-
-def _time_findings(
-    pooled: PooledTable, axis: int, selected: Selection, fit: AxisFit, tau0: float
-) -> list[Finding]:
-    """Return the findings about terms that a longer record would resolve."""
-    name = (pooled.sums.axes[axis],)
-    found = []
-    if {'K', 'R'} <= {t for t, c in fit.noise.items() if c.status == 'not_observable'}:
-        without_ramps = selected.fit.options.table(
-            pooled,
-            axis,
-            selected.fit.options.noise(selected.fit.variances),
-            np.zeros(len(pooled.segments)),
-        )
-        if (
-            ScoreTest(without_ramps, K, selected.fit.variances, selected.fit.options.misfit)(0.0)
-            > Z_DETECT
-        ):
-            found.append(finding('drift_not_separable', name))
-    advice = recommended_duration(fit, pooled.segments[0].samples * tau0)
-    if advice is not None:
-        seconds, terms = advice
-        named = ' and '.join(terms)
-        found.append(finding('record_longer', name, terms=named, how_long=seconds))
-    return found

@@ -27,20 +27,16 @@ MIN_WIDTH = 3.0
 SIGNIFICANT = 3.0
 """Number of error bars below which the deviation of a point from the model is not significant."""
 
-FILTER_LOSS = 0.02
-"""Relative decrease of the Allan deviation below which the effect of a low-pass filter is not
-visible."""
-
 
 class ModelLine(NamedTuple):
-    """Allan deviation of the selected model at the points of a curve, for drawing.
+    """Allan deviation of the model at the points of a curve, for drawing.
 
     Both arrays are NaN at averaging times that the model does not describe.
 
     Attributes
     ----------
     adev : (factors,) float64 array
-        Allan deviation of the selected model.
+        Allan deviation of the model.
     upper : (factors,) float64 array
         The same with every unresolved term at its 95 % upper limit.
     """
@@ -49,25 +45,16 @@ class ModelLine(NamedTuple):
     upper: Floats
 
 
-def model_line(
-    fit: AxisFit, tau0: float, m: NDArray[np.int64], adev: Floats, high: Floats
-) -> ModelLine:
-    """Return the Allan deviation of the selected model at the points of a measured curve.
+def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
+    """Return the Allan deviation of the model at the averaging factors of a curve.
 
-    It is NaN below the shortest averaging time of the fit. ``tau0`` is the sample period in s,
-    ``adev`` the Allan deviation measured at the averaging factors ``m``, and ``high`` its upper
-    68.3 % limit.
+    It is NaN below the shortest averaging time of the fit; ``tau0`` is the sample period in s.
     """
-    # The model does not describe the effect of a low-pass filter. Short averaging times at which
-    # the measured values are significantly below it are therefore also NaN.
-    line, upper = (
-        np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.selected, fit.selected_at_limits)
-    )
+    with np.errstate(invalid='ignore'):  # a filter is described at long averaging times only
+        line, upper = (
+            np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.model, fit.model_at_limits)
+        )
     drawn = (m >= fit.m_min) & (line > 0.0)
-    if fit.is_filtered:
-        with np.errstate(divide='ignore', invalid='ignore'):
-            low = (adev * (high / adev) ** SIGNIFICANT < line) & (adev < (1.0 - FILTER_LOSS) * line)
-        drawn &= np.cumsum(drawn & ~low) > 0
     return ModelLine(np.where(drawn, line, np.nan), np.where(drawn, upper, np.nan))
 
 
@@ -125,12 +112,12 @@ def dominant_regions(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]
     """Return the ranges of averaging times of one axis with the dominant term of each.
 
     The ranges are contiguous, cover the measured curve, and are sorted by tau. The list is empty if
-    no term is known. A term or process of the selected model dominates where it has the largest
+    no term is known. A term or process of the model dominates where it has the largest
     share of the Allan variance of the model. Adjacent ranges narrower than a factor of 3 in tau are
     merged; a single narrow range gets the two terms with the largest shares.
     """
     tau0 = curve.tau[0] / curve.m[0] if len(curve.m) else math.nan
-    parts = fit.selected.parts(curve.tau, tau0) if len(curve.m) else {}
+    parts = fit.model.parts(curve.tau, tau0) if len(curve.m) else {}
     if not parts:
         return []
     variances = np.stack(list(parts.values()), axis=1)
@@ -235,7 +222,7 @@ def recommended_duration(
     Parameters
     ----------
     fit : AxisFit
-        Fit by method 'gls'.
+        Fit by method 'likelihood'.
     seconds : float
         Length of the longest static segment so far, in s.
     limits : mapping of term to float, optional

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..findings import Finding
-from ..noise import NoiseTerms, ProcessModel, term_avar
+from ..noise import NoiseTerms, ProcessModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -24,45 +24,8 @@ RANDOM_TERMS = ('Q', 'N', 'B', 'K')
 
 Q, N, B, K = range(len(RANDOM_TERMS))
 
-WHITE = np.array([0.0, 1.0, 0.0, 0.0])
-"""Variance coefficients of white noise of unit variance."""
-
 TAU0_EXPONENT = {'Q': 1.0, 'N': 0.5, 'B': 0.0, 'K': -0.5}
 """SI coefficient = sqrt(variance coefficient) * tau0**exponent, where tau0 is in s."""
-
-DIFFERENCE = (1.0, -2.0, 1.0)
-"""Coefficients of the second difference theta(u + 2m) - 2 theta(u + m) + theta(u) of the phase."""
-
-
-def avar_terms(m: NDArray[np.int64]) -> Floats:
-    """Return the Allan variance of each random term with unit variance coefficient, (factors, 4).
-
-    ``m`` are averaging factors. The order of the terms is Q, N, B, K.
-    """
-    return term_avar(m, 1.0, NoiseTerms(1.0, 1.0, 1.0, 1.0))[:, : len(RANDOM_TERMS)]
-
-
-def walk_from_cubic(white: Floats, cubic: Floats) -> Floats:
-    """Return the covariance of a sampled random walk, from that of a continuous one (``cubic``).
-
-    ``white`` is the covariance of unit white noise. Sums of covariances can be given as well.
-    """
-    # (|t|^3 - |t|)/12 = |t|^3/12 + (-|t|/2)/6 for the phase.
-    return cubic + white / 6.0
-
-
-def phase_covariance(t: Floats) -> Floats:
-    """Return the generalized covariance of the phase of each random term at lags t, (4, ...).
-
-    The variance coefficients q, w, b, k are 1. The result gives the covariance of weighted sums of
-    the phase whose weights cancel a straight line, such as second differences (Matheron 1973).
-    """
-    a = np.abs(t)
-    white = -a / 2
-    log = np.log(np.where(a > 0.0, a, 1.0))
-    return np.stack(
-        [(a == 0.0).astype(float), white, a * a * log / (2 * math.pi), a**3 / 12 + white / 6]
-    )
 
 
 def coefficient_to_si(term: str, variance: float, tau0: float) -> float:
@@ -88,7 +51,8 @@ TERMS = ('Q', 'N', 'B', 'K', 'R')
 """Quantization, angle/velocity random walk, bias instability, rate random walk, rate ramp."""
 
 
-Status = Literal['estimated', 'not_observable']
+Status = Literal['estimated', 'likely', 'not_observable']
+"""Whether a term is resolved; a likely one is not, but its estimate exceeds its standard error."""
 
 
 @dataclass(frozen=True)
@@ -98,13 +62,14 @@ class Coefficient:
     Attributes
     ----------
     value : float or None
-        Estimate (|R| for the ramp), or None if there is none.
+        Estimate (|R| for the ramp), also of a term that is not resolved; None if there is none.
     ci95 : (low, high) or None
-        95 % interval; None for a term that is not observable, or if the method gives none.
+        95 % interval; None for a term that is not resolved, or if the method gives none.
     upper95 : float or None
-        95 % upper limit of a term that is not observable; None if there is no limit.
-    status : 'estimated' or 'not_observable'
-        'estimated' if the data show that the term is not 0.
+        95 % upper limit of a term that is not resolved; None if there is no limit.
+    status : 'estimated', 'likely' or 'not_observable'
+        'estimated' if the data show that the term is not 0. A 'likely' term is not resolved, but
+        its square exceeds 0 by more than its standard error.
     sign : int
         Sign of the ramp; 0 for the other terms.
     """
@@ -192,6 +157,40 @@ class Deviation(NamedTuple):
     tau: float
 
 
+class LackOfFit(NamedTuple):
+    """Octave of frequencies in which the measured noise density differs from the model.
+
+    Attributes
+    ----------
+    low, high : float
+        Ends of the octave in Hz.
+    ratio : float
+        Measured power divided by that of the model.
+    """
+
+    low: float
+    high: float
+    ratio: float
+
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """Covariance of the fitted coefficients of one axis.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters: 'Q', 'N', 'B', 'K', then 'gauss_markov' and 'sinusoid' with a number, in the
+        order of `Processes`.
+    matrix : (parameters, parameters) array
+        Covariance of their squares (of N^2, of sigma^2, of amplitude^2 ...) in SI, with the
+        uncertainty of correlation times and frequencies included.
+    """
+
+    names: tuple[str, ...]
+    matrix: Floats
+
+
 @dataclass(frozen=True)
 class AxisFit:
     """Fit of one axis.
@@ -200,29 +199,36 @@ class AxisFit:
     ----------
     noise : mapping of term to Coefficient
         All five of `TERMS`.
-    misfit : float
-        Relative model error that was added to the covariance of the Allan variances; 0 if the model
-        passes the test of fit.
-    m_min : int
-        Smallest averaging factor used; above 1 if a filter or vibration affects shorter ones.
-    gof_z : float or None
-        Goodness of fit of the five terms as a normal deviate; above 3 they are rejected. None if
-        the method has no test of fit.
+    model : ProcessModel
+        The fitted model, complete: it is what is tested, drawn and exported. Terms that are not
+        resolved are included with their estimates.
     processes : Processes
-        Gauss-Markov processes and sinusoids; empty if the five terms describe the curve.
+        Gauss-Markov processes and sinusoids of the model, with intervals.
+    m_min : int
+        Smallest averaging factor that the model describes; above 1 if the samples are low-pass
+        filtered.
+    filtered : bool
+        Whether the samples are low-pass filtered. Q is then not measured, and N is the density in
+        the pass band.
+    gof_z : float or None
+        Goodness of fit of the model as a normal deviate; None if the method has no test.
+    lack_of_fit : tuple of LackOfFit
+        Octaves in which the data differ from the model; empty if the model passes the test.
     deviation : Deviation or None
-        Largest deviation of the data from the selected model; None if no deviation is significant.
-    signed : bool
-        Whether q was allowed to be negative, as for low-pass filtered samples. It is not saved.
+        Largest deviation of the curve from the model; None if no deviation is significant.
+    covariance : Covariance or None
+        Covariance of the coefficients; None if the method gives none.
     """
 
     noise: Mapping[str, Coefficient]
-    misfit: float = 0.0
-    m_min: int = 1
-    gof_z: float | None = None
+    model: ProcessModel = ProcessModel()
     processes: Processes = Processes()
+    m_min: int = 1
+    filtered: bool = False
+    gof_z: float | None = None
+    lack_of_fit: tuple[LackOfFit, ...] = ()
     deviation: Deviation | None = None
-    signed: bool = False
+    covariance: Covariance | None = field(default=None, compare=False)
 
     @property
     def gauss_markov(self) -> GaussMarkov | None:
@@ -235,57 +241,25 @@ class AxisFit:
         return max(self.processes.sinusoid, key=lambda p: p.amplitude, default=None)
 
     @property
-    def selected(self) -> ProcessModel:
-        """Model for drawing and prediction: resolved and likely terms, and the processes.
-
-        A term that is not resolved is likely if its squared estimate is more than one standard
-        deviation above zero.
-        """
-        # Without likely drift terms, the model would predict too little drift.
-        values = {
-            term: c.value * (c.sign or 1)
-            for term, c in self.noise.items()
-            if c.value is not None and math.isfinite(c.value) and _is_likely(term, c)
-        }
-        return ProcessModel(
-            NoiseTerms(**values),
-            tuple((p.sigma, p.correlation_time) for p in self.processes.gauss_markov),
-            tuple((p.amplitude, p.frequency) for p in self.processes.sinusoid),
-        )
-
-    @property
     def likely(self) -> tuple[str, ...]:
-        """Terms that are not resolved but are part of the selected model."""
-        noise, terms = self.noise, self.selected.terms
-        return tuple(t for t in noise if getattr(terms, t) and noise[t].status != 'estimated')
+        """Terms that are not resolved, but likely."""
+        return tuple(t for t, c in self.noise.items() if c.status == 'likely')
 
     @property
-    def selected_at_limits(self) -> ProcessModel:
-        """The selected model with every unresolved term at its 95 % upper limit."""
-        model = self.selected
+    def model_at_limits(self) -> ProcessModel:
+        """The model with every unresolved term at its 95 % upper limit."""
         limits = {
-            term: max(c.upper95, abs(getattr(model.terms, term)))
+            term: max(c.upper95, abs(getattr(self.model.terms, term)))
             for term, c in self.noise.items()
             if c.status != 'estimated' and c.upper95 is not None and math.isfinite(c.upper95)
         }
-        return replace(model, terms=replace(model.terms, **limits))
-
-    @property
-    def is_filtered(self) -> bool:
-        """Whether the samples are low-pass filtered, so that Q cannot be measured."""
-        q, n = self.noise['Q'], self.noise['N']
-        return self.m_min == 1 and q.value is q.upper95 is None and n.value is not None
+        return replace(self.model, terms=replace(self.model.terms, **limits))
 
 
-def _is_likely(term: str, c: Coefficient) -> bool:
-    """Return whether a term is resolved, or its square exceeds 0 by one standard deviation."""
-    if c.status == 'estimated':
-        return True
-    if term not in 'NBK' or c.value is None or c.upper95 is None:
-        return False
-    # The limit of the square is `Z_95` standard deviations above its estimate. With a few seconds
-    # of data, an estimate above its own limit contradicts the interval: the limit is used.
-    return c.value < c.upper95 and Z_95 * c.value**2 > c.upper95**2 - c.value**2
+def model_of_terms(noise: Mapping[str, Coefficient]) -> ProcessModel:
+    """Return the model that contains the estimates of the terms only."""
+    values = {t: (c.sign or 1) * c.value for t, c in noise.items() if c.value}
+    return ProcessModel(NoiseTerms(**values))
 
 
 @dataclass(frozen=True)
@@ -295,7 +269,7 @@ class NoiseModel:
     Attributes
     ----------
     method : str
-        'gls', 'relative' or 'paper'.
+        'likelihood', 'relative' or 'paper'.
     tau0 : float
         Sample period in s.
     axes : mapping of axis name to AxisFit

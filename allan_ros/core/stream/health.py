@@ -14,7 +14,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan.spectrum import SpectrumSums
 from ..allan.sums import LONGEST_FILLED, AllanSums
 from ..findings import Finding, finding
 from ..imu import AXES, NANOSECONDS, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, sensor_of
@@ -225,20 +224,17 @@ LISTED_SEGMENTS = 1000
 
 
 class StreamSums(NamedTuple):
-    """Sums, spectrum (None unless requested) and longest segments of data at one sample rate."""
+    """Sums and longest segments of data at one sample rate."""
 
     sums: AllanSums
-    spectrum: SpectrumSums | None
     segments: tuple[Segment, ...]
 
     def joined(self, other: StreamSums) -> StreamSums:
         """Return the combined results of both; raise AllanError if the sample rates differ."""
-        spectra = (self.spectrum, other.spectrum)
-        both = None if spectra[0] is None or spectra[1] is None else spectra[0] + spectra[1]
         segments = sorted(
             [*self.segments, *other.segments], key=lambda segment: (-segment.samples, segment)
         )
-        return StreamSums(self.sums + other.sums, both, tuple(sorted(segments[:LISTED_SEGMENTS])))
+        return StreamSums(self.sums + other.sums, tuple(sorted(segments[:LISTED_SEGMENTS])))
 
 
 @dataclass(frozen=True)
@@ -247,15 +243,13 @@ class Accumulation:
 
     ``sums`` has one entry for all axes, or one per sensor if their rates differ. A sensor without
     data has no entry. If the sample rate or the frame_id changed, only the sums with the longest
-    elapsed time are included. ``spectra`` (empty unless requested) has the order of ``sums``.
-    ``segments`` are the segments of the first entry of ``sums``.
+    elapsed time are included. ``segments`` are the segments of the first entry of ``sums``.
     """
 
     sums: tuple[AllanSums, ...]
     health: StreamHealth
     findings: tuple[Finding, ...]
     segments: tuple[Segment, ...]
-    spectra: tuple[SpectrumSums, ...] = ()
 
 
 KEPT_MEANS = 120
@@ -416,11 +410,9 @@ def sums_findings(sums: AllanSums) -> list[Finding]:
 
 def _unit_findings(sums: AllanSums) -> list[Finding]:
     """Return a finding for each sensor whose noise or mean is impossible in SI units."""
-    if not sums.tau0 or not sums.history.recordings:
+    if not sums.tau0 or not sums.recordings:
         return []
-    periods = sums.history.recordings
-    total = sum(p.cell_samples @ p.cell_means + p.cell_samples.sum() * p.reference for p in periods)
-    mean = np.asarray(total / max(sum(int(p.cell_samples.sum()) for p in periods), 1))
+    mean = sum(r.samples * r.mean for r in sums.recordings) / max(sums.samples, 1)
     short = sums.m * sums.tau0 <= 1.0
     found: list[Finding] = []
     for sensor, place in SENSORS.items():

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan.engine import RunningAllan
-from ..allan.spectrum import RunningSpectrum
+from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
 from ..errors import AllanError
 from ..findings import Finding
@@ -58,10 +57,9 @@ KEPT_RATES = 8
 
 
 class StreamOptions(NamedTuple):
-    """Settings of the stages, and whether to compute spectra and one-second means."""
+    """Settings of the stages, and whether to compute one-second means."""
 
     settings: SegmenterSettings
-    with_spectra: bool
     with_means: bool
 
 
@@ -70,19 +68,18 @@ class ImuStream:
 
     The sums are the same, bit for bit, however the samples are divided into batches: all decisions
     depend only on the positions of samples counted from the start of the stream, with a fixed
-    look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``with_spectra`` also
-    accumulates the power spectral density, ``with_means`` the one-second means of static data.
+    look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``with_means``
+    also computes the one-second means of static data.
     """
 
     def __init__(
         self,
         settings: SegmenterSettings = SegmenterSettings(),
         hardware_id: str = '',
-        with_spectra: bool = False,
         with_means: bool = False,
     ) -> None:
         self._hardware_id = hardware_id
-        self._options = StreamOptions(settings, with_spectra, with_means)
+        self._options = StreamOptions(settings, with_means)
         self._received = 0
         self._frames: dict[str, FrameStream] = {}
         self._present = FrameStream(ImuIdentity('', hardware_id), self._options)
@@ -120,7 +117,6 @@ class ImuStream:
             sums,
             *now._health(state, sums),
             longest[0].segments if longest else (),
-            tuple(each.spectrum for each in longest if each.spectrum is not None),
         )
 
     def present_health(
@@ -295,7 +291,7 @@ class SensorStream:
 
     These are all six axes, or the axes of one sensor if the sensors have different rates. The
     stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `RepeatFilter` (if the driver
-    repeats samples at random), `MotionGate`, `RunningAllan`.
+    repeats samples at random), `MotionGate`, `RunningSums`.
     ``relearned`` counts how often the sums were discarded because the IMU had been moving, and
     ``discarded_s`` is the time from the first sample at rest to the first one that was kept.
     """
@@ -328,8 +324,7 @@ class SensorStream:
     def _clear(self) -> None:
         """Start with empty sums."""
         axes = self._axes
-        self._engine = RunningAllan(self._identity, axes)
-        self._spectrum = RunningSpectrum(axes) if self._options.with_spectra else None
+        self._engine = RunningSums(self._identity, axes)
         self._means = RunningMeans(axes) if self._options.with_means else None
         self._filled = FilledGaps(len(axes))
         self._segments: list[tuple[int, Segment]] = []  # shortest first
@@ -367,14 +362,13 @@ class SensorStream:
 
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at each sample rate, including the current one."""
-        spectrum = None if self._spectrum is None else self._spectrum.sums
         segments = tuple(sorted(segment for _, segment in self._segments))
         sums = self._engine.sums
         if len(self._filled.count):
             sums = replace(sums, filled=self._filled.count.copy())
         if not sums.samples:
             return self._former
-        present = StreamSums(sums, spectrum, segments)
+        present = StreamSums(sums, segments)
         for i, each in enumerate(self._former):
             with suppress(AllanError):  # another rate
                 return [*self._former[:i], each.joined(present), *self._former[i + 1 :]]
@@ -491,11 +485,10 @@ class SensorStream:
         self._end_ns = int(block.stamps[-1])
         self.counts.used += len(block)
         self._filled.add(block.filled)
-        self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns)
+        interpolated = None if block.filled is None else block.filled.any(axis=0)
+        self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns, interpolated)
         if self._means is not None:
             self._means.update(block.stamps, block.rows)
-        if self._spectrum is not None:
-            self._spectrum.update(block.rows)
 
     def _close_segment(self) -> None:
         samples = self._engine.open_samples
@@ -508,5 +501,3 @@ class SensorStream:
         self._filled.end()
         if self._means is not None:
             self._means.cut()
-        if self._spectrum is not None:
-            self._spectrum.end_segment()

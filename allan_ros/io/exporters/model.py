@@ -198,17 +198,16 @@ class FilterNoise:
             raise AllanError(f'no {what} in these results: this file needs gyro and accel')
         return {name: self.results.axes[name] for name in names}
 
-    def reduction(self, axis: str, states: States = 'walk', expect_walk: bool = False) -> Reduction:
+    def reduction(self, axis: str, states: States = 'walk') -> Reduction:
         """Return the noise model of one axis, reduced to the states of a filter.
 
         ``states`` is the model of the bias in the filter: 'none', 'walk', 'gauss_markov' or
-        'processes'. With ``expect_walk``, a K that is not resolved is replaced by its
-        expected value.
+        'processes'.
         """
-        key, fit = (axis, states, expect_walk), self.results.axes[axis].fit
+        key, fit = (axis, states), self.results.axes[axis].fit
         if key not in self._reductions:
             self._reductions[key] = reduce_axis(
-                axis, fit, states, self.horizons, self.options.strict, expect_walk
+                axis, fit, states, self.horizons, self.options.strict
             )
         return self._reductions[key]
 
@@ -228,7 +227,7 @@ class FilterNoise:
         sigma *= 3 // len(sigma)
         unit = SI_UNITS[sensor]['B']
         axes = self.results.axes
-        others = tuple(name for name in names if not axes[name].fit.selected.gauss_markov)
+        others = tuple(name for name in names if not axes[name].fit.model.gauss_markov)
         walks = {name: self.reduction(name, 'processes').levels['K'] for name in others}
         described = '; '.join(
             f'{name} {significant(s, VALUE_DIGITS)} {unit}, {t:.4g} s{_origin(walks.get(name))}'
@@ -254,7 +253,7 @@ class FilterNoise:
         return self.reduction(axis, 'processes').model()
 
     def _closest(self, axis: str, tau: float | None) -> tuple[float, float]:
-        model = self.results.axes[axis].fit.selected
+        model = self.results.axes[axis].fit.model
         model = model if model.gauss_markov else self._drifting(axis)
         pair = closest_process(model, self.horizons, tau, self.target.bound)
         assert pair is not None  # both sensors drift
@@ -278,7 +277,7 @@ class FilterNoise:
         poor = {
             axis: one.ratio[1]
             for axis, one in self._used.items()
-            if one.poor or self.results.axes[axis].fit.selected.gauss_markov
+            if one.poor or self.results.axes[axis].fit.model.gauss_markov
         }
         worst = max(poor.values(), default=0.0)
         note = finding('export_two_numbers', tuple(poor), horizons=self.horizons, ratio=worst)

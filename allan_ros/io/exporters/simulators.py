@@ -33,7 +33,7 @@ def _spaces(noise: FilterNoise) -> Iterator[tuple[str, StateSpace, tuple[Level, 
     """Yield each axis, its state space, and the levels of N and K from which it is computed."""
     inflate = noise.options.inflate
     for axis in noise.results.axes:
-        reduced = noise.reduction(axis, 'processes', expect_walk=True)
+        reduced = noise.reduction(axis, 'processes')
         processes = tuple((rounded(inflate * s), rounded(tau)) for s, tau in reduced.gauss_markov)
         space = StateSpace(
             rounded(inflate * reduced.white), rounded(inflate * reduced.walk), processes
@@ -51,7 +51,7 @@ def _document(noise: FilterNoise) -> Iterator[Row]:
             'white': space.white,
             'walk': space.walk,
             'gauss_markov': rounded(space.gauss_markov),
-            'ramp': rounded(noise.results.axes[axis].fit.selected.terms.R),
+            'ramp': rounded(noise.results.axes[axis].fit.model.terms.R),
             'limits': [level.term for level in levels if level.is_limit],
             'Phi': rounded(space.transition(step).tolist(), MATRIX_DIGITS),
             'Qd': rounded(space.noise(step).tolist(), MATRIX_DIGITS),

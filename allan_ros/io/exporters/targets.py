@@ -115,7 +115,7 @@ def _madgwick(noise: FilterNoise) -> Iterator[Row]:
         models = interval_models(result.fit)
         low, value, high = (
             factor * math.hypot(deviation_at(model, n, horizon), noise.bias.get(axis, 0.0))
-            for n, model in zip(whites, (models[0], result.fit.selected, models[1]))
+            for n, model in zip(whites, (models[0], result.fit.model, models[1]))
         )
         gains.append(Level(axis, 'gain', value, (low, high), white.is_limit))
     (gain,) = sensor_levels(gains, noise.rule)

@@ -23,7 +23,7 @@ import numpy
 import scipy
 
 from ... import __version__
-from ...core.allan.spectrum import Spectrum
+from ...core.allan.spectra import Spectrum
 from ...core.findings import Finding, duration_text, grouped
 from ...core.imu import AXES, SENSORS
 from ...core.settings import UNIT_SYSTEMS

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.allan.history import Recording
-from ...core.allan.spectrum import Spectrum
+from ...core.allan.periods import Recording
+from ...core.allan.spectra import Spectrum
 from ...core.allan.sums import AllanSums
 from ...core.fit import TERMS
 from ...core.imu import AXES, SENSORS
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ..results import Results
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 CHART_DIGITS = 5
 """Significant digits of a value in a chart, better than a tenth of a pixel on any screen."""
@@ -219,7 +220,7 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
     ramp is left out because the mean of a block is subtracted, a sinusoid because its density is
     infinite at one frequency and 0 elsewhere.
     """
-    terms = axis.fit.selected.terms
+    terms = axis.fit.model.terms
     omega = 2.0 * np.pi * frequency
     step = 2.0 * np.sin(omega * axis.tau0 / 2.0)
     density: Floats = (
@@ -228,7 +229,7 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
         + terms.B**2 / omega
         + (terms.K * axis.tau0 / step) ** 2
     )
-    for sigma, time in axis.fit.selected.gauss_markov:
+    for sigma, time in axis.fit.model.gauss_markov:
         density = density + 2.0 * sigma**2 * time / (1.0 + (omega * time) ** 2)
     return 2.0 * density
 
@@ -255,7 +256,7 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
     names = [sums.axes[i] for i in columns]
     placed = _starts(sums, summary)
     bias = _joined([_bias(recording, start, sums.tau0) for recording, start in placed], columns)
-    levels = [_noise(recording, start, sums.tau0) for recording, start in placed]
+    levels = [_noise(recording, start, sums.tau0, sums.m) for recording, start in placed]
     noise = _joined([level for level in levels if level.tau == levels[0].tau], columns)
     charts = []
     if np.isfinite(bias.values).any(axis=1).sum() >= LEAST_POINTS:
@@ -276,37 +277,44 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
 def _starts(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Recording, float]]:
     """Return the recordings in order of time, each with its start in s on the time axis."""
     placed, end = [], 0.0
-    for recording in sorted(sums.history.recordings, key=lambda r: r.start_ns):
+    for recording in sums.recordings:
         start = end
         for at, first_ns in zip(*((summary.starts, summary.first_ns) if summary else ((), ()))):
-            if first_ns <= recording.start_ns:
-                start = at + (recording.start_ns - first_ns) * 1e-9
+            begin_ns = recording.periods[0].begin_ns
+            if first_ns <= begin_ns:
+                start = at + (begin_ns - first_ns) * 1e-9
         placed.append((recording, start))
-        end += recording.length * (sums.tau0 or 0.0)
+        end += recording.samples * (sums.tau0 or 0.0)
     return placed
 
 
 def _bias(recording: Recording, start: float, tau0: float) -> Trend:
-    """Return the mean signal in equal intervals; NaN unless over half of the samples are used."""
-    cells = recording.coarser(MEANS, recording.period_begin)
-    tau = cells.step * tau0
-    known = cells.cell_samples[:, None] > cells.step / 2
-    values = np.where(known, cells.cell_means + cells.reference, np.nan)
-    middles = np.asarray((np.arange(len(values)) + 0.5) * tau + start, float)
-    return Trend(middles, values, tau)
+    """Return the block means of the longest segments, separated by NaN."""
+    times, values, tau = [np.zeros(0)], [np.zeros((0, len(recording.reference)))], 0.0
+    begin_ns = recording.periods[0].begin_ns
+    for means in recording.means:
+        while len(means.values) > MEANS:
+            means = means.coarser(2 * means.step)
+        tau = means.step * tau0
+        first = start + (means.start_ns - begin_ns) * 1e-9
+        middles = first + (np.arange(len(means.values)) + 0.5) * tau
+        times += [middles, middles[-1:] + tau]
+        values += [means.values + recording.reference, np.full((1, len(recording.reference)), np.nan)]
+    return Trend(np.concatenate(times), np.concatenate(values), tau)
 
 
-def _noise(recording: Recording, start: float, tau0: float) -> Trend:
-    """Return the Allan deviation of each period, at an averaging time up to `LONGEST_NOISE_S`."""
-    level = int(np.searchsorted(recording.level_m * tau0, LONGEST_NOISE_S, side='right')) - 1
-    begins = recording.period_begin
-    if level < 0 or not len(begins):
-        return Trend(np.zeros(0), np.zeros((0, len(recording.reference))), 0.0)
-    m, count = recording.level_m[level], recording.level_count[:, level]
-    square = recording.level_sum_sq[:, level] / (2.0 * np.maximum(count, 1)[:, None])
-    adev = np.where(count[:, None] >= LEAST_COUNT, np.sqrt(square) / m, np.nan)
-    middles = np.asarray((begins + np.append(begins[1:], recording.length)) / 2.0, float)
-    return Trend(middles * tau0 + start, adev, float(m * tau0))
+def _noise(recording: Recording, start: float, tau0: float, m: Ints) -> Trend:
+    """Return the Allan deviation of each period at one averaging time up to `LONGEST_NOISE_S`."""
+    level = int(np.searchsorted(m * tau0, LONGEST_NOISE_S, side='right')) - 1
+    begin_ns = recording.periods[0].begin_ns
+    adev, middles = [], []
+    for period in recording.periods:
+        number = int(period.count[level]) if level < len(period.count) else 0
+        known = number >= LEAST_COUNT
+        unknown = np.full(len(recording.reference), np.nan)
+        adev.append(np.sqrt(period.sum_sq[level] / (2.0 * number)) / m[level] if known else unknown)
+        middles.append(start + (period.begin_ns - begin_ns) * 1e-9 + period.samples * tau0 / 2.0)
+    return Trend(np.array(middles), np.array(adev), float(m[level] * tau0))
 
 
 def _joined(parts: Sequence[Trend], columns: Sequence[int]) -> Trend:

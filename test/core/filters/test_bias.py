@@ -91,7 +91,7 @@ def test_a_walk_that_is_not_resolved_has_its_expected_variance():
     assert pytest.approx(UNRESOLVED_SHARE * expected_variance(hidden)) == processes.terms.K**2
     assert processes.terms.B == TERMS.B
     resolved = fit_with_ramp(Coefficient(0.0))
-    assert BiasModel.of_fit(resolved).processes == resolved.selected
+    assert BiasModel.of_fit(resolved).processes == resolved.model
 
 
 def test_white_noise_alone_averages_out():

@@ -207,7 +207,7 @@ def test_the_predicted_growth_includes_the_expected_k() -> None:
     last = growth_table(fit)[-1]
     believed = predicted_growth(expected_model(fit), last.horizon, last.window)
     assert last.std == pytest.approx(float(believed))
-    assert last.std > 1.5 * float(predicted_growth(fit.selected, last.horizon, last.window))
+    assert last.std > 1.5 * float(predicted_growth(fit.model, last.horizon, last.window))
 
 
 def test_the_interval_of_the_reduction_contains_it() -> None:

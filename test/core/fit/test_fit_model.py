@@ -22,15 +22,15 @@ def test_the_selected_model_has_resolved_terms_with_sign_and_all_processes():
         },
         processes=Processes((FAST, DRIFT), (LINE,)),
     )
-    assert fit.selected.terms == NoiseTerms(N=1e-3, B=1e-4, R=-1e-8)
-    assert fit.selected.gauss_markov == ((1e-4, 3.0), (2e-4, 300.0))
-    assert fit.selected.sinusoids == ((1e-3, 20.0),)
+    assert fit.model.terms == NoiseTerms(N=1e-3, B=1e-4, R=-1e-8)
+    assert fit.model.gauss_markov == ((1e-4, 3.0), (2e-4, 300.0))
+    assert fit.model.sinusoids == ((1e-3, 20.0),)
     assert (fit.gauss_markov, fit.sinusoid) == (DRIFT, LINE)
 
 
 def test_without_processes_the_selected_model_is_the_five_terms():
     fit = AxisFit({t: Coefficient(1e-3, (0.5e-3, 2e-3)) for t in 'QNBKR'})
-    assert fit.selected.terms == NoiseTerms(1e-3, 1e-3, 1e-3, 1e-3, 1e-3)
+    assert fit.model.terms == NoiseTerms(1e-3, 1e-3, 1e-3, 1e-3, 1e-3)
     assert fit.gauss_markov is None and fit.sinusoid is None
 
 

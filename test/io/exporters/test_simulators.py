@@ -142,7 +142,7 @@ def test_the_module_simulates_the_model(known_results: Results) -> None:
     noise = module['ImuNoise'](np.random.default_rng(2))
     samples = np.array([noise(1.0)['gyro_z'] for _ in range(40_000)])
     m = np.array([1, 8, 64])
-    expected = known_results.axes['gyro_z'].fit.selected.avar(m.astype(float))
+    expected = known_results.axes['gyro_z'].fit.model.avar(m.astype(float))
     found = allan_table(samples[:, None], m).avar[:, 0]
     for one, other, tolerance in zip(found, expected, (0.05, 0.1, 0.25)):
         assert one == pytest.approx(other, rel=tolerance)

@@ -132,7 +132,7 @@ def test_k_of_the_reduction_bounds_the_growth(known_results: Results) -> None:
         made = make_export(known_results, 'kalibr', ExportOptions(horizon=horizon))
         read = read_yaml(made.text)
         noise = NoiseTerms(N=read['gyroscope_noise_density'], K=read['gyroscope_random_walk'])
-        whole = known_results.axes['gyro_z'].fit.selected
+        whole = known_results.axes['gyro_z'].fit.model
         times = np.geomspace(1.0, horizon or 30.0, 40)
         bound = predicted_growth(ProcessModel(noise), times, horizon or 30.0)
         assert np.all(bound >= 0.999 * predicted_growth(whole, times, horizon or 30.0))

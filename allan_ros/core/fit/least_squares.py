@@ -1,13 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simple fit methods for comparison, and the fit of an Allan curve from another tool.
+"""Least squares on the Allan variance: methods 'relative' and 'paper', and curves of other tools.
 
 None of them uses the covariance of the Allan variances. The methods 'relative' and 'paper' give no
 intervals.
 
-'relative' minimizes the relative residuals of the overlapped curve with nonnegative coefficients,
-as several open tools do. No decade of tau dominates. N is less precise than with method 'gls',
-because the short averaging times, which are the most precise, have no larger weight.
+'relative' minimizes the relative residuals of the overlapping curve with nonnegative coefficients,
+as several open tools do. No decade of tau dominates. N is less precise than with method
+'likelihood', because the short averaging times, which are the most precise, have no larger weight.
 
 'paper' is the method of Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019. It fits the
 Allan variance sigma^2(tau) = sum A_p tau^p, p = -2..2, without weights, to averages over groups
@@ -17,14 +17,12 @@ finding reports the same fit with overlapping groups, which the paper names as f
 
 `fit_curve` fits a curve that another tool computed. Its covariance is unknown without the samples:
 the points are decimated to four per octave and treated as independent, each with the degrees of
-freedom of an overlapping estimate. The intervals are therefore approximate, and the ramp, which
-requires signed sums, is not estimated.
+freedom of an overlapping estimate. The intervals are therefore approximate.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,22 +34,7 @@ from ..errors import AllanError
 from ..findings import Finding, Quantity, finding
 from ..imu import sensor_of
 from ..noise import FLICKER_FLOOR, NoiseTerms, term_avar
-from .gls_solver import Whitening, nonnegative_least_squares
-from .interpretation import largest_deviation, model_line
-from .intervals import Z_DETECT, processes_in_si, standard_errors
-from .model import (
-    RANDOM_TERMS,
-    TERMS,
-    Z_95,
-    AxisFit,
-    Coefficient,
-    Floats,
-    NoiseModel,
-    avar_terms,
-    coefficient_to_si,
-)
-from .process_search import ProcessFit, ProcessSearch
-from .table import Table
+from .model import TERMS, Z_95, AxisFit, Coefficient, Floats, NoiseModel, model_of_terms
 
 MIN_GROUPS = 9
 """Smallest number of averaging times in the record for method 'relative'. With fewer, a point may
@@ -80,8 +63,11 @@ def fit_relative(sums: AllanSums) -> NoiseModel:
         squares = np.zeros(len(TERMS))
         points = int(np.count_nonzero(used))
         if points >= len(TERMS):
+            from scipy.optimize import nnls  # slow to import
+
             relative = unit_terms[used] / avar[used, None]
-            squares = nonnegative_least_squares(relative, np.ones(points))
+            size = np.linalg.norm(relative, axis=0)
+            squares = nnls(relative / size, np.ones(points))[0] / size
         else:
             findings.append(_too_few((axis,), points))
         axes[axis] = _axis_fit(squares, sign)
@@ -151,10 +137,11 @@ def fit_polynomials(sums: AllanSums) -> tuple[Polynomial, Polynomial]:
 
 
 def _signs_of_ramps(sums: AllanSums) -> list[int]:
-    """Return the sign of the least-squares ramp of the longest segments, for each axis."""
+    """Return the sign of the least-squares slope of the block means, for each axis."""
     total = np.zeros(len(sums.axes))
-    for segment in sums.segments:
-        total += segment.samples * segment.ols_ramp()
+    for means in (m for r in sums.recordings for m in r.means):
+        t = np.arange(len(means.values)) - (len(means.values) - 1) / 2.0
+        total += t @ means.values
     return [int(sign) for sign in np.sign(total)]
 
 
@@ -164,7 +151,7 @@ def _axis_fit(squares: Floats, sign: int) -> AxisFit:
     for term, square in zip(TERMS, squares.tolist()):
         if square > 0.0:
             noise[term] = Coefficient(math.sqrt(square), sign=sign if term == 'R' else 0)
-    return AxisFit(noise)
+    return AxisFit(noise, model_of_terms(noise))
 
 
 def _too_few(axes: tuple[str, ...], points: int) -> Finding:
@@ -200,16 +187,15 @@ LEAST_ERROR = 0.05
 """Smallest relative standard error of an Allan variance. It includes errors that the scatter of
 correlated points does not show."""
 
-SUBDIVISION = 1000
-"""Number of sample periods assumed in the shortest averaging time, large enough that the sampling
-has no effect."""
-
 LEAST_POINTS = 6
 """Smallest number of points of a curve: one more than there are terms."""
 
+RESOLVED = 2.33
+"""Ratio of a squared coefficient to its standard error above which it is resolved: one-sided 1 %."""
+
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:
-    """Fit noise coefficients to one Allan curve, and processes if they do not describe it.
+    """Fit noise coefficients to one Allan deviation curve by least squares on relative residuals.
 
     Parameters
     ----------
@@ -239,33 +225,31 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     >>> round(fit.noise['N'].value, 6), round(fit.noise['K'].value, 8)
     (0.001, 1e-06)
     """
+    from scipy.optimize import nnls  # slow to import
+
     tau, avar = _decimated(np.asarray(tau, float), np.asarray(adev, float))
     if record is not None and not 2.0 * tau[-1] <= record < math.inf:
         raise AllanError(
             f'a recording of {record:g} s has no average over {tau[-1]:g} s: give a length of '
             f'at least {2.0 * tau[-1]:g} s'
         )
-    unit = float(tau[0]) / SUBDIVISION
-    m = np.round(tau / unit).astype(np.int64)
     seconds = record or DEFAULT_RECORD * float(tau[-1])
     freedom = np.maximum(FREEDOM_PER_AVERAGE * (seconds / tau - 1.0), 1.0)
     relative = np.sqrt(2.0 / freedom + LEAST_ERROR**2)
-    pairs = np.zeros((10, len(m) * (len(m) + 1) // 2))
-    table = Table(m, np.round(freedom).astype(np.int64), avar, avar_terms(m), pairs)
+    units = np.stack([3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER_FLOOR), tau / 3.0], axis=1)
     model = avar
-    found = ProcessFit((), np.zeros(len(RANDOM_TERMS)), math.inf)
-    z = 0.0
     for _ in range(3):  # standard errors from the measured curve, then from the model
-        covariance = np.diag((relative * model) ** 2)
-        search = ProcessSearch(table, covariance, round(seconds / unit), signed=False, walk=True)
-        five = search.fitted(())
-        z = search.z(five)
-        found = five if z < Z_DETECT else search.search(found.extras)
-        model = table.terms @ found.variances[: len(RANDOM_TERMS)]
-        if found.extras:
-            model = model + table.columns(found.extras) @ found.variances[len(RANDOM_TERMS) :]
-        model = np.maximum(model, np.finfo(float).tiny)
-    return _curve_fit(table, found, Whitening.of(covariance), z, relative, unit)
+        rows = units / (relative * model)[:, None]
+        size = np.linalg.norm(rows, axis=0)
+        squares = nnls(rows / size, avar / (relative * model))[0] / size
+        model = np.maximum(units @ squares, np.finfo(float).tiny)
+    errors = np.sqrt(np.diag(np.linalg.pinv((rows / size).T @ (rows / size)))) / size
+    noise = {
+        term: _coefficient(float(square), float(error))
+        for term, square, error in zip('QNBK', squares, errors)
+    }
+    noise['R'] = Coefficient(None, status='not_observable')
+    return AxisFit(noise, model_of_terms(noise))
 
 
 def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
@@ -282,40 +266,10 @@ def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
     return tau, avar
 
 
-def _curve_fit(
-    table: Table,
-    found: ProcessFit,
-    whitening: Whitening,
-    z: float,
-    relative: Floats,
-    unit: float,
-) -> AxisFit:
-    """Return the fit of a curve in SI units, with intervals from the linear fit."""
-    extras = found.extras
-    columns = [table.terms]
-    if extras:
-        columns += [table.columns(extras), table.tangents(extras)]
-    deviation = standard_errors(whitening.apply(np.column_stack(columns)))
-    noise = {
-        term: _coefficient(term, float(found.variances[t]), float(deviation[t]), unit)
-        for t, term in enumerate(RANDOM_TERMS)
-    }
-    noise['R'] = Coefficient(None, status='not_observable')
-    processes = processes_in_si(extras, found.variances, deviation, unit)
-    fit = AxisFit({t: noise[t] for t in TERMS}, gof_z=z, processes=processes)
-    adev, bar = np.sqrt(table.avar), np.exp(relative / 2.0)
-    line = model_line(fit, unit, table.m, adev, adev * bar)
-    tau = np.asarray(table.m * unit, float)
-    off = largest_deviation(line, tau, adev, adev / bar, adev * bar)
-    return replace(fit, deviation=off)
-
-
-def _coefficient(term: str, variance: float, deviation: float, unit: float) -> Coefficient:
-    """Return a term in SI units, with its interval or its upper limit."""
-    upper = coefficient_to_si(term, max(variance, 0.0) + Z_95 * deviation, unit)
-    if variance < Z_DETECT * deviation or variance <= 0.0:
-        value = coefficient_to_si(term, variance, unit) or None
-        return Coefficient(value, None, upper, 'not_observable')
-    low, high = variance - Z_95 * deviation, variance + Z_95 * deviation
-    ends = (coefficient_to_si(term, low, unit), coefficient_to_si(term, high, unit))
-    return Coefficient(coefficient_to_si(term, variance, unit), ends)
+def _coefficient(square: float, error: float) -> Coefficient:
+    """Return a coefficient from its square, with its interval or its upper limit."""
+    value, high = math.sqrt(square), math.sqrt(square + Z_95 * error)
+    if square < RESOLVED * error or not square:
+        status = 'likely' if square > error else 'not_observable'
+        return Coefficient(value or None, None, high, status)
+    return Coefficient(value, (math.sqrt(max(square - Z_95 * error, 0.0)), high))

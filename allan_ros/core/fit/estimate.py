@@ -1,0 +1,254 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Estimate of the noise of one axis: highest frequency of the model, processes, lack of fit.
+
+A low-pass filter in the sensor removes power at high frequencies, which no noise type describes.
+The highest frequency of the fit is therefore halved until the model holds; below it, q and a term
+f^4 may have either sign, which describes what remains of the filter. If the model holds at no
+frequency, octaves that differ from it count less.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from .intervals import Interval, RampEstimate, profile_interval, ramp_estimate
+from .likelihood import TERMS, AxisData, Fit, inverse
+from .limits import CURVATURE, GAIN_RESOLVED, LACK_OF_FIT, LEAST_BINS, LOST_POWER, WHITE_NOISE
+from .selection import Candidates, Selection, crowded
+from .statistics import Component, Floats
+
+Q, N, B, K = range(len(TERMS))
+
+TOPS = tuple(0.5 / 2**i for i in range(8))
+"""Highest frequencies of a fit in cycles per sample."""
+
+FILTER = ('Q2',)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Fitted model of one axis; coefficients are in the squared unit of the samples.
+
+    Attributes
+    ----------
+    components : tuple of Component
+        The terms Q, N, B and K (or a bounded walk), then processes.
+    p : (components,) array
+        Their coefficients; q may be negative if the samples are low-pass filtered.
+    covariance : (components, components) array
+        Covariance of the coefficients, with that of the shapes included.
+    intervals : tuple of Interval
+        Intervals of q, w, b and k.
+    shape_errors : dict of component index to relative standard error of its shape
+    ramp : RampEstimate or None
+        Ramp per sample.
+    top : float
+        Highest frequency of the fit in cycles per sample: 0.5 if all data are used.
+    filtered : bool
+        Whether q may be negative.
+    chi_squared : (value, degrees of freedom)
+        Test of all octaves up to ``top``.
+    lack : dict of octave to ratio
+        Octaves in which the measured power differs from the model: measured over model.
+    """
+
+    components: tuple[Component, ...]
+    p: Floats
+    covariance: Floats
+    intervals: tuple[Interval, ...]
+    ramp: RampEstimate | None
+    top: float = 0.5
+    filtered: bool = False
+    chi_squared: tuple[float, float] = (0.0, 0.0)
+    lack: dict[int, float] = field(default_factory=dict)
+    shape_errors: dict[int, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Selected model up to one highest frequency, and whether it holds there."""
+
+    top: float
+    rules: Selection
+    fit: Fit
+    holds: bool
+    curved: bool  # whether the shortest averages look low-pass filtered
+
+
+def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...] = ()) -> Estimate:
+    """Return the estimate for one axis.
+
+    ``known`` are components that are always in the model, such as a daily cycle.
+    """
+    rules = Selection(data, candidates, (*TERMS, *known))
+    if len(data.power) < LEAST_BINS:
+        return _result(rules, rules.bounded(rules.selected()), 0.5)
+    trial = None
+    if not _test(rules, rules.fit(rules.base))[1]:
+        trial = _trial(rules, 0.5)
+    best = trial if trial is not None and trial.holds else _highest(rules, trial)
+    if best is not None:
+        fit, rules = best.fit, best.rules
+        if rules.signed:  # the next power as well: no bias from what the test cannot see
+            fit = rules.data.solve(
+                (*fit.components, FILTER), None, np.append(fit.p, 0.0), signed=(Q, len(fit.p))
+            )
+            rules = replace(rules, signed=(Q, len(fit.p) - 1))
+        return _result(rules, rules.bounded(fit), best.top)
+    # No highest frequency will do: octaves that differ from the model count less.
+    fit, lack = (trial or _trial(rules, 0.5)).fit, {}
+    for _ in range(2):
+        dof = rules.data.dof.copy()
+        for o, (deviance, number) in _deviances(data, fit).items():
+            if _tail(deviance, number) * data.statistics.octaves < LACK_OF_FIT:
+                at = data.statistics.octave == o
+                dof[at] = data.dof[at] * number / deviance
+                lack[o] = float(np.mean(data.power[at] / (fit.spectrum()[at])))
+        rules = replace(rules, data=replace(data, dof=dof))
+        fit = rules.selected()
+    return _result(rules, rules.bounded(fit), 0.5, lack)
+
+
+def _highest(rules: Selection, whole: _Trial | None) -> _Trial | None:
+    """Return the highest frequency at which the model holds, or None if it is no filter."""
+    good: _Trial | None = None
+    fair = 0.0
+    for top in reversed(TOPS if whole is None else TOPS[1:]):
+        if np.sum(rules.data.statistics.f < top) < LEAST_BINS:
+            continue
+        if good is not None and _loses_power(rules.data, good, top):
+            break
+        trial = _trial(rules, top, good.fit if good else None)
+        if trial.holds:
+            good = trial
+        if not trial.curved:
+            fair = top
+    if whole is not None and not whole.curved:
+        fair = 0.5
+    if good is not None and good.top < fair / 4.0:
+        return None  # the model holds at low frequencies only, but no filter explains the others
+    return good
+
+
+def _loses_power(data: AxisData, good: _Trial, top: float) -> bool:
+    """Return whether a filter removes a fifth of the power in the octave above a good model."""
+    above = (data.statistics.f >= good.top) & (data.statistics.f < top)
+    p = np.where(np.arange(len(good.fit.p)) == Q, 0.0, good.fit.p)  # its sign says nothing there
+    power = data.columns(good.fit.components).power[above] @ p
+    return bool(np.median(data.power[above] / power) < LOST_POWER)
+
+
+def _trial(rules: Selection, top: float, start: Fit | None = None) -> _Trial:
+    """Select a model up to the frequency ``top`` and test it."""
+    f = rules.data.statistics.f
+    rules = replace(rules, data=replace(rules.data, used=f < top), fastest=top)
+    if top < 0.5:  # neither a process nor a sinusoid may imitate a filter
+        rules = replace(rules, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
+    fit = rules.selected(start)
+    return _Trial(top, rules, fit, *_test(rules, fit))
+
+
+def _deviances(data: AxisData, fit: Fit) -> dict[int, tuple[float, float]]:
+    """Return deviance and number of bins of each octave, in units of independent bins."""
+    ratio = data.power[data.used] / fit.spectrum()
+    statistics = data.statistics
+    weight = (statistics.dof_alone * data.dof / statistics.dof)[data.used] / statistics.correlation
+    deviance = weight * (ratio - 1.0 - np.log(ratio))
+    octave = statistics.octave[data.used]
+    return {
+        int(o): (
+            float(deviance[octave == o].sum()),
+            float(np.sum(octave == o)) / statistics.correlation,
+        )
+        for o in np.unique(octave)
+    }
+
+
+def _tail(deviance: float, number: float) -> float:
+    """Return the probability that chi^2 exceeds a deviance."""
+    from scipy.special import gammaincc
+
+    return float(gammaincc(number / 2.0, deviance / 2.0))
+
+
+def _test(rules: Selection, fit: Fit) -> tuple[bool, bool]:
+    """Return whether the model holds, and whether its highest octave looks low-pass filtered.
+
+    A filter shows as a significant next power of f (f^2, or f^4 where q has a sign), as white noise
+    that is not resolved, or as sinusoids that imitate its shape.
+    """
+    data = rules.data
+    parts = list(_deviances(data, fit).values())
+    tails = [_tail(x, n) * len(parts) for x, n in parts]
+    tails.append(_tail(sum(x for x, _ in parts), sum(n for _, n in parts)))
+    s = fit.spectrum()
+    on = np.flatnonzero(fit.p != 0.0)
+    component = FILTER if rules.signed else TERMS[Q]
+    power = data.statistics.column(component, data.axis).power[data.used]
+    root = np.sqrt(data.dof[data.used] / 2.0)
+    a = np.column_stack([power, fit.columns.power[:, on]]) * (root / s)[:, None]
+    covariance = inverse(a.T @ a)
+    score = a.T @ ((data.power[data.used] / s - 1.0) * root)
+    z = float(covariance[0] @ score) / math.sqrt(covariance[0, 0])
+    white = 0.0
+    if fit.p[N] > 0.0:
+        at = 1 + int(np.searchsorted(on, N))
+        white = float(fit.p[N]) / math.sqrt(covariance[at, at])
+    if rules.signed:
+        curved = abs(z) > CURVATURE
+    else:
+        curved = fit.p[Q] == 0.0 and z < -CURVATURE
+    curved = curved or white < WHITE_NOISE or crowded(fit)
+    return min(tails) >= LACK_OF_FIT and not curved, curved
+
+
+def _result(
+    rules: Selection, fit: Fit, top: float, lack: dict[int, float] | None = None
+) -> Estimate:
+    """Return intervals and the complete vector of the selected model."""
+    data = rules.data
+    parts = list(_deviances(data, fit).values()) if len(data.power) else []
+    shaped = [
+        k
+        for k, c in enumerate(fit.components)
+        if len(c) > 1 and fit.p[k] > 0.0 and c not in rules.base
+    ]
+    n = len(fit.p)
+    signed = (*rules.signed, *range(n, n + len(shaped)))
+    columns = data.columns(fit.components, shaped)
+    full = data.solve(
+        fit.components,
+        columns,
+        np.append(fit.p, np.zeros(len(shaped))),
+        signed=signed,
+        tolerance=1e-3,
+    )
+    intervals = [profile_interval(data, full, i) for i in range(len(TERMS))]
+    if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
+        # A q that is not resolved nearly doubles the error of N.
+        fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
+    covariance = full.covariance()
+    errors = {
+        k: math.sqrt(max(covariance[n + i, n + i], 0.0)) / float(fit.p[k])
+        for i, k in enumerate(shaped)
+    }
+    ramp = ramp_estimate(data, fit)
+    scale = data.scale
+    return Estimate(
+        fit.components,
+        fit.p * scale,
+        covariance[:n, :n] * scale**2,
+        tuple(Interval(i.low * scale, i.high * scale, i.gain) for i in intervals),
+        None if ramp is None else ramp._replace(
+            value=ramp.value * math.sqrt(scale), error=ramp.error * math.sqrt(scale)
+        ),
+        top,
+        bool(rules.signed),
+        (sum(x for x, _ in parts), sum(k for _, k in parts)),
+        lack or {},
+        errors,
+    )

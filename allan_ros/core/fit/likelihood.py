@@ -1,0 +1,280 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Likelihood of the statistics of one axis, and its maximum by Fisher scoring.
+
+The power of each bin of the octave spectra has a Gamma distribution with known degrees of freedom.
+The contrasts of the block means are Gaussian; without the contrast that is a line, this is the
+restricted likelihood (REML) of the means with an unknown mean and ramp in each segment. Both
+expectations are linear in the coefficients, so one step of Fisher scoring is a linear least-squares
+problem with nonnegative unknowns.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from .statistics import Component, Floats, Statistics
+
+Flags = NDArray[np.bool_]
+
+TERMS: tuple[Component, ...] = (('Q',), ('N',), ('B',), ('K',))
+"""The terms that every model contains, with coefficients of 0 or more."""
+
+RIDGE = 1e-9
+"""Relative ridge of the information matrix: coefficients that the data cannot tell apart share
+their variance instead of making the matrix singular."""
+
+TANGENT_STEP = {'gauss_markov': 0.05, 'bounded_walk': 0.05, 'sinusoid': 0.002}
+"""Step in the logarithm of a shape for the derivative of the expectation."""
+
+
+class Columns(NamedTuple):
+    """Expectations for unit noise of each component of a model."""
+
+    power: Floats  # (bins, components)
+    low: list[Floats]  # (components, contrasts, contrasts) of each group
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Maximum of the likelihood for one list of components.
+
+    Attributes
+    ----------
+    components : tuple
+    p : (components,) array
+        Coefficients, in units of `AxisData.scale`.
+    value : float
+        -2 log likelihood, up to a constant; infinite if the model is not positive.
+    information : (components, components) array
+        Fisher information of the coefficients.
+    moment : (components,) array
+        The score is ``moment`` - ``information`` @ ``p``.
+    columns : Columns
+    signed : tuple of int
+        Coefficients that may be negative.
+    """
+
+    components: tuple[Component, ...]
+    p: Floats
+    value: float
+    columns: Columns
+    signed: tuple[int, ...] = ()
+    information: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    moment: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def free(self) -> NDArray[np.int64]:
+        """Indices of the coefficients that are not held at 0."""
+        signed = np.isin(np.arange(len(self.p)), self.signed)
+        return np.flatnonzero((self.p > 0.0) | signed)
+
+    def covariance(self) -> Floats:
+        """Return the covariance of all coefficients; 0 for those that are held at 0."""
+        on = self.free
+        out = np.zeros_like(self.information)
+        out[np.ix_(on, on)] = inverse(self.information[np.ix_(on, on)])
+        return out
+
+    def spectrum(self) -> Floats:
+        """Return the expected power of the bins."""
+        return np.asarray(self.columns.power @ self.p)
+
+
+def inverse(information: Floats) -> Floats:
+    """Return the inverse of an information matrix, scaled and with `RIDGE`."""
+    d = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information / np.outer(d, d) + RIDGE * np.eye(len(d))
+    return np.asarray(np.linalg.inv(scaled) / np.outer(d, d))
+
+
+class LowBand(NamedTuple):
+    """Scaled contrasts of one group for one axis."""
+
+    count: int
+    line: Floats  # (contrasts,) sum over the segments; the first one is the line
+    gram: Floats  # (contrasts - 1, contrasts - 1), without the line
+
+
+@dataclass(frozen=True, eq=False)
+class AxisData:
+    """Statistics of one axis, divided by their scale, and the bins that are used.
+
+    Attributes
+    ----------
+    statistics : Statistics
+    axis : int
+    scale : float
+        Variance by which the statistics are divided.
+    power : (bins,) array
+    low : list of LowBand
+    dof : (bins,) array
+        Degrees of freedom; smaller where the model has a relative error.
+    used : (bins,) array of bool
+        Bins below the highest frequency of the fit.
+    """
+
+    statistics: Statistics
+    axis: int
+    scale: float
+    power: Floats
+    low: list[LowBand]
+    dof: Floats
+    used: Flags
+
+    @classmethod
+    def of(cls, statistics: Statistics, axis: int) -> AxisData:
+        """Return the statistics of one axis; all bins are used."""
+        power = statistics.power[:, axis]
+        if len(power):
+            scale = float(np.average(power, weights=statistics.dof))
+        else:
+            traces = [(float(np.trace(g.gram[axis])), g.count * g.high) for g in statistics.groups]
+            scale = sum(t for t, _ in traces) / max(sum(n for _, n in traces), 1)
+        scale = scale if scale > 0.0 else 1.0
+        low = [
+            LowBand(g.count, g.sums[axis] / math.sqrt(scale), g.gram[axis][1:, 1:] / scale)
+            for g in statistics.groups
+        ]
+        used = np.ones(len(power), bool)
+        return cls(statistics, axis, scale, power / scale, low, statistics.dof, used)
+
+    def columns(
+        self, components: Sequence[Component], tangents: Sequence[int] = ()
+    ) -> Columns:
+        """Return the expectations of components, then their derivatives d/d log(shape).
+
+        ``tangents`` are the indices of the components whose derivatives are added.
+        """
+        columns = [self.statistics.column(each, self.axis) for each in components]
+        power = [each.power for each in columns]
+        low = [[each.low[g] for each in columns] for g in range(len(self.low))]
+        for i in tangents:
+            kind, shape = components[i]
+            h = TANGENT_STEP[kind]
+            above, below = (
+                self.statistics.column((kind, shape * math.exp(sign * h)), self.axis)
+                for sign in (1.0, -1.0)
+            )
+            power.append((above.power - below.power) / (2.0 * h))
+            for group, a, b in zip(low, above.low, below.low):
+                group.append((a - b) / (2.0 * h))
+        return Columns(
+            np.array(power).T[self.used], [np.array(group)[:, 1:, 1:] for group in low]
+        )
+
+    def moments(self, columns: Columns, p: Floats) -> tuple[float, Floats, Floats] | None:
+        """Return -2 log L, the information I and the moment m of the step argmin p'Ip - 2m'p.
+
+        The result is None if the expected power or covariance is not positive.
+        """
+        s = columns.power @ p
+        if np.any(s <= 0.0):
+            return None
+        half = self.dof[self.used] / 2.0
+        ratio = self.power[self.used] / s
+        value = 2.0 * float(half @ (np.log(s) + ratio))
+        a = columns.power * (np.sqrt(half) / s)[:, None]
+        information, moment = a.T @ a, a.T @ (ratio * np.sqrt(half))
+        for (count, _, gram), d in zip(self.low, columns.low):
+            root, bad = lapack.dpotrf(np.tensordot(p, d, 1), lower=1)
+            if bad:
+                return None
+            inverse_root = lapack.dtrtri(root, lower=1)[0]
+            z = inverse_root @ gram @ inverse_root.T
+            w = (inverse_root @ d @ inverse_root.T).reshape(len(p), -1)
+            value += 2.0 * count * float(np.log(np.diag(root)).sum()) + float(np.trace(z))
+            information += 0.5 * count * (w @ w.T)
+            moment += 0.5 * (w @ z.ravel())
+        return value, information, moment
+
+    def start(self, columns: Columns) -> Floats:
+        """Return coefficients with which no component alone exceeds any statistic."""
+        largest = np.full(len(columns.power.T), np.inf)
+        if len(columns.power):
+            ratios = self.power[self.used][:, None] / np.maximum(columns.power, 1e-300)
+            largest = ratios.min(axis=0)
+        for (count, _, gram), d in zip(self.low, columns.low):
+            traces = np.trace(d, axis1=1, axis2=2)
+            mean = float(np.trace(gram)) / count
+            largest = np.minimum(largest, mean / np.maximum(traces, 1e-300))
+        return np.maximum(largest, 1e-12) / len(largest)
+
+    def solve(
+        self,
+        components: Sequence[Component],
+        columns: Columns | None = None,
+        p: Floats | None = None,
+        held: Mapping[int, float] | None = None,
+        signed: tuple[int, ...] = (),
+        rounds: int = 40,
+        tolerance: float = 1e-4,
+    ) -> Fit:
+        """Return the maximum of the likelihood.
+
+        Parameters
+        ----------
+        components : sequence of Component
+        columns : Columns, optional
+            Their expectations, if they are known.
+        p : array, optional
+            Coefficients to start from.
+        held : mapping of index to value, optional
+            Coefficients that are not fitted.
+        signed : tuple of int
+            Coefficients that may be negative.
+        rounds, tolerance : int, float
+            Limit of steps, and change of -2 log L below which the iteration ends.
+        """
+        columns = self.columns(components) if columns is None else columns
+        p = self.start(columns) if p is None else p.copy()
+        held = held or {}
+        for i, value in held.items():
+            p[i] = value
+        state = self.moments(columns, p)
+        if state is None:
+            return Fit(tuple(components), p, math.inf, columns, signed)
+        fixed = np.isin(np.arange(len(p)), list(held))
+        free = np.flatnonzero(~fixed)
+        sign = np.isin(free, signed)
+        for _ in range(rounds):
+            value, information, moment = state
+            new = p.copy()
+            new[free] = _step(
+                information[np.ix_(free, free)],
+                (moment - information[:, fixed] @ p[fixed])[free],
+                sign,
+            )
+            size, trial = 1.0, self.moments(columns, new)
+            while size > 0.01 and (trial is None or trial[0] > value + 1e-6):
+                size /= 2.0
+                trial = self.moments(columns, p + size * (new - p))
+            if size <= 0.01 or trial is None:
+                break
+            p, state = p + size * (new - p), trial
+            if value - state[0] < tolerance and size == 1.0:
+                break
+        return Fit(tuple(components), p, state[0], columns, signed, state[1], state[2])
+
+
+def _step(information: Floats, moment: Floats, sign: Flags) -> Floats:
+    """Return argmin p'Ip - 2m'p with p >= 0 except where ``sign`` is True."""
+    d = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    root = np.linalg.cholesky(information / np.outer(d, d) + RIDGE * np.eye(len(d)))
+    target = np.linalg.solve(root, moment / d)
+    free = np.linalg.solve(root.T, target)
+    if np.all((free >= 0.0) | sign):
+        return np.asarray(free / d)
+    from scipy.optimize import nnls  # slow to import
+
+    x, _ = nnls(np.column_stack([root.T, -root.T[:, sign]]), target, maxiter=1000)
+    out = x[: len(d)]
+    out[sign] -= x[len(d) :]
+    return np.asarray(out / d)

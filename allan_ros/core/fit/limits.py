@@ -1,0 +1,50 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All thresholds of the fit, with the false-alarm probability that each stands for."""
+
+GAIN_PROCESS = 11.0
+"""Least gain in -2 log L of one more process (plus 2 log(bins) for a sinusoid)."""
+
+GAIN_BOUNDED = 5.41
+"""Least gain in -2 log L of a bounded random walk (Gauss-Markov process instead of K): one-sided 1 %."""
+
+GAIN_RESOLVED = 5.41
+"""Least gain in -2 log L from 0 for a term to be resolved: one-sided 1 %."""
+
+LEVEL_95 = 3.841
+"""Decrease of -2 log L at the ends of a 95 % interval."""
+
+MAX_PROCESSES = 8
+
+SHORTEST_TIME = 8.0
+"""Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
+
+LEAST_LINE_DOF = 1.0
+"""Least degrees of freedom of a bin that a sinusoid dominates."""
+
+LINES_PER_OCTAVE = 3
+"""Sinusoids within an octave that can imitate any smooth spectrum."""
+
+LACK_OF_FIT = 1e-3
+"""Probability of the chi^2 test of the octaves below which the model is rejected."""
+
+CURVATURE = 2.5
+"""Normal deviate of the next power of f of a low-pass filter above which a filter is assumed."""
+
+LEAST_BINS = 12
+"""Fewest bins of a fit with a lower highest frequency."""
+
+WHITE_NOISE = 3.0
+"""Least ratio of the white noise to its standard error in a model that holds."""
+
+LOST_POWER = 0.8
+"""Median ratio of power to model in an octave above the fit below which no model is tried there."""
+
+RAMP_RESOLVED = 2.58 / 1.96
+"""Least |R| in units of the half width of its interval for R to be resolved: two-sided 1 %."""
+
+LEAST_DRIFT_S = 10.0
+"""Shortest time at rest in s for which B, K and R are estimated."""
+
+LEAST_STATISTICS = 12
+"""Fewest bins and contrasts of a fit."""

@@ -1,0 +1,218 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fit method 'likelihood': estimates of all axes in SI, with intervals, limits and findings."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..allan.sums import AllanSums
+from ..findings import Finding, finding
+from ..noise import NoiseTerms, ProcessModel
+from .estimate import FILTER, Estimate, estimate
+from .findings import axis_findings, merge_equal
+from .intervals import Interval, RampEstimate
+from .likelihood import AxisData
+from .limits import GAIN_RESOLVED, LEAST_DRIFT_S, LEAST_STATISTICS, RAMP_RESOLVED
+from .model import (
+    RANDOM_TERMS,
+    TERMS,
+    Z_95,
+    AxisFit,
+    Coefficient,
+    Covariance,
+    GaussMarkov,
+    K,
+    LackOfFit,
+    N,
+    NoiseModel,
+    Processes,
+    Q,
+    Sinusoid,
+    coefficient_to_si,
+)
+from .selection import Candidates
+from .statistics import Component, Statistics, statistics
+
+DAY_S = 86400.0
+"""A daily cycle is always in the model of records of more than `DAYS_WITH_CYCLE` days, because the
+temperature of most rooms follows it."""
+
+DAYS_WITH_CYCLE = 0.75
+
+
+def fit_likelihood(sums: AllanSums) -> NoiseModel:
+    """Estimate the noise of every axis by maximum likelihood.
+
+    Too few data raise no error: a term that the data do not determine has no value and no limit.
+    """
+    tau0 = sums.tau0 or 1.0
+    known = statistics(sums)
+    candidates = Candidates(known)
+    daily: tuple[Component, ...] = ()
+    if known.longest * tau0 > DAYS_WITH_CYCLE * DAY_S:
+        daily = (('sinusoid', tau0 / DAY_S),)
+    axes: dict[str, AxisFit] = {}
+    findings: list[Finding] = []
+    for a, name in enumerate(sums.axes):
+        size = len(known.f) + sum(g.high for g in known.groups)
+        if size < LEAST_STATISTICS or _is_constant(sums, a):
+            axes[name] = without_estimates()
+            constant = len(sums.count) > 0 and _is_constant(sums, a)
+            id, numbers = ('no_noise', {}) if constant else ('record_too_short', {'samples': sums.samples})
+            findings.append(finding(id, (name,), **numbers))
+            continue
+        result = estimate(AxisData.of(known, a), candidates, daily)
+        brief = sums.samples * tau0 < LEAST_DRIFT_S
+        axes[name] = axis_fit(result, known, tau0, brief)
+        findings += axis_findings(sums, a, axes[name], result, tau0)
+    return NoiseModel('likelihood', tau0, axes, merge_equal(findings))
+
+
+def _is_constant(sums: AllanSums, axis: int) -> bool:
+    return not np.any(sums.avar[:, axis] > 0.0)
+
+
+def without_estimates() -> AxisFit:
+    """Return the result for an axis that cannot be fitted."""
+    return AxisFit({term: Coefficient(None, status='not_observable') for term in TERMS})
+
+
+def axis_fit(result: Estimate, known: Statistics, tau0: float, brief: bool = False) -> AxisFit:
+    """Return an estimate in SI.
+
+    ``brief`` recordings determine no drift: only N, and Q, have values.
+    """
+    noise = {
+        name: _coefficient(name, float(result.p[t]), result.covariance[t, t], i, tau0)
+        for t, (name, i) in enumerate(zip(RANDOM_TERMS, result.intervals))
+    }
+    noise['R'] = _ramp(result.ramp, tau0)
+    if result.filtered:
+        noise['Q'] = Coefficient(None, status='not_observable')
+    if brief:
+        noise |= {t: Coefficient(None, status='not_observable') for t in 'BKR'}
+    processes, order = _processes(result, tau0)
+    walk = 0.0 if len(result.components[K]) > 1 else noise['K'].value
+    terms = NoiseTerms(
+        **{t: noise[t].value or 0.0 for t in 'QNB'},
+        K=walk or 0.0,
+        R=(noise['R'].sign or 1) * (noise['R'].value or 0.0),
+    )
+    model = ProcessModel(
+        terms,
+        tuple((p.sigma, p.correlation_time) for p in processes.gauss_markov),
+        tuple((p.amplitude, p.frequency) for p in processes.sinusoid),
+        _low_pass(result, tau0) if result.filtered else 0.0,
+    )
+    value, number = result.chi_squared
+    return AxisFit(
+        noise,
+        model,
+        processes,
+        round(4.0 / result.top) if result.top < 0.5 else 1,
+        result.filtered,
+        # Wilson & Hilferty 1931
+        ((value / number) ** (1 / 3) - 1 + 2 / (9 * number)) / math.sqrt(2 / (9 * number))
+        if number
+        else None,
+        tuple(_lack(known, o, ratio, tau0) for o, ratio in sorted(result.lack.items())),
+        covariance=_covariance(result, order, tau0),
+    )
+
+
+def _coefficient(
+    name: str, variance: float, scatter: float, interval: Interval, tau0: float
+) -> Coefficient:
+    """Return a random term in SI, with its interval or its upper limit."""
+    value, low, high = (
+        coefficient_to_si(name, v, tau0) for v in (variance, interval.low, interval.high)
+    )
+    if interval.gain > GAIN_RESOLVED and math.isfinite(high):
+        return Coefficient(value, (min(low, value), max(high, value)))
+    status = 'likely' if variance > math.sqrt(scatter) > 0.0 else 'not_observable'
+    limit = max(high, value) if math.isfinite(high) else None
+    return Coefficient(value or None, None, limit, status)
+
+
+def _ramp(ramp: RampEstimate | None, tau0: float) -> Coefficient:
+    """Return the ramp in SI: its magnitude and its sign.
+
+    The square of a ramp that is not resolved exceeds its expectation by the squared error, which is
+    subtracted.
+    """
+    if ramp is None:
+        return Coefficient(None, status='not_observable')
+    size, half, sign = abs(ramp.value), ramp.half_width, int(np.sign(ramp.value))
+    if size > RAMP_RESOLVED * half:
+        return Coefficient(
+            size / tau0, (max(size - half, 0.0) / tau0, (size + half) / tau0), sign=sign
+        )
+    value = math.sqrt(max(size**2 - ramp.error**2, 0.0))
+    limit = (size + half) / tau0 if math.isfinite(half) else None
+    return Coefficient(value / tau0 or None, None, limit, 'not_observable', sign)
+
+
+def _processes(result: Estimate, tau0: float) -> tuple[Processes, list[int]]:
+    """Return the processes in SI, and the indices of their coefficients in this order."""
+    drifts: list[tuple[GaussMarkov, int]] = []
+    lines: list[tuple[Sinusoid, int]] = []
+    for k, component in enumerate(result.components):
+        variance = float(result.p[k])
+        if len(component) < 2 or variance <= 0.0:
+            continue
+        kind, shape = component
+        if kind == 'bounded_walk':
+            variance *= shape / 2.0
+        size = math.sqrt(variance)
+        relative = math.sqrt(max(result.covariance[k, k], 0.0)) / float(result.p[k])
+        sizes = _around(size, relative / 2.0)
+        if kind == 'sinusoid':
+            f = shape / tau0
+            ends = _around(f, result.shape_errors.get(k, 0.0))
+            lines.append((Sinusoid(size, sizes, f, ends), k))
+        else:
+            time = shape * tau0
+            times = _around(time, result.shape_errors.get(k, 0.0))
+            drifts.append((GaussMarkov(size, sizes, time, times), k))
+    drifts.sort(key=lambda each: each[0].correlation_time)
+    lines.sort(key=lambda each: each[0].frequency)
+    processes = Processes(tuple(p for p, _ in drifts), tuple(p for p, _ in lines))
+    return processes, [k for _, k in (*drifts, *lines)]
+
+
+def _around(value: float, relative: float) -> tuple[float, float]:
+    """Return the 95 % interval of a positive value with a relative standard error."""
+    factor = math.exp(min(Z_95 * relative, 50.0))
+    return value / factor, value * factor
+
+
+def _low_pass(result: Estimate, tau0: float) -> float:
+    """Return q of the filtered samples; the term f^4 of the spectrum adds twice its coefficient."""
+    extra = sum(
+        float(p) for p, c in zip(result.p, result.components) if c == FILTER
+    )
+    return (float(result.p[Q]) + 2.0 * extra) * tau0**2
+
+
+def _lack(known: Statistics, o: int, ratio: float, tau0: float) -> LackOfFit:
+    """Return the octave o with the ratio of measured to modeled power."""
+    f = known.f[known.octave == o]
+    return LackOfFit(float(f[0]) / tau0, float(f[-1]) / tau0, ratio)
+
+
+def _covariance(result: Estimate, order: list[int], tau0: float) -> Covariance:
+    """Return the covariance of the squared coefficients in SI."""
+    units = [coefficient_to_si(t, 1.0, tau0) ** 2 for t in RANDOM_TERMS]
+    names = list(RANDOM_TERMS)
+    numbers = {'gauss_markov': 0, 'sinusoid': 0}
+    for k in order:
+        kind, shape = result.components[k]
+        kind, unit = ('gauss_markov', shape / 2.0) if kind == 'bounded_walk' else (kind, 1.0)
+        names.append(f'{kind} {numbers[kind]}')
+        numbers[kind] += 1
+        units.append(unit)
+    at = [*range(len(RANDOM_TERMS)), *order]
+    return Covariance(tuple(names), result.covariance[np.ix_(at, at)] * np.outer(units, units))

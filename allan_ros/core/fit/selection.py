@@ -1,0 +1,301 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Selection of processes: which Gauss-Markov processes and sinusoids the data need.
+
+Processes are added one at a time. Every candidate is rated by the square of its score divided by
+its information, which approximates the gain in -2 log L; the best one of each kind is fitted, its
+shape is moved along its derivative, and it is kept if the gain exceeds the threshold of its kind.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from .likelihood import TERMS, AxisData, Fit
+from .limits import (
+    GAIN_BOUNDED,
+    GAIN_PROCESS,
+    LEAST_LINE_DOF,
+    LINES_PER_OCTAVE,
+    MAX_PROCESSES,
+    SHORTEST_TIME,
+)
+from .statistics import Component, Floats, Statistics, contrasts
+
+K = TERMS.index(('K',))
+
+LONGEST_MOVE = {'gauss_markov': 0.7, 'bounded_walk': 0.7, 'sinusoid': 0.06}
+"""Longest step in the logarithm of a shape: a factor of two, and half a bin."""
+
+PROMISING = 0.4
+"""Share of its threshold that the approximate gain of a candidate must reach to be fitted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Processes that may be added, with their expectations; equal for all axes of a recording."""
+
+    statistics: Statistics
+
+    @cached_property
+    def times(self) -> list[Component]:
+        """Gauss-Markov processes with correlation times up to the longest segment."""
+        most = math.log2(max(self.statistics.longest, 4))
+        return [('gauss_markov', 2.0**k) for k in np.arange(1.0, most + 0.01, 0.5)]
+
+    @cached_property
+    def lines(self) -> list[Component]:
+        """Sinusoids at the frequencies of the bins and between them."""
+        known = self.statistics
+        low = np.arange(1.0, known.longest * known.crossover, 0.5) / known.longest
+        width = np.diff(known.f, append=known.f[-1:] if len(known.f) else [])
+        same = np.append(np.diff(known.octave) == 0, False) if len(known.f) else width > 0
+        between = (known.f + width / 2.0)[same]
+        every = np.unique(np.concatenate([low, known.f, between]))
+        return [('sinusoid', float(f)) for f in every if 0.0 < f < 0.49]
+
+    @property
+    def all(self) -> list[Component]:
+        return self.times + self.lines
+
+    @cached_property
+    def power(self) -> Floats:
+        """Expected power of each candidate, (candidates, bins)."""
+        return np.array([self.statistics.column(each).power for each in self.all])
+
+    @cached_property
+    def covariances(self) -> list[Floats]:
+        """Covariances of the contrasts of each group for the Gauss-Markov processes."""
+        columns = [self.statistics.column(each).low for each in self.times]
+        return [np.array([c[g][1:, 1:] for c in columns]) for g in range(len(self.statistics.groups))]
+
+    @cached_property
+    def slow(self) -> int:
+        """Number of sinusoids that reach the block means."""
+        return sum(f < 2.0 * self.statistics.crossover for _, f in self.lines)
+
+    @cached_property
+    def waves(self) -> list[Floats]:
+        """Contrasts of a cosine and a sine of each slow sinusoid, (sinusoids, 2, contrasts).
+
+        The sum of their squares is the covariance for a random phase.
+        """
+        f = np.array([each[1] for each in self.lines[: self.slow]])
+        step = self.statistics.step
+        gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)
+        out = []
+        for g in self.statistics.groups:
+            turns = 2.0 * np.pi * step * f[:, None] * np.arange(g.points)
+            both = np.stack([np.cos(turns), np.sin(turns)], axis=1) * gain[:, None, None]
+            out.append(both @ contrasts(g.points, g.high)[:, 1:])
+        return out
+
+    def gains(self, data: AxisData, fit: Fit, shortest: float, fastest: float) -> Floats:
+        """Return the approximate gain in -2 log L of each candidate, (candidates,).
+
+        Gauss-Markov processes below the correlation time ``shortest`` and sinusoids above the
+        frequency ``fastest`` are not allowed.
+        """
+        s = fit.spectrum()
+        half = data.dof[data.used] / 2.0
+        c = self.power[:, data.used] / s
+        score = c @ (half * (data.power[data.used] / s - 1.0))
+        own = c**2 @ half
+        cross = c @ (fit.columns.power / s[:, None] * half[:, None])
+        n = len(self.times)
+        slow = slice(n, n + self.slow)
+        for group, d, e, w in zip(data.low, fit.columns.low, self.covariances, self.waves):
+            v = np.linalg.inv(np.tensordot(fit.p, d, 1))
+            h = v @ group.gram @ v - group.count * v
+            vd = v @ d @ v
+            ve = v @ e
+            score[:n] += 0.5 * np.tensordot(e, h, 2)
+            own[:n] += 0.5 * group.count * np.sum(ve * ve.transpose(0, 2, 1), (1, 2))
+            cross[:n] += 0.5 * group.count * np.tensordot(e, vd, ((1, 2), (1, 2)))
+            score[slow] += 0.5 * np.sum((w @ h) * w, (1, 2))
+            own[slow] += 0.5 * group.count * np.sum((w @ v @ w.transpose(0, 2, 1)) ** 2, (1, 2))
+            cross[slow] += 0.5 * group.count * np.einsum('fpk,ckl,fpl->fc', w, vd, w, optimize=True)
+        on = fit.free
+        size = np.sqrt(np.maximum(np.diag(fit.information)[on], 1e-300))
+        known = fit.information[np.ix_(on, on)] / np.outer(size, size) + 1e-9 * np.eye(len(on))
+        cross = cross[:, on] / size
+        own = own - np.sum(cross * np.linalg.solve(known, cross.T).T, axis=1)
+        left = (fit.moment - fit.information @ fit.p)[on] / size
+        score = score - cross @ np.linalg.solve(known, left)
+        shapes = np.array([each[1] for each in self.all])
+        allowed = np.where(np.arange(len(shapes)) < n, shapes >= shortest, shapes < fastest)
+        return np.where(allowed & (score > 0.0), score**2 / np.maximum(own, 1e-12), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Rules for the processes of one axis up to one highest frequency.
+
+    Attributes
+    ----------
+    data : AxisData
+    candidates : Candidates
+    base : tuple of Component
+        Components that every model contains.
+    signed : tuple of int
+        Coefficients that may be negative: q if the samples are low-pass filtered.
+    shortest, fastest : float
+        Shortest correlation time in samples, and highest frequency of a sinusoid.
+    """
+
+    data: AxisData
+    candidates: Candidates
+    base: tuple[Component, ...] = TERMS
+    signed: tuple[int, ...] = ()
+    shortest: float = SHORTEST_TIME
+    fastest: float = 0.5
+
+    def threshold(self, kind: str) -> float:
+        """Return the least gain in -2 log L of one more process.
+
+        The search over the frequencies of sinusoids increases it by 2 log(bins).
+        """
+        bins = max(len(self.data.power), 8)
+        return GAIN_PROCESS + (2.0 * math.log(bins) if kind == 'sinusoid' else 0.0)
+
+    def fit(
+        self, components: Sequence[Component], p: Floats | None = None, tolerance: float = 1e-4
+    ) -> Fit:
+        """Return the fit of some components."""
+        return self.data.solve(components, None, p, signed=self.signed, tolerance=tolerance)
+
+    def selected(self, start: Fit | None = None) -> Fit:
+        """Return the fit with all processes that exceed their threshold.
+
+        ``start`` is a fit to other bins, whose processes are kept as long as they are needed.
+        """
+        rules = self._weighed(start)
+        if start is None:
+            fit = rules.fit(self.base)
+        else:
+            fit = rules.fit(start.components, np.maximum(start.p, 1e-6 * start.p.max()))
+        while len(fit.components) < len(self.base) + MAX_PROCESSES:
+            more = rules._with_one_more(fit)
+            if more is None:
+                break
+            fit = more
+            if crowded(fit):
+                return fit
+            if fit.components[-1][0] == 'sinusoid':
+                rules = self._weighed(fit)
+                fit = rules.fit(fit.components, fit.p)
+            for k in range(len(self.base), len(fit.p) - 1):
+                fit = rules.refined(fit, k, 2)
+        return rules._without_superfluous(fit)
+
+    def _with_one_more(self, fit: Fit) -> Fit | None:
+        """Return the fit with the best further process, or None if none exceeds its threshold."""
+        gains = self.candidates.gains(self.data, fit, self.shortest, self.fastest)
+        best, most = None, 0.0
+        at = 0
+        for kind, each in (('gauss_markov', self.candidates.times), ('sinusoid', self.candidates.lines)):
+            part = gains[at : at + len(each)]
+            at += len(each)
+            if not len(part) or part.max() < PROMISING * self.threshold(kind):
+                continue
+            seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
+            new = self.fit((*fit.components, each[int(part.argmax())]), np.append(fit.p, seed))
+            new = self.refined(new, len(fit.p))
+            over = fit.value - new.value - self.threshold(kind)
+            if over > most:
+                best, most = new, over
+        return best
+
+    def _without_superfluous(self, fit: Fit) -> Fit:
+        """Remove Gauss-Markov processes that later ones have made superfluous."""
+        k = len(self.base)
+        while k < len(fit.p):
+            kind = fit.components[k][0]
+            if kind != 'sinusoid':
+                others = (*fit.components[:k], *fit.components[k + 1 :])
+                rest = self.fit(others, np.maximum(np.delete(fit.p, k), 1e-9))
+                if rest.value - fit.value < self.threshold(kind):
+                    fit, k = rest, len(self.base)
+                    continue
+            k += 1
+        return fit
+
+    def refined(self, fit: Fit, k: int, rounds: int = 12) -> Fit:
+        """Move the shape of the component ``k`` along its derivative while the likelihood grows."""
+        kind = fit.components[k][0]
+        longest = self.data.statistics.longest
+        low, high = {
+            'gauss_markov': (self.shortest, float(longest)),
+            'bounded_walk': (self.shortest, 4.0 * longest),
+            'sinusoid': (0.5 / longest, 0.499),
+        }[kind]
+        for _ in range(rounds):
+            if fit.p[k] <= 0.0:
+                break
+            n, shape = len(fit.p), fit.components[k][1]
+            full = self.data.solve(
+                fit.components,
+                self.data.columns(fit.components, [k]),
+                np.append(fit.p, 0.0),
+                signed=(*self.signed, n),
+                rounds=4,
+                tolerance=1e-2,
+            )
+            move = full.p[n] / max(full.p[k], 1e-300)
+            move = float(np.clip(move, -LONGEST_MOVE[kind], LONGEST_MOVE[kind]))
+            before = fit.value
+            for _ in range(3):
+                trial = list(fit.components)
+                trial[k] = (kind, min(max(shape * math.exp(move), low), high))
+                new = self.fit(trial, fit.p, tolerance=1e-3)
+                if new.value < fit.value:
+                    fit = new
+                    break
+                move *= 0.3
+            if before - fit.value < 0.05:
+                break
+        return fit
+
+    def bounded(self, fit: Fit) -> Fit:
+        """Return the fit in which the random walk is bounded, if the data show this.
+
+        K is a Gauss-Markov process of infinite correlation time T; 1/T > 0 is one more coefficient.
+        """
+        if fit.p[K] <= 0.0:
+            return fit
+        tries = []
+        for time in self.data.statistics.longest / 2.0 ** np.arange(0, 11, 2):
+            components = list(fit.components)
+            components[K] = ('bounded_walk', float(time))
+            tries.append(self.fit(components, fit.p, 1e-2))
+        new = self.refined(min(tries, key=lambda each: each.value), K)
+        return new if fit.value - new.value > GAIN_BOUNDED else fit
+
+    def _weighed(self, fit: Fit | None) -> Selection:
+        """Reduce the weight of bins that sinusoids dominate.
+
+        A sinusoid is never as narrow as the model; such bins say little except its amplitude.
+        """
+        if fit is None:
+            return self
+        columns = [self.data.statistics.column(c, self.data.axis).power for c in fit.components]
+        parts = fit.p[:, None] * np.array(columns)
+        lines = [i for i, c in enumerate(fit.components) if c[0] == 'sinusoid']
+        if not lines:
+            return self
+        share = np.clip(parts[lines].sum(0) / parts.sum(0), 0.0, 1.0)
+        least = np.minimum(self.data.dof, LEAST_LINE_DOF)
+        dof = np.maximum(self.data.dof * (1.0 - share) ** 2, least)
+        return replace(self, data=replace(self.data, dof=dof))
+
+
+def crowded(fit: Fit) -> bool:
+    """Return whether sinusoids are so close together that they imitate a smooth spectrum."""
+    f = np.log2(sorted(c[1] for c in fit.components if c[0] == 'sinusoid'))
+    near = LINES_PER_OCTAVE - 1
+    return bool(np.any(f[near:] - f[:-near] < 1.0))

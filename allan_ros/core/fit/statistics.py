@@ -1,0 +1,261 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Statistics of a recording for the fit, and their expectation for each noise type.
+
+Two frequency bands are used. Above the crossover, the octave spectra: averaged periodograms whose
+expectation for unit noise is a linear function of gamma(M, j), exact with the leakage of the taper
+and the aliases of the decimation. Below it, the block means of each segment, as cosine contrasts
+that are orthogonal to a constant and a line: their covariance follows from gamma(M, j) as well.
+Segments of equal length share one Gram matrix.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+
+from ..allan.octaves import octave, tapers
+from ..allan.spectra import pooled_spectra
+from ..allan.sums import LONGEST_FILLED, AllanSums
+from ..noise import gamma_of
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+Component = tuple  # type: ignore[type-arg]
+"""A noise type with its shape: ('N',), ('gauss_markov', 30.0). Shapes are in samples."""
+
+LOWEST_BLOCKS = 2
+"""The longest blocks of the spectra are at most 1/2 of the longest segment, so that at least three
+overlapping blocks are averaged."""
+
+LEAST_POINTS = 4
+"""Fewest block means of a segment from which contrasts are formed."""
+
+EQUAL_LENGTHS = 8
+"""Largest number of different lengths of segments that are treated exactly; with more, segments are
+divided into pieces of a few lengths."""
+
+
+@lru_cache(maxsize=64)
+def _kernel(o: int) -> Floats:
+    """Return the matrix, (bins, lags), that turns gamma(M, lags) into the expected power."""
+    _, size, bins = octave(o)
+    a = tapers(size, bins)
+    r = np.fft.ifft(np.abs(np.fft.fft(a, 2 * size)) ** 2).real[:, :size]
+    r[:, 1:] *= 2.0
+    return np.asarray(r)
+
+
+@lru_cache(maxsize=8192)
+def expected_power(component: Component, o: int) -> Floats:
+    """Return the expected power of unit noise in the bins of an octave."""
+    means, size, _ = octave(o)
+    return np.asarray(_kernel(o) @ gamma_of(*component)(means, np.arange(size)))
+
+
+@lru_cache(maxsize=64)
+def contrasts(points: int, high: int) -> Floats:
+    """Return a line and cosines of up to ``high`` half periods, (points, 1 + cosines).
+
+    The columns are orthonormal, and orthogonal to a constant.
+    """
+    t = np.arange(points)
+    cosines = np.cos(np.pi * np.outer(t + 0.5, np.arange(1, min(high, points - 2) + 1)) / points)
+    q, _ = np.linalg.qr(np.column_stack([np.ones(points), t - t.mean(), cosines]))
+    return np.asarray(q[:, 1:])
+
+
+@lru_cache(maxsize=512)
+def _low_covariance(component: Component, step: int, points: int, high: int) -> Floats:
+    """Return the covariance of the contrasts of block means for unit noise."""
+    v = contrasts(points, high)
+    return np.asarray(v.T @ toeplitz(gamma_of(*component)(step, np.arange(points))) @ v)
+
+
+class Group(NamedTuple):
+    """Contrasts of the block means of all segments of one length, summed over the segments."""
+
+    points: int
+    high: int
+    count: int  # segments
+    sums: Floats  # (axes, contrasts)
+    gram: Floats  # (axes, contrasts, contrasts)
+
+
+class Column(NamedTuple):
+    """Expectation of the statistics for unit noise of one type."""
+
+    power: Floats  # (bins,)
+    low: list[Floats]  # covariance of the contrasts of each group; the line comes first
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Octave spectra and block means of all axes of a recording.
+
+    Attributes
+    ----------
+    samples, longest : int
+        Number of samples of all segments, and of the longest one.
+    octave, f : (bins,) arrays
+        Octave of each bin, and its frequency in cycles per sample.
+    power : (bins, axes) array
+        Mean power of the blocks in the squared unit of the samples (two-sided density).
+    dof, dof_alone : (bins,) arrays
+        Degrees of freedom of a bin with its share of the correlation with its neighbors, and of the
+        bin alone.
+    correlation : float
+        Sum of the squared correlations of the powers of a bin with all bins of its block.
+    step : int
+        Samples per block mean.
+    groups : tuple of Group
+    white_gain : (bins + 1, axes) array
+        Expected power of white noise relative to that without interpolated samples; the last row is
+        for the block means.
+    """
+
+    samples: int
+    longest: int
+    octave: Ints
+    f: Floats
+    power: Floats
+    dof: Floats
+    dof_alone: Floats
+    correlation: float
+    step: int
+    groups: tuple[Group, ...]
+    white_gain: Floats
+
+    @cached_property
+    def octaves(self) -> int:
+        """Number of octaves."""
+        return int(self.octave[-1]) + 1 if len(self.octave) else 0
+
+    @cached_property
+    def crossover(self) -> float:
+        """Frequency in cycles per sample below which the block means are used."""
+        return _edge(self.octaves)
+
+    def column(self, component: Component, axis: int = 0) -> Column:
+        """Return the expectation for unit noise of a component of an axis.
+
+        The component 'Q2' is the term f^4 of the spectrum of a low-pass filter, which follows f^2
+        of 'Q' in its series. It does not reach the low band.
+        """
+        if component == ('Q2',):
+            q = self.column(('Q',))
+            return Column(q.power**2, [0.0 * low for low in q.low])
+        power = [expected_power(component, o) for o in range(self.octaves)]
+        if component[0] == 'sinusoid' and component[1] * self.step > 1.0:
+            # Its alias in the block means depends on more digits of its frequency than are known:
+            # there, the mean power of all aliases is taken as white noise.
+            mean = 0.25 * self.step / (self.step * math.sin(math.pi * component[1])) ** 2
+            low = [mean * each for each in self.column(('N',), axis).low]
+        else:
+            low = [_low_covariance(component, self.step, g.points, g.high) for g in self.groups]
+        gain = self.white_gain[:, axis]
+        if component == ('N',) and np.any(gain != 1.0):
+            return Column(np.concatenate(power) * gain[:-1], [gain[-1] * each for each in low])
+        return Column(np.concatenate(power) if power else np.zeros(0), low)
+
+
+def _edge(octaves: int) -> float:
+    """Return the lower edge of the lowest of a number of octaves in cycles per sample."""
+    if not octaves:
+        return 1.0
+    means, size, bins = octave(octaves - 1)
+    return float((bins[0] - 0.5) / (means * size))
+
+
+def statistics(sums: AllanSums) -> Statistics:
+    """Return the statistics of sums."""
+    spectra = pooled_spectra(sums)
+    longest = max((m.samples for r in sums.recordings for m in r.means), default=0)
+    octaves = 0
+    for o, number in enumerate(spectra.blocks.tolist()):
+        if number < 1 or (o and LOWEST_BLOCKS * octave(o).length > longest):
+            break
+        octaves = o + 1
+    used = spectra.octave < octaves
+    means = [(m.step, m.values.T) for r in sums.recordings for m in r.means]
+    step, groups = _groups(means, _edge(octaves))
+    return Statistics(
+        sums.samples,
+        longest,
+        spectra.octave[used],
+        spectra.f[used],
+        spectra.power[used],
+        spectra.shared_dof[used],
+        spectra.dof[used],
+        float(spectra.clump[used][-1]) if octaves else 1.0,
+        step,
+        groups,
+        _interpolation_gain(sums, spectra.f[used], spectra.octave[used]),
+    )
+
+
+def _interpolation_gain(sums: AllanSums, f: Floats, octaves: Ints) -> Floats:
+    """Return the relative power of white noise due to interpolated gaps, (bins + 1, axes).
+
+    A gap of g samples gives the samples next to it the weights A = sum (1 - i/(g + 1)) exp(-2 pi i
+    f), i = 0 .. g, at the frequency f, instead of 1, and removes the noise of g samples. The last
+    row is for f = 0, that is, for block means. Blocks of which a tenth is interpolated are excluded
+    from the spectra, so they contain no longer gaps. The longest gaps are shocks, which are replaced
+    by a mean level without noise; they have no effect outside of these blocks.
+    """
+    at = np.append(f, 0.0)
+    longest = np.append([octave(o).length // 10 for o in octaves.tolist()], np.inf)
+    gain = np.ones((len(at), len(sums.axes)))
+    for g in range(1, min(len(sums.filled) + 1, LONGEST_FILLED)):
+        number = sums.filled[g - 1]
+        if np.any(number):
+            i = np.arange(g + 1)
+            weight = np.exp(-2j * np.pi * np.outer(at, i)) @ (1.0 - i / (g + 1))
+            excess = np.where(g <= longest, 2.0 * np.abs(weight) ** 2 - g - 2.0, 0.0)
+            gain += np.outer(excess, number / max(sums.samples, 1))
+    return gain
+
+
+def _groups(means: list[tuple[int, Floats]], edge: float) -> tuple[int, tuple[Group, ...]]:
+    """Return the common step of the block means, and the contrasts of all segments."""
+    step = max((one for one, _ in means), default=1)
+    values = [_coarser(y, step // one) for one, y in means]
+    exact = len({y.shape[1] for y in values}) <= EQUAL_LENGTHS
+    pieces: dict[int, list[Floats]] = {}
+    for y in values:
+        at = 0
+        for points in [y.shape[1]] if exact else _lengths(y.shape[1]):
+            if points >= LEAST_POINTS:
+                pieces.setdefault(points, []).append(y[:, at : at + points])
+            at += points
+    groups = []
+    for points, each in sorted(pieces.items()):
+        high = int(2.0 * points * step * edge)
+        if high >= 2:
+            z = np.stack(each) @ contrasts(points, high)
+            gram = np.einsum('sai,saj->aij', z, z)
+            groups.append(Group(points, high, len(each), z.sum(0), gram))
+    return step, tuple(groups)
+
+
+def _coarser(y: Floats, factor: int) -> Floats:
+    """Return the means of ``factor`` columns each."""
+    points = y.shape[1] // factor
+    return np.asarray(y[:, : points * factor].reshape(len(y), points, factor).mean(axis=2))
+
+
+def _lengths(points: int) -> list[int]:
+    """Divide a number of points into lengths of 4, 6, 8, 12, 16, 24 ... points."""
+    out, sizes = [], sorted((s << k for k in range(9) for s in (4, 6)), reverse=True)
+    for size in sizes:
+        while points >= size:
+            out.append(size)
+            points -= size
+    return out
