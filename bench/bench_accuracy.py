@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import TERMS, AxisFit, Coefficient, fit_noise
 from allan_ros.core.fit.goodness import Z_FAIL
@@ -100,7 +100,7 @@ class Scenario:
     def draw(self, rng: np.random.Generator, axes: int) -> AllanSums:
         """Return the sums of one independent record per axis."""
         rows = np.stack([self.axis(rng) for _ in range(axes)], axis=1)
-        engine = RunningAllan(axes=AXES[:axes])
+        engine = RunningSums(axes=AXES[:axes])
         start = 0
         for part in np.split(rows, self.cuts(rng)):
             period = 1e9 / self.rate
@@ -295,7 +295,7 @@ def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None
         cost = 1e3 * spent[method] / len(rows[method])
         print(f'\n{scenario}, {method}, {len(got)} runs, {cost:.1f} ms of CPU per axis\n')
         print(table(scenario, got), flush=True)
-        if method == 'gls':
+        if method == 'likelihood':
             print(f'\n{additional_terms(scenario, got)}', flush=True)
 
 
@@ -304,7 +304,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description='Monte Carlo of the fits.')
     parser.add_argument('scenarios', nargs='*', default=['table1_x', 'white', 'five_minutes'])
     parser.add_argument('--runs', type=int, default=24)
-    parser.add_argument('--methods', nargs='+', default=['gls', 'relative', 'paper', 'slope'])
+    parser.add_argument('--methods', nargs='+', default=['likelihood', 'relative', 'paper', 'slope'])
     parser.add_argument('--keep', type=Path, help='folder to keep the sums of the draws in')
     parser.add_argument('--rate', type=float, help='another rate in Hz than that of the scenarios')
     options = parser.parse_args(arguments)

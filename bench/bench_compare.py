@@ -18,7 +18,7 @@ from collections import Counter
 import numpy as np
 from bench_accuracy import clopper_pearson
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.compare import FAMILY_ERROR
 from allan_ros.core.imu import AXES, from_datasheet, sensor_of
 from allan_ros.core.noise import NoiseTerms
@@ -40,7 +40,7 @@ def simulated_run(seconds: float, rng: np.random.Generator) -> Results:
     """Return the results of one simulated recording of six axes."""
     n = round(seconds * RATE)
     rows = np.stack([simulate_axis(n, 1.0 / RATE, TRUTH[axis], rng) for axis in AXES], axis=1)
-    engine = RunningAllan(axes=AXES)
+    engine = RunningSums(axes=AXES)
     engine.update(rows, 0, round((n - 1) * 1e9 / RATE))
     engine.end_segment()
     return analyze_sums([engine.sums], Provenance())

@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 
 OFFSET = 9.8
 BIT = 2.0**-49
@@ -82,7 +82,7 @@ def show_growth(hours: tuple[float, ...]) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for length in hours:
         samples = round(length * 3600 * RATE_HZ)
-        engine, cpu, at = RunningAllan(), 0.0, 0
+        engine, cpu, at = RunningSums(), 0.0, 0
         for first, size in blocks(samples, values):
             part = values[:, first : first + size].T
             begin = time.process_time()
@@ -108,7 +108,7 @@ def show_ratio(rounds: int) -> None:
     ours, theirs, taus = [], [], 0
     for _ in range(rounds):
         begin = time.process_time()
-        engine = RunningAllan()
+        engine = RunningSums()
         for at in range(0, len(y), 32768):
             part = y[at : at + 32768]
             engine.update(part, at, at + len(part) - 1)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.imu import ImuIdentity
 
 UNIT = 2.0**-49
@@ -49,7 +49,7 @@ def main() -> None:
 
 def _errors(y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the relative error of each sum of d^2."""
-    engine = RunningAllan(ImuIdentity('imu'), ('accel_z',))
+    engine = RunningSums(ImuIdentity('imu'), ('accel_z',))
     engine.update(y[:, None], 0, len(y) - 1)
     sums = engine.sums
     whole = (y / UNIT).astype(np.int64)

@@ -25,7 +25,7 @@ import numpy as np
 from bench_accuracy import AXES, HOUR, X, clopper_pearson, gyro, read_slopes
 from scipy.signal import lfilter
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.fit import AxisFit, fit_noise
@@ -67,7 +67,7 @@ def sigma_of_hump(truth: NoiseTerms, time: float, hump: float, rate: float = RAT
 
 def sums_of(rows: np.ndarray, rate: float = RATE) -> AllanSums:
     """Return the sums of samples, one row per axis."""
-    engine = RunningAllan(axes=AXES[: rows.shape[1]])
+    engine = RunningSums(axes=AXES[: rows.shape[1]])
     engine.update(rows, 0, round((len(rows) - 1) / rate * 1e9))
     engine.end_segment()
     return engine.sums
@@ -151,7 +151,7 @@ def segments(blocks: int, time_: float = 100.0, sigma: float = 0.5) -> None:
     fits: list[AxisFit] = []
     for block in range(blocks):
         rng = np.random.default_rng([7, block])
-        engine, begin = RunningAllan(axes=AXES), 0
+        engine, begin = RunningSums(axes=AXES), 0
         for n in rng.exponential(500.0, 400).astype(int) + 2:
             drift = [process(n, 1.0, sigma, time_, rng) for _ in AXES]
             rows = rng.standard_normal((n, len(AXES))) + np.stack(drift, axis=1)

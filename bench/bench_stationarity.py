@@ -27,7 +27,7 @@ from doc_table import DocTable
 from numpy.typing import NDArray
 from scipy.stats import beta
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.levels import drift_scatter, level_changes
 from allan_ros.core.allan.stationarity import bias_steps, early_parts
 from allan_ros.core.allan.sums import AllanSums
@@ -62,7 +62,7 @@ def deg_h(value: float) -> float:
 
 def sums_of(y: Floats, gap: tuple[int, int] | None = None, tau0: float = 1.0) -> AllanSums:
     """Return the sums of samples; the samples in ``gap`` (first, last) are left out."""
-    engine = RunningAllan(axes=AXES[: y.shape[1]])
+    engine = RunningSums(axes=AXES[: y.shape[1]])
     tick = round(tau0 * 1e9)
     for first, last in ((0, len(y)),) if gap is None else ((0, gap[0]), (gap[1], len(y))):
         engine.update(y[first:last], first * tick, (last - 1) * tick)

@@ -26,7 +26,7 @@ from offline_run import offline_sums
 from online_nodes import RELIABLE, Client, node, start
 
 from allan_ros.core.allan.document import sums_from_document
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
 from allan_ros.io.readers import open_recordings
@@ -121,7 +121,7 @@ def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
     stamps = np.concatenate([b.stamps_ns for b in batches])
     samples = np.concatenate([b.samples for b in batches])
     starts = np.searchsorted(stamps, [span['start_ns'] for span in spans])
-    expected = RunningAllan(total.identity, AXES)
+    expected = RunningSums(total.identity, AXES)
     ends, kept = {0: 0}, 0  # number of kept samples -> position of the last of them in the bag
     for first, span in zip(starts, spans):
         rows = slice(first, first + span['samples'])

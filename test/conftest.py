@@ -72,7 +72,7 @@ _fits: dict[bytes, tuple[AllanSums, NoiseModel]] = {}
 
 
 def fit_once(
-    sums: AllanSums, method: str = 'gls', settle: bool = True
+    sums: AllanSums, method: str = 'likelihood', settle: bool = True
 ) -> tuple[AllanSums, NoiseModel]:
     """Return `fit_stationary` of the arguments; equal arguments are fitted once per process."""
     key = pickle.dumps((sums, method, settle))

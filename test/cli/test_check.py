@@ -135,7 +135,7 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_units_are_never_pooled(how: str, units: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(path) for path in sorted(units.glob('*.csv'))]
     given = files if how == 'files' else [str(units)]
-    words = ['check', *given, '--sensor', str(units / 'limit.yaml'), '--method', 'gls']
+    words = ['check', *given, '--sensor', str(units / 'limit.yaml'), '--method', 'likelihood']
     assert main([*words, '--jobs', '2' if how == 'files' else '1']) == 3
     *lines, totals = capsys.readouterr().out.splitlines()
     assert [line.split(': ')[1] for line in lines] == files

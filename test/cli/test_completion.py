@@ -68,7 +68,7 @@ def test_bash_completes_verbs_options_choices_and_names(tmp_path: Path, recordin
     )
     assert set(VERBS) <= set(verbs) and '--version' in verbs
     assert options == ['--method']
-    assert methods == ['gls', 'relative', 'paper']
+    assert methods == ['likelihood', 'relative', 'paper']
     assert sensors == [name for name in sensor_names() if name.startswith('adis')] != []
     assert targets == [name for name in TARGETS if name.startswith('vins')] != []
     assert lists == ['kalibr,openvins']

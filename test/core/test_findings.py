@@ -137,7 +137,7 @@ def test_ranges_have_one_unit_and_one_interval():
     )
 
 
-@given(st.lists(st.sampled_from(['vibration', 'misfit', 'no_noise', 'gaps', 'held']), max_size=9))
+@given(st.lists(st.sampled_from(['vibration', 'lack_of_fit', 'no_noise', 'gaps', 'held']), max_size=9))
 def test_merging_loses_no_axis_and_keeps_different_findings_apart(ids):
     axes = ('gyro_x', 'gyro_y', 'accel_z')
     found = [example(id, i + 1.0, axes[i % 3]) for i, id in enumerate(ids)]

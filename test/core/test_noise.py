@@ -1,77 +1,123 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
+"""Noise types: gamma against simulated samples, brute force and formulas of the standard."""
+
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.noise import (
+    FLICKER_FLOOR,
     NoiseTerms,
+    ProcessModel,
+    gamma_of,
     gauss_markov_avar,
-    sampled_gauss_markov_avar,
-    sinusoid_avar,
     term_avar,
+    unit_avar,
 )
+from allan_ros.core.simulate import simulate_axis
+
+SHAPES = [
+    ('Q',),
+    ('N',),
+    ('B',),
+    ('K',),
+    ('gauss_markov', 30.0),
+    ('bounded_walk', 200.0),
+    ('sinusoid', 0.031),
+]
 
 
-def test_the_terms_agree_with_the_standard_at_long_tau():
-    terms = NoiseTerms(Q=2e-3, N=0.3, B=0.05, K=0.02, R=-0.004)
-    tau0, m = 0.01, np.array([1000, 30000])
+def simulated(component, n, rng):
+    """Return n samples of a noise type with the coefficient 1."""
+    kind, *shape = component
+    if not shape:
+        return simulate_axis(n, 1.0, NoiseTerms(**{kind: 1.0}), rng)
+    if kind == 'sinusoid':
+        return np.sin(2.0 * np.pi * (shape[0] * np.arange(n) + rng.uniform()))
+    keep = math.exp(-1.0 / shape[0])
+    variance = 1.0 if kind == 'gauss_markov' else shape[0] / 2.0
+    steps = rng.standard_normal(n) * math.sqrt(variance * (1.0 - keep * keep))
+    steps[0] = rng.standard_normal() * math.sqrt(variance)
+    return lfilter([1.0], [1.0, -keep], steps)
+
+
+@pytest.mark.parametrize('component', SHAPES, ids=lambda c: c[0])
+@pytest.mark.parametrize('m', [1, 4, 16])
+def test_gamma_is_the_autocovariance_of_means_of_simulated_samples(component, m):
+    # False alarms: the bound is over 5 standard errors of the mean of 200 records, 1e-6.
+    gamma, lags = gamma_of(*component), np.array([0, 1, 3])
+    rng = np.random.default_rng(5)
+    found = []
+    for _ in range(200):
+        means = simulated(component, 1 << 12, rng).reshape(-1, m).mean(axis=1)
+        # differences at lag j have the variance 2 (gamma(0) - gamma(j)), even without a mean
+        found.append([np.mean((means[j:] - means[: len(means) - j]) ** 2) / 2.0 for j in lags[1:]])
+    expected = gamma(m, 0) - gamma(m, lags[1:])
+    error = 5.5 * np.std(found, axis=0) / math.sqrt(len(found)) + 1e-3 * np.abs(expected)
+    assert np.all(np.abs(np.mean(found, axis=0) - expected) < error)
+
+
+@given(
+    st.floats(0.5, 1e8), st.sampled_from([1, 2, 5, 64]), st.sampled_from([0, 1, 3])
+)
+def test_gauss_markov_equals_the_mean_over_all_pairs_of_samples(time, m, lag):
+    a = np.arange(m)
+    distance = np.abs(a[:, None] - (a + lag * m))
+    expected = np.mean(np.expm1(-distance / time))
+    assert float(gamma_of('gauss_markov', time)(m, lag)) == pytest.approx(
+        expected, rel=1e-6, abs=1e-11
+    )
+
+
+def test_a_bounded_walk_of_infinite_time_is_a_random_walk():
+    m = np.array([1, 10, 1000])
+    assert unit_avar(m, 'bounded_walk', 1e9) == pytest.approx(unit_avar(m, 'K'), rel=1e-5)
+
+
+def test_allan_variances_are_those_of_the_standard():
+    m = np.array([1.0, 7.0, 100.0])
+    assert unit_avar(m, 'Q') == pytest.approx(3.0 / m**2)
+    assert unit_avar(m, 'N') == pytest.approx(1.0 / m)
+    assert unit_avar(m, 'B') == pytest.approx([FLICKER_FLOOR] * 3)
+    assert unit_avar(m, 'K') == pytest.approx(m / 3.0 + 1.0 / (6.0 * m))
+    sine = np.sin(np.pi * 0.03 * m) ** 4 / (m * np.sin(np.pi * 0.03)) ** 2
+    assert unit_avar(m, 'sinusoid', 0.03) == pytest.approx(sine)
+    long = np.array([1e3, 1e5])
+    assert unit_avar(long, 'gauss_markov', 1e4) == pytest.approx(
+        gauss_markov_avar(long, 1e4), rel=1e-3
+    )
+
+
+def test_term_avar_is_the_polynomial_of_the_standard():
+    terms, tau0 = NoiseTerms(Q=2e-7, N=3e-4, B=2e-5, K=4e-6, R=1e-8), 0.01
+    m = np.array([1, 10, 1000, 100_000])
     tau = m * tau0
-    a = {-2: 3 * 2e-3**2, -1: 0.3**2, 0: 2 * math.log(2) / math.pi * 0.05**2}
-    a |= {1: 0.02**2 / 3, 2: 0.004**2 / 2}
-    polynomial = sum(value * tau**power for power, value in a.items())
-    np.testing.assert_allclose(term_avar(m, tau0, terms).sum(axis=-1), polynomial, rtol=1e-6)
+    polynomial = (
+        3 * terms.Q**2 / tau**2
+        + terms.N**2 / tau
+        + FLICKER_FLOOR * terms.B**2
+        + terms.K**2 * (tau / 3 + tau0**2 / (6 * tau))
+        + terms.R**2 * tau**2 / 2
+    )
+    np.testing.assert_allclose(term_avar(m, tau0, terms).sum(axis=-1), polynomial, rtol=1e-9)
 
 
-def test_a_random_walk_of_unit_steps_is_exact_at_one_sample():
-    # V(1) = E(y_1 - y_0)^2/2 = 1/2 for steps of variance 1, not the 1/3 of continuous time.
-    assert term_avar(1, 1.0, NoiseTerms(K=1.0))[3] == pytest.approx(0.5)
+def test_parts_add_up_to_the_model_and_a_filter_may_be_negative():
+    model = ProcessModel(NoiseTerms(N=1e-3, K=1e-5), ((1e-4, 30.0),), ((2e-4, 5.0),), -1e-9)
+    tau = np.geomspace(0.1, 1000.0, 9)
+    parts = model.parts(tau, 0.01)
+    assert list(parts) == ['N', 'K', 'GM 30 s', 'sine 5 Hz', 'filter']
+    np.testing.assert_allclose(sum(parts.values()), model.avar(tau, 0.01))
+    assert np.all(parts['filter'] < 0.0)
 
 
-@pytest.mark.parametrize(
-    ('name', 'value', 'advice'),
-    [
-        ('N', -1.0, 'a finite number of 0 or above'),
-        ('B', math.nan, 'a finite number of 0 or above'),
-        ('R', math.inf, 'a finite number'),  # a ramp may be negative
-    ],
-)
-def test_invalid_coefficients_are_rejected(name, value, advice):
-    with pytest.raises(AllanError, match=f'^{name} is {value}: give {advice}$'):
-        NoiseTerms(**{name: value})
-
-
-def two_mean_variance(covariance, points: int) -> float:
-    """Return E (mean of the second half - mean of the first)^2 / 2 from the covariance of
-    samples.
-    """
-    sign = np.repeat([-1.0, 1.0], points) / points
-    lag = np.arange(2 * points)
-    return float(sign @ covariance(np.abs(lag[:, None] - lag)) @ sign) / 2.0
-
-
-@pytest.mark.parametrize('m', [1, 7, 50, 400])
-def test_gauss_markov_has_the_variance_of_its_autocovariance(m):
-    fine = 400  # points per interval: the means agree with integrals to 1e-5
-    expected = two_mean_variance(lambda lag: np.exp(-lag * (m / fine) / 30.0), fine)
-    assert gauss_markov_avar([m], 30.0)[0] == pytest.approx(expected, rel=1e-3)
-    expected = two_mean_variance(lambda lag: np.exp(-lag / 30.0), m)
-    assert sampled_gauss_markov_avar([m], 30.0)[0] == pytest.approx(expected, rel=1e-9)
-
-
-def test_gauss_markov_noise_is_a_walk_at_short_and_white_at_long_times():
-    # K^2 = 2/T per sample at m << T, N^2 = 2 T at m >> T
-    assert gauss_markov_avar([1], 1e4)[0] == pytest.approx(2e-4 / 3.0, rel=1e-3)
-    assert gauss_markov_avar([10**6], 10.0)[0] == pytest.approx(20.0 / 1e6, rel=1e-4)
-    walk = term_avar([1, 50], 1.0, NoiseTerms(K=(2e-4) ** 0.5))[:, 3]
-    assert sampled_gauss_markov_avar([1, 50], 1e4) == pytest.approx(walk, rel=1e-2)
-
-
-@pytest.mark.parametrize('m', [1, 3, 20, 64])
-@pytest.mark.parametrize('frequency', [0.001, 0.03, 0.21, 0.4])
-def test_a_sinusoid_has_the_variance_of_its_samples(m, frequency):
-    # over all phases the autocovariance of sin is cos/2
-    expected = two_mean_variance(lambda lag: np.cos(2.0 * np.pi * frequency * lag) / 2.0, m)
-    assert sinusoid_avar([m], frequency)[0] == pytest.approx(expected, rel=1e-9, abs=1e-15)
+@pytest.mark.parametrize('bad', [{'N': -1.0}, {'K': math.nan}, {'R': math.inf}])
+def test_impossible_coefficients_are_refused(bad):
+    with pytest.raises(AllanError):
+        NoiseTerms(**bad)

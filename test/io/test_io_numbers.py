@@ -27,7 +27,7 @@ from fuzz.harness import check_line
 SUMS = {'noisy': noisy_sums, 'noiseless': noiseless_sums}
 
 
-@pytest.fixture(scope='module', params=[('noisy', 'gls'), ('noiseless', 'paper')])
+@pytest.fixture(scope='module', params=[('noisy', 'likelihood'), ('noiseless', 'paper')])
 def results(request: pytest.FixtureRequest) -> Results:
     """Return the results of one method for axes with samples of very different sizes."""
     kind, method = request.param
@@ -60,7 +60,7 @@ def test_files_for_filters_contain_numbers_or_are_rejected(results: Results) -> 
             continue
         assert not NO_NUMBER.search(text), name
         written += 1
-    assert bool(written) == (results.method == 'gls')
+    assert bool(written) == (results.method == 'likelihood')
 
 
 def test_findings_and_pictures_need_no_excuse(results: Results) -> None:

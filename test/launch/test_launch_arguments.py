@@ -86,7 +86,7 @@ CASES = {
         {'imu': '/camera/imu', 'apart': 'true', 'relay': 'true'},
         {
             '/allan_accumulator': {'input.topics': ['imu/data']},
-            '/allan_estimator': {'estimator.method': 'gls'},
+            '/allan_estimator': {'estimator.method': 'likelihood'},
             '/allan_imu_relay': {'relay.until_model': 'pass'},
         },
         {'/camera/imu', '/allan_accumulator/sums', '/imu/data_with_covariance'},

@@ -45,7 +45,7 @@ def fit(**noise: Coefficient) -> AxisResult:
 
 
 def status_of(sums, **changes) -> DiagnosticStatus:
-    view = AxisView('gyro_z', sums, fit(), 'gls', 3.0, (), (), 0.2, None, ())
+    view = AxisView('gyro_z', sums, fit(), 'likelihood', 3.0, (), (), 0.2, None, ())
     return axis_status('node: imu gyro z', 'imu', replace(view, **changes))
 
 

@@ -111,7 +111,7 @@ def test_a_sensor_worse_than_it_was_is_warned_of(graph, still_imu, tmp_path: Pat
         accumulator = ImuStream()
         accumulator.update(batch)
         accumulator.end()
-        return analyze_sums(accumulator.result().sums, Provenance(), 'gls')
+        return analyze_sums(accumulator.result().sums, Provenance(), 'likelihood')
 
     baseline = tmp_path / 'results.json'
     baseline.write_text(json.dumps(results_to_document(results_of(still_imu(6000)))))

@@ -71,7 +71,7 @@ def test_an_unknown_method_is_rejected_at_start_and_at_run_time(make_node: Any) 
     group = Parameters(node).group('estimator', EstimatorSettings)
     result = set_all(node, estimator__method='guess')
     assert not result.successful and 'choose one of gls' in result.reason
-    assert group.value.method == 'gls'
+    assert group.value.method == 'likelihood'
     assert set_all(node, estimator__method='paper').successful and group.value.method == 'paper'
 
 

@@ -48,7 +48,7 @@ def results() -> Results:
     accumulator = ImuStream()
     accumulator.update(ImuBatch(stamps, samples, frame_id='imu'))
     accumulator.end()
-    return analyze_sums(accumulator.result().sums, Provenance(), 'gls')
+    return analyze_sums(accumulator.result().sums, Provenance(), 'likelihood')
 
 
 def publish_model(graph: Any, results: Results) -> Any:

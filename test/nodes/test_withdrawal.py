@@ -88,7 +88,7 @@ def test_a_looped_recording_gets_new_coefficients(graph, still_imu) -> None:
 
 def test_a_failed_fit_is_an_error_with_the_reason(graph, still_imu) -> None:
     """Sums whose numbers no fit can use, or no reader accepts, are an error in either case."""
-    process, publisher, models = estimator(graph, 'gls')
+    process, publisher, models = estimator(graph, 'likelihood')
     document = json.loads(sums_text(still_imu(4000)))
     for key in ('sum_sq', 'group_sum_sq'):
         document['sums'][0][key] = [[1e140] * 6 for _ in document['sums'][0][key]]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from allan_ros.core.allan.sums import counts
+from allan_ros.core.allan.grid import counts
 
 Floats = NDArray[np.float64]
 

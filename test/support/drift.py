@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
 
@@ -22,7 +22,7 @@ def sums_of_noise(terms, seed, seconds=SECONDS, early=0.0, rate=1.0):
     """
     rng = np.random.default_rng(seed)
     y = np.stack([simulate_axis(seconds, 1.0, terms, rng) for _ in AXES], axis=1)
-    engine = RunningAllan(axes=AXES)
+    engine = RunningSums(axes=AXES)
     y += np.reshape(early, (-1, 1))
     engine.update(y, 0, round((seconds - 1) * 1e9 / rate))
     engine.end_segment()

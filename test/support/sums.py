@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sums of samples, and their comparison bit for bit."""
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.imu import ImuIdentity
 
@@ -27,7 +27,7 @@ def feed(engine, samples, chunks=None, first=0):
 def sums_of(samples, chunks=None, cuts=(), axes=None):
     """Return the sums of samples that are split into segments at the given rows."""
     axes = axes or tuple(f'axis_{i}' for i in range(samples.shape[1]))
-    engine = RunningAllan(ImuIdentity('imu'), axes)
+    engine = RunningSums(ImuIdentity('imu'), axes)
     at = 0
     for cut in (*sorted(cuts), len(samples)):
         feed(engine, samples[at:cut], chunks, at * TICK_NS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.allan.curve import allan_curve, edf, noise_types_of_avar
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.noise import term_avar
@@ -15,7 +15,7 @@ FACTORS = 2 ** np.arange(11)
 
 
 def sums_of(*segments, rate=100.0):
-    engine = RunningAllan(axes=AXES)
+    engine = RunningSums(axes=AXES)
     start = 0
     for y in segments:
         stamps = start + np.round(np.arange(len(y)) * 1e9 / rate).astype(np.int64)

@@ -184,7 +184,7 @@ def spoilers():
         'name': (lambda d: d.update(frame_id='x' * 5000), 'frame_id'),
         'lengths': (lambda d: d.update(lengths=[[5000, 0]]), 'lengths'),
         'length': (lambda d: d.update(lengths=[[2**62, 1]]), 'lengths'),
-        'classes': (lambda d: d.update(lengths=[[2500, 1], [2500, 1]]), 'increase'),
+        'classes': (lambda d: d.update(lengths=[[4500, 1], [4500, 1]]), 'increase'),
         'not base64': (lambda d: one(d).update(power='z4:?'), 'unpacked'),
         'other kind': (lambda d: one(d).update(power=one(d)['count']), 'z4'),
         'truncated': (lambda d: one(d).update(power=one(d)['power'][:-9]), 'power'),
@@ -198,7 +198,7 @@ def spoilers():
 
 @pytest.mark.parametrize('name', spoilers())
 def test_an_invalid_document_is_rejected_with_one_line(name):
-    document = copy.deepcopy(sums_to_document(sums_of(noise(5000, axes=3))))
+    document = copy.deepcopy(sums_to_document(sums_of(noise(9000, axes=3))))
     spoil, word = spoilers()[name]
     spoil(document)
     with pytest.raises(AllanError, match=word) as error:

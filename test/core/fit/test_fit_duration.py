@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.fit.gls import fit_gls
 from allan_ros.core.fit.interpretation import (
     LENGTHS_S,
@@ -75,7 +75,7 @@ def test_the_longest_recommendation_contains_all_terms():
 @pytest.mark.parametrize('seconds', [200.0, 2000.0, 20000.0])
 def test_at_most_four_hours_are_recommended_for_white_noise(seconds):
     samples = np.random.default_rng(1).normal(size=(int(10 * seconds), 1))
-    engine = RunningAllan(axes=('gyro_x',))
+    engine = RunningSums(axes=('gyro_x',))
     engine.update(samples, 0, (len(samples) - 1) * 10**8)
     engine.end_segment()
     fit = fit_gls(engine.sums).axes['gyro_x']

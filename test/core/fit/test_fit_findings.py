@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.findings import duration_text, finding
 from allan_ros.core.fit.findings import line_finding, merge_equal
 from allan_ros.core.fit.gls import fit_gls
@@ -64,7 +64,7 @@ def test_sinusoids_that_describe_one_vibration_are_reported_as_one(lines, id, wo
 
 
 def sums_of(*segments):
-    engine = RunningAllan(axes=('gyro_x',))
+    engine = RunningSums(axes=('gyro_x',))
     for n, y in enumerate(segments):
         start = n * 10**12
         engine.update(np.reshape(y, (-1, 1)), start, start + (len(y) - 1) * 10**7)

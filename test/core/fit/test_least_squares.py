@@ -6,11 +6,11 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import TERMS, fit_noise
-from allan_ros.core.fit.simple_methods import fit_polynomials, fitted_factors
+from allan_ros.core.fit.least_squares import fit_polynomials, fitted_factors
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import term_avar
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
@@ -20,7 +20,7 @@ TRUTH = NoiseTerms(Q=4e-6, N=7e-5, B=2.5e-5, K=2.6e-6, R=1e-7)
 
 
 def sums_of(y, rate=100.0):
-    engine = RunningAllan(axes=AXES)
+    engine = RunningSums(axes=AXES)
     engine.update(y, 0, round((len(y) - 1) * 1e9 / rate))
     engine.end_segment()
     return engine.sums

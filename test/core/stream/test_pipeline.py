@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.sums import assert_identical
 
-from allan_ros.core.allan.engine import RunningAllan
+from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.fit import fit_noise
 from allan_ros.core.imu import AXES, ImuBatch, ImuIdentity
 from allan_ros.core.settings import SegmenterSettings
@@ -138,7 +138,7 @@ def test_any_chunking_of_any_stream_gives_the_same(fault, n, chunks, seed, gated
 
 def test_a_clean_stream_gives_the_same_sums_as_the_engine():
     t, x = still(20_000)
-    engine = RunningAllan(ImuIdentity(), AXES)
+    engine = RunningSums(ImuIdentity(), AXES)
     engine.update(x, int(t[0]), int(t[-1]))
     engine.end_segment()
     result = accumulate(t, x)

@@ -51,7 +51,7 @@ def known_results() -> Results:
     source = SourceInfo('runs/one.mcap', '/imu/data', 'sensor_msgs/msg/Imu', 'mcap')
     results = Results(
         ImuIdentity('imu_link', ''),
-        'gls',
+        'likelihood',
         1.0 / RATE,
         1_440_000,
         7200.0,

@@ -45,7 +45,7 @@ def pages(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     for name, path in recordings(shared_data, folder).items():
         recorded = read_recording(ReadJob(str(path), with_context=True))
         # only the first page needs a complete fit, which takes most of the time of these tests
-        results = analyze_recorded(recorded, 'gls' if name == 'adis16405' else 'relative')
+        results = analyze_recorded(recorded, 'likelihood' if name == 'adis16405' else 'relative')
         known = results.provenance
         signal = summarize_signal(recorded.signals, known.segments, 1000, known.counts.cuts)
         spectra = [spectrum_of(s, results.tau0) for s in recorded.spectra]
