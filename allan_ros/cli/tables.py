@@ -194,10 +194,12 @@ def _filter_lines(results: Results, columns: int) -> Iterator[str]:
     for row in rows:
         text = f'{row.key:{name}}  {significant(row.value, VALUE_DIGITS):9}'
         yield from wrapped(f'{text} {origin(row)}'.rstrip(), columns, ' ' * (name + 12))
-    if any(level.raised_from is not None for row in rows for level in row.levels):
+    raised = sorted({o.term for row in rows for o in row.levels if o.raised_from is not None})
+    if raised:
         yield from wrapped(
-            'K is raised so that a filter with N and K alone does not underestimate the growth of '
-            'the error, to which B and the other terms contribute.',
+            f'{" and ".join(raised)} {"are" if len(raised) > 1 else "is"} raised because a filter '
+            'with N and K alone would otherwise underestimate the growth of the error, to which B '
+            'and other terms contribute.',
             columns,
         )
 
@@ -205,13 +207,14 @@ def _filter_lines(results: Results, columns: int) -> Iterator[str]:
 def origin(row: Row) -> str:
     """Return how a number for a filter differs from the coefficient as measured."""
     (level,) = row.levels
+    name = f'{level.term} of {level.axis}'
     limit = ', a 95 % upper limit' if level.is_limit else ''
     if level.raised_from is None:
-        return f'{level.term} as measured{limit}'
+        return f'{name} as measured{limit}'
     if not level.raised_from:
-        return f'covers the growth of the error: {level.term} is not in the model'
+        return f'covers the growth of the error; {name} is not resolved'
     factor, measured = level.value / level.raised_from, significant(level.raised_from, VALUE_DIGITS)
-    return f'{factor:.2g} times {level.term} as measured, {measured}{limit}'
+    return f'{factor:.2g} times {name} as measured, {measured}{limit}'
 
 
 def _legend(results: Results, complete: bool) -> str:

@@ -183,10 +183,13 @@ def quality(results: Results) -> str:
             for c in known
             if c.status == 'estimated' and c.value and c.ci95
         ]
-        if len(widths) == len(known):
-            parts.append(f'{term} to {float(f"{100.0 * max(widths):.2g}"):g} %')
+        where = '' if len(widths) == len(known) else f' on {len(widths)} of {len(known)} axes'
+        if where and advice and term in advice[1]:
+            needs.append(term)
+        elif widths:
+            parts.append(f'{term} to {float(f"{100.0 * max(widths):.2g}"):g} %{where}')
         else:
-            (needs if advice and term in advice[1] else limits).append(term)
+            limits.append(term)
     if advice and needs:
         parts.append(f'{_joined(needs)} need{"s" * (len(needs) == 1)} {duration_text(advice[0])}')
     if limits:

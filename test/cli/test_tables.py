@@ -83,7 +83,7 @@ def test_constant_data_have_one_line(small_results: Results) -> None:
 def test_a_raised_k_has_its_factor_and_the_measured_value(small_results: Results) -> None:
     raised = Level('gyro_x', 'K', 3e-6, None, False, 1e-6)
     row = Row(('gyroscope_random_walk',), 3e-6, levels=(raised,))
-    assert origin(row) == '3 times K as measured, 1.000e-06'
+    assert origin(row) == '3 times K of gyro_x as measured, 1.000e-06'
     lines = lines_of(small_results, 'deg/h', 200)
     rows = {row.key: row for row in target_rows(small_results, 'kalibr')}
     shown = [line.split() for line in lines if line.split(' ')[0] in rows]
