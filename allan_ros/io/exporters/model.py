@@ -118,7 +118,7 @@ class FilterNoise:
         elif target.rate_hz:
             self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
         self.horizons = Horizons.up_to(options.horizon or target.horizon_s)
-        self._reductions: dict[tuple[str, States, bool], Reduction] = {}
+        self._reductions: dict[tuple[str, States], Reduction] = {}
 
     def rows(self) -> list[Row]:
         """Return the rows of the file."""
@@ -214,7 +214,7 @@ class FilterNoise:
     @property
     def _used(self) -> dict[str, Reduction]:
         """Axis -> reduction whose N and K are written to the file."""
-        return {axis: r for (axis, states, _), r in self._reductions.items() if states == 'walk'}
+        return {axis: r for (axis, states), r in self._reductions.items() if states == 'walk'}
 
     def process(self, sensor: str) -> SensorProcess:
         """Return the Gauss-Markov processes that approximate the drift of a sensor."""
