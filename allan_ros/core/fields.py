@@ -167,10 +167,7 @@ class Fields:
 
     def interval(self, key: str) -> tuple[float, float]:
         """Return a list of two finite numbers as a tuple."""
-        values = self.sequence(key)
-        if len(values) != 2:
-            raise self._wrong(key, values, 'a pair of numbers')
-        return self._number(key, values[0]), self._number(key, values[1])
+        return self._pair(key, self.sequence(key))
 
     def numbers(self, key: str) -> NDArray[np.float64]:
         """Return a list of numbers as an array, with NaN for null."""
@@ -244,8 +241,8 @@ class Fields:
     def typed(self, key: str, hint: Any) -> Any:
         """Return the value of a key as the type of an annotation.
 
-        Possible types are str, int, float, a pair of floats, Literal, an array, a dataclass or
-        named tuple, a tuple of strings or of dataclasses, and each of these or None.
+        Possible types are str, bool, int, float, a pair of floats, Literal, an array, a dataclass
+        or named tuple, a tuple of strings, of pairs or of dataclasses, and each of these or None.
         """
         origin, args = get_origin(hint), get_args(hint)
         least = -MAX_FLOAT if key in self._record_rules[0] else 0.0
@@ -261,12 +258,19 @@ class Fields:
             if not all(isinstance(text, str) for text in texts):
                 raise self._wrong(key, texts, 'a list of texts')
             return tuple(texts)
+        if args[1:] == (Ellipsis,) and get_origin(args[0]) is tuple:
+            return tuple(self._pair(key, pair) for pair in self.sequence(key))
         if args[1:] == (Ellipsis,):
             return tuple(fields.record(args[0]) for fields in self.each(key))
         if origin is tuple:
             return self.interval(key)
         if hint is str:
             return one_line(self.text(key))
+        if hint is bool:
+            flag = self._get(key, object, 'true or false')
+            if not isinstance(flag, bool):
+                raise self._wrong(key, flag, 'true or false')
+            return flag
         if hint is int:
             return self.integer(key, least=max(int(least), -MAX_INTEGER))
         return self.number(key, least) if hint is float else self.fields(key).record(hint)
@@ -284,6 +288,11 @@ class Fields:
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not object):
             raise self._wrong(key, value, expected)
         return value
+
+    def _pair(self, key: str, values: object) -> tuple[float, float]:
+        if not isinstance(values, list) or len(values) != 2:
+            raise self._wrong(key, values, 'a pair of numbers')
+        return self._number(key, values[0]), self._number(key, values[1])
 
     def _number(self, key: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
