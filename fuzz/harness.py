@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import faulthandler
 import importlib
-import json
 import os
 import resource
 import signal
@@ -33,9 +32,6 @@ from allan_ros.core.errors import AllanError
 
 INPUT_SECONDS = 10.0
 """CPU time in s that one input may take."""
-
-FORKED_SECONDS = 100.0
-"""Time in s that one input may take if other processes are involved, on a loaded machine."""
 
 HANG_SECONDS = 120.0
 """Time in s after which an input hangs: the process prints all stacks and ends."""
@@ -78,15 +74,11 @@ class Target:
     check : callable
         Takes an input and an empty working folder, returns whether the input was accepted (else it
         was rejected in one line), and raises if the rule is broken.
-    forks : bool
-        Whether it starts processes, as the target of the nodes does; it then checks their files and
-        memory itself.
     """
 
     name: str
     inputs: SearchStrategy[Any]
     check: Callable[[Any, Path], bool]
-    forks: bool = False
 
 
 @dataclass
@@ -127,16 +119,6 @@ def check_line(text: str) -> None:
     """Raise unless the text is one printable line of limited length."""
     if not text or not text.isprintable() or len(text) > LONGEST_LINE:
         raise BrokenRule(f'not a printable line: {text[:200]!r}')
-
-
-def check_document(text: str) -> None:
-    """Raise unless the text is strict JSON: no NaN, no infinity, valid as UTF-8."""
-    json.loads(text, parse_constant=_no_constant)
-    text.encode()
-
-
-def _no_constant(name: str) -> float:
-    raise BrokenRule(f'{name} in a document')
 
 
 class Watch:
@@ -187,10 +169,7 @@ def run_target(
     tempfile.tempdir = str(scratch)
     os.environ['HYPOTHESIS_STORAGE_DIRECTORY'] = str(scratch / 'hypothesis')
     warnings.filterwarnings('error', category=RuntimeWarning, module='allan_ros')
-    timer = signal.ITIMER_REAL if target.forks else signal.ITIMER_PROF
-    clock = time.monotonic if target.forks else time.process_time
-    for number in (signal.SIGALRM, signal.SIGPROF):
-        signal.signal(number, _too_slow)
+    signal.signal(signal.SIGPROF, _too_slow)
     ends = time.monotonic() + seconds
     current = Path(os.environ.get(CURRENT, scratch / 'current'))
 
@@ -200,16 +179,15 @@ def run_target(
         # from a separate thread, which also ends code that waits, or blocks or swallows signals
         faulthandler.dump_traceback_later(HANG_SECONDS, exit=True)
         with tempfile.TemporaryDirectory(dir=scratch) as folder:
-            began = clock()
-            limit_s = FORKED_SECONDS if target.forks else INPUT_SECONDS
+            began = time.process_time()
             # repeated, in case the exception is raised where it is caught
-            signal.setitimer(timer, limit_s, 1.0)
+            signal.setitimer(signal.ITIMER_PROF, INPUT_SECONDS, 1.0)
             try:
-                if watch is not None and not target.forks:
+                if watch is not None:
                     watch.folder, watch.seen[:] = str(scratch), []
                 valid = target.check(value, Path(folder))
             finally:
-                signal.setitimer(timer, 0.0)
+                signal.setitimer(signal.ITIMER_PROF, 0.0)
                 faulthandler.cancel_dump_traceback_later()
                 if watch is not None:
                     watch.folder = None
@@ -217,9 +195,9 @@ def run_target(
                 raise BrokenRule(watch.seen[0])
             tally.inputs += 1
             tally.valid += valid
-            took_s = clock() - began
+            took_s = time.process_time() - began
             tally.slowest_s = max(tally.slowest_s, took_s)
-            if took_s > INPUT_SECONDS and not target.forks:
+            if took_s > INPUT_SECONDS:
                 raise BrokenRule('takes too long')  # the exception of the alarm was caught
 
     warm: int | None = None
@@ -229,9 +207,8 @@ def run_target(
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
         if warm is None:
             warm = peak
-            if not target.forks:
-                limit = _address_space() + MEMORY_BYTES
-                resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+            limit = _address_space() + MEMORY_BYTES
+            resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         tally.memory_bytes = peak - warm
     return tally
 
@@ -289,8 +266,7 @@ def _address_space() -> int:
     return pages * resource.getpagesize()
 
 
-NAMES: tuple[str, ...] = ('mcap', 'folder', 'tables', 'losses', 'hostile', 'imu')
-NAMES += ('documents', 'absurd', 'nodes')
+NAMES = ('mcap', 'folder', 'tables', 'losses', 'hostile', 'imu')
 
 
 def _load(name: str) -> Target:
