@@ -23,8 +23,8 @@ from ..core.filters.reductions import StateSpace
 from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel, Processes
 from ..core.fit.findings import rounding_step
 from ..core.fit.interpretation import ModelLine, Region, dominant_regions, model_line
-from ..core.fit.model import Status
 from ..core.fit.least_squares import fit_curve
+from ..core.fit.model import Status
 from ..core.imu import AXES, SI_UNITS, UNITS, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import choose, expect

@@ -57,7 +57,17 @@ MAX_SETTINGS = 100
 LISTED_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
 
-SIGNED = ('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'mean', 'R', 'low_pass')
+SIGNED = (
+    'last_stamp_ns',
+    'start_ns',
+    'sign',
+    'gof_z',
+    'relative',
+    'slope',
+    'mean',
+    'R',
+    'low_pass',
+)
 # and the elements of a covariance, which is not read again
 """Keys of numbers that may be negative."""
 

@@ -460,7 +460,9 @@ def with_earlier_datasheet(results: Results) -> Results:
     return results
 
 
-def analyze_sums(sums: Sequence[AllanSums], provenance: Provenance, method: str = 'likelihood') -> Results:
+def analyze_sums(
+    sums: Sequence[AllanSums], provenance: Provenance, method: str = 'likelihood'
+) -> Results:
     """Fit sums that are in memory, for example those of a running node, and return the results.
 
     ``sums`` has one item with all axes, or one item for each sensor if their rates differ. Raises

@@ -239,16 +239,15 @@ def _read(
 def _to_nanoseconds(times: NDArray[Any], unit: int, where: str, first: int) -> NDArray[np.int64]:
     if times.dtype.kind in 'iu' and unit == 1:
         return times.astype(np.int64)
-    times = times.astype(np.float64)
     with np.errstate(over='ignore'):  # checked below
-        times = times * unit
-    bad = ~(np.abs(times) < np.iinfo(np.int64).max)
+        stamps: NDArray[np.float64] = times.astype(np.float64) * unit
+    bad = ~(np.abs(stamps) < np.iinfo(np.int64).max)
     if bad.any():
         raise AllanError(
             f'{where}: the time of row {first + int(np.argmax(bad))} is not a valid stamp: '
             'correct it, or state the unit of t with --stamp-unit (s, ms, us, ns)'
         )
-    return np.rint(times).astype(np.int64)
+    return np.rint(stamps).astype(np.int64)
 
 
 def _frame_id(path: Path) -> str:

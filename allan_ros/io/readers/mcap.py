@@ -14,11 +14,10 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from itertools import chain
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -79,10 +78,6 @@ HEAD = np.dtype(
     + [('log_time', '<i8'), ('publish_time', '<u8')]
 )
 """A message record up to its payload."""
-
-MAX_GAPS = 64
-"""Number of places in a chunk with records other than messages above which the index is not used,
-because reading record by record is as fast."""
 
 LOOSE_BYTES = 1 << 20
 """Messages outside chunks are read about this many bytes at a time."""
@@ -164,8 +159,7 @@ class McapStorage:
     def _messages(self, chunk: Chunk, groups: Sequence[set[int]]) -> list[Messages]:
         """Return the messages of each group of topics in a chunk, in the order of the chunk."""
         data = self._data(chunk)
-        index = partial(self._read, chunk.offset + chunk.length, chunk.index_length)
-        start, others = message_starts(data, index)
+        start, others = message_starts(data)
         for opcode, at, _ in others:
             self._check_known(opcode, data, at)
         head = _records_at(data, start, HEAD)
@@ -397,12 +391,12 @@ Record = tuple[int, int, int]
 """Opcode, offset and end offset of the content of a record."""
 
 
-def records(data: bytes, at: int = 0, size: int | None = None) -> Iterator[Record]:
-    """Yield the records in ``data[at:size]``.
+def records(data: bytes) -> Iterator[Record]:
+    """Yield the records in the data.
 
     Raises struct.error when a record extends beyond the end.
     """
-    size = len(data) if size is None else size
+    at, size = 0, len(data)
     while at + RECORD.size <= size:
         opcode, length = RECORD.unpack_from(data, at)
         start = at + RECORD.size
@@ -412,18 +406,13 @@ def records(data: bytes, at: int = 0, size: int | None = None) -> Iterator[Recor
         yield opcode, start, at
 
 
-def message_starts(
-    data: bytes, index: Callable[[], bytes] = bytes
-) -> tuple[NDArray[np.int64], list[Record]]:
+def message_starts(data: bytes) -> tuple[NDArray[np.int64], list[Record]]:
     """Return the offsets of the messages in a decompressed chunk, and its other records.
 
-    ``index`` returns the MessageIndex records of the chunk, or b''; it is only called if needed.
     Raises struct.error when a record extends beyond the end of the data.
     """
     others: list[Record] = []
     start = _starts_if_equal(data, others)
-    if start is None:
-        start = _starts_by_index(data, index(), others)
     return _starts_by_search(data) if start is None else (start, others)
 
 
@@ -446,35 +435,6 @@ def _starts_if_equal(data: bytes, others: list[Record]) -> NDArray[np.int64] | N
     head = _records_at(data, starts, HEAD)
     equal = (head['opcode'] == MESSAGE) & (head['length'] == size - RECORD.size)
     return starts if equal.all() else None
-
-
-def _starts_by_index(data: bytes, index: bytes, others: list[Record]) -> NDArray[np.int64] | None:
-    """Return the offset of each message from the index; None if the index is wrong or missing.
-
-    ``others`` are replaced by the records between the messages.
-    """
-    found = [np.empty(0, np.int64)]
-    for opcode, at, _ in records(index):
-        if opcode == MESSAGE_INDEX:
-            _, size = INDEX_HEAD.unpack_from(index, at)
-            pairs = np.frombuffer(index, '<i8', size // 8, at + INDEX_HEAD.size)
-            found.append(pairs.reshape(-1, 2)[:, 1].astype(np.int64))
-    start = np.sort(np.concatenate(found))
-    if not len(start) or start[0] < 0 or start[-1] > len(data) - HEAD.itemsize:
-        return None
-    head = _gathered(data, start, HEAD)
-    end = start + (RECORD.size + head['length'].astype(np.int64))
-    if (head['opcode'] != MESSAGE).any() or (head['length'] < MESSAGE_HEAD.size).any():
-        return None
-    # The index is complete if there are no messages between the listed ones.
-    gap_start, gap_end = np.append(0, end), np.append(start, len(data))
-    gaps = np.flatnonzero(gap_start != gap_end)
-    if (gap_start > gap_end).any() or len(gaps) > MAX_GAPS:
-        return None
-    others[:] = chain.from_iterable(
-        records(data, int(gap_start[gap]), int(gap_end[gap])) for gap in gaps
-    )
-    return None if any(opcode == MESSAGE for opcode, _, _ in others) else start
 
 
 def _starts_by_search(data: bytes) -> tuple[NDArray[np.int64], list[Record]]:

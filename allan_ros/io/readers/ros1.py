@@ -16,7 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from .storage import Messages, Storage, Topic, among, damaged, optional_package, translated
+from .storage import (
+    Messages,
+    Storage,
+    Topic,
+    Truncation,
+    among,
+    damaged,
+    optional_package,
+    translated,
+)
 
 MAGIC = b'#ROSBAG V2.0\n'
 
@@ -29,7 +38,7 @@ REMEDY = 'copy it again, or repair it with "rosbag reindex" or "rosbag fix"'
 class Ros1Storage:
     """A ROS 1 bag that ``reader`` has opened; error messages name it ``path``."""
 
-    truncation = None
+    truncation: Truncation | None = None
 
     def __init__(self, path: Path, reader: Any) -> None:
         self._path = path

@@ -299,7 +299,10 @@ def _bias(recording: Recording, start: float, tau0: float) -> Trend:
         first = start + (means.start_ns - begin_ns) * 1e-9
         middles = first + (np.arange(len(means.values)) + 0.5) * tau
         times += [middles, middles[-1:] + tau]
-        values += [means.values + recording.reference, np.full((1, len(recording.reference)), np.nan)]
+        values += [
+            means.values + recording.reference,
+            np.full((1, len(recording.reference)), np.nan),
+        ]
     return Trend(np.concatenate(times), np.concatenate(values), tau)
 
 

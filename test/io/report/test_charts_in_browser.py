@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from allan_ros.core.allan.spectrum import spectrum_of
 from support.chromium import Chromium
 
-from allan_ros.core.allan.spectrum import spectrum_of
 from allan_ros.io.recorded import ReadJob, read_recording
 from allan_ros.io.report import ReportContext, render_report
 from allan_ros.io.results import analyze_recorded
