@@ -214,7 +214,7 @@ def origin(row: Row) -> str:
     if not level.raised_from:
         return f'covers the growth of the error; {name} is not resolved'
     factor, measured = level.value / level.raised_from, significant(level.raised_from, VALUE_DIGITS)
-    return f'{factor:.2g} times {name} as measured, {measured}{limit}'
+    return f'{factor:.3g} times {name} as measured, {measured}{limit}'
 
 
 def _legend(results: Results, complete: bool) -> str:

@@ -135,7 +135,7 @@ _FAULTS, _NUMBERS = (
 MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'level_changes': lambda of: of['high'].value < 1.1 * of['low'].value,
     'bias_differs': lambda of: of['size'].value < {'gyro': 2e-3, 'accel': 0.1}[of['size'].sensor],
-    'misfit': lambda of: of['deviation'] < 0.05,
+    'lack_of_fit': lambda of: abs(of['deviation']) < 0.05,
     'tilted': lambda of: of['angle'] < 1.0,
 }
 """Id -> whether values are so small that a filter is not affected: the severity is then info. The
