@@ -57,8 +57,8 @@ setup(
         'Topic :: Scientific/Engineering',
         'Typing :: Typed',
     ],
-    license='Apache-2.0 AND MIT',  # MIT: uPlot, which the report contains
-    license_files=['LICENSE', f'{PACKAGE}/io/report/uplot/LICENSE'],
+    license='Apache-2.0',
+    license_files=['LICENSE'],
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
     package_data={
         PACKAGE: [
@@ -66,7 +66,6 @@ setup(
             'core/findings.txt',
             'io/report/*.css',
             'io/report/*.js',
-            'io/report/uplot/*',
         ]
     },
     data_files=[

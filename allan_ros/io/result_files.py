@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..core.allan.spectra import noise_density
 from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.findings import finding
@@ -96,7 +95,6 @@ def write_result_files(
         recorded.signals, known.segments, SIGNAL_BINS, known.counts.cuts, recorded.temperatures
     )
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
-    densities = (noise_density(s) for s in recorded.sums)
     drawn: dict[str, bytes] = {}
     if plots:
         from .plots import figure_files  # imports matplotlib
@@ -104,7 +102,6 @@ def write_result_files(
         drawn |= figure_files(results, plots, units)
     context = ReportContext(
         summary,
-        [density for density in densities if density is not None],
         _reproduction(command, fingerprint(sums_document)),
         [*filters, *drawn, RESULTS, SUMS],
     )

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Summary of the raw signal for plots, in memory that does not depend on the recording length.
+"""Summary of the raw signal for charts, in memory that does not depend on the recording length.
 
-`SignalEnvelope` keeps the lowest and highest value in each of up to 2048 bins, because a plot must
-show every knock. `SignalSummary` places all recordings on one time axis, with the samples that are
-not used and the reasons.
+`SignalEnvelope` keeps the range, mean and noise of the samples in each of up to 2048 bins, because
+a chart must show every shock. `SignalSummary` places all recordings on one time axis, with the
+times that are excluded and the reasons.
 """
 
 from __future__ import annotations
@@ -25,8 +25,20 @@ MAX_BINS = 2048
 """Largest number of bins, more than the pixels of a plot; when all are full, pairs are joined."""
 
 
+STATISTICS: dict[str, Any] = {
+    'low': np.fmin,
+    'high': np.fmax,
+    'total': np.add,
+    'count': np.add,
+    'square': np.add,
+    'pairs': np.add,
+}
+"""Statistics of a bin, and the function that joins two bins: lowest and highest sample; sum and
+number of samples; sum of squared differences of successive samples, and number of these."""
+
+
 class SignalEnvelope:
-    """Lowest and highest sample of every axis in bins of equal sample count, in constant memory.
+    """Range, mean and noise of every axis in bins of equal sample count, in constant memory.
 
     The result does not depend on the size of the batches. NaN is ignored; a bin with only NaN is
     NaN.
@@ -35,9 +47,9 @@ class SignalEnvelope:
     def __init__(self) -> None:
         self._step = 1
         self._samples = 0
-        self._low = np.empty((MAX_BINS, len(AXES)))
-        self._high = np.empty((MAX_BINS, len(AXES)))
+        self._bins = {name: np.empty((MAX_BINS, len(AXES))) for name in STATISTICS}
         self._start_ns = np.empty((MAX_BINS, 2), np.int64)
+        self._last = np.full((1, len(AXES)), np.nan)
 
     def update(self, batch: ImuBatch) -> None:
         """Add the next samples."""
@@ -54,15 +66,13 @@ class SignalEnvelope:
         """Number of bins."""
         return -(-self._samples // self._step)
 
-    @property
-    def low(self) -> NDArray[np.float64]:
-        """Lowest sample of each bin, (bins, 6), SI."""
-        return self._low[: self.bins]
-
-    @property
-    def high(self) -> NDArray[np.float64]:
-        """Highest sample of each bin, (bins, 6), SI."""
-        return self._high[: self.bins]
+    def statistics(self, step: int = 1) -> dict[str, Floats]:
+        """Return the `STATISTICS` of each group of ``step`` bins, each (groups, 6), in SI."""
+        starts = np.arange(0, self.bins, step)
+        return {
+            name: join.reduceat(self._bins[name][: self.bins], starts)
+            for name, join in STATISTICS.items()
+        }
 
     @property
     def start_ns(self) -> NDArray[np.int64]:
@@ -87,23 +97,32 @@ class SignalEnvelope:
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
         # values that no IMU measures are excluded here and in the sums
         samples = np.where(np.abs(batch.samples) <= LARGEST, batch.samples, np.nan)
-        low = np.fmin.reduceat(samples, starts)
-        high = np.fmax.reduceat(samples, starts)
+        squares = np.diff(np.concatenate([self._last, samples]), axis=0) ** 2
+        self._last = samples[-1:]
+        new = {'low': samples, 'high': samples}
+        for number, sum_of, values in (('count', 'total', samples), ('pairs', 'square', squares)):
+            known = np.isfinite(values)
+            new |= {sum_of: np.where(known, values, 0.0), number: known.astype(float)}
         record = batch.stamps_ns if batch.record_ns is None else batch.record_ns
         start_ns = np.stack([batch.stamps_ns[starts], record[starts]], axis=1)
         at = int(bins[0])
-        if first % self._step:  # the first bin has samples already
-            low[0] = np.fmin(low[0], self._low[at])
-            high[0] = np.fmax(high[0], self._high[at])
-            start_ns[0] = self._start_ns[at]
         filled = slice(at, at + len(starts))
-        self._low[filled], self._high[filled], self._start_ns[filled] = low, high, start_ns
+        begun = bool(first % self._step)  # the first bin has samples already
+        if begun:
+            start_ns[0] = self._start_ns[at]
+        self._start_ns[filled] = start_ns
+        for name, join in STATISTICS.items():
+            joined = join.reduceat(new[name], starts)
+            if begun:
+                joined[0] = join(joined[0], self._bins[name][at])
+            self._bins[name][filled] = joined
         self._samples += len(batch)
 
     def _join_neighbors(self) -> None:
         half = MAX_BINS // 2
-        self._low[:half] = np.fmin(self._low[::2], self._low[1::2])
-        self._high[:half] = np.fmax(self._high[::2], self._high[1::2])
+        for name, join in STATISTICS.items():
+            values = self._bins[name]
+            values[:half] = join(values[::2], values[1::2])
         self._start_ns[:half] = self._start_ns[::2]
         self._step *= 2
 
@@ -183,7 +202,7 @@ REASONS = ('motion', 'stuck')
 separate two segments."""
 
 
-class LeftOut(NamedTuple):
+class Excluded(NamedTuple):
     """A period from ``start`` to ``end`` in s without used samples.
 
     ``why`` is 'motion', 'stuck' (an axis repeats one value), or '' for another reason, such as
@@ -212,13 +231,15 @@ class SignalSummary:
     # lowest sample, SI, (bins, 6); NaN at the start of a recording or without the sensor
     low: Floats
     high: Floats
+    mean: Floats  # SI, (bins, 6)
+    # standard deviation of the differences of successive samples / sqrt(2), SI, (bins, 6)
+    noise: Floats
     used: NDArray[np.bool_]  # whether all samples of the bin are used, (bins,)
     middle: Floats  # median of the signal, SI, (6,)
-    left_out: tuple[LeftOut, ...]
+    excluded: tuple[Excluded, ...]
     gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
     starts: tuple[float, ...]  # of each recording in s
     temperature: SignalTemperature | None = None
-    first_ns: tuple[int, ...] = ()  # stamp of the first sample of each recording
 
     @property
     def reach(self) -> Floats:
@@ -258,19 +279,20 @@ def summarize_signal(
         part, length = _recording(signal, trace, segments, step, cuts or {}, offset)
         parts.append(part)
         offset += length
-    low, high = (np.concatenate([getattr(p, side) for p in parts]) for side in ('low', 'high'))
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ('time_s', 'low', 'high', 'mean', 'noise', 'used')
+    }
+    low, high = joined['low'], joined['high']
     middle = np.full(len(AXES), np.nan)
     there = ~np.all(np.isnan(low), axis=0)
     middle[there] = np.nanmedian(low[:, there] + high[:, there], axis=0) / 2.0
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in ('time_s', 'used')
-    }
     joined |= {
         name: tuple(item for part in parts for item in getattr(part, name))
-        for name in ('left_out', 'gaps', 'starts', 'first_ns')
+        for name in ('excluded', 'gaps', 'starts')
     }
     temperature = _joined([part.temperature for part in parts if part.temperature])
-    return SignalSummary(low=low, high=high, middle=middle, temperature=temperature, **joined)
+    return SignalSummary(middle=middle, temperature=temperature, **joined)
 
 
 def _recording(
@@ -284,7 +306,11 @@ def _recording(
     """Return the summary of one recording that begins at ``offset``, and its length in s."""
     starts = np.arange(0, signal.bins, step)  # of groups of bins
     time = signal.time_s[starts]
-    low, high = np.fmin.reduceat(signal.low, starts), np.fmax.reduceat(signal.high, starts)
+    known = signal.statistics(step)
+    low, high = known['low'], known['high']
+    with np.errstate(invalid='ignore', divide='ignore'):
+        mean = known['total'] / known['count']
+        noise = np.sqrt(known['square'] / (2.0 * known['pairs']))
     steps = np.diff(time)
     usual = float(np.median(steps))
     length = float(time[-1] + usual)
@@ -292,7 +318,7 @@ def _recording(
     at = np.flatnonzero(steps > GAP * usual)
     holes = [(float(time[i] + usual), float(time[i + 1])) for i in at]
     first_ns = int(signal.start_ns[0])
-    outside = list(_left_out(_segment_times(segments, first_ns, length), holes, length, cuts))
+    outside = list(_excluded(_segment_times(segments, first_ns, length), holes, length, cuts))
     used = np.ones(len(time), bool)
     for out in outside:
         used &= (time >= out.end) | (np.append(time[1:], length) <= out.start)
@@ -303,17 +329,18 @@ def _recording(
         time + offset,
         low,
         high,
+        mean,
+        noise,
         used,
         np.empty(0),
         tuple(
-            LeftOut(out.start + offset, out.end + offset, out.why)
+            Excluded(out.start + offset, out.end + offset, out.why)
             for out in outside
             if out.why or out.end - out.start > least
         ),
         tuple((start + offset, end + offset) for start, end in holes if end - start > least),
         (offset,),
         None if trace is None else _temperature(trace, first_ns, length, offset),
-        (first_ns,),
     )
     return summary, length
 
@@ -327,12 +354,12 @@ def _segment_times(
     return [(start, end, cut) for start, end, cut in times if start < length and end > 0.0]
 
 
-def _left_out(
+def _excluded(
     used: Sequence[tuple[float, float, str]],
     holes: Sequence[tuple[float, float]],
     length: float,
     cuts: Mapping[str, int],
-) -> Iterator[LeftOut]:
+) -> Iterator[Excluded]:
     """Yield the periods of one recording that are neither in a segment nor in a gap."""
     if not used:
         return
@@ -341,7 +368,7 @@ def _left_out(
     before = 0.0
     for start, end, cut in [*sorted(used), (length, length, last)]:
         for part in _subtracted((before, start), holes) if start > before else ():
-            yield LeftOut(*part, cut if cut in REASONS else '')
+            yield Excluded(*part, cut if cut in REASONS else '')
         before = max(before, end)
 
 

@@ -32,8 +32,14 @@ def test_each_span_holds_the_extremes_of_its_samples(n: int) -> None:
     while -(-n // step) > MAX_BINS:
         step *= 2
     parts = [samples[at : at + step] for at in range(0, n, step)]
-    assert np.array_equal(envelope.low, [part.min(axis=0) for part in parts])
-    assert np.array_equal(envelope.high, [part.max(axis=0) for part in parts])
+    known = envelope.statistics()
+    assert np.array_equal(known['low'], [part.min(axis=0) for part in parts])
+    assert np.array_equal(known['high'], [part.max(axis=0) for part in parts])
+    assert np.allclose(known['total'], [part.sum(axis=0) for part in parts], atol=1e-9)
+    squares = np.diff(samples, axis=0, prepend=samples[:1]) ** 2  # 0 before the first sample
+    sums = [squares[at : at + step].sum(axis=0) for at in range(0, n, step)]
+    assert np.allclose(known['square'], sums, atol=1e-9)
+    assert known['count'].sum() == samples.size and known['pairs'].sum() == samples.size - 6
     assert np.allclose(envelope.time_s, np.arange(0, n, step) * 0.01, rtol=0, atol=1e-9)
 
 
@@ -41,8 +47,8 @@ def test_each_span_holds_the_extremes_of_its_samples(n: int) -> None:
 def test_chunking_does_not_change_the_result(chunk: int, n: int) -> None:
     batch = batch_of(np.random.default_rng(n).normal(size=(n, 6)))
     one, other = envelope_of(batch, n), envelope_of(batch, chunk)
-    assert np.array_equal(one.low, other.low)
-    assert np.array_equal(one.high, other.high)
+    for name, values in one.statistics().items():
+        assert np.allclose(values, other.statistics()[name], rtol=1e-12, atol=1e-9), name
     assert np.array_equal(one.time_s, other.time_s)
 
 
@@ -51,8 +57,9 @@ def test_absent_values_stay_absent_and_gaps_are_skipped() -> None:
     samples[:, 3:] = np.nan
     samples[7, 0] = np.nan
     envelope = envelope_of(batch_of(samples), 777)
-    assert np.all(envelope.low[:, :3] == 1.0)
-    assert np.all(np.isnan(envelope.high[:, 3:]))
+    known = envelope.statistics()
+    assert np.all(known['low'][:, :3] == 1.0)
+    assert np.all(np.isnan(known['high'][:, 3:]))
 
 
 def test_constant_stamps_are_replaced_by_record_times() -> None:

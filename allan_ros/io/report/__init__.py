@@ -3,7 +3,8 @@
 """The HTML report of an analysis in one file: verdict, findings, interactive charts and tables.
 
 The page makes no network requests: its Content-Security-Policy forbids them. The policy permits
-only scripts with the listed hashes, so text of a recording cannot run as a script.
+only scripts with the listed hashes, so text of a recording cannot run as a script, and images that
+the page contains, which is how a chart is saved as PNG.
 """
 
 from __future__ import annotations
@@ -17,13 +18,12 @@ from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy
 import scipy
 
 from ... import __version__
-from ...core.allan.spectra import Spectrum
 from ...core.findings import Finding, duration_text, grouped
 from ...core.imu import AXES, SENSORS
 from ...core.settings import UNIT_SYSTEMS
@@ -40,29 +40,23 @@ from ..verdict import (
     verdict_of,
     where,
 )
-from .chart_data import sensor_charts, temperature_chart, to_script
+from .chart_data import sensor_charts, temperature_chart, times, to_script
 from .tables import (
     baseline_table,
-    coefficient_table,
     datasheet_table,
+    filter_table,
     growth_table,
     headline_table,
     in_units,
+    model_table,
 )
 
 if TYPE_CHECKING:
     from ..results import Results
 
-STYLES = ('uplot/uPlot.min.css', 'report.css', 'print.css')
+STYLE = 'report.css'
 
-SCRIPTS = (
-    'uplot/uPlot.iife.min.js',
-    'chart.js',
-    'picture.js',
-    'allan_chart.js',
-    'other_charts.js',
-    'page.js',
-)
+SCRIPTS = ('chart.js', 'charts.js', 'page.js')
 """Script files in the order in which they run."""
 
 ICONS = {
@@ -78,16 +72,12 @@ EARLIEST_S = 978_307_200
 """2001-01-01 in Unix time. Smaller first stamps count from the start of a machine and are not shown
 as a date."""
 
-FOLDED, STEPS = 3, 4
-"""Number of notes above which they are collapsed, and largest number of next steps."""
-
 
 @dataclass(frozen=True)
 class ReportContext:
     """Content of the report in addition to the results."""
 
     signal: SignalSummary | None = None
-    spectra: Sequence[Spectrum] = ()
     # rows of the table of the method, such as the command that repeats the analysis
     method: Mapping[str, str] = field(default_factory=dict)
     files: Sequence[str] = ()  # names of the files in the same folder
@@ -105,47 +95,87 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
         for sensor, where in SENSORS.items()
         if (axes := {a: results.axes[a] for a in AXES[where] if a in results.axes})
     }
-    body = [
-        *_header(results, name, sensors, units),
-        '<main>',
-        *_verdict_section(results, verdict_of(results, units=units), sensors, units),
-        *_findings_section(results),
-    ]
-    for sensor, axes in sensors.items():
-        body += [
-            *_sensor_section(sensor, axes, not too_short(results)),
-            *(datasheet_table(sensor, axes, results.datasheet) if results.datasheet else ()),
-        ]
-        for run, baseline in results.baselines.items():
-            compared = [c for c in results.comparisons if c.reference == run]
-            body += baseline_table(sensor, axes, run, baseline, compared)
-        body += growth_table(sensor, axes)
-        body.append(f'<div class="charts rest" data-sensor="{sensor}" hidden></div></section>')
-    links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in context.files)
-    body += [
-        '<section id="recording"><h2>Recording and method</h2>',
-        f'<p class="files">Files in the same folder: {links}</p>' if links else '',
-        *_method_tables(results, {**context.method, 'fit': f'method {results.method}'}),
-        '</section></main>',
-        f'<footer>allan_ros {__version__}</footer>',
-    ]
+    charts = [sensor_charts(results, s, context.signal) for s in sensors]
     data = {
         'units': units,
+        'times': times(context.signal),
         'temperature': temperature_chart(context.signal),
-        'sensors': [sensor_charts(results, s, context.spectra, context.signal) for s in sensors],
+        'sensors': charts,
     }
+    verdict = verdict_of(results, units=units)
+    body = [
+        *_header(results, name, units),
+        '<main>',
+        _verdict_section(results, verdict),
+        '<div class="pair">',
+        *(_sensor_section(sensor, axes) for sensor, axes in sensors.items()),
+        '</div>',
+        '<noscript><p class="note">The charts of this page need JavaScript.</p></noscript>',
+        *_comparisons(results, sensors),
+        '<div class="pair">',
+        f'<section id="filter"><h2>Numbers for a filter: imu.yaml</h2>{filter_table(results)}'
+        '</section>',
+        *_next_steps(results, verdict, units),
+        '</div>',
+        *_findings_section(results),
+    ]
+    heat = '<div class="charts" data-kind="temperature"></div>' if data['temperature'] else ''
+    body += _fold('trends', 'Bias and noise over time', [*_hosts(charts, 'trends'), heat])
+    body += _fold('density', 'Noise density', _hosts(charts, 'density'))
+    body += _fold('signal', 'Raw signal', _hosts(charts, 'signal'))
+    for id, title, content in (
+        ('model', 'Other terms and parts of the model', model_table),
+        ('growth', 'Predicted error without correction', growth_table),
+    ):
+        parts = [[*content(s, axes)] for s, axes in sensors.items()]
+        if id != 'model' or not too_short(results):
+            body += _fold(id, title, _pair(sensors, parts))
+    links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in context.files)
+    files_line = f'<p class="files">Files in the same folder: {links}</p>' if links else ''
+    method = {**context.method, 'fit': f'method {results.method}'}
+    body += _fold('recording', 'Recording and method', [files_line, *_method(results, method)])
+    body.append(f'</main><footer>allan_ros {__version__}</footer>')
     return _page(f'Noise of {name}', '\n'.join(body), to_script(data))
+
+
+def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> Iterator[str]:
+    """Yield a part of the page that its heading opens; nothing without content."""
+    if any(content):
+        yield f'<details id="{id}"{" open" if shown else ""}><summary><h2>{title}</h2></summary>'
+        yield from content
+        yield '</details>'
+
+
+def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
+    """Return the elements into which scripts draw the charts of a kind; none without data."""
+    known = [of for of in charts if of[kind]]
+    titles = {of['sensor']: f'<h3>{SENSOR_NAMES[of["sensor"]]}</h3>' for of in known}
+    hosts = [
+        f'<div>{title}<div class="charts" data-kind="{kind}" data-sensor="{sensor}"></div></div>'
+        for sensor, title in titles.items()
+    ]
+    return ['<div class="pair">', *hosts, '</div>'] if hosts else []
+
+
+def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
+    """Return HTML of each sensor in two columns; nothing if there is none."""
+    content = [
+        f'<div><h3>{SENSOR_NAMES[sensor]}</h3>{"".join(part)}</div>'
+        for sensor, part in zip(sensors, parts)
+        if part
+    ]
+    return ['<div class="pair">', *content, '</div>'] if content else []
 
 
 def _page(title: str, body: str, data: str) -> str:
     here = files(__package__)
     scripts = [here.joinpath(name).read_text('utf-8') for name in SCRIPTS]
-    styles = '\n'.join(here.joinpath(name).read_text('utf-8') for name in STYLES)
+    style = here.joinpath(STYLE).read_text('utf-8')
     digests = (hashlib.sha256(script.encode()).digest() for script in scripts)
     hashes = ' '.join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
     policy = (
         "default-src 'none'; base-uri 'none'; form-action 'none'; "
-        f"style-src 'unsafe-inline'; script-src {hashes}"
+        f"style-src 'unsafe-inline'; img-src data:; script-src {hashes}"
     )
     run = ''.join(f'<script>{script}</script>\n' for script in scripts)
     return (
@@ -153,14 +183,12 @@ def _page(title: str, body: str, data: str) -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
-        f'<title>{escape(title)}</title>\n<style>\n{styles}</style>\n</head>\n<body>\n{body}\n'
+        f'<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n'
         f'<script type="application/json" id="data">{data}</script>\n{run}</body>\n</html>\n'
     )
 
 
-def _header(
-    results: Results, name: str, sensors: Mapping[str, object], units: str
-) -> Iterator[str]:
+def _header(results: Results, name: str, units: str) -> Iterator[str]:
     start = min((s.start_ns for s in results.provenance.segments), default=0) // 10**9
     when = datetime.datetime.fromtimestamp(max(start, 0), datetime.timezone.utc)
     facts = [
@@ -169,51 +197,71 @@ def _header(
         f'{when:%Y-%m-%d %H:%M} UTC' if start >= EARLIEST_S else '',
     ]
     items = ''.join(f'<li>{escape(fact)}</li>' for fact in facts if fact)
-    yield f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{items}</ul></header>'
-    links = ''.join(f'<a href="#{s}">{s.capitalize()}</a>' for s in sensors)
     switch = ''.join(
         f'<label><input type="radio" name="units" value="{system}"'
         f'{" checked" if system == units else ""}>{system}</label>'
         for system in UNIT_SYSTEMS
     )
     yield (
-        f'<nav aria-label="Sections"><div><a href="#verdict">Verdict</a>{links}'
-        '<a href="#recording">Data</a></div><fieldset class="switch"><legend>Units</legend>'
-        f'{switch}</fieldset></nav>'
+        f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{items}</ul>'
+        f'<fieldset class="switch"><legend>Units</legend>{switch}</fieldset></header>'
     )
 
 
-def _verdict_section(
-    results: Results,
-    verdict: Verdict,
-    sensors: Mapping[str, Mapping[str, AxisResult]],
-    units: str,
-) -> Iterator[str]:
-    """Yield the verdict with N, B and K of every axis."""
-    listed = {finding_text(f, results, units) for f in grouped(results.findings)}
-    reasons = _items(reason for reason in verdict.reasons if reason not in listed)
+def _verdict_section(results: Results, verdict: Verdict) -> str:
+    """Return the verdict in one line, with the number of warnings."""
     summary = in_units(lambda system: escape(verdict_of(results, units=system).summary))
-    yield (
+    found = findings_and_notes(results)
+    counts = [
+        f'{n} {word}{"" if n == 1 else "s"}'
+        for n, word in zip(map(len, found), ('finding', 'note'))
+        if n
+    ]
+    link = f'<a href="#findings">{" and ".join(counts)}</a>' if counts else ''
+    return (
         f'<section id="verdict" class="{verdict.level}">'
-        f'<p class="light"><svg viewBox="0 0 24 24" aria-hidden="true">'
+        f'<svg viewBox="0 0 24 24" aria-hidden="true">'
         f'<circle cx="12" cy="12" r="11"/>{ICONS[verdict.level]}</svg>'
-        f'<strong>{WORDS[verdict.level]}</strong><span>{summary}</span></p>'
+        f'<strong>{WORDS[verdict.level]}</strong><span>{summary}</span>{link}'
+        '</section>'
     )
-    yield '<div class="headline">'
-    for sensor, axes in sensors.items():
-        yield headline_table(sensor, axes)
-    yield '</div><div class="answers">'
-    if reasons:
-        yield f'<div><h2>What the recording shows</h2><ul>{reasons}</ul></div>'
-    yield f'<div><h2>What to do next</h2><ol>{_items(verdict.next_steps[:STEPS])}</ol></div></div>'
-    yield '</section>'
+
+
+def _next_steps(results: Results, verdict: Verdict, units: str) -> Iterator[str]:
+    """Yield what the recording shows, and the next steps that the findings do not contain."""
+    listed = {finding_text(f, results, units) for f in grouped(results.findings)}
+    remedies = tuple(r for f in results.findings if (r := f.texts(units).remedy.rstrip('.')))
+    steps = [step for step in verdict.next_steps if not step.startswith(remedies)]
+    reasons = [reason for reason in verdict.reasons if reason not in listed]
+    if steps or reasons:
+        yield '<section id="next"><h2>What to do next</h2>'
+        yield f'<ol>{_items(steps)}</ol>' if steps else ''
+        title = '<h3>What the recording shows</h3>'
+        yield f'{title}<ul>{_items(reasons)}</ul></section>' if reasons else '</section>'
+
+
+def _comparisons(
+    results: Results, sensors: Mapping[str, Mapping[str, AxisResult]]
+) -> Iterator[str]:
+    """Yield the tables of the comparisons with the datasheet and with earlier runs."""
+    if results.datasheet:
+        name = escape(results.datasheet.datasheet.name)
+        parts = [[*datasheet_table(s, axes, results.datasheet)] for s, axes in sensors.items()]
+        title = f'Compared with the datasheet of {name}'
+        yield from _fold('datasheet', title, _pair(sensors, parts), shown=True)
+    for i, (run, baseline) in enumerate(results.baselines.items()):
+        compared = [c for c in results.comparisons if c.reference == run]
+        parts = [[*baseline_table(s, axes, baseline, compared)] for s, axes in sensors.items()]
+        yield from _fold(
+            f'baseline-{i}', f'Compared with {escape(run)}', _pair(sensors, parts), True
+        )
 
 
 def _items(texts: Iterable[str]) -> str:
     return ''.join(f'<li>{escape(text)}</li>' for text in texts)
 
 
-def _method_tables(results: Results, method: Mapping[str, str]) -> Iterator[str]:
+def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
     """Yield HTML tables of inputs, sample counts, ``method``, software versions and settings."""
     known, counts = results.provenance, results.provenance.counts
     inputs = {
@@ -270,16 +318,16 @@ def _table(rows: Mapping[str, str]) -> str:
 
 
 def _findings_section(results: Results) -> Iterator[str]:
-    """Yield the findings as HTML; more than `FOLDED` notes are collapsed."""
+    """Yield the findings as HTML; notes are collapsed."""
     shown, notes = findings_and_notes(results)
-    if not shown and not notes:
-        return
-    yield '<section id="findings"><h2>Findings</h2>'
-    yield from (_block(finding, results) for finding in shown)
-    if len(notes) > FOLDED:
-        yield f'<details><summary>{len(notes)} notes</summary>'
-    yield from (_block(note, results) for note in notes)
-    yield ('</details>' if len(notes) > FOLDED else '') + '</section>'
+    if shown or notes:
+        yield '<section id="findings"><h2>Findings</h2>'
+        yield from (_block(finding, results) for finding in shown)
+        if notes:
+            yield f'<details><summary>{len(notes)} note{"" if len(notes) == 1 else "s"}</summary>'
+            yield from (_block(note, results) for note in notes)
+            yield '</details>'
+        yield '</section>'
 
 
 def _block(finding: Finding, results: Results) -> str:
@@ -293,10 +341,10 @@ def _block(finding: Finding, results: Results) -> str:
     )
 
 
-def _sensor_section(sensor: str, axes: Mapping[str, AxisResult], deviations: bool) -> Iterator[str]:
-    name = SENSOR_NAMES[sensor]
-    yield f'<section id="{sensor}" class="sensor"><h2>{name}</h2>'
-    yield f'<div class="charts curve" data-sensor="{sensor}" hidden></div>'
-    yield f'<h3>Coefficients</h3><div class="copy" data-sensor="{sensor}" hidden></div>'
-    yield from coefficient_table(sensor, axes, deviations)
-    yield '<noscript><p class="note">The charts of this page need JavaScript.</p></noscript>'
+def _sensor_section(sensor: str, axes: Mapping[str, AxisResult]) -> str:
+    return (
+        f'<section id="{sensor}" class="sensor"><h2>{SENSOR_NAMES[sensor]}</h2>'
+        f'{headline_table(sensor, axes)}'
+        f'<div class="charts" data-kind="allan" data-sensor="{sensor}"></div>'
+        f'<div class="copy" data-sensor="{sensor}" hidden></div></section>'
+    )

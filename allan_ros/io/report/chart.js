@@ -1,41 +1,38 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
-// Common parts of all charts: colors of the theme, numbers, logarithmic axes, zoom, cursor and its note.
+// A chart as SVG: axes, zoom, a cursor with its numbers, and files. Colors are CSS variables.
 'use strict';
 
 const Chart = (() => {
   const all = [];
   const SUPERSCRIPT = { '-': '⁻', 0: '⁰', 1: '¹', 2: '²', 3: '³', 4: '⁴', 5: '⁵', 6: '⁶', 7: '⁷', 8: '⁸', 9: '⁹' };
-  const FONT = '12px system-ui, sans-serif';
-  const LABEL_ROOM = { x: 46, y: 26 };  // pixels that a label of a logarithmic axis takes along it
+  const FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
+  const LABEL_ROOM = { x: 46, y: 24 };  // pixels that a label takes along its axis
+  const [LEFT, RIGHT, ABOVE, BELOW] = [52, 10, 24, 40];  // margins of the plot in pixels
+  const HEAD = 26;  // height of the title of a saved chart
 
-  // A color of the current theme of the page: light, dark or printed.
-  const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  const power = (exponent) => [...String(exponent)].map((c) => SUPERSCRIPT[c]).join('');
+  const escape = (text) => String(text).replace(/[&<>"]/g, (c) => ({ '&': '&amp;', '<': '&lt;', '>': '&gt;', '"': '&quot;' })[c]);
+  const clean = (value) => Number(value.toPrecision(12));
+  const px = (v) => String(Math.round(v * 10) / 10);
 
   // Four significant digits, with a power of ten where zeros would hide them.
   function number(value, digits = 4) {
     if (value === null || value === undefined || !Number.isFinite(value)) return '–';
     if (value === 0) return '0';
     const exponent = Math.floor(Math.log10(Math.abs(value)));
-    if (exponent >= -3 && exponent <= 5) {
-      const decimals = Math.max(0, digits - 1 - exponent);
-      return Number(value.toPrecision(digits)).toFixed(decimals);
-    }
+    if (exponent >= -3 && exponent <= 5) return Number(value.toPrecision(digits)).toFixed(Math.max(0, digits - 1 - exponent));
     return `${(value / 10 ** exponent).toFixed(digits - 1)}·10${power(exponent)}`;
   }
-
-  const power = (exponent) => [...String(exponent)].map((c) => SUPERSCRIPT[c]).join('');
 
   // The label of a tick: as short as the value allows.
   function tick(value) {
     const size = Math.abs(value);
-    if (value === 0 || (size >= 1e-3 && size < 1e5)) return String(Number(value.toPrecision(6)));
+    if (value === 0 || (size >= 1e-3 && size < 1e5)) return String(clean(value)).replace('-', '−');
     const exponent = Math.floor(Math.log10(size) + 1e-9);
     const lead = Number((value / 10 ** exponent).toPrecision(4));
-    return lead === 1 ? `10${power(exponent)}` : `${lead}·10${power(exponent)}`;
+    return lead === 1 ? `10${power(exponent)}` : `${lead}·10${power(exponent)}`.replace('-', '−');
   }
-
-  const clean = (value) => Number(value.toPrecision(12));
 
   // Round values of a logarithmic range: digits times every power of ten.
   function round(min, max, digits, step = 1) {
@@ -46,224 +43,304 @@ const Chart = (() => {
     return values.filter((v) => v >= min * (1 - 1e-9) && v <= max * (1 + 1e-9));
   }
 
-  // Evenly spaced round values, for a range too narrow for decades.
+  // Evenly spaced round values.
   function even(min, max, count) {
-    const raw = (max - min) / count;
-    const unit = 10 ** Math.floor(Math.log10(raw));
-    const step = unit * [1, 2, 5, 10].find((s) => s * unit >= raw);
+    const unit = 10 ** Math.floor(Math.log10((max - min) / count));
+    const step = unit * [1, 2, 5, 10].find((s) => s * unit * count >= (max - min) * (1 - 1e-9));
     const values = [];
-    for (let v = Math.ceil(min / step) * step; v <= max * (1 + 1e-9); v += step) values.push(clean(v));
+    for (let v = Math.ceil(min / step) * step; v <= max + 1e-9 * step; v += step) values.push(clean(v));
     return values;
   }
 
-  // The labeled values of a logarithmic axis with a given length in pixels: at least three if they fit.
-  function labeled(min, max, pixels, room) {
-    const log = (v) => (Math.log10(v) * pixels) / Math.log10(max / min);
-    const fits = (values) => values.every((v, i) => i === 0 || log(v) - log(values[i - 1]) >= room);
-    const choices = [
-      round(min, max, [1, 2, 5]), round(min, max, [1, 3]), round(min, max, [1]),
-      round(min, max, [1], 2), round(min, max, [1], 3), round(min, max, [1], 5),
-    ];
-    const good = choices.find((values) => values.length >= 3 && fits(values));
-    if (good) return good;
-    for (let count = 8; count >= 2; count -= 1) {
-      const values = even(min, max, count);
-      if (values.length >= 3 && fits(values)) return values;
-    }
-    return even(min, max, 3);
-  }
-
-  // Grid lines of a logarithmic axis: every digit of every decade, and all labeled values.
-  function splits(min, max, labels) {
-    const fine = Math.log10(max / min) > 7 ? round(min, max, [1]) : round(min, max, [1, 2, 3, 4, 5, 6, 7, 8, 9]);
-    return [...new Set([...fine, ...labels])].sort((a, b) => a - b);
+  // The labeled values of an axis with a given length in pixels: at least three if they fit.
+  function labeled(log, min, max, pixels, room) {
+    const at = (v) => (log ? (Math.log10(v) * pixels) / Math.log10(max / min) : (v * pixels) / (max - min));
+    const fits = (values) => values.length >= 3 && values.every((v, i) => i === 0 || at(v) - at(values[i - 1]) >= room);
+    const decades = log ? [[[1, 2, 5]], [[1, 3]], [[1]], [[1], 2], [[1], 3], [[1], 5]].map((how) => round(min, max, ...how)) : [];
+    const evenly = [8, 7, 6, 5, 4, 3, 2].map((count) => even(min, max, count));
+    const closer = [3, 4, 5, 6, 8, 10].map((count) => even(min, max, count));
+    return [...decades, ...evenly].find(fits) || closer.find((values) => values.length >= 3);
   }
 
   // An element with text and children; text is never read as HTML.
   function element(tag, attributes = {}, ...children) {
     const made = document.createElement(tag);
-    for (const [name, value] of Object.entries(attributes)) {
-      if (name === 'class') made.className = value;
-      else made.setAttribute(name, value);
-    }
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
     made.append(...children);
     return made;
   }
 
-  function axis(which, log, size, label) {
-    let labels = [];
-    return {
-      ...(label ? { label, labelFont: FONT, labelSize: 22, labelGap: 2 } : {}),
-      stroke: () => color('ink-2'),
-      grid: { stroke: () => color('grid'), width: 1 },
-      ticks: { stroke: () => color('grid'), width: 1, size: 5 },
-      font: FONT,
-      size,
-      ...(log ? {
-        filter: (u, values) => values,
-        splits(u, index, min, max) {
-          const pixels = (which === 'x' ? u.bbox.width : u.bbox.height) / devicePixelRatio;
-          labels = labeled(min, max, pixels || 300, LABEL_ROOM[which]);
-          return splits(min, max, labels);
-        },
-        values: (u, values) => values.map((v) => (labels.includes(v) ? tick(v) : '')),
-      } : {
-        splits(u, index, min, max) {
-          const pixels = (which === 'x' ? u.bbox.width : u.bbox.height) / devicePixelRatio;
-          let values = [];
-          for (let count = Math.max(2, Math.floor(pixels / (which === 'x' ? 70 : 30))); values.length < 3 && count < 20; count += 1) values = even(min, max, count);
-          return values;
-        },
-        values: (u, values) => values.map(tick),
-      }),
-    };
+  // The light colors of a CSS variable, for files and paper.
+  function onPaper(markup) {
+    const root = document.documentElement.classList;
+    const already = root.contains('printing');
+    root.add('printing');
+    const style = getComputedStyle(document.documentElement);
+    const light = markup.replace(/var\(--([\w-]+)\)/g, (_, name) => style.getPropertyValue(`--${name}`).trim());
+    if (!already) root.remove('printing');
+    return light;
   }
 
-  // Create a chart that fills its host, follows the theme, and shows its numbers at the cursor.
-  //   options.describe(u, index) returns the lines of the note: [text, color or null] each.
-  //   options.x.full and options.y.full return the complete range.
-  function create(host, options, data) {
-    const height = options.height || 360;
-    const box = element('div', { class: 'plot', tabindex: '0', role: 'group', 'aria-label': options.label });
-    const tip = element('div', { class: 'tip', hidden: '' });
-    const spoken = element('p', { class: 'spoken', 'aria-live': 'polite' });
-    host.append(box);
-    let zoomed = false;
-    const rangeX = (chart, min, max) => {
-      const times = chart.data[0];
-      zoomed = min > times[0] || max < times[times.length - 1];
-      return zoomed ? [min, max] : (options.x.full ? options.x.full() : [min, max]);
-    };
-    const rangeY = (chart, min, max) => {
-      if (!zoomed || min === null || !(max > min)) return options.y.full();
-      return options.y.log ? [min / 1.2, max * 1.2] : [min, max];
-    };
-    const u = new uPlot(
-      {
-        width: Math.max(280, host.clientWidth),
-        height,
-        padding: options.padding || [8, 14, 0, 0],
-        legend: { show: false },
-        scales: {
-          x: { time: false, distr: options.x.log ? 3 : 1, range: rangeX },
-          y: { distr: options.y.log ? 3 : 1, range: rangeY },
-        },
-        axes: [
-          { ...axis('x', options.x.log, 34, options.x.label), ...options.x.axis },
-          { ...axis('y', options.y.log, options.y.log ? 62 : 58, options.y.label), ...options.y.axis },
-        ],
-        series: [{}, ...options.series],
-        bands: options.bands || [],
-        cursor: {
-          y: false,
-          drag: { x: true, y: Boolean(options.zoomY), uni: 24 },
-          points: { show: false },
-          sync: options.sync ? { key: options.sync } : undefined,
-        },
-        hooks: {
-          draw: options.above ? [options.above] : [],
-          setCursor: [show],
-        },
-      },
-      data,
-      box,
-    );
-    u.over.append(tip);
-    box.append(spoken);
-    u.above = options.above;
-    u.caption = options.label;
-
-    function show(chart) {
-      const at = chart.cursor.idx;
-      if (at === null || at === undefined || chart.cursor.left < 0) {
-        tip.hidden = true;
+  // What the drawing function of a chart uses. Values outside the plot are clipped.
+  class Pen {
+    constructor(box, x, y, id) {
+      Object.assign(this, { box, x, y, id, parts: [], occupied: [] });
+      this.ruler = Pen.ruler || (Pen.ruler = element('canvas').getContext('2d'));
+      this.ruler.font = `600 12px ${FONT}`;
+    }
+    inside(x, y) {
+      const { left, top, width, height } = this.box;
+      return x >= left && x <= left + width && y >= top && y <= top + height;
+    }
+    path(xs, ys) {
+      let d = '';
+      let open = false;
+      xs.forEach((v, i) => {
+        const y = ys[i] === null || ys[i] === undefined ? NaN : this.y(ys[i]);
+        if (Number.isFinite(y)) d += `${open ? 'L' : 'M'}${px(this.x(v))} ${px(y)}`;
+        open = Number.isFinite(y);
+      });
+      return d;
+    }
+    line(xs, ys, { color, width = 1.5, dash = '' }) {
+      this.parts.push(`<path d="${this.path(xs, ys)}" fill="none" stroke="${color}" stroke-width="${width}" stroke-linejoin="round"${dash ? ` stroke-dasharray="${dash}"` : ''}/>`);
+    }
+    // The area between two lines, in pieces between missing values.
+    area(xs, low, high, color) {
+      let piece = [];
+      const close = () => {
+        if (piece.length) {
+          const up = piece.map((i) => `${px(this.x(xs[i]))} ${px(this.y(high[i]))}`);
+          const down = piece.map((i) => `${px(this.x(xs[i]))} ${px(this.y(low[i]))}`).reverse();
+          this.parts.push(`<path d="M${[...up, ...down].join('L')}Z" fill="${color}" stroke="${color}" stroke-opacity=".5" stroke-width=".5"/>`);
+        }
+        piece = [];
+      };
+      xs.forEach((_, i) => (low[i] !== null && high[i] !== null && Number.isFinite(this.y(low[i])) ? piece.push(i) : close()));
+      close();
+    }
+    // A marker of each axis, so that axes differ in shape as well as in color.
+    marks(xs, ys, label, color, size = 2.6, fill = 'var(--paper)') {
+      let d = '';
+      xs.forEach((v, i) => {
+        if (ys[i] === null || ys[i] === undefined) return;
+        const [x, y] = [this.x(v), this.y(ys[i])];
+        if (!this.inside(x, y)) return;
+        if (label === 'x') d += `M${px(x - size)} ${px(y)}a${size} ${size} 0 1 0 ${2 * size} 0a${size} ${size} 0 1 0 ${-2 * size} 0Z`;
+        else if (label === 'y') d += `M${px(x - 0.9 * size)} ${px(y - 0.9 * size)}h${1.8 * size}v${1.8 * size}h${-1.8 * size}Z`;
+        else d += `M${px(x)} ${px(y - 1.2 * size)}l${1.1 * size} ${2 * size}h${-2.2 * size}Z`;
+      });
+      this.parts.push(`<path d="${d}" fill="${fill}" stroke="${color}" stroke-width="1.3"/>`);
+    }
+    cross(x, y, color) {
+      this.parts.push(`<path d="M${px(x - 6)} ${px(y)}h12M${px(x)} ${px(y - 6)}v12" stroke="${color}" stroke-width="2"/>`);
+    }
+    // A vertical stripe between two values of x, at least two pixels wide.
+    stripe(from, to, fill, hatch = '') {
+      const { left, top, width, height } = this.box;
+      const start = Math.max(left, this.x(from));
+      const wide = Math.max(2, Math.min(left + width, this.x(to)) - start);
+      if (start > left + width || this.x(to) < left) return;
+      if (hatch) this.parts.push(`<pattern id="${this.id}-${hatch}" width="7" height="7" patternUnits="userSpaceOnUse" patternTransform="rotate(${hatch === 'up' ? 45 : -45})"><path d="M0 0v7" stroke="${fill}" stroke-width="1.6"/></pattern>`);
+      const veil = hatch ? `<rect x="${px(start)}" y="${top}" width="${px(wide)}" height="${height}" fill="var(--paper)" opacity=".75"/>` : '';
+      this.parts.push(`${veil}<rect x="${px(start)}" y="${top}" width="${px(wide)}" height="${height}" fill="${hatch ? `url(#${this.id}-${hatch})` : fill}"/>`);
+    }
+    // A vertical line with an optional text at its top, at a free height.
+    rule(v, color, words = '', dash = '') {
+      const x = this.x(v);
+      if (!this.inside(x, this.box.top)) return;
+      this.parts.push(`<path d="M${px(x)} ${this.box.top}v${this.box.height}" stroke="${color}"${dash ? ` stroke-dasharray="${dash}"` : ''}/>`);
+      if (words) this.label(words, [0, 1, 2, 3].map((row) => [x, this.box.top + 9 + 15 * row]), color);
+    }
+    // A text at the first of its possible places, (x, y) in pixels, that is free.
+    label(words, places, color) {
+      const { left, top, width, height } = this.box;
+      const wide = this.ruler.measureText(words).width;
+      for (const [px0, y] of places) {
+        const x = Math.min(Math.max(px0, left + wide / 2 + 3), left + width - wide / 2 - 3);
+        if (y < top + 8 || y > top + height - 8) continue;
+        if (this.occupied.some(([ox, oy, ow]) => Math.abs(ox - x) < (ow + wide) / 2 + 4 && Math.abs(oy - y) < 15)) continue;
+        this.occupied.push([x, y, wide]);
+        this.parts.push(`<text x="${px(x)}" y="${px(y)}" font-weight="600" text-anchor="middle" dominant-baseline="central" fill="${color}" stroke="var(--paper)" stroke-width="4" paint-order="stroke">${escape(words)}</text>`);
         return;
       }
-      if (options.focus) options.focus(chart, at);
-      const lines = options.describe(chart, at);
-      tip.replaceChildren(...lines.map(([text, ink]) => {
-        const line = element('div', {}, text);
-        if (ink) line.style.color = ink;
-        return line;
-      }));
-      tip.hidden = false;
-      const x = chart.valToPos(chart.data[0][at], 'x');
-      const wide = tip.offsetWidth;
-      const room = chart.over.clientWidth;
-      const left = x + 14 + wide > room ? x - 14 - wide : x + 14;
-      tip.style.left = `${Math.max(-40, Math.min(left, room - wide))}px`;
-      tip.style.top = `${higher(chart, at) ? 4 : chart.over.clientHeight - tip.offsetHeight - 4}px`;
+    }
+  }
+
+  // Create a chart that fills its host and shows its numbers at the cursor.
+  //   title, name: of a saved file; height: in pixels; zoomY: whether a rectangle can be selected
+  //   x, y: {log, label(), full()} with the complete range; xs: the points at which the cursor stops
+  //   legend(): letters of the axes that are drawn
+  //   draw(pen); describe(index) -> lines of the note, [text, color or ''] each; focus(index, y)
+  function create(host, spec) {
+    const box = element('div', { class: 'plot', tabindex: '0', role: 'group', 'aria-label': `${spec.title}; arrow keys move from point to point` });
+    const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+    const tip = element('div', { class: 'tip', hidden: '' });
+    const spoken = element('p', { class: 'spoken', 'aria-live': 'polite' });
+    box.append(svg, tip, spoken);
+    host.append(box);
+    const chart = { box, spec, labels: {}, zoom: null, at: null, id: `c${all.length}`, render, save, svg: markup };
+    let plot = null;  // geometry of the last drawing
+
+    function scale(which, from, to) {
+      const { log, full } = spec[which];
+      const [min, max] = (chart.zoom && chart.zoom[which]) || full();
+      const [a, b] = log ? [Math.log(min), Math.log(max)] : [min, max];
+      const forward = (v) => from + ((log ? Math.log(v) : v) - a) / (b - a) * (to - from);
+      const back = (p) => { const v = a + (p - from) / (to - from) * (b - a); return log ? Math.exp(v) : v; };
+      return { min, max, log, forward, back };
     }
 
-    // Whether there is more room above the curves at the cursor than below them.
-    function higher(chart, at) {
-      const there = chart.data.slice(1).map((values) => values[at]).filter((v) => v !== null && v !== undefined);
-      const places = there.map((v) => chart.valToPos(v, 'y'));
-      return !places.length || Math.min(...places) > chart.over.clientHeight - Math.max(...places);
+    function render(width = host.clientWidth, height = spec.height) {
+      if (!width) return;  // in a closed part of the page
+      const area = { left: LEFT, top: ABOVE, width: width - LEFT - RIGHT, height: height - ABOVE - BELOW };
+      const x = scale('x', area.left, area.left + area.width);
+      const y = scale('y', area.top + area.height, area.top);
+      plot = { width, height, area, x, y };
+      const pen = new Pen(area, x.forward, y.forward, chart.id);
+      spec.draw(pen);
+      const grid = [...lines('x', x, area.width), ...lines('y', y, area.height)];
+      const clip = `<clipPath id="${chart.id}"><rect x="${area.left}" y="${area.top}" width="${area.width}" height="${area.height}"/></clipPath>`;
+      svg.setAttribute('viewBox', `0 0 ${width} ${height}`);
+      svg.setAttribute('font-size', '12');
+      const legend = spec.legend ? spec.legend().map((name) => `<tspan dx="10" fill="var(--${name})">${name}</tspan>`) : [];
+      svg.innerHTML = `${clip}${grid.join('')}<text x="2" y="13" fill="var(--ink-2)">${escape(spec.y.label())}</text>`
+        + `<text x="${area.left + area.width / 2}" y="${height - 5}" text-anchor="middle" fill="var(--ink-2)">${escape(spec.x.label())}</text>`
+        + `<text x="${area.left + area.width}" y="14" text-anchor="end" font-weight="600">${legend.join('')}</text>`
+        + `<g clip-path="url(#${chart.id})">${pen.parts.join('')}</g><path class="cursor" stroke="var(--ink-2)" stroke-dasharray="3 3"/><rect class="drag" fill="var(--ink-2)" opacity=".25" width="0"/>`;
     }
 
-    function move(to) {
-      const index = Math.max(0, Math.min(u.data[0].length - 1, to));
-      u.setCursor({ left: u.valToPos(u.data[0][index], 'x'), top: u.over.clientHeight / 3 });
-      spoken.textContent = options.describe(u, index).map(([text]) => text).join(', ');
+    // Grid lines with labels; a logarithmic axis has a fine line for every digit.
+    function lines(which, { min, max, log, forward }, pixels) {
+      const { left, top, width, height } = plot.area;
+      const values = labeled(log, min, max, pixels, LABEL_ROOM[which]);
+      chart.labels[which] = values.map((v) => [v, tick(v)]);
+      const fine = log ? round(min, max, Math.log10(max / min) > 7 ? [1] : [1, 2, 3, 4, 5, 6, 7, 8, 9]) : [];
+      const line = (v) => (which === 'x' ? `M${px(forward(v))} ${top}v${height}` : `M${left} ${px(forward(v))}h${width}`);
+      const words = chart.labels[which].map(([v, text]) => (which === 'x'
+        ? `<text x="${px(forward(v))}" y="${top + height + 16}" text-anchor="middle" fill="var(--ink-2)">${text}</text>`
+        : `<text x="${left - 6}" y="${px(forward(v))}" text-anchor="end" dominant-baseline="central" fill="var(--ink-2)">${text}</text>`));
+      return [`<path d="${[...new Set([...fine, ...values])].map(line).join('')}" stroke="var(--grid)"/>`, ...words];
     }
 
+    // The chart as a file, in light colors with its title.
+    function markup() {
+      if (!plot) render(640);
+      const { width, height } = plot;
+      return onPaper(`<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 ${-HEAD} ${width} ${height + HEAD}" width="${width}" height="${height + HEAD}" font-size="12" font-family="${escape(FONT)}">`
+        + `<rect y="${-HEAD}" width="100%" height="100%" fill="var(--paper)"/><text x="2" y="-8" font-size="14" font-weight="600" fill="var(--ink)">${escape(spec.title)}</text>${svg.innerHTML}</svg>\n`);
+    }
+
+    async function save(form) {
+      if (form === 'SVG') return download(new Blob([markup()], { type: 'image/svg+xml' }), `${spec.name}.svg`);
+      const image = new Image();
+      image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(markup())}`;
+      await image.decode();
+      const canvas = element('canvas');  // three pixels for each pixel of the screen, sharp in print
+      [canvas.width, canvas.height] = [3 * image.width, 3 * image.height];
+      canvas.getContext('2d').drawImage(image, 0, 0, canvas.width, canvas.height);
+      return canvas.toBlob((blob) => download(blob, `${spec.name}.png`));
+    }
+
+    function show(at, y = null) {
+      chart.at = at;
+      tip.hidden = at === null;
+      const cursor = svg.querySelector('.cursor');
+      if (at === null) return cursor.removeAttribute('d');
+      if (spec.focus && spec.focus(at, y === null ? null : plot.y.back(y))) render();
+      const x = plot.x.forward(spec.xs[at]);
+      svg.querySelector('.cursor').setAttribute('d', `M${px(x)} ${plot.area.top}v${plot.area.height}`);
+      tip.replaceChildren(...spec.describe(at).map(([text, color]) => element('div', color ? { style: `color: ${color}` } : {}, text)));
+      const zoomed = svg.clientWidth / plot.width;
+      const left = x * zoomed > box.clientWidth / 2 ? x * zoomed - 12 - tip.offsetWidth : x * zoomed + 12;
+      tip.style.left = `${Math.max(0, Math.min(left, box.clientWidth - tip.offsetWidth))}px`;
+      tip.style.top = `${ABOVE + 4}px`;
+      return undefined;
+    }
+
+    const place = (event) => {
+      const rect = svg.getBoundingClientRect();
+      return [(event.clientX - rect.left) * plot.width / rect.width, (event.clientY - rect.top) * plot.width / rect.width];
+    };
+    const nearest = (value) => {
+      const far = spec.xs.map((v) => (v === null ? Infinity : Math.abs(plot.x.forward(v) - value)));
+      return far.indexOf(Math.min(...far));
+    };
+    let start = null;
+    svg.addEventListener('pointermove', (event) => {
+      const [x, y] = place(event);
+      show(nearest(x), y);
+      if (!start) return;
+      const drag = svg.querySelector('.drag');
+      const tall = spec.zoomY && Math.abs(y - start[1]) > 24;
+      const { top, height } = plot.area;
+      for (const [name, value] of Object.entries({ x: Math.min(x, start[0]), width: Math.abs(x - start[0]), y: tall ? Math.min(y, start[1]) : top, height: tall ? Math.abs(y - start[1]) : height })) drag.setAttribute(name, value);
+    });
+    svg.addEventListener('pointerdown', (event) => {
+      if (event.pointerType !== 'mouse') return show(nearest(place(event)[0]), place(event)[1]);
+      event.preventDefault();
+      box.focus({ preventScroll: true });
+      svg.setPointerCapture(event.pointerId);
+      start = place(event);
+      return undefined;
+    });
+    svg.addEventListener('pointerup', (event) => {
+      const [from, to] = [start, place(event)];
+      start = null;
+      if (!from || Math.abs(to[0] - from[0]) < 8) return render();
+      const range = (which, i) => [from[i], to[i]].map(plot[which].back).sort((a, b) => a - b);
+      const tall = spec.zoomY && Math.abs(to[1] - from[1]) > 24;
+      chart.zoom = { x: range('x', 0), y: tall ? range('y', 1) : null };
+      return render();
+    });
+    svg.addEventListener('dblclick', () => { chart.zoom = null; render(); });
+    svg.addEventListener('pointerleave', () => show(null));
+    box.addEventListener('blur', () => show(null));
     box.addEventListener('keydown', (event) => {
-      const at = u.cursor.idx;
-      const here = at === null || at === undefined ? -1 : at;
-      const steps = { ArrowRight: here + 1, ArrowLeft: here - 1, Home: 0, End: u.data[0].length - 1 };
-      if (event.key === 'Escape') u.setCursor({ left: -10, top: -10 });
+      const here = chart.at === null ? -1 : chart.at;
+      const steps = { ArrowRight: here + 1, ArrowLeft: here - 1, Home: 0, End: spec.xs.length - 1 };
+      if (event.key === 'Escape') show(null);
       if (!(event.key in steps)) return;
       event.preventDefault();
-      move(steps[event.key]);
+      show(Math.max(0, Math.min(spec.xs.length - 1, steps[event.key])));
+      spoken.textContent = spec.describe(chart.at).map(([text]) => text).join(', ');
     });
-    box.addEventListener('blur', () => u.setCursor({ left: -10, top: -10 }));
-    // A finger drags the cursor sideways; up and down still scrolls the page.
-    for (const kind of ['pointerdown', 'pointermove']) {
-      u.over.addEventListener(kind, (event) => {
-        if (event.pointerType === 'mouse') return;
-        const rect = u.over.getBoundingClientRect();
-        u.setCursor({ left: event.clientX - rect.left, top: event.clientY - rect.top });
-      });
-    }
-    new ResizeObserver(() => {
-      const width = Math.max(280, host.clientWidth);
-      if (Math.abs(width - u.width) > 1) u.setSize({ width, height });
-    }).observe(host);
-    all.push(u);
-    return u;
+    new ResizeObserver(() => { if (!document.documentElement.classList.contains('printing') && host.clientWidth && (!plot || Math.abs(host.clientWidth - plot.width) > 1)) render(); }).observe(host);
+    render();
+    all.push(chart);
+    return chart;
   }
 
-  function redrawAll() {
-    for (const u of all) u.redraw(false, true);
+  function download(blob, name) {
+    const link = element('a', { href: URL.createObjectURL(blob), download: name });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', redrawAll);
+
+  // Buttons that save a chart.
+  function saving(chart) {
+    const buttons = ['SVG', 'PNG'].map((form) => {
+      const button = element('button', { type: 'button', 'data-form': form }, form);
+      button.addEventListener('click', () => chart.save(form));
+      return button;
+    });
+    return element('span', { class: 'save' }, 'save', ...buttons);
+  }
 
   // A row of buttons that are on or off; a sample shows how each is drawn while it is on.
-  function toggles(label, names, change) {
-    const group = element('div', { class: 'toggles', role: 'group', 'aria-label': label }, element('span', {}, label));
-    for (const { key, text, style, dash } of names) {
-      const button = element('button', { type: 'button', 'aria-pressed': 'true', 'data-key': key, title: 'show or hide' });
-      if (style) button.style.setProperty('--chip', style);
-      button.append(sample(dash || []), text);
+  function toggles(names, change) {
+    return names.map(({ key, text, color = 'var(--ink-2)', dash = '' }) => {
+      const button = element('button', { type: 'button', class: 'toggle', 'aria-pressed': 'true', 'data-key': key, title: 'show or hide', style: `--chip: ${color}` });
+      button.innerHTML = `<svg viewBox="0 0 20 8" aria-hidden="true"><path d="M0 4h20" stroke-dasharray="${dash}"/></svg>`;
+      button.append(text);
       button.addEventListener('click', () => {
         const on = button.getAttribute('aria-pressed') !== 'true';
         button.setAttribute('aria-pressed', String(on));
         change(key, on);
       });
-      group.append(button);
-    }
-    return group;
+      return button;
+    });
   }
 
-  function sample(dash) {
-    const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-    const line = document.createElementNS('http://www.w3.org/2000/svg', 'line');
-    for (const [name, value] of Object.entries({ viewBox: '0 0 20 8', 'aria-hidden': 'true' })) svg.setAttribute(name, value);
-    for (const [name, value] of Object.entries({ x1: 0, x2: 20, y1: 4, y2: 4, 'stroke-dasharray': dash.join(' ') })) line.setAttribute(name, value);
-    svg.append(line);
-    return svg;
-  }
-
-  return { all, color, create, element, labeled, number, redrawAll, toggles };
+  return { all, create, download, element, number, saving, toggles };
 })();

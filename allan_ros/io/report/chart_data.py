@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.allan.periods import Recording
-from ...core.allan.spectra import Spectrum
-from ...core.allan.sums import AllanSums
+from ...core.allan.spectra import noise_density
 from ...core.fit import TERMS
 from ...core.imu import AXES, SENSORS
 from ...core.noise import NoiseTerms, term_avar
@@ -22,7 +20,6 @@ from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
 from ..format import (
     SENSOR_NAMES,
-    part_text,
     pretty_unit,
     shown_unit,
 )
@@ -34,35 +31,28 @@ if TYPE_CHECKING:
     from ..results import Results
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CHART_DIGITS = 5
 """Significant digits of a value in a chart, better than a tenth of a pixel on any screen."""
 
-MEANS = 129
-"""Largest number of points of one recording in the chart of the bias over time."""
+MEANS = 128
+"""Largest number of points in the charts of the bias and of the noise over time."""
 
-LONGEST_NOISE_S = 1.0
-"""Largest averaging time in s of the chart of the noise over time."""
+LEAST_POINTS = 4
+"""Smallest number of points of a chart over time."""
 
-LEAST_COUNT, LEAST_POINTS = 16, 4
-"""Smallest number of differences for an Allan deviation, and smallest number of points of a
-chart over time."""
+SAME_LINE = 1.05
+"""Ratio of frequencies below which the sinusoids of two axes share a mark."""
 
 LEAST_RANGE_C = 0.5
 """Temperature range in degC above which the bias is shown against the temperature."""
 
 
-def sensor_charts(
-    results: Results,
-    sensor: str,
-    spectra: Sequence[Spectrum],
-    summary: SignalSummary | None,
-) -> dict[str, Any]:
+def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) -> dict[str, Any]:
     """Return the data of all charts of one sensor ('gyro' or 'accel') as a JSON object.
 
-    ``spectra`` may contain other axes. Without the spectrum, the ``summary`` of the raw signal, or
-    sums in the results, the charts that need them are omitted.
+    Without sums in the results, or without the ``summary`` of the raw signal, the charts that need
+    them are omitted.
     """
     axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
     tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
@@ -73,7 +63,7 @@ def sensor_charts(
         'tau': rounded(tau),
         'axes': [_axis(name, axis, tau) for name, axis in axes.items()],
         'references': [*_references(axes, results, tau)],
-        'spectrum': _spectrum(axes, spectra),
+        'density': _density(axes, results),
         'signal': None if summary is None else _signal(axes, summary),
         'trends': trends(results, sensor, summary),
         'copy': {units: copies(results, list(axes), units) for units in UNIT_SYSTEMS},
@@ -137,10 +127,6 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
         'upper': {term: column(adev) for term, adev in curve.limits.items()},
         'read': {term: rounded(at) for term, at in curve.read.items()},
         'likely': axis.fit.likely,
-        'regions': [
-            [*rounded([r.tau_low, r.tau_high]), part_text(r.term, axis.fit.likely), r.slope]
-            for r in axis.regions
-        ],
     }
 
 
@@ -166,9 +152,11 @@ def _references(
             yield {'name': run, 'axis': name, 'adev': rounded(adev)}
 
 
-def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> dict[str, Any] | None:
+def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any] | None:
     """Return measured and modeled noise density (SI/sqrt(Hz)) of all axes; None if unknown."""
-    spectrum = next((s for s in spectra if set(axes) & set(s.axes)), None)
+    known = () if results.recorded is None else results.recorded.sums
+    spectra = (noise_density(sums) for sums in known if set(axes) & set(sums.axes))
+    spectrum = next((found for found in spectra if found is not None), None)
     if spectrum is None:
         return None
     shown = []
@@ -182,24 +170,50 @@ def _spectrum(axes: Mapping[str, AxisResult], spectra: Sequence[Spectrum]) -> di
             }
             roots = {k: rounded(np.sqrt(np.where(v > 0, v, np.nan))) for k, v in columns.items()}
             shown.append({'name': name, **roots})
-    return {'frequency': rounded(spectrum.frequency), 'axes': shown}
+    return {'x': rounded(spectrum.frequency), 'axes': shown, 'lines': _lines(axes)}
 
 
-def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> dict[str, Any]:
-    """Return the signal of each axis relative to its median, and the unused periods."""
+def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
+    """Return the frequencies of the sinusoids of all axes, each with the letters of its axes."""
+    found = sorted(
+        (sine.frequency, name[-1])
+        for name, axis in axes.items()
+        for sine in axis.processes.sinusoid
+    )
+    groups: list[list[tuple[float, str]]] = []
+    for each in found:
+        if groups and each[0] < SAME_LINE * groups[-1][0][0]:
+            groups[-1].append(each)
+        else:
+            groups.append([each])
+    return [
+        (float(f'{np.mean([f for f, _ in group]):.3g}'), ' '.join(sorted({a for _, a in group})))
+        for group in groups
+    ]
+
+
+def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> list[dict[str, Any]]:
+    """Return the signal of each axis relative to its median."""
     shown = []
     for name in axes:
         i = AXES.index(name)
         middle, reach = rounded([summary.middle[i], summary.reach[i]])
         low, high = (rounded(v[:, i] - summary.middle[i], 3) for v in (summary.low, summary.high))
         shown.append({'name': name, 'middle': middle, 'reach': reach, 'low': low, 'high': high})
-    return {
-        'time': rounded(summary.time_s),
-        'axes': shown,
-        'leftOut': [[*rounded([out.start, out.end]), out.why] for out in summary.left_out],
-        'gaps': [rounded(span) for span in summary.gaps],
-        'starts': rounded(summary.starts),
-    }
+    return shown
+
+
+def times(summary: SignalSummary | None) -> dict[str, Any] | None:
+    """Return the time axis of the raw signal with the times to be marked; None without a signal.
+
+    Each of ``bands`` is (start in s, end in s, kind), where the kind is 'gap' or one of
+    `Excluded.why`.
+    """
+    if summary is None:
+        return None
+    bands = [[*rounded([out.start, out.end]), out.why or 'other'] for out in summary.excluded]
+    bands += [[*rounded(gap), 'gap'] for gap in summary.gaps]
+    return {'time': rounded(summary.time_s), 'bands': bands, 'starts': rounded(summary.starts[1:])}
 
 
 def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
@@ -245,90 +259,48 @@ class Trend(NamedTuple):
 def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
     """Return the charts of bias and noise over time, and of the bias against temperature.
 
-    Times are those of ``summary``; without it, recordings directly follow one another.
+    They are computed from the ``summary`` of the raw signal; without it, there are none.
     """
-    where = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
-    known_sums = () if results.recorded is None else results.recorded.sums
-    sums = next((s for s in known_sums if set(where) & set(s.axes)), None)
-    if sums is None or sums.tau0 is None:
+    names = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
+    if summary is None or not names:
         return []
-    columns = [i for i, name in enumerate(sums.axes) if name in where]
-    names = [sums.axes[i] for i in columns]
-    placed = _starts(sums, summary)
-    bias = _joined([_bias(recording, start, sums.tau0) for recording, start in placed], columns)
-    levels = [_noise(recording, start, sums.tau0, sums.m) for recording, start in placed]
-    noise = _joined([level for level in levels if level.tau == levels[0].tau], columns)
-    charts = []
-    if np.isfinite(bias.values).any(axis=1).sum() >= LEAST_POINTS:
-        bias = bias._replace(values=bias.values - np.nanmean(bias.values, axis=0))
-        terms = [results.axes[name].fit.noise['N'] for name in names]
-        known = [n.value if n.status == 'estimated' and n.value else math.nan for n in terms]
-        white = rounded([1.96 * density / math.sqrt(bias.tau) for density in known])
-        charts.append({**_document('bias', bias, names), 'white': white})
-        against = _against_temperature(bias, summary)
-        if against is not None:
-            slopes = rounded(np.polyfit(against.x, against.values, 1)[0])
-            charts.append({**_document('temperature', against, names), 'slopes': slopes})
-    if np.isfinite(noise.values).any(axis=1).sum() >= LEAST_POINTS:
-        charts.append(_document('noise', noise, names))
-    return charts
+    columns = [AXES.index(name) for name in names]
+    bias = _over_time(summary, summary.mean[:, columns])
+    noise = _over_time(summary, summary.noise[:, columns] ** 2)
+    if np.isfinite(bias.values).any(axis=1).sum() < LEAST_POINTS:
+        return []
+    bias = bias._replace(values=bias.values - np.nanmean(bias.values, axis=0))
+    terms = [results.axes[name].fit.noise['N'] for name in names]
+    known = [n.value if n.status == 'estimated' and n.value else math.nan for n in terms]
+    white = rounded([1.96 * density / math.sqrt(bias.tau) for density in known])
+    charts = [{**_document('bias', bias, names), 'white': white}]
+    against = _against_temperature(bias, summary)
+    if against is not None:
+        slopes = rounded(np.polyfit(against.x, against.values, 1)[0])
+        charts.append({**_document('temperature', against, names), 'slopes': slopes})
+    return [*charts, _document('noise', noise._replace(values=np.sqrt(noise.values)), names)]
 
 
-def _starts(sums: AllanSums, summary: SignalSummary | None) -> list[tuple[Recording, float]]:
-    """Return the recordings in order of time, each with its start in s on the time axis."""
-    placed, end = [], 0.0
-    for recording in sums.recordings:
-        start = end
-        for at, first_ns in zip(*((summary.starts, summary.first_ns) if summary else ((), ()))):
-            begin_ns = recording.periods[0].begin_ns
-            if first_ns <= begin_ns:
-                start = at + (begin_ns - first_ns) * 1e-9
-        placed.append((recording, start))
-        end += recording.samples * (sums.tau0 or 0.0)
-    return placed
+def _over_time(summary: SignalSummary, values: Floats) -> Trend:
+    """Return the means of values, (bins, axes), over equal intervals; NaN separates recordings.
 
-
-def _bias(recording: Recording, start: float, tau0: float) -> Trend:
-    """Return the block means of the longest segments, separated by NaN."""
-    times, values, tau = [np.zeros(0)], [np.zeros((0, len(recording.reference)))], 0.0
-    begin_ns = recording.periods[0].begin_ns
-    for means in recording.means:
-        while len(means.values) > MEANS:
-            means = means.coarser(2 * means.step)
-        tau = means.step * tau0
-        first = start + (means.start_ns - begin_ns) * 1e-9
-        middles = first + (np.arange(len(means.values)) + 0.5) * tau
-        times += [middles, middles[-1:] + tau]
-        values += [
-            means.values + recording.reference,
-            np.full((1, len(recording.reference)), np.nan),
-        ]
-    return Trend(np.concatenate(times), np.concatenate(values), tau)
-
-
-def _noise(recording: Recording, start: float, tau0: float, m: Ints) -> Trend:
-    """Return the Allan deviation of each period at one averaging time up to `LONGEST_NOISE_S`."""
-    level = int(np.searchsorted(m * tau0, LONGEST_NOISE_S, side='right')) - 1
-    begin_ns = recording.periods[0].begin_ns
-    adev, middles = [], []
-    for period in recording.periods:
-        number = int(period.count[level]) if level < len(period.count) else 0
-        known = number >= LEAST_COUNT
-        unknown = np.full(len(recording.reference), np.nan)
-        adev.append(np.sqrt(period.sum_sq[level] / (2.0 * number)) / m[level] if known else unknown)
-        middles.append(start + (period.begin_ns - begin_ns) * 1e-9 + period.samples * tau0 / 2.0)
-    return Trend(np.array(middles), np.array(adev), float(m[level] * tau0))
-
-
-def _joined(parts: Sequence[Trend], columns: Sequence[int]) -> Trend:
-    """Return the selected axes (``columns``) of all recordings as one trend, separated by NaN."""
-    times, values = [np.zeros(0)], [np.zeros((0, len(columns)))]
-    for part in parts:
-        if len(part.x):
-            times += [part.x, part.x[-1:] + 1e-3]
-            values += [part.values[:, columns], np.full((1, len(columns)), np.nan)]
-    tau = max((part.tau for part in parts), default=0.0)
-    return Trend(np.concatenate(times)[:-1], np.concatenate(values)[:-1], tau)
+    The mean is NaN unless more than half of the bins of the interval are used.
+    """
+    step = -(-len(summary.time_s) // MEANS)
+    bin_s = float(np.median(np.diff(summary.time_s)))
+    first = np.searchsorted(summary.time_s, summary.starts).tolist()
+    x, rows = [], []
+    for begin, end in zip(first, [*first[1:], len(values)]):
+        for at in range(begin, end, step):
+            part = slice(at, min(at + step, end))
+            used = values[part][summary.used[part]]
+            known = np.isfinite(used)
+            number = np.where(2 * known.sum(axis=0) > step, known.sum(axis=0), np.nan)
+            x.append(float(summary.time_s[part].mean()) + 0.5 * bin_s)
+            rows.append(np.where(known, used, 0.0).sum(axis=0) / number)
+        x.append(x[-1])
+        rows.append(np.full(values.shape[1], np.nan))
+    return Trend(np.array(x[:-1]), np.array(rows[:-1]), step * bin_s)
 
 
 def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | None:

@@ -6,39 +6,26 @@
 (() => {
   const { element } = Chart;
   const data = JSON.parse(document.getElementById('data').textContent);
-  const charts = [];
-  const chosen = () => (document.querySelector('input[name=units]:checked') || { value: data.units }).value;
+  const PRINTED = { 1: 700, 2: 342 };  // width in pixels of a chart on A4, by the number of columns
+  const FLATTER = 0.8;  // height of a printed chart, relative to the screen
+  const page = { ...data, units: () => (document.querySelector('input[name=units]:checked') || { value: data.units }).value };
 
-  document.documentElement.classList.add('scripted');
-  for (const sensor of data.sensors) {
-    if (sensor.axes.some((a) => a.adev && a.adev.some((v) => v > 0))) {
-      const place = (kind, where) => {
-        const host = document.querySelector(`.charts.${where}[data-sensor=${sensor.sensor}]`);
-        const made = element('div', { class: `chart ${kind}` });
-        host.hidden = false;
-        host.append(made);
-        return made;
-      };
-      charts.push(AllanChart.create(place('allan', 'curve'), sensor, chosen()));
-      for (const trend of sensor.trends) charts.push(OtherCharts.trend(place('trend', 'rest'), sensor, chosen(), trend));
-      if (sensor.spectrum) charts.push(OtherCharts.spectrum(place('spectrum', 'rest'), sensor, chosen()));
-      if (sensor.signal) {
-        const { time } = sensor.signal;
-        if (data.temperature) OtherCharts.temperature(place('temperature', 'rest'), data.temperature, time[time.length - 1]);
-        charts.push(OtherCharts.signal(place('signal', 'rest'), sensor, chosen(), data.temperature));
-      }
-    }
-    copyButtons(document.querySelector(`.copy[data-sensor=${sensor.sensor}]`), sensor);
+  for (const host of document.querySelectorAll('.charts[data-kind]')) {
+    const sensor = data.sensors.find((s) => s.sensor === host.dataset.sensor);
+    if (sensor) Charts[host.dataset.kind](host, sensor, page);
+    else Charts[host.dataset.kind](host, page);
   }
+  for (const host of document.querySelectorAll('.copy')) copyButtons(host, data.sensors.find((s) => s.sensor === host.dataset.sensor));
 
   for (const input of document.querySelectorAll('input[name=units]')) {
-    input.addEventListener('change', () => charts.forEach((chart) => chart.units(chosen())));
+    input.addEventListener('change', () => Chart.all.forEach((chart) => { if (chart.note) chart.note(); chart.render(); }));
   }
 
   function copyButtons(host, sensor) {
     const status = element('span', { role: 'status' });
-    host.append(element('span', {}, 'copy as'));
-    const offers = { ...Object.fromEntries(Object.keys(sensor.copy[data.units]).map((form) => [form, () => sensor.copy[chosen()][form]])), 'curve (TSV)': () => curve(sensor) };
+    const forms = Object.keys(sensor.copy[data.units]);
+    const offers = { ...Object.fromEntries(forms.map((form) => [form, () => sensor.copy[page.units()][form]])), 'curve (TSV)': () => curve(sensor) };
+    host.append('copy the coefficients as');
     for (const [form, text] of Object.entries(offers)) {
       const button = element('button', { type: 'button' }, form);
       button.addEventListener('click', async () => {
@@ -47,12 +34,10 @@
       host.append(button);
     }
     const file = element('button', { type: 'button', 'data-form': 'CSV' }, 'CSV');
-    file.addEventListener('click', () => Picture.save(new Blob([csv(sensor)], { type: 'text/csv' }), `coefficients_${sensor.sensor}.csv`));
-    host.append(element('span', { class: 'grow' }), element('span', { class: 'save' }, 'save as', file), status);
+    file.addEventListener('click', () => Chart.download(new Blob([sensor.copy[page.units()].TSV.replaceAll('\t', ',')], { type: 'text/csv' }), `coefficients_${sensor.sensor}.csv`));
+    host.append('save', file, status);
     host.hidden = false;
   }
-
-  const csv = (sensor) => sensor.copy[chosen()].TSV.replaceAll('\t', ',');
 
   // The curve of all axes in SI, a line for each averaging time.
   function curve(sensor) {
@@ -78,24 +63,20 @@
     }
   }
 
-  // In print, each Allan chart is a vector picture on white, and raw signals are omitted.
+  // In print, all parts are open, and charts are drawn anew for the width of the paper.
+  const closed = [];
   addEventListener('beforeprint', () => {
     document.documentElement.classList.add('printing');
-    for (const folded of document.querySelectorAll('details:not([open]):not(.fold)')) {
-      folded.open = true;
-      folded.dataset.folded = '';
+    closed.push(...document.querySelectorAll('details:not([open])'));
+    for (const part of closed) part.open = true;
+    for (const chart of Chart.all) {
+      const columns = chart.box.closest('.pair') ? data.sensors.length : 1;
+      chart.render(PRINTED[columns], FLATTER * chart.spec.height);
     }
-    for (const chart of Chart.all.filter((u) => u.title)) {
-      const figure = element('figure', { class: 'paper' });
-      figure.innerHTML = Picture.svg(chart, chart.title);
-      chart.root.closest('.plot').before(figure);
-    }
-    Chart.redrawAll();
   });
   addEventListener('afterprint', () => {
     document.documentElement.classList.remove('printing');
-    for (const folded of document.querySelectorAll('details[data-folded]')) folded.open = false;
-    for (const figure of document.querySelectorAll('figure.paper')) figure.remove();
-    Chart.redrawAll();
+    for (const part of closed.splice(0)) part.open = false;
+    for (const chart of Chart.all) chart.render();
   });
 })();

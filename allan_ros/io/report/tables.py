@@ -13,21 +13,23 @@ import numpy as np
 import yaml
 
 from ...core.compare import Comparison
+from ...core.errors import AllanError
+from ...core.filters.reductions import Level
 from ...core.fit import TERMS, Coefficient
 from ...core.fit.interpretation import ADVISED_TERMS
 from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
 from ..datasheets import VERDICT_TEXT, DatasheetComparison
+from ..exporters import target_of, target_rows
 from ..format import (
     NOTHING_KNOWN,
-    SENSOR_NAMES,
     ShownUnit,
     deviation_text,
     interval_text,
     known_numbers,
     markdown_rows,
+    part_text,
     pretty_unit,
-    region_text,
     shown_unit,
     significant,
     value_text,
@@ -66,13 +68,12 @@ def in_units(html_of: Callable[[str], str]) -> str:
 
 
 def headline_table(sensor: str, axes: Axes) -> str:
-    """Return an HTML table of N, B and K with one column per axis, without names of terms."""
-    rows = _coefficient_rows(sensor, axes, ADVISED_TERMS, named=False)
-    return _table('coefficients', axes, '', rows, f'<caption>{SENSOR_NAMES[sensor]}</caption>')
+    """Return an HTML table of N, B and K with one column per axis."""
+    return _table('coefficients', axes, '', _coefficient_rows(sensor, axes, ADVISED_TERMS))
 
 
-def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Iterator[str]:
-    """Yield an HTML table of the five noise terms with one column per axis, and its notes.
+def model_table(sensor: str, axes: Axes, deviations: bool = True) -> Iterator[str]:
+    """Yield an HTML table of the other terms and of what the model contains.
 
     ``deviations`` adds the largest deviation of each curve from the model. If there is neither a
     value nor a limit of any term, only a note says so.
@@ -81,30 +82,77 @@ def coefficient_table(sensor: str, axes: Axes, deviations: bool = True) -> Itera
     if all(c.value is None and c.upper95 is None for c in noise):
         yield _note('Nothing could be measured: neither a value nor a limit.')
         return
-    rows = _coefficient_rows(sensor, axes, TERMS)
+    rows = _coefficient_rows(sensor, axes, [t for t in TERMS if t not in ADVISED_TERMS])
     stated = [deviation_text(axis.fit.deviation) for axis in axes.values()]
     if deviations and any(stated):
-        heading = 'largest deviation<small>from the model</small>'
+        heading = 'largest deviation<small>of the curve from the model</small>'
         rows.append((heading, [f'<td>{text or "–"}</td>' for text in stated]))
     if any(axis.regions for axis in axes.values()):
-        texts = ([region_text(r, a.fit.likely) for r in a.regions] for a in axes.values())
-        rows.append(
-            ('dominant noise', (f'<td class="regions">{"<br>".join(t)}</td>' for t in texts))
+        texts = (
+            [
+                f'{significant(r.tau_low, 2)}..{significant(r.tau_high, 2)}&nbsp;s '
+                + escape(part_text(r.term, axis.fit.likely))
+                for r in axis.regions
+            ]
+            for axis in axes.values()
         )
-    yield f'<div class="scroll">{_table("coefficients", axes, "term", rows)}</div>'
-    also = []
-    for name, axis in axes.items():
-        parts = [
+        heading = 'dominant noise<small>by averaging time</small>'
+        rows.append((heading, (f'<td class="regions">{"<br>".join(t)}</td>' for t in texts)))
+    others = [
+        [
             f'{part}, likely but not resolved (?)' if part in TERMS else part
             for part in axis.part_adev(np.ones(1, int))
             if part not in TERMS or part in axis.fit.likely
         ]
-        also += [f'{name[-1]}: {", ".join(parts)}'] if parts else []
-    yield _note(
-        '95 % intervals below the values. "<" is the 95 % upper limit of a term that is not '
-        'resolved. B is the coefficient; the flat part of the curve is at 0.664 B.'
-        + (f' Other parts of the model: {"; ".join(also)}.' if also else '')
+        for axis in axes.values()
+    ]
+    if any(others):
+        cells = (f'<td class="regions">{"<br>".join(parts) or "–"}</td>' for parts in others)
+        rows.append(('other parts<small>of the model</small>', cells))
+    yield f'<div class="scroll">{_table("coefficients", axes, "", rows)}</div>'
+
+
+def filter_table(results: Results) -> str:
+    """Return an HTML table of the numbers in imu.yaml: key, value, and their origin.
+
+    If a key needs an axis that was not measured, a note says so instead.
+    """
+    try:
+        rows = target_rows(results, 'kalibr')
+    except AllanError as error:
+        return _note(f'imu.yaml is not written: {error}.')
+    raised = any(level.raised_from is not None for row in rows for level in row.levels)
+    body = ''.join(
+        f'<tr><th scope="row"><code>{escape(row.key)}</code>'
+        f'<small>{", ".join(map(_origin, row.levels))}</small></th>'
+        f'<td><b>{row.value:.4g}</b></td></tr>'
+        for row in rows
+        if row.levels
     )
+    note = (
+        'K is raised because such a filter has no states for bias instability (B) and correlated '
+        'noise: with K as measured it would be too certain of its bias. '
+        if raised
+        else ''
+    )
+    return f'<table class="filter"><tbody>{body}</tbody></table>' + _note(
+        f'{note}In SI, the worst axis of each sensor, for integration up to '
+        f'{target_of("kalibr").horizon_s:g} s without a correction.'
+    )
+
+
+def _origin(level: Level) -> str:
+    """Return the origin of a number for a filter as HTML."""
+    what = f'{level.term} of {level.axis.replace("_", " ")}'
+    if level.is_limit:
+        what += ', 95&nbsp;% upper limit because it is not resolved'
+    if level.raised_from:
+        factor = significant(level.value / level.raised_from, 2)
+        measured = f'<span class="nowrap">{level.raised_from:.4g}</span>'
+        return f'{what}, raised {factor} times from {measured} as measured'
+    if level.raised_from is not None:
+        return f'{what}, which is not resolved: set to cover the error growth'
+    return f'{what} as measured'
 
 
 def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
@@ -117,10 +165,8 @@ def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
         cells = (f'<td>{_size(g.std, g.ci95, ERRORS[sensor], below=True)}</td>' for g in growth)
         rows.append((f'after {growth[0].horizon:g}&nbsp;s', cells))
     if rows:
-        unit = in_units(
-            lambda system: f'Predicted {WALKS[sensor][0]} error [{ERRORS[sensor][system].name}]'
-        )
-        yield _comparison(unit, axes, rows, 'time')
+        unit = in_units(lambda system: f'{WALKS[sensor][0]} error [{ERRORS[sensor][system].name}]')
+        yield _comparison(axes, rows, unit)
         window = next(iter(axes.values())).growth[0].window
         yield _note(
             'One standard deviation without correction, with the 95 % interval, after the bias was '
@@ -173,27 +219,21 @@ def datasheet_table(sensor: str, axes: Axes, comparison: DatasheetComparison) ->
         texts = dict.fromkeys(n for limit in limits for n in (limit.note, limit.condition) if n)
         notes += [f'{term}: {note}' for note in texts]
     notes.append('; '.join(str(source) for source in comparison.datasheet.sources.values()))
-    heading = f'Compared with the datasheet of {escape(comparison.datasheet.name)}'
-    yield from _checks_table(heading, sensor, axes, comparison.comparisons, notes, stated)
+    yield from _checks_table(sensor, axes, comparison.comparisons, notes, stated)
 
 
 def baseline_table(
-    sensor: str, axes: Axes, name: str, baseline: Results, comparisons: Sequence[Comparison]
+    sensor: str, axes: Axes, baseline: Results, comparisons: Sequence[Comparison]
 ) -> Iterator[str]:
-    """Yield an HTML table of the comparison with an earlier run; nothing without comparisons.
-
-    ``name`` and ``baseline`` are the name and the results of the earlier run.
-    """
+    """Yield an HTML table of the comparison with an earlier run; nothing without comparisons."""
     notes = [
         '"Within": not significantly above the earlier run. "Beyond": significantly above it, by '
         'more than the margin.'
     ]
-    heading = f'Compared with {escape(name)}'
-    yield from _checks_table(heading, sensor, axes, comparisons, notes, {}, baseline)
+    yield from _checks_table(sensor, axes, comparisons, notes, {}, baseline)
 
 
 def _checks_table(
-    heading: str,
     sensor: str,
     axes: Axes,
     comparisons: Sequence[Comparison],
@@ -218,7 +258,7 @@ def _checks_table(
         if checks:
             rows.append((_term_heading(sensor, term, stated.get(term, '')), [*cells]))
     if rows:
-        yield _comparison(heading, axes, rows)
+        yield _comparison(axes, rows)
         yield from map(_note, notes)
 
 
@@ -244,9 +284,7 @@ def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results |
     )
 
 
-def _coefficient_rows(
-    sensor: str, axes: Axes, terms: Sequence[str], named: bool = True
-) -> list[Row]:
+def _coefficient_rows(sensor: str, axes: Axes, terms: Sequence[str]) -> list[Row]:
     """Return a row for each term with the values and 95 % intervals of all axes."""
 
     def cell(axis: str, term: str, c: Coefficient) -> str:
@@ -260,14 +298,14 @@ def _coefficient_rows(
 
     return [
         (
-            _term_heading(sensor, term, named=named),
+            _term_heading(sensor, term),
             [cell(name, term, axis.fit.noise[term]) for name, axis in axes.items()],
         )
         for term in terms
     ]
 
 
-def _term_heading(sensor: str, term: str, html: str = '', named: bool = True) -> str:
+def _term_heading(sensor: str, term: str, html: str = '') -> str:
     """Return the heading of the row of a term: letter, unit, and name (or ``html`` instead)."""
     angle, rate = WALKS[sensor]
     names = {
@@ -278,23 +316,20 @@ def _term_heading(sensor: str, term: str, html: str = '', named: bool = True) ->
         'R': f'{rate} ramp',
     }
     units = in_units(lambda system: escape(pretty_unit(shown_unit(sensor, term, system).name)))
-    name = f'<small>{html or names[term]}</small>' if named else ''
-    return f'{term} <em>{units}</em>{name}'
+    return f'{term} <em>{units}</em><small>{html or names[term]}</small>'
 
 
-def _comparison(caption: str, axes: Axes, rows: Sequence[Row], corner: str = 'term') -> str:
-    table = _table('comparison', axes, corner, rows)
-    return f'<h3>{caption}</h3><div class="scroll">{table}</div>'
+def _comparison(axes: Axes, rows: Sequence[Row], corner: str = 'term') -> str:
+    return f'<div class="scroll">{_table("comparison", axes, corner, rows)}</div>'
 
 
-def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row], caption: str = '') -> str:
+def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row]) -> str:
     """Return an HTML table with a column for each axis, headed x, y, z."""
     first = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
-    head = ''.join(f'<th scope="col">{axis[-1]}</th>' for axis in axes)
+    head = ''.join(f'<th scope="col" class="{axis[-1]}">{axis[-1]}</th>' for axis in axes)
     body = ''.join(f'<tr><th scope="row">{th}</th>{"".join(cells)}</tr>' for th, cells in rows)
     return (
-        f'<table class="{kind}">{caption}<thead><tr>{first}{head}</tr></thead>'
-        f'<tbody>{body}</tbody></table>'
+        f'<table class="{kind}"><thead><tr>{first}{head}</tr></thead><tbody>{body}</tbody></table>'
     )
 
 

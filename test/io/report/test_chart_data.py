@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bias and noise over time, and bias against temperature, as the page draws them."""
+"""Bias and noise over time, bias against temperature, and the marks of sinusoids, as drawn."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
-from allan_ros.io.report.chart_data import trends
+from allan_ros.io.report.chart_data import sensor_charts, trends
 from allan_ros.io.results import Results
-from allan_ros.io.signal import SignalTemperature, summarize_signal
+from allan_ros.io.signal import SignalSummary, SignalTemperature, summarize_signal
 
 RATE, SECONDS, DRIFT, DENSITY = 50.0, 600.0, 2e-5, 1e-4
 
@@ -27,10 +27,20 @@ def drifting() -> Results:
     return ar.analyze(noise, rate=RATE, axes='gyro')
 
 
+def summary_of(results: Results) -> SignalSummary:
+    recorded = results.recorded
+    assert recorded is not None
+    summary = summarize_signal(recorded.signals, results.provenance.segments, 1000)
+    assert summary is not None
+    return summary
+
+
 def test_bias_and_noise_are_shown_as_they_were(drifting: Results) -> None:
-    bias, noise = trends(drifting, 'gyro', None)
+    bias, noise = trends(drifting, 'gyro', summary_of(drifting))
     assert [line['name'] for line in bias['lines']] == ['gyro_x', 'gyro_y', 'gyro_z']
-    means = np.array(bias['lines'][0]['values'], float)  # NaN where a cell has few samples
+    # all intervals are equally long, except the last one
+    assert np.diff(bias['x'])[:-1] == pytest.approx(bias['span'], rel=1e-3)
+    means = np.array(bias['lines'][0]['values'], float)
     known = np.isfinite(means)
     slope = np.polyfit(np.array(bias['x'])[known], means[known], 1)[0]
     # the slope scatters by 0.25 % of this drift, so that this fails once in 10^15
@@ -38,26 +48,43 @@ def test_bias_and_noise_are_shown_as_they_were(drifting: Results) -> None:
     assert bias['x'][0] < 10.0 and bias['x'][-1] == pytest.approx(SECONDS, rel=0.02)
     levels = np.array(noise['lines'][1]['values'], float)
     late = np.array(noise['x']) > SECONDS / 2.0
-    # 500 independent differences a half: 3 % scatter of each mean, eight times less than the bound
+    # 15,000 differences in each half: 0.8 % scatter, six times less than the bound
     first, second = (np.sqrt(np.nanmean(levels[part] ** 2)) for part in (~late, late))
-    assert first == pytest.approx(DENSITY / np.sqrt(noise['span']), rel=0.25)
-    assert second / first == pytest.approx(1.5, rel=0.25)
+    assert first == pytest.approx(DENSITY * np.sqrt(RATE), rel=0.05)
+    assert second / first == pytest.approx(1.5, rel=0.05)
 
 
 def test_a_recorded_temperature_gives_the_slope_of_the_bias(drifting: Results) -> None:
-    recorded = drifting.recorded
-    assert recorded is not None
-    summary = summarize_signal(recorded.signals, drifting.provenance.segments, 100)
-    assert summary is not None
     time = np.array([0.0, SECONDS])
     heated = SignalTemperature('/temp', time, 20.0 + time / 60.0)  # a degree a minute
-    summary = replace(summary, temperature=heated)
+    summary = replace(summary_of(drifting), temperature=heated)
     kinds = {trend['kind']: trend for trend in trends(drifting, 'gyro', summary)}
     assert list(kinds) == ['bias', 'temperature', 'noise']
     assert kinds['temperature']['x'] == sorted(kinds['temperature']['x'])
     assert kinds['temperature']['slopes'][0] == pytest.approx(60.0 * DRIFT, rel=0.02)
 
 
-def test_results_without_sums_have_no_trends(drifting: Results) -> None:
-    assert trends(replace(drifting, recorded=None), 'gyro', None) == []
-    assert trends(drifting, 'accel', None) == []
+def test_without_the_signal_of_a_sensor_there_are_no_trends(drifting: Results) -> None:
+    assert trends(drifting, 'gyro', None) == []
+    assert trends(drifting, 'accel', summary_of(drifting)) == []
+
+
+def test_excluded_intervals_are_missing_in_the_trends(drifting: Results) -> None:
+    summary = summary_of(drifting)
+    moved = (summary.time_s > 200.0) & (summary.time_s < 300.0)
+    bias, noise = trends(drifting, 'gyro', replace(summary, used=~moved))
+    for trend in (bias, noise):
+        x, values = np.array(trend['x']), np.array(trend['lines'][0]['values'], float)
+        assert np.isnan(values[(x > 205.0) & (x < 295.0)]).all()
+        assert np.isfinite(values[(x < 195.0) | ((x > 305.0) & (x < 590.0))]).all()
+
+
+def test_a_sinusoid_is_marked_with_its_frequency_and_axes() -> None:
+    n = 20_000
+    samples = np.random.default_rng(4).normal(size=(n, 3)) * DENSITY * np.sqrt(RATE)
+    samples[:, :2] += 5e-4 * np.sin(2.0 * np.pi * 3.0 * np.arange(n)[:, None] / RATE)
+    results = ar.analyze(samples, rate=RATE, axes='gyro', motion_gate=False)
+    assert results.recorded is not None
+    chart = sensor_charts(results, 'gyro', None)
+    [(frequency, axes)] = chart['density']['lines']
+    assert frequency == pytest.approx(3.0, rel=0.01) and axes == 'x y'

@@ -15,7 +15,7 @@ import allan_ros as ar
 from allan_ros.core.fit.interpretation import SIGNIFICANT
 from allan_ros.io.format import deviation_text
 from allan_ros.io.report.chart_data import sensor_charts
-from allan_ros.io.report.tables import coefficient_table
+from allan_ros.io.report.tables import model_table
 
 ADIS_LSB = np.repeat([0.05 * np.pi / 180.0, 0.00333 * 9.80665], 3)
 GYRO = {'N': 0.2, 'B': 5.0, 'K': 20.0}
@@ -40,9 +40,9 @@ def check(results: ar.Results) -> list[tuple[float, float] | None]:
     """Compare each stated deviation with the chart; return the stated deviations."""
     stated = []
     for sensor in sorted({name.split('_')[0] for name in results}):
-        chart = sensor_charts(results, sensor, [], None)
+        chart = sensor_charts(results, sensor, None)
         axes = {a['name']: a for a in chart['axes'] if 'adev' in a}
-        page = ''.join(coefficient_table(sensor, {name: results.axes[name] for name in axes}))
+        page = ''.join(model_table(sensor, {name: results.axes[name] for name in axes}))
         for name, axis in axes.items():
             deviation = results.axes[name].fit.deviation
             expected = read_off(chart, axis)

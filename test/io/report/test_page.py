@@ -16,14 +16,13 @@ import numpy as np
 import pytest
 import yaml
 
-from allan_ros.core.allan.spectrum import RunningSpectrum, spectrum_of
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Segment
 from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.report import ReportContext, render_report
 from allan_ros.io.report.chart_data import sensor_charts, to_script
-from allan_ros.io.report.tables import copies
+from allan_ros.io.report.tables import copies, filter_table
 from allan_ros.io.results import Results
 from allan_ros.io.signal import SignalEnvelope, TemperatureTrace, summarize_signal
 
@@ -78,13 +77,8 @@ def a_signal(n: int = 5000, start_ns: int = 10**18) -> SignalEnvelope:
 
 def everything(results: Results) -> ReportContext:
     """Return all optional parts of a page."""
-    running = RunningSpectrum(tuple(results.axes))
-    running.update(np.random.default_rng(2).normal(size=(len(results.axes), 5000)))
-    spectrum = spectrum_of(running.sums, results.tau0)
-    assert spectrum is not None
     return ReportContext(
         summarize_signal([a_signal()], (), 1000),
-        [spectrum],
         {'command': 'allan analyze my_bag'},
         ['results.json'],
     )
@@ -166,7 +160,7 @@ def test_the_page_is_complete_with_an_absent_sensor_and_an_empty_curve(
 
 
 def test_charts_contain_si_values_and_factors(small_results: Results) -> None:
-    chart = sensor_charts(small_results, 'accel', (), None)
+    chart = sensor_charts(small_results, 'accel', None)
     curve = small_results.axes['accel_y'].curve
     assert curve is not None
     assert np.allclose(chart['tau'], curve.tau, rtol=1e-4)
@@ -188,6 +182,21 @@ def test_copied_numbers_are_those_of_the_fit(small_results: Results) -> None:
     assert {line.count('|') for line in made['Markdown'].splitlines()} == {5}
 
 
+def test_the_numbers_for_a_filter_are_those_of_its_file(small_results: Results) -> None:
+    table = filter_table(small_results)
+    written = yaml.safe_load(small_results.export('kalibr'))
+    keys = [key for key in written if key.endswith(('density', 'walk'))]
+    assert len(keys) == 4
+    for key in keys:
+        row = table.partition(f'<code>{key}</code>')[2].partition('</tr>')[0]
+        assert f'<b>{written[key]:.4g}</b>' in row
+        raised = re.search(r'raised ([\d.]+) times from <span[^>]*>([-\d.e]+)</span>', row)
+        if raised:  # the factor and the coefficient as measured give the number
+            assert float(raised[1]) * float(raised[2]) == pytest.approx(written[key], rel=0.05)
+    gyro = {name: axis for name, axis in small_results.axes.items() if name.startswith('gyro')}
+    assert 'imu.yaml is not written' in filter_table(replace(small_results, axes=gyro))
+
+
 def test_excluded_and_missing_times_are_marked_in_the_plot() -> None:
     n, period = 10_000, 20_000_000
     stamps = 10**18 + np.arange(n, dtype=np.int64) * period
@@ -198,7 +207,7 @@ def test_excluded_and_missing_times_are_marked_in_the_plot() -> None:
     summary = summarize_signal([signal, signal], spans, 100_000)
     assert summary is not None
     # the second recording has the same stamps, so the same gaps are found
-    (first, second) = summary.left_out
+    (first, second) = summary.excluded
     assert first == (0.0, pytest.approx(20.0), '')
     assert second.end - second.start == pytest.approx(20.0)
     (gap, _) = summary.gaps
@@ -211,7 +220,7 @@ def test_the_signal_summary_states_why_data_are_excluded() -> None:
     n, second = 10_000, 10**9
     stamps = np.arange(n, dtype=np.int64) * 20_000_000  # 200 s
     samples = np.random.default_rng(4).normal(size=(n, 6))
-    samples[4000:4010] += 100.0  # a knock at 80 s
+    samples[4000:4010] += 100.0  # a shock at 80 s
     signal = SignalEnvelope()
     signal.update(ImuBatch(stamps, samples))
     spans = [Segment(20 * second, 3000, 59.8), Segment(82 * second, 3400, 68.0, 'motion')]
@@ -220,8 +229,8 @@ def test_the_signal_summary_states_why_data_are_excluded() -> None:
     )
     summary = summarize_signal([signal], spans, 100, {'motion': 2}, [trace])
     assert summary is not None
-    assert [out.why for out in summary.left_out] == ['', 'motion', 'motion']
-    assert [out.end for out in summary.left_out] == pytest.approx([20.0, 82.0, 200.0], abs=2.0)
+    assert [out.why for out in summary.excluded] == ['', 'motion', 'motion']
+    assert [out.end for out in summary.excluded] == pytest.approx([20.0, 82.0, 200.0], abs=2.0)
     assert (summary.reach < 10.0).all() and np.nanmax(summary.high) > 90.0
     assert not summary.used[summary.time_s < 19.0].any()
     assert summary.temperature is not None and summary.temperature.source == '/t'

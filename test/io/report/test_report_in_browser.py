@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import json
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 from support.chromium import Chromium
 
-from allan_ros.core.allan.spectrum import RunningSpectrum, spectrum_of
+import allan_ros as ar
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Segment
 from allan_ros.io.datasheets import load_sensor
@@ -24,10 +26,35 @@ MAX_BYTES = 2_000_000
 
 HOSTILE = '</script><script>document.title = "taken"</script>'
 
-INK = """(() => {
-  const {width, height} = CANVAS, data = CANVAS.getContext('2d').getImageData(0, 0, width, height);
-  return new Set(new Uint32Array(data.data.buffer)).size; })()"""
-"""Expression for the number of colors of a canvas; 1 if nothing was drawn."""
+OPENED = 'document.querySelectorAll("details").forEach(d => { d.open = true; })'
+
+DRAWN = 'Chart.all.every(c => c.box.querySelectorAll("path").length > 3 && c.labels.x)'
+
+CROSSING = """(boxes => {
+  const crossing = [];
+  boxes.forEach(([a, p], i) => boxes.slice(i + 1).forEach(([b, q]) => {
+    const across = Math.min(p.right, q.right) - Math.max(p.left, q.left);
+    const down = Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top);
+    if (across > 2 && down > 5) crossing.push([a, b]);
+  }));
+  return crossing;
+})"""
+"""Function that returns the pairs of texts that cover each other."""
+
+IN_CHART = (
+    CROSSING
+    + """([...Chart.all[INDEX].box.querySelectorAll('svg text')]
+  .filter(t => t.textContent).map(t => [t.textContent, t.getBoundingClientRect()]))"""
+)
+
+IN_PAGE = (
+    CROSSING
+    + """([...document.querySelectorAll('main *, header *')].filter(e =>
+    e.checkVisibility() && !e.closest('.spoken, svg, legend'))
+  .flatMap(e => [...e.childNodes].filter(n => n.nodeType === 3 && n.data.trim()).flatMap(n => {
+    const r = document.createRange(); r.selectNode(n);
+    return [...r.getClientRects()].map(q => [n.data.trim().slice(0, 30), q]); })))"""
+)
 
 
 @pytest.fixture(scope='module')
@@ -37,10 +64,6 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     stamps = 10**18 + np.arange(n, dtype=np.int64) * period
     envelope = SignalEnvelope()
     envelope.update(ImuBatch(stamps, np.random.default_rng(1).normal(size=(n, 6))))
-    running = RunningSpectrum(tuple(small_results.axes))
-    running.update(np.random.default_rng(2).normal(size=(6, 9000)))
-    spectrum = spectrum_of(running.sums, small_results.tau0)
-    assert spectrum is not None
     results = replace(small_results, identity=ImuIdentity(HOSTILE, ''))
     results = results.against_datasheet(load_sensor('adis16475-3'), 0.1)
     temperature = TemperatureTrace(
@@ -49,92 +72,173 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     spans = [Segment(int(stamps[5000]), 15_000, 300.0, 'motion')]
     summary = summarize_signal([envelope], spans, 1000, {}, [temperature])
     results = replace(results, baselines={'May': small_results})
-    context = ReportContext(summary, [spectrum], {'command': 'x'}, ['results.json'])
+    context = ReportContext(summary, {'command': 'x'}, ['results.json'])
     path = tmp_path_factory.mktemp('page') / 'report.html'
     path.write_text(render_report(results, context, 'deg/h'), encoding='utf-8')
     return path
 
 
-@pytest.mark.parametrize(('width', 'dark'), [(1280, False), (390, True)])
-def test_the_page_draws_and_sends_no_request(
-    browser: Chromium, page: Path, width: int, dark: bool
-) -> None:
-    assert page.stat().st_size < MAX_BYTES
+@pytest.fixture(scope='module')
+def real_page(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the page of 11 minutes of an MPU-6050."""
+    folder = tmp_path_factory.mktemp('real')
+    ar.analyze(shared_data / 'mpu6050.npz', method='relative').save(folder)
+    return folder / 'report.html'
+
+
+def opened(browser: Chromium, page: Path, width: int, dark: bool = False) -> None:
     browser.complaints.clear()
     browser.requests.clear()
     browser.open(page, width, dark)
-    canvases = browser.evaluate('document.querySelectorAll("canvas").length')
-    # of each sensor: curve, bias and noise over time, bias against temperature, spectrum,
-    # temperature, three signals
-    assert canvases == 2 * (1 + 3 + 1 + 1 + 3)
-    for i in range(canvases):
-        browser.wait_for(
-            INK.replace('CANVAS', f'document.querySelectorAll("canvas")[{i}]') + ' > 9'
-        )
+    browser.evaluate(OPENED)
+    browser.wait_for(DRAWN)
+
+
+def place_of(browser: Chromium, selector: str) -> tuple[float, float, float, float]:
+    """Scroll an element to the middle, and return its left, top, width and height."""
+    found = f'document.querySelector({json.dumps(selector)})'
+    browser.evaluate(f'{found}.scrollIntoView({{block: "center"}})')
+    x, y, width, height = browser.evaluate(
+        f'(r => [r.x, r.y, r.width, r.height])({found}.getBoundingClientRect())'
+    )
+    return x, y, width, height
+
+
+@pytest.mark.parametrize(('width', 'dark'), [(1280, False), (390, True)])
+@pytest.mark.parametrize('name', ['page', 'real_page'])
+def test_the_page_is_drawn_without_overlaps_and_sends_no_request(
+    browser: Chromium, name: str, width: int, dark: bool, request: pytest.FixtureRequest
+) -> None:
+    path: Path = request.getfixturevalue(name)
+    assert path.stat().st_size < MAX_BYTES
+    browser.open(path, width, dark)
+    height = browser.evaluate('document.documentElement.scrollHeight')
+    assert height < (3500 if width > 1000 else 6000)
+    opened(browser, path, width, dark)
     assert browser.evaluate('document.documentElement.scrollWidth') <= width
-    assert browser.evaluate('document.title').startswith('Noise of </script>')
     assert browser.complaints == []
-    assert browser.requests == [page.as_uri()]
+    assert browser.requests == [path.as_uri()]
     ground = browser.evaluate('getComputedStyle(document.body).backgroundColor')
     assert (ground == 'rgb(255, 255, 255)') is not dark
+    for system in ('SI', 'deg/h'):
+        browser.evaluate(f'document.querySelector(\'[name=units][value="{system}"]\').click()')
+        labels = browser.evaluate('Chart.all.map(c => [c.labels.x, c.labels.y])')
+        assert [axis for chart in labels for axis in chart if len(axis) < 3] == []
+        for value, text in (label for chart in labels for axis in chart for label in axis):
+            assert float(f'{value:.2g}') == pytest.approx(value, rel=1e-9, abs=1e-12), text
+        assert browser.evaluate(IN_PAGE) == []
+        for i in range(len(labels)):
+            assert browser.evaluate(IN_CHART.replace('INDEX', str(i))) == []
+
+
+def test_the_first_screen_has_the_verdict_the_coefficients_and_the_chart(
+    browser: Chromium, page: Path
+) -> None:
+    browser.open(page, 1280)
+    browser.wait_for('Chart.all[0].box.querySelectorAll("path").length > 4')
+    for selector in ('#verdict', '#gyro .coefficients', '#accel .coefficients', '#accel .plot'):
+        bottom = f'document.querySelector("{selector}").getBoundingClientRect().bottom'
+        assert browser.evaluate(bottom) <= 800, selector
 
 
 def test_hovering_and_keys_show_the_numbers(browser: Chromium, page: Path) -> None:
-    browser.open(page, 1280)
-    browser.evaluate('document.querySelector(".allan .u-over").scrollIntoView({block: "center"})')
-    x, y = browser.evaluate(
-        '(r => [r.x + r.width / 2, r.y + r.height / 2])'
-        '(document.querySelector(".allan .u-over").getBoundingClientRect())'
-    )
-    browser.point_at(x, y)
-    browser.point_at(x + 2, y)
-    browser.wait_for('!document.querySelector(".allan .tip").hidden')
-    said = browser.evaluate('document.querySelector(".allan .tip").innerText')
+    opened(browser, page, 1280)
+    x, y, width, height = place_of(browser, '#gyro .plot svg')
+    browser.point_at(x + width / 2, y + height / 2)
+    browser.wait_for('!document.querySelector("#gyro .tip").hidden')
+    said = browser.evaluate('document.querySelector("#gyro .tip").innerText')
     assert said.startswith('τ ')
     assert [line[0] for line in said.splitlines()[1:4]] == ['x', 'y', 'z']
     assert '°/h' in said and '..' in said
-    browser.evaluate(
+    press = (
         '(box => { box.focus(); box.dispatchEvent(new KeyboardEvent("keydown", {key: "Home"})); })'
-        '(document.querySelector(".allan .plot"))'
+        '(document.querySelector("SELECTOR .plot"))'
     )
-    assert 'τ 0.02000 s' in browser.evaluate('document.querySelector(".allan .spoken").textContent')
+    browser.evaluate(press.replace('SELECTOR', '#gyro'))
+    assert 'τ 0.02000 s' in browser.evaluate('document.querySelector("#gyro .spoken").textContent')
+    browser.evaluate(press.replace('SELECTOR', '#signal'))
+    spoken = browser.evaluate('document.querySelector("#signal .spoken").textContent')
+    assert spoken.endswith('20.0 °C, excluded: the IMU moved')
 
 
-def test_the_part_left_out_is_reported_with_its_temperature(browser: Chromium, page: Path) -> None:
-    browser.open(page, 1280)
-    said = browser.evaluate('document.querySelector(".chart.signal .note").textContent')
-    assert 'left out because the IMU moved' in said
-    heading = browser.evaluate(
-        'document.querySelector(".chart.temperature h3").firstChild.textContent'
-    )
-    assert heading == 'Temperature: 20.0 to 31.0 °C'
+def test_dragging_zooms_and_a_double_click_goes_back(browser: Chromium, page: Path) -> None:
+    opened(browser, page, 1280)
+    x, y, wide, high = place_of(browser, '#gyro .plot svg')
+    whole = browser.evaluate('Chart.all[0].spec.x.full()')
+    middle = y + high / 2
+    for kind, at in (
+        *(('mouseMoved', 0.3), ('mousePressed', 0.3), ('mouseMoved', 0.6), ('mouseReleased', 0.6)),
+    ):
+        browser.call(
+            'Input.dispatchMouseEvent', type=kind, x=x + at * wide, y=middle, button='left',
+            clickCount=1,
+        )  # fmt: skip
+    browser.wait_for('Chart.all[0].zoom !== null')
+    low, end = browser.evaluate('Chart.all[0].zoom.x')
+    plot = wide - 62.0  # without the margins
+    decades = np.log10(whole[1] / whole[0])
+    assert np.log10(end / low) == pytest.approx(0.3 * wide / plot * decades, rel=0.02)
     browser.evaluate(
-        '(box => { box.focus(); box.dispatchEvent(new KeyboardEvent("keydown", {key: "Home"})); })'
-        '(document.querySelector(".signal .plot"))'
+        'document.querySelector("#gyro .plot svg").dispatchEvent(new MouseEvent("dblclick"))'
     )
-    spoken = browser.evaluate('document.querySelector(".signal .spoken").textContent')
-    assert spoken.endswith('20.0 °C, left out: the IMU moved')
+    assert browser.evaluate('Chart.all[0].zoom') is None
 
 
 def test_axes_and_parts_are_switched(browser: Chromium, page: Path) -> None:
-    browser.open(page, 1280)
-    canvas = 'document.querySelector(".allan canvas").toDataURL()'
-    for key in ('y', 'N', 'fit', 'limits', 'references'):
-        before = browser.evaluate(canvas)
-        browser.evaluate(f'document.querySelector(".allan button[data-key={key}]").click()')
-        pressed = f'document.querySelector(".allan button[data-key={key}]").ariaPressed'
-        assert browser.evaluate(pressed) == 'false'
-        browser.wait_for(f'{canvas} !== {before!r}')
+    opened(browser, page, 1280)
+    drawn = 'document.querySelector("#gyro .plot svg").innerHTML'
+    for key in ('y', 'model', 'limits', 'references'):
+        before = browser.evaluate(drawn)
+        button = f'document.querySelector("#gyro button[data-key={key}]")'
+        browser.evaluate(f'{button}.click()')
+        assert browser.evaluate(f'{button}.ariaPressed') == 'false'
+        assert browser.evaluate(drawn) != before
 
 
 def test_units_are_switched_everywhere_and_copied(browser: Chromium, page: Path) -> None:
-    browser.open(page, 1280)
-    shown = (
-        'JSON.stringify([Chart.all[0].axes[1].label,'
-        'document.querySelector(".coefficients tbody tr:nth-child(1) th").innerText])'
-    )
+    opened(browser, page, 1280)
+    shown = 'document.querySelector("#gyro").innerText'
     assert '°/√h' in browser.evaluate(shown)
     browser.evaluate('document.querySelector("[name=units][value=SI]").click()')
     assert 'rad/s' in browser.evaluate(shown) and '°' not in browser.evaluate(shown)
     browser.evaluate('document.querySelector(".copy button").click()')
     browser.wait_for('document.querySelector(".copy [role=status]").textContent === "TSV copied"')
+
+
+def test_charts_are_saved_in_light_colors(browser: Chromium, page: Path) -> None:
+    opened(browser, page, 1280, dark=True)
+    svg = browser.evaluate('Chart.all[0].svg()')
+    texts = {''.join(e.itertext()) for e in ET.fromstring(svg).iter() if e.tag.endswith('}text')}
+    assert {'Allan deviation σ(τ) [°/h]', 'averaging time τ [s]', 'N'} <= texts
+    assert '#ffffff' in svg and 'var(' not in svg and '#14171b' not in svg
+    clicked = (
+        'new Promise(done => { const click = HTMLAnchorElement.prototype.click;'
+        'HTMLAnchorElement.prototype.click = function () {'
+        ' HTMLAnchorElement.prototype.click = click; done(this.download); };'
+        'document.querySelector("SELECTOR").click(); })'
+    )
+    for selector, name in (
+        ('#gyro [data-form=SVG]', 'allan_gyro.svg'),
+        ('#gyro [data-form=PNG]', 'allan_gyro.png'),
+        ('.copy [data-form=CSV]', 'coefficients_gyro.csv'),
+    ):
+        answer = browser.call(
+            'Runtime.evaluate',
+            expression=clicked.replace('SELECTOR', selector),
+            awaitPromise=True,
+            returnByValue=True,
+        )
+        assert answer['result']['value'] == name
+
+
+def test_all_parts_are_printed_with_legible_charts(browser: Chromium, page: Path) -> None:
+    browser.open(page, 1280)
+    browser.evaluate('dispatchEvent(new Event("beforeprint"))')
+    assert browser.evaluate('document.querySelectorAll("details:not([open])").length') == 0
+    # 342 pixels are 90 mm, so that a text of 12 pixels has 9 points
+    widths = browser.evaluate(
+        'Chart.all.map(c => c.box.querySelector("svg").viewBox.baseVal.width)'
+    )
+    assert set(widths) <= {342, 700} and len(widths) > 10
+    browser.evaluate('dispatchEvent(new Event("afterprint"))')
+    assert browser.evaluate('document.querySelectorAll("details:not([open])").length') > 4

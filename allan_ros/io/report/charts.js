@@ -1,0 +1,330 @@
+// Copyright 2026 the allan_ros authors
+// SPDX-License-Identifier: Apache-2.0
+// The charts of one sensor: Allan deviation, noise density, bias and noise over time, raw signal.
+// Color is the axis, dashes and a letter are the term. Each function draws into a host and returns
+// its charts.
+'use strict';
+
+const Charts = (() => {
+  const { create, element, number, saving, toggles } = Chart;
+  const DASHES = { Q: '1 3', N: '8 3', B: '9 3 2 3', K: '14 4', R: '4 3 1 3 1 3' };
+  const [PROCESS, LIMIT, REFERENCE] = ['2 4', '1 5', '6 2'];
+  const LINES = 9;  // largest number of sinusoids with a text
+  const ink = (label) => `var(--${label})`;
+  const letter = (name) => name.split('_').pop();
+  const times = (values, factor) => values.map((v) => (v === null ? null : v * factor));
+  const positive = (lists) => lists.flat().filter((v) => v > 0);
+  const span = (low, high) => `${number(low, 3)}..${number(high, 3)}`;
+
+  // A row below a chart: buttons for its axes and other parts, a note, and buttons that save it.
+  function below(host, chart, axes, shown, others = [], changed = () => {}) {
+    const names = [...axes.map((a) => ({ key: letter(a.name), text: letter(a.name), color: ink(letter(a.name)) })), ...others];
+    const buttons = toggles(names, (key, on) => {
+      if (on) shown.add(key);
+      else shown.delete(key);
+      changed();
+      chart.render();
+    });
+    names.forEach(({ key }) => shown.add(key));
+    host.append(element('div', { class: 'controls' }, ...buttons, element('span', { class: 'grow' }), saving(chart)));
+  }
+
+  function allan(host, sensor, page) {
+    const axes = sensor.axes.filter((a) => positive([a.adev || []]).length);
+    if (!axes.length) return [];
+    const { tau } = sensor;
+    const shown = new Set();
+    let near = axes[0];
+    const unit = () => sensor.units[page.units()].curve;
+    const visible = () => axes.filter((a) => shown.has(a.label));
+    const likely = (term) => (near.likely.includes(term) ? '?' : '');
+    // The flat part of the curve is at 0.664 B: the label says so, because the table contains B.
+    const caption = (term) => (term === 'B' ? '0.664 B' : term) + likely(term);
+
+    function fullY() {
+      const some = visible().length ? visible() : axes;
+      const factor = unit()[1];
+      const values = positive(some.map((a) => times(a.adev, factor)));
+      const low = Math.min(...values);
+      const marks = some.flatMap((a) => Object.values(a.read).map(([, v]) => v * factor)).filter((v) => v > 0.2 * low);
+      return [Math.min(0.45 * low, ...marks.map((v) => 0.75 * v)), 1.7 * Math.max(...values)];
+    }
+
+    // The part of a line within the plot, in pixels.
+    const within = (pen, values) => values
+      .map((v, i) => [pen.x(tau[i]), v > 0 ? pen.y(v) : NaN])
+      .filter(([x, y]) => pen.inside(x, y - 8) && pen.inside(x, y + 8));
+
+    // A cross where a coefficient is read as in IEEE Std 952 (N at 1 s, K at 3 s), if it is in the
+    // picture. The letter is next to it, or else where the line enters or leaves the picture.
+    function named(pen, term, values, color) {
+      const [x, y] = term in near.read ? [pen.x(near.read[term][0]), pen.y(near.read[term][1] * unit()[1])] : [NaN, NaN];
+      if (pen.inside(x, y)) {
+        pen.cross(x, y, color);
+        pen.label(caption(term), [[x - 14, y + 12], [x + 14, y - 12], [x + 14, y + 12]], color);
+        return;
+      }
+      const run = within(pen, values);
+      const ends = run.length && run[0][1] > run[run.length - 1][1] + 2 ? [run[0], run[run.length - 1]] : [run[run.length - 1], run[0]];
+      if (run.length) pen.label(caption(term), ends.flatMap(([ex, ey]) => [[ex, ey - 11], [ex, ey + 11]]), color);
+    }
+
+    function draw(pen) {
+      const factor = unit()[1];
+      const color = ink(near.label);
+      const line = (values, style) => pen.line(tau, times(values, factor), style);
+      for (const a of visible()) {
+        pen.area(tau, times(a.low, factor), times(a.high, factor), ink(`${a.label}-faint`));
+        if (shown.has('model')) line(a.fit, { color: ink(a.label), width: 1.6 });
+      }
+      const there = shown.has(near.label);
+      const parts = there && shown.has('model') ? Object.entries(near.parts) : [];
+      const limits = there && shown.has('limits') ? Object.entries(near.upper) : [];
+      const references = there && shown.has('references') ? sensor.references.filter((r) => r.axis === near.name) : [];
+      if (limits.length) pen.area(tau, times(near.fit, factor), times(near.most, factor), ink(`${near.label}-faint`));
+      for (const [, values] of limits) line(values, { color, dash: LIMIT, width: 1 });
+      for (const [term, values] of parts) line(values, { color, dash: DASHES[term] || PROCESS, width: 1.2 });
+      for (const other of references) line(other.adev, { color: 'var(--ink-2)', dash: REFERENCE });
+      for (const a of visible()) pen.marks(tau, times(a.adev, factor), a.label, ink(a.label));
+      for (const [term, values] of parts) if (term in DASHES) named(pen, term, times(values, factor), color);
+      const nameAt = (words, values, down) => {
+        const run = within(pen, times(values, factor));
+        pen.label(words, run.slice(Math.floor(run.length / 3)).map(([x, y]) => [x, y + down]), 'var(--ink-2)');
+      };
+      for (const [term, values] of limits) nameAt(`${term} limit`, values, 12);
+      for (const other of references) nameAt(other.name, other.adev, -12);
+    }
+
+    // The parts of the axis whose curve is nearest to the cursor are drawn.
+    function focus(at, value) {
+      const off = (a) => (a.adev[at] > 0 && value > 0 ? Math.abs(Math.log(a.adev[at] * unit()[1] / value)) : Infinity);
+      const [found] = visible().sort((a, b) => off(a) - off(b));
+      if (!found || found === near || off(found) === Infinity) return false;
+      near = found;
+      note();
+      return true;
+    }
+
+    function describe(at) {
+      const [name, factor] = unit();
+      const measured = visible().filter((a) => a.adev[at] > 0).map((a) => [
+        `${a.label}  ${number(a.adev[at] * factor)} ${name}  (${span(a.low[at] * factor, a.high[at] * factor)})`, ink(a.label)]);
+      const parts = Object.entries(near.parts).filter(([, values]) => values[at] > 0).map(([term, values]) => `${caption(term)} ${number(values[at] * factor, 3)}`);
+      return [
+        [`τ ${number(tau[at])} s`, ''], ...measured,
+        ...(parts.length ? [[`model of ${near.label}: ${parts.join(', ')}`, '']] : []),
+        ...(near.n[at] ? [[`${near.n[at].toLocaleString('en')} differences`, '']] : []),
+      ];
+    }
+
+    const chart = create(host, {
+      title: `${sensor.title}: Allan deviation`, name: `allan_${sensor.sensor}`, height: 384, zoomY: true, xs: tau,
+      x: { log: true, full: () => [tau[0] / 1.25, tau[tau.length - 1] * 1.35], label: () => 'averaging time τ [s]' },
+      y: { log: true, full: fullY, label: () => `Allan deviation σ(τ) [${unit()[0]}]` },
+      legend: () => visible().map((a) => a.label), draw, focus, describe,
+    });
+    const others = [{ key: 'model', text: 'model', dash: '' }];
+    if (axes.some((a) => Object.keys(a.upper).length)) others.push({ key: 'limits', text: 'limits', dash: LIMIT });
+    if (sensor.references.length) others.push({ key: 'references', text: [...new Set(sensor.references.map((r) => r.name))].join(', '), dash: REFERENCE });
+    below(host, chart, axes, shown, others, () => { if (!shown.has(near.label) && visible().length) [near] = visible(); note(); });
+    const text = element('p', { class: 'note' });
+    host.append(text);
+    function note() {
+      text.textContent = `Points: measured, with 68\u00a0% limits. Line: model; dashed: its parts for ${near.label}. Crosses: where N is read (1 s) and K (3 s).`
+        + (Object.keys(near.upper).length ? ' Shaded: unresolved terms, up to their 95\u00a0% limits (dotted).' : '')
+        + (near.likely.length ? ' "?": likely, not resolved.' : '');
+    }
+    note();
+    chart.render();
+    return [chart];
+  }
+
+  function density(host, sensor, page) {
+    const { x, axes, lines } = sensor.density;
+    const shown = new Set();
+    const unit = () => sensor.units[page.units()].density;
+    const visible = () => axes.filter((a) => shown.has(letter(a.name)));
+    const chart = create(host, {
+      title: `${sensor.title}: noise density`, name: `density_${sensor.sensor}`, height: 300, zoomY: true, xs: x,
+      x: { log: true, full: () => [x[0] / 1.2, x[x.length - 1] * 1.2], label: () => 'frequency [Hz]' },
+      y: {
+        log: true, label: () => `noise density [${unit()[0]}]`,
+        full() {
+          const values = positive(axes.map((a) => times(a.density, unit()[1])));
+          return [0.6 * Math.min(...values), 1.6 * Math.max(...values)];
+        },
+      },
+      legend: () => visible().map((a) => letter(a.name)),
+      draw(pen) {
+        for (const a of visible()) pen.line(x, times(a.density, unit()[1]), { color: ink(letter(a.name)), width: 0.8 });
+        for (const a of visible()) pen.line(x, times(a.fit, unit()[1]), { color: ink(letter(a.name)), width: 2, dash: '7 4' });
+        lines.forEach(([f, of], i) => pen.rule(f, 'var(--moved)', i < LINES ? `${number(f, 2)} Hz ${of}` : '', '2 3'));
+      },
+      describe: (at) => [
+        [`${number(x[at])} Hz`, ''],
+        ...visible().filter((a) => a.density[at] > 0).map((a) => {
+          const [name, factor] = unit();
+          return [`${letter(a.name)}  ${number(a.density[at] * factor)} ${name}  (${span(a.low[at] * factor, a.high[at] * factor)})`, ink(letter(a.name))];
+        }),
+      ],
+    });
+    below(host, chart, axes, shown);
+    host.append(element('p', { class: 'note' }, `Dashed: the model; its flat part is √2 N, the noise density of datasheets.${lines.length ? ' Vertical lines: sinusoids with their frequency and axes, such as vibration.' : ''}`));
+    chart.render();
+    return [chart];
+  }
+
+  const KINDS = {
+    motion: ['moved', 'up', 'excluded: the IMU moved'],
+    stuck: ['bad', 'down', 'excluded: an axis repeated one value'],
+    other: ['excluded', 'down', 'excluded'],
+    gap: ['gap', '', 'no samples'],
+    shock: ['bad', 'mark', 'shock'],
+    louder: ['moved', 'down', 'excluded: noise increased'],
+  };
+
+  // Time in the unit of the charts: seconds, minutes or hours.
+  function clock(page) {
+    const { time } = page.times;
+    const length = time[time.length - 1];
+    if (length > 7200) return [3600, 'h'];
+    return length > 180 ? [60, 'min'] : [1, 's'];
+  }
+
+  // Draw the excluded times, shocks and starts of recordings.
+  function events(pen, page) {
+    const [scale] = clock(page);
+    for (const [from, to, kind] of page.times.bands) {
+      const [color, how] = KINDS[kind];
+      if (how === 'mark') pen.rule(from / scale, ink(color), '', '3 2');
+      else pen.stripe(from / scale, to / scale, ink(color), how);
+    }
+    for (const start of page.times.starts) pen.rule(start / scale, 'var(--ink-2)');
+  }
+
+  const during = (page, seconds, bin) => page.times.bands.filter(([from, to]) => from < seconds + bin && to >= seconds - bin)
+    .map(([, , kind]) => [KINDS[kind][2], '']).slice(0, 2);
+
+  // The text that explains the marks.
+  function explained(page) {
+    const kinds = new Set(page.times.bands.map(([, , kind]) => kind));
+    const words = { motion: 'Hatched to the upper right: the IMU moved.', stuck: 'Hatched red: an axis repeated one value.', other: 'Hatched gray: excluded (warm-up, or another rate).', gap: 'Gray: no samples.', shock: 'Dashed lines: shocks.', louder: 'Hatched to the lower right: noise increased.' };
+    return [...Object.entries(words).filter(([kind]) => kinds.has(kind)).map(([, text]) => text), ...(page.times.starts.length ? ['Vertical lines: start of the next recording.'] : [])].join(' ');
+  }
+
+  // The bias or the noise of all axes over time, or the bias over temperature as single points.
+  function trends(host, sensor, page) {
+    return sensor.trends.map((data) => {
+      const [title, what] = { bias: ['bias over time', 'bias minus its mean'], temperature: ['bias against temperature', 'bias minus its mean'], noise: ['noise over time', 'noise of single samples'] }[data.kind];
+      const points = data.kind === 'temperature';
+      const [scale, name] = points ? [1, '°C'] : clock(page);
+      const x = data.x.map((v) => v / scale);
+      const [first, last] = points ? [Math.min(...x), Math.max(...x)] : [0, page.times.time[page.times.time.length - 1] / scale];
+      const shown = new Set();
+      const unit = () => sensor.units[page.units()].curve;
+      const visible = () => data.lines.filter((line) => shown.has(letter(line.name)));
+      const chart = create(host, {
+        title: `${sensor.title}: ${title}`, name: `${data.kind}_${sensor.sensor}`, height: 220, xs: x,
+        x: { full: () => [first, last], label: () => (points ? 'temperature [°C]' : `time [${name}]`) },
+        y: {
+          label: () => `${what} [${unit()[0]}]`,
+          full() {
+            const known = data.lines.flatMap((line) => times(line.values, unit()[1])).filter((v) => v !== null);
+            const [low, high] = [Math.min(...known), Math.max(...known)];
+            const room = 0.08 * (high - low) || 1e-9;
+            return [data.kind === 'noise' ? 0 : low - room, high + room];
+          },
+        },
+        legend: () => visible().map((line) => letter(line.name)),
+        draw(pen) {
+          for (const line of visible()) {
+            const label = letter(line.name);
+            const values = times(line.values, unit()[1]);
+            if (points) pen.marks(x, values, label, ink(label), 1.6, ink(label));
+            else pen.line(x, values, { color: ink(label), width: 1.3 });
+          }
+          if (!points) events(pen, page);
+        },
+        describe: (at) => [
+          [`${number(x[at])} ${name}`, ''],
+          ...visible().filter((line) => line.values[at] !== null).map((line) => [`${letter(line.name)}  ${number(line.values[at] * unit()[1])} ${unit()[0]}`, ink(letter(line.name))]),
+          ...(points ? [] : during(page, data.x[at], data.span / 2)),
+        ],
+      });
+      below(host, chart, data.lines, shown);
+      const text = element('p', { class: 'note' });
+      host.append(text);
+      const listed = (values) => {
+        const known = data.lines.map((line, i) => [letter(line.name), values[i]]).filter(([, v]) => v !== null);
+        return `${known.map(([axis, v]) => `${axis} ${number(v * unit()[1], 3)}`).join(', ')} ${unit()[0]}`;
+      };
+      chart.note = () => {
+        const parts = [data.kind === 'noise' ? `Averages over ${number(data.span, 3)} s of the differences of successive samples; constant if the noise does not change.` : `Averages over ${number(data.span, 3)} s at rest.`];
+        if (points) parts.push(`Slope of a straight line, per °C: ${listed(data.slopes)}.`);
+        if (data.white && data.white.some((v) => v !== null)) parts.push(`With white noise alone, 95 % would lie within ± ${listed(data.white)}.`);
+        text.textContent = [...parts, points ? '' : explained(page)].join(' ');
+      };
+      chart.note();
+      chart.render();
+      return chart;
+    });
+  }
+
+  function signal(host, sensor, page) {
+    const [scale, name] = clock(page);
+    const seconds = page.times.time;
+    const x = seconds.map((t) => t / scale);
+    const bin = x.length > 1 ? seconds[1] - seconds[0] : 0;
+    const made = sensor.signal.map((a) => {
+      const label = letter(a.name);
+      const unit = () => sensor.units[page.units()].signal;
+      return create(host, {
+        title: `${sensor.title}: raw signal ${label}`, name: `signal_${a.name}`, height: 150, xs: x,
+        x: { full: () => [0, x[x.length - 1]], label: () => `time [${name}]` },
+        // The used samples fill the picture; an excluded shock may exceed it.
+        y: { full: () => [-1.15 * a.reach * unit()[1], 1.15 * a.reach * unit()[1]], label: () => `${label} minus ${number(a.middle * unit()[1])} ${unit()[0]}` },
+        draw(pen) {
+          pen.area(x, times(a.low, unit()[1]), times(a.high, unit()[1]), ink(label));
+          events(pen, page);
+        },
+        describe(at) {
+          const celsius = page.temperature ? reading(page.temperature, seconds[at]) : null;
+          return [
+            [`${number(x[at])} ${name}`, ''],
+            [`${label}  ${span(a.low[at] * unit()[1], a.high[at] * unit()[1])} ${unit()[0]}`, ink(label)],
+            ...(celsius === null ? [] : [[`${number(celsius, 3)} °C`, '']]),
+            ...during(page, seconds[at], bin),
+          ];
+        },
+      });
+    });
+    host.append(element('p', { class: 'note' }, `Lowest and highest sample of each short interval. ${explained(page)}`));
+    return made;
+  }
+
+  // The temperature reading nearest to a time.
+  function reading({ time, celsius }, at) {
+    const far = time.map((t, i) => (celsius[i] === null ? Infinity : Math.abs(t - at)));
+    return celsius[far.indexOf(Math.min(...far))];
+  }
+
+  function temperature(host, page) {
+    const { source, time, celsius } = page.temperature;
+    const [scale, name] = clock(page);
+    const known = celsius.filter((v) => v !== null);
+    const [low, high] = [Math.min(...known), Math.max(...known)];
+    const room = Math.max(0.08 * (high - low), 0.2);
+    const x = time.map((t) => t / scale);
+    const chart = create(host, {
+      title: 'Temperature', name: 'temperature', height: 170, xs: x,
+      x: { full: () => [0, page.times.time[page.times.time.length - 1] / scale], label: () => `time [${name}]` },
+      y: { full: () => [low - room, high + room], label: () => 'temperature [°C]' },
+      draw(pen) { pen.line(x, celsius, { color: 'var(--ink)', width: 1.3 }); events(pen, page); },
+      describe: (at) => [[`${number(x[at])} ${name}`, ''], [`${number(celsius[at])} °C`, '']],
+    });
+    host.append(element('p', { class: 'note' }, `${number(low, 3)} to ${number(high, 3)} °C, from ${source}. It does not affect the results; a bias often follows it.`));
+    return [chart];
+  }
+
+  return { allan, density, trends, signal, temperature };
+})();
