@@ -64,7 +64,7 @@ def test_plots_have_the_requested_formats_and_show_the_earlier_run(
     assert f'Compared with {analyzed.name}' in page
     assert 'are within' in page  # the baseline is the same run
     assert 'allan analyze' in page and '--plots svg,pdf' in page
-    assert '"spectrum":{"frequency"' in page
+    assert '"density":{"x"' in page
 
 
 def test_invalid_plot_options_are_rejected_before_reading(

@@ -56,7 +56,7 @@ def test_the_report_follows_the_sums(page: LivePage, small_run) -> None:
     text = to_json(Snapshot(((sums,), provenance)).to_document())
     page.on_sums(TOPIC, String(data=text))
     first = read(page.address)
-    assert 'Noise of unit 7' in first and 'AllanChart' in first
+    assert 'Noise of unit 7' in first and 'data-kind="allan"' in first
     assert read(page.address) == first  # rendered once
     page.on_sums(TOPIC, String(data='{"schema": "odd"}'))
     assert TOPIC in read(page.address)
