@@ -12,6 +12,7 @@ import pytest
 
 from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.fit import AxisFit, Coefficient
+from allan_ros.core.fit.model import model_of_terms
 from allan_ros.io.axis_result import AxisResult
 from allan_ros.io.format import significant
 from allan_ros.io.report.tables import growth_table, model_table
@@ -30,7 +31,8 @@ def cells(html: str, units: str) -> list[str]:
 
 def axis_of(**noise: Coefficient) -> AxisResult:
     unknown = {term: Coefficient(None, status='not_observable') for term in 'QNBKR'}
-    return AxisResult(0.01, AxisFit({**unknown, **noise}), name='gyro_x')
+    terms = {**unknown, **noise}
+    return AxisResult(0.01, AxisFit(terms, model_of_terms(terms)), name='gyro_x')
 
 
 @pytest.mark.parametrize(('units', 'factor'), [('deg/h', DEG), ('SI', 1.0)])
@@ -67,7 +69,7 @@ def test_the_scatter_of_the_bias_is_named(small_results: Results) -> None:
 
 
 def test_a_part_that_is_only_likely_is_marked() -> None:
-    likely = Coefficient(1e-4, None, 1.2e-4, 'not_observable')
+    likely = Coefficient(1e-4, None, 1.2e-4, 'likely')
     axis = axis_of(N=Coefficient(1e-3, (9e-4, 1.1e-3)), B=likely)
     assert axis.fit.likely == ('B',)
     html = ''.join(model_table('gyro', {'gyro_x': axis}))
