@@ -38,6 +38,7 @@ __all__ = [
     'inflate',
     'load',
     'merge',
+    'sensor',
     'simulate',
 ]
 
@@ -45,6 +46,7 @@ _HOME = {
     'AllanError': 'core.errors',
     'AxisCurve': 'core.allan.curve',
     **dict.fromkeys(('AxisResult', 'Quantity', 'adev', 'fit'), 'io.axis_result'),
+    **dict.fromkeys(('Sensor', 'sensor'), 'io.from_datasheet'),
     'load': 'io.documents',
     'Results': 'io.results',
 }

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write the measured noise to a file for a filter or simulator.
 
-The input is a results.json of `allan analyze`, or its folder. Without -o the file goes to the
-standard output. Warnings about its numbers are in its header and on stderr.
+The input is a results.json of `allan analyze`, its folder, or a datasheet (--sensor). Without -o
+the file goes to the standard output. Warnings about its numbers are in its header and on stderr.
 
   allan export --list
   allan export results --to openvins -o kalibr_imu_chain.yaml
   allan export results --to openvins --against my_imu_chain.yaml
+  allan export --sensor bmi088 --to openvins --filter-rate 200
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import AllanError
+from ..core.fields import plain
 from ..core.imu import SI_UNITS, UNITS, sensor_of
 from ..io.datasheets import Datasheet, Limit, load_sensor, sensor_names
 from ..io.exporters import TARGETS, ExportOptions
@@ -27,6 +29,9 @@ from ..io.files import MAX_BYTES, read_text
 from ..io.format import shown_unit, significant
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
+
+if TYPE_CHECKING:
+    from ..io.results import Results
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,21 +45,23 @@ def run(args: argparse.Namespace) -> int:
         for name, what in TARGETS.items():
             print(f'{name:{width}}  {what}')
         return 0
-    if not args.results or not args.to:
+    if bool(args.results) == bool(args.sensor) or not args.to:
         raise AllanError(
-            'give a results.json or its folder, and --to TARGET; --list shows the targets'
+            'give a results.json or its folder, or --sensor NAME, and --to TARGET; --list shows '
+            'the targets'
         )
-    from ..io.documents import RESULTS, file_in, load
     from ..io.exporters import make_export, target_of
     from ..io.exporters.against import against, verdicts
     from ..io.files import write_atomic
 
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
-    try:
-        results = load(file_in(args.results, RESULTS))
-    except AllanError as error:
-        raise AllanError(_other_kind(Path(args.results)) or str(error)) from error
+    if args.sensor:
+        from ..io.from_datasheet import DEFAULT_RATE_HZ, sensor
+
+        results = sensor(args.sensor).results(options.filter_rate or DEFAULT_RATE_HZ)
+    else:
+        results = _load(args.results)
     if args.against:
         drifts = against(results, args.to, read_text(args.against, MAX_BYTES), options)
         if console.json:
@@ -74,9 +81,20 @@ def run(args: argparse.Namespace) -> int:
         console.document({'target': args.to, **to, 'findings': findings})
     elif path is None:
         sys.stdout.write(made.text)
-    for finding in made.findings:
+    said = results.findings if args.sensor else ()
+    for finding in (*said, *made.findings):
         console.say(str(finding))
     return 0
+
+
+def _load(path: str) -> Results:
+    """Read results; raise AllanError that names what the path is instead."""
+    from ..io.documents import RESULTS, file_in, load
+
+    try:
+        return load(file_in(path, RESULTS))
+    except AllanError as error:
+        raise AllanError(_other_kind(Path(path)) or str(error)) from error
 
 
 def _other_kind(path: Path) -> str:
@@ -127,14 +145,23 @@ HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Print one datasheet, or a list of all."""
+    """Print one datasheet, or a list of all, or the values of results for a datasheet."""
+    from ..io.from_datasheet import measured_entry, measured_lines, measured_values
+
     console = Console.of(args)
+    given = vars(args)['from']
+    own = _load(given) if given else None
     if args.name:
         sheet = load_sensor(args.name)
         if console.json:
             console.document(sensor_document(args.name, sheet))
-        else:
-            print('\n'.join(sensor_lines(sheet, width())))
+            return 0
+        lines = [*sensor_lines(sheet, width())]
+        lines += measured_lines(sheet, measured_values(own) if own else {})
+        print('\n'.join(lines))
+        return 0
+    if own:
+        print(measured_entry(own))
         return 0
     sheets = {name: load_sensor(name) for name in sensor_names()}
     if console.json:
@@ -213,6 +240,7 @@ def sensor_document(name: str, sheet: Datasheet) -> dict[str, Any]:
         **{key: getattr(sheet, key) for key in ('name', 'maker', 'carries', 'remark')},
         'sources': {key: asdict(source) for key, source in sheet.sources.items()},
         'limits': limits,
+        'measured': plain(sheet.measured),
         'range': dict(sheet.range),
     }
 
@@ -225,11 +253,14 @@ that ends in .yaml is a path.
 
   allan sensors
   allan sensors icm-42688-p
+  allan sensors icm-42688-p --from results    (compare your unit)
+  allan sensors --from results                (an entry for the catalogue)
   allan analyze my_bag --sensor icm-42688-p
 """
 
 EXPORT_OPTIONS = """
 results RESULTS?  results.json, or its folder
+--sensor NAME  the noise of this datasheet (allan sensors) instead of results; it is not measured
 --to TARGET []  filter or simulator that reads the file (--list)
 --list  list the targets, one per line
 -o --output FILE  file to write (default: standard output)
@@ -237,9 +268,13 @@ results RESULTS?  results.json, or its folder
     10 and 60 s, and the measured drift, and write nothing
 """
 
+SENSOR_OPTIONS = """
+name NAME?  sensor to show with its sources and measured values (default: list all)
+--from RESULTS  results.json or its folder: compare them with NAME; without NAME, print them as an
+    entry "measured" for the file of a sensor
+"""
+
 COMMANDS = {
     'export': Command(__doc__ or '', [EXPORT_OPTIONS, Settings('numbers', ExportOptions)], run),
-    'sensors': Command(
-        SENSORS, ['name NAME?  sensor to show with its sources (default: list all)'], sensors
-    ),
+    'sensors': Command(SENSORS, [SENSOR_OPTIONS], sensors),
 }

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple
 
 from ..core.compare import Comparison, LimitVerdict, compare_with_limits
 from ..core.errors import AllanError
@@ -95,6 +95,28 @@ class Limit:
     source: str = ''
 
 
+class MeasuredValue(NamedTuple):
+    """N or B of a sensor: root mean square of its axes, and the ends of their 95 % intervals."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Noise that was measured with one unit of a sensor: sensor -> term -> value in SI.
+
+    ``by`` names who recorded it, ``url`` the recording, ``condition`` rate and temperature.
+    """
+
+    by: str
+    url: str = ''
+    hours: float = 0.0
+    condition: str = ''
+    values: Mapping[str, Mapping[str, MeasuredValue]] = field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class Datasheet:
     """The figures that the manufacturer of an IMU states.
@@ -113,6 +135,8 @@ class Datasheet:
         A remark for the user.
     carries : str
         Name of the sensor inside a product, such as a camera; '' if the IMU is the sensor itself.
+    measured : tuple of Measured
+        Values that were measured with units of this sensor.
     """
 
     name: str
@@ -122,6 +146,7 @@ class Datasheet:
     range: Mapping[str, float]
     remark: str = ''
     carries: str = ''
+    measured: tuple[Measured, ...] = ()
 
     def values(self) -> dict[str, dict[str, float]]:
         """Return axis -> term -> limit in SI."""
@@ -300,7 +325,7 @@ def _product(fields: Fields) -> Datasheet:
 
 def _datasheet(fields: Fields) -> Datasheet:
     fields.schema(SCHEMA)
-    fields.only('schema', 'name', 'maker', 'remark', 'sources', *SI_UNITS, *AXES)
+    fields.only('schema', 'name', 'maker', 'remark', 'sources', 'measured', *SI_UNITS, *AXES)
     sources = _sources(fields)
     limits: dict[str, dict[str, Limit]] = {}
     ranges: dict[str, float] = {}
@@ -320,7 +345,21 @@ def _datasheet(fields: Fields) -> Datasheet:
         limits,
         ranges,
         fields.text('remark', ''),
+        measured=tuple(map(_measured, fields.each('measured'))) if 'measured' in fields else (),
     )
+
+
+def _measured(fields: Fields) -> Measured:
+    fields.only('by', 'url', 'hours', 'condition', *SI_UNITS)
+    values: dict[str, dict[str, MeasuredValue]] = {}
+    for sensor in SI_UNITS:
+        for term in terms if (terms := fields.optional_fields(sensor)) else ():
+            one = terms.fields(term)
+            one.only(*MeasuredValue._fields, 'unit')
+            factor = one.quantity(SI_UNITS[sensor][term]) / one.number('value')
+            ends = (one.number(key) * factor for key in MeasuredValue._fields)
+            values.setdefault(sensor, {})[term] = MeasuredValue(*ends)
+    return fields.record(Measured, values=values)
 
 
 def _sources(fields: Fields) -> dict[str, Source]:

@@ -212,7 +212,7 @@ def test_case_and_punctuation_of_a_name_do_not_matter(name):
     assert load_sensor(name).name == 'MPU-6050'
 
 
-@pytest.mark.parametrize('name', ['mpu-6500', 'adis16405', 'bmi161'])
+@pytest.mark.parametrize('name', ['mpu-6500', 'adis16406', 'bmi161'])
 def test_another_model_is_not_a_misspelling(name):
     family = name.rstrip('0123456789')
     with pytest.raises(AllanError, match=rf': choose one of {family}\S+, {family}') as error:

@@ -216,8 +216,10 @@ NOTATIONS = {
 def deviation_at(model: ProcessModel, white: float, horizon: float) -> float:
     """Return the Allan deviation at ``horizon`` s, without quantization and vibration.
 
-    The density of the white noise is ``white`` instead of that of the model.
+    The density of the white noise is ``white`` instead of that of the model; it may be infinite.
     """
+    if math.isinf(white):
+        return white
     terms = replace(model.terms, N=white)
     return math.sqrt(float(drift_model(replace(model, terms=terms)).avar([horizon])[0]))
 

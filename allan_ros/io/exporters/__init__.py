@@ -59,6 +59,9 @@ TARGETS = {
 WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
 """Filters that read the covariances of each message."""
 
+FROM_DATASHEET = 'datasheet'
+"""Method of results that contain the figures of a datasheet."""
+
 AXIS_RULE = 'worst'
 """Default of `ExportOptions.axis` for one number per sensor, as users of Kalibr expect."""
 
@@ -303,5 +306,6 @@ def make_export(results: Results, name: str, options: ExportOptions = ExportOpti
         ('export_limits', [row.key for row in rows if row.is_limit]),
         ('export_no_interval', [row.key for row in rows if row.no_interval]),
     ):
-        findings += [finding(id, keys=', '.join(dict.fromkeys(keys)))] if keys else []
+        if keys and results.method != FROM_DATASHEET:
+            findings.append(finding(id, keys=', '.join(dict.fromkeys(keys))))
     return Export(text, tuple(dict.fromkeys(findings)))

@@ -32,7 +32,7 @@ from ...core.findings import Finding, duration_text, finding
 from ...core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ...core.noise import ProcessModel
 from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
-from . import AXIS_RULE, ExportOptions, Key, Row, Target
+from . import AXIS_RULE, FROM_DATASHEET, ExportOptions, Key, Row, Target
 
 if TYPE_CHECKING:
     from ..axis_result import AxisResult
@@ -113,6 +113,8 @@ class FilterNoise:
         self.bias = bias
         self.rule = options.axis or ('each' if target.three else AXIS_RULE)
         self.rate, self.rate_words = rounded(results.rate_hz), 'the rate of the recording'
+        if results.method == FROM_DATASHEET:
+            self.rate_words = 'assumed: state it with --filter-rate'
         if options.filter_rate:
             self.rate, self.rate_words = options.filter_rate, 'given as the rate of the filter'
         elif target.rate_hz:
@@ -356,18 +358,28 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
     results, target, inflate = noise.results, noise.target, noise.options.inflate
     limits = dict.fromkeys(row.key for row in rows if row.is_limit)
     unsure = dict.fromkeys(row.key for row in rows if row.no_interval)
-    wrong = [f'warning: {note}' for note in results.findings if note.id in WRONG_UNITS]
+    first = (*WRONG_UNITS, 'from_datasheet')
+    wrong = [f'warning: {note}' for note in results.findings if note.id in first]
     others = [
         f'warning: {", ".join(note.axes)}{": " if note.axes else ""}{note.message}'
         for note in results.findings
-        if note.severity != 'info' and note.id not in WRONG_UNITS
+        if note.severity != 'info' and note.id not in first
     ]
-    lines = [
-        *wrong,
+    title = [
         f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
         f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '
         f'{significant(results.rate_hz, 5)} Hz',
         f'date: {_recorded(results)}',
+    ]
+    if results.method == FROM_DATASHEET:
+        title = [
+            f'IMU noise for {name}, from the datasheet of {results.identity.frame_id} and not '
+            f'measured (allan_ros {__version__})',
+            *(f'source: {source.path}' for source in results.provenance.sources),
+        ]
+    lines = [
+        *wrong,
+        *title,
         f'convention: {target.convention}',
         f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
         f'axis rule: {RULE_WORDS[noise.rule]}; inflation: {_inflation(inflate)}',

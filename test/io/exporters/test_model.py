@@ -218,6 +218,14 @@ def test_every_row_is_within_its_interval(results: Results, target: str) -> None
         assert row.clamped or min(row.values) <= row.interval[1] * 1.00001
 
 
+def test_a_gain_without_an_interval_has_none(results: Results) -> None:
+    unsure = results
+    for axis in results.axes:
+        unsure = with_coefficient(unsure, axis, 'N', Coefficient(1e-4))
+    gain, _ = target_rows(unsure, 'imu_filter_madgwick')
+    assert gain.ratio == math.inf and gain.value > 0.0
+
+
 def test_the_gain_covers_the_bias_at_rest(results: Results) -> None:
     options = ExportOptions(inflate=2.0)
     gain, zeta = target_rows(results, 'imu_filter_madgwick', options)

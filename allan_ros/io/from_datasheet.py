@@ -1,0 +1,210 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files for filters from a datasheet alone, and values that were measured with known sensors.
+
+The noise model has the N and B of the datasheet, with one-sided densities and minima of curves
+converted as `datasheets` describes. N and K of a file are those of its reduced-order model, so that
+K follows from B: it covers the error growth of N and B over the horizon of the filter.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..core.errors import AllanError
+from ..core.findings import finding
+from ..core.fit import TERMS, AxisFit, Coefficient
+from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, UNITS, ImuIdentity
+from ..core.noise import FLICKER_FLOOR
+from ..core.settings import expect
+from .axis_result import AxisResult
+from .datasheets import Datasheet, Measured, MeasuredValue, load_sensor, sensor_names
+from .exporters import FROM_DATASHEET
+from .files import PATH
+from .format import significant
+from .readers.recording import SourceInfo
+from .recorded import Provenance
+from .results import Results
+
+DEFAULT_RATE_HZ = 200.0
+"""Rate of an IMU in files from a datasheet, unless the user states it."""
+
+CROSSING_S = 10.0
+"""Averaging time in s at which flicker noise equals white noise, if a datasheet states no B. Of the
+sensors that were measured, it is 7 to 200 s; a shorter time gives a larger B."""
+
+SHOWN = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
+"""Unit of a measured value in the catalogue, if it is not that of `DATASHEET_UNITS`."""
+
+
+STATED = tuple((kind, term) for kind in SENSORS for term in 'NB')
+"""Sensor and term of the figures of a datasheet."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A type of IMU of which the datasheet is known.
+
+    Attributes
+    ----------
+    datasheet : Datasheet
+        The figures of the manufacturer, and values that were measured.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> imu = ar.sensor('bmi088')
+    >>> imu.datasheet.name
+    'BMI088'
+    >>> text = imu.export('openvins', filter_rate=400.0)
+    >>> 'from the datasheet of BMI088 and not measured' in text, 'update_rate: 400.0' in text
+    (True, True)
+    """
+
+    datasheet: Datasheet
+
+    def results(self, rate: float = DEFAULT_RATE_HZ) -> Results:
+        """Return the noise model of the datasheet for an IMU with a rate in Hz.
+
+        Raises AllanError if the datasheet states no N of an axis of a sensor.
+        """
+        values, sheet = self.datasheet.values(), self.datasheet
+        unknown = Coefficient(None, status='not_observable')
+        axes, assumed = {}, []
+        for axis, terms in values.items():
+            if 'N' not in terms:
+                raise AllanError(
+                    f'{sheet.name} states no N of {axis}: record the sensor at rest and use '
+                    'allan analyze'
+                )
+            if 'B' not in terms:
+                assumed.append(axis)
+            flicker = terms['N'] / math.sqrt(FLICKER_FLOOR * CROSSING_S)
+            known = {'N': Coefficient(terms['N']), 'B': Coefficient(terms.get('B', flicker))}
+            fit = AxisFit({term: known.get(term, unknown) for term in TERMS})
+            axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
+        low, high = known_factors()
+        found = [finding('from_datasheet', name=sheet.name, low=low, high=high)]
+        if assumed:
+            found.append(finding('bias_not_stated', tuple(assumed), time=CROSSING_S))
+        stated = [f'{one} {one.url}'.strip() for one in sheet.sources.values()]
+        limits = {(kind, one): sheet.limits.get(f'{kind}_x', {}).get(one) for kind, one in STATED}
+        stated += [
+            f'{kind} {term} stated {limit.stated}{f" ({limit.note})" if limit.note else ""}'
+            for (kind, term), limit in limits.items()
+            if limit
+        ]
+        return Results(
+            ImuIdentity(sheet.name),
+            FROM_DATASHEET,
+            1.0 / rate,
+            0,
+            0.0,
+            0,
+            axes,
+            Provenance(tuple(SourceInfo(text, '', '', '') for text in stated)),
+            tuple(found),
+        )
+
+    def export(
+        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+    ) -> str:
+        """Return the text of a file for a filter or simulator, with the noise of the datasheet.
+
+        The arguments are those of `Results.export`. ``filter_rate`` is also the rate of the IMU;
+        the default is 200 Hz.
+        """
+        return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
+            target, path, **options
+        )
+
+
+def sensor(name: str | os.PathLike[str]) -> Sensor:
+    """Return a type of IMU, given the name of its datasheet or the path of its .yaml file.
+
+    Raises
+    ------
+    AllanError
+        If the name is unknown, or the file is invalid.
+    """
+    expect(PATH, 'a name or a path', name=name)
+    return Sensor(load_sensor(os.fspath(name)))
+
+
+def known_factors() -> tuple[float, float]:
+    """Return the smallest and the largest ratio of a measured N or B to its datasheet."""
+    ratios = [
+        value.value / limits[term]
+        for sheet in map(load_sensor, sensor_names())
+        for one in sheet.measured
+        for kind, values in one.values.items()
+        for term, value in values.items()
+        if term in (limits := sheet.values().get(f'{kind}_x', {}))
+    ]
+    return min(ratios, default=1.0), max(ratios, default=1.0)
+
+
+def measured_values(results: Results) -> dict[str, dict[str, MeasuredValue]]:
+    """Return sensor -> term -> measured value in SI of the terms N and B that are resolved."""
+    found: dict[str, dict[str, MeasuredValue]] = {}
+    for kind, place in SENSORS.items():
+        for term in 'NB':
+            known = [
+                results.axes[axis].fit.noise[term] for axis in AXES[place] if axis in results.axes
+            ]
+            ends = [one.ci95 for one in known if one.status == 'estimated' and one.ci95]
+            if ends and len(ends) == len(known):
+                mean = math.sqrt(sum((one.value or 0.0) ** 2 for one in known) / len(known))
+                low, high = min(e[0] for e in ends), max(e[1] for e in ends)
+                found.setdefault(kind, {})[term] = MeasuredValue(mean, low, high)
+    return found
+
+
+def measured_entry(results: Results) -> str:
+    """Return the YAML text of results for the list ``measured`` in the file of a sensor."""
+    lines = [
+        'measured:',
+        '  - by: your name or organization',
+        '    url: where the recording or the results can be found',
+        f'    hours: {results.duration_s / 3600.0:.3g}',
+        f'    condition: {results.rate_hz:.4g} Hz, temperature, unit',
+    ]
+    for kind, terms in measured_values(results).items():
+        lines.append(f'    {kind}:')
+        for term, value in terms.items():
+            unit = SHOWN.get((kind, term), DATASHEET_UNITS[kind][term])
+            numbers = (f'{number / UNITS[unit].factor:.4g}' for number in value)
+            text = ', '.join(f'{k}: {n}' for k, n in zip(('value', 'low', 'high'), numbers))
+            lines.append(f'      {term}: {{{text}, unit: {unit}}}')
+    return '\n'.join(lines)
+
+
+def measured_lines(sheet: Datasheet, own: Mapping[str, Mapping[str, MeasuredValue]]) -> list[str]:
+    """Return a line for each measured value of a sensor, with its ratio to the datasheet.
+
+    ``own`` are the values of the user's unit, which come last.
+    """
+    limits, lines = sheet.values(), []
+    for one in (*sheet.measured, *([Measured('', values=own)] if own else [])):
+        lines.append(f'measured by {one.by}' if one.by else 'your unit')
+        more = (f'{one.hours:g} h' if one.hours else '', one.condition, one.url)
+        lines += [f'  {text}' for text in more if text]
+        for kind, terms in one.values.items():
+            for term, value in terms.items():
+                unit = SHOWN.get((kind, term), DATASHEET_UNITS[kind][term])
+                mean, low, high = (significant(x / UNITS[unit].factor, 3) for x in value)
+                text = f'  {kind} {term} {mean} ({low}..{high}) {unit}'
+                if limit := limits.get(f'{kind}_x', {}).get(term):
+                    text += f', {significant(value.value / limit, 2)} of the datasheet'
+                others = [e.values.get(kind, {}).get(term) for e in sheet.measured]
+                known = [other.value for other in others if other]
+                if known and not one.by:
+                    ratios = sorted(value.value / other for other in known)
+                    ends = dict.fromkeys(significant(r, 2) for r in (ratios[0], ratios[-1]))
+                    text += f', {"..".join(ends)} of the measured'
+                lines.append(text)
+    return lines
