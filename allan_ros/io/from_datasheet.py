@@ -130,6 +130,12 @@ def sensor(name: str | os.PathLike[str]) -> Sensor:
     ------
     AllanError
         If the name is unknown, or the file is invalid.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> [round(one.hours, 1) for one in ar.sensor('adis16405').datasheet.measured]
+    [2.0, 2.0, 2.7]
     """
     expect(PATH, 'a name or a path', name=name)
     return Sensor(load_sensor(os.fspath(name)))

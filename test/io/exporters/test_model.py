@@ -195,7 +195,7 @@ def test_wrong_units_refuse_every_file_and_every_parameter(results: Results, tar
             use(wrong_units(results), target)
     text = make_export(wrong_units(results), target, ExportOptions(force=True)).text
     assert 'The gyro at rest has N' in text[text.index('warning:') :].splitlines()[0]
-    assert 'warning: The noise rose to 3.0 times' in text
+    assert 'warning: The noise increased to 3.0 times' in text
     if not target_of(target).file_name.endswith('.json'):
         assert any('warning: ' in line for line in text.splitlines()[:2])
 
