@@ -18,6 +18,7 @@ from typing import Any
 from ..core.errors import AllanError
 from ..core.findings import finding
 from ..core.fit import TERMS, AxisFit, Coefficient
+from ..core.fit.model import model_of_terms
 from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, UNITS, ImuIdentity
 from ..core.noise import FLICKER_FLOOR
 from ..core.settings import expect
@@ -85,7 +86,8 @@ class Sensor:
                 assumed.append(axis)
             flicker = terms['N'] / math.sqrt(FLICKER_FLOOR * CROSSING_S)
             known = {'N': Coefficient(terms['N']), 'B': Coefficient(terms.get('B', flicker))}
-            fit = AxisFit({term: known.get(term, unknown) for term in TERMS})
+            noise = {term: known.get(term, unknown) for term in TERMS}
+            fit = AxisFit(noise, model_of_terms(noise))
             axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
         low, high = known_factors()
         found = [finding('from_datasheet', name=sheet.name, low=low, high=high)]

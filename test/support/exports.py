@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
@@ -17,7 +17,9 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from allan_ros.core.fit import GaussMarkov, Processes
+from allan_ros.core.fit import Coefficient, GaussMarkov, Processes
+from allan_ros.core.fit.model import model_of_terms
+from allan_ros.io.axis_result import AxisResult
 from allan_ros.io.exporters import ExportOptions, make_export
 from allan_ros.io.results import Results
 
@@ -253,6 +255,21 @@ def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:
     return found
 
 
+def refitted(
+    result: AxisResult, noise: Mapping[str, Coefficient], processes: Processes | None = None
+) -> AxisResult:
+    """Return the result of an axis with these coefficients replaced, and with these processes."""
+    noise = {**result.fit.noise, **noise}
+    processes = processes or result.fit.processes
+    model = replace(
+        model_of_terms(noise),
+        gauss_markov=tuple((p.sigma, p.correlation_time) for p in processes.gauss_markov),
+        sinusoids=tuple((p.amplitude, p.frequency) for p in processes.sinusoid),
+    )
+    fit = replace(result.fit, noise=noise, model=model, processes=processes)
+    return replace(result, fit=fit)
+
+
 def with_process(results: Results, axis: str, sigma: float, hours: float) -> Results:
     """Return the results with a Gauss-Markov process of ``sigma`` and ``hours`` added to one
     axis.
@@ -261,6 +278,5 @@ def with_process(results: Results, axis: str, sigma: float, hours: float) -> Res
     process = GaussMarkov(
         sigma, (0.9 * sigma, 1.1 * sigma), seconds, (0.8 * seconds, 1.3 * seconds)
     )
-    had = results.axes[axis]
-    changed = replace(had, fit=replace(had.fit, processes=Processes((process,))))
+    changed = refitted(results.axes[axis], {}, Processes((process,)))
     return replace(results, axes={**results.axes, axis: changed})

@@ -9,6 +9,7 @@ import json
 import pytest
 
 from allan_ros.core.fit import AxisFit, Coefficient
+from allan_ros.core.fit.model import model_of_terms
 from allan_ros.core.imu import AXES, ImuIdentity
 from allan_ros.core.stream.health import Segment
 from allan_ros.io.axis_result import AxisResult
@@ -42,7 +43,8 @@ def axis_fit(axis: str) -> AxisFit:
     noise = {term: measured(v * SHARES[letter]) for term, v in LEVELS[sensor].items()}
     if axis == 'accel_z':
         noise['K'] = hidden(3e-5)
-    return AxisFit({'Q': hidden(1e-7), 'R': hidden(1e-8), **noise})
+    noise = {'Q': hidden(1e-7), 'R': hidden(1e-8), **noise}
+    return AxisFit(noise, model_of_terms(noise))
 
 
 @pytest.fixture

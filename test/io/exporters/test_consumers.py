@@ -19,6 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.exports import refitted
 
 from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.fit import Coefficient
@@ -123,10 +124,7 @@ def runs_of(terms: NoiseTerms, runs: int, steps: int, seed: int) -> NDArray[np.f
 def of_levels(results: Results, n: float, k: float) -> Results:
     """Return results with these levels on every axis."""
     noise = {'N': Coefficient(n), 'K': Coefficient(k)}
-    axes = {
-        axis: replace(result, fit=replace(result.fit, noise={**result.fit.noise, **noise}))
-        for axis, result in results.axes.items()
-    }
+    axes = {axis: refitted(result, noise) for axis, result in results.axes.items()}
     return replace(results, axes=axes)
 
 

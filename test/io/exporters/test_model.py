@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from support.exports import refitted
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import finding
@@ -28,9 +29,8 @@ BARE = ExportOptions(fidelity='coefficients')
 
 
 def with_coefficient(results: Results, axis: str, term: str, coefficient: Coefficient) -> Results:
-    had = results.axes[axis]
-    fit = replace(had.fit, noise={**had.fit.noise, term: coefficient})
-    return replace(results, axes={**results.axes, axis: replace(had, fit=fit)})
+    changed = refitted(results.axes[axis], {term: coefficient})
+    return replace(results, axes={**results.axes, axis: changed})
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from support.allan_table import allan_table
-from support.exports import near, numbers, run_python, with_process
+from support.exports import near, numbers, refitted, run_python, with_process
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.bias import TurnOnBias
@@ -25,10 +25,8 @@ from allan_ros.io.results import Results
 def with_one_process(results: Results) -> Results:
     """Return results whose only drift is a Gauss-Markov process of 180 s on each axis."""
     for axis, result in results.axes.items():
-        noise = {**result.fit.noise, 'B': Coefficient(None, None, 1e-5, 'not_observable')}
-        noise['K'] = noise['B']
-        fit = replace(result.fit, noise=noise)
-        results = replace(results, axes={**results.axes, axis: replace(result, fit=fit)})
+        noise = dict.fromkeys('BK', Coefficient(None, None, 1e-5, 'not_observable'))
+        results = replace(results, axes={**results.axes, axis: refitted(result, noise)})
         results = with_process(results, axis, 5e-4 if axis < 'b' else 1e-4, 0.05)
     return results
 
@@ -93,7 +91,7 @@ def with_drift(results: Results, processes: Processes) -> Results:
     for axis, result in results.axes.items():
         limit = Coefficient(None, None, 1e-5, 'not_observable')
         noise = {**dict.fromkeys(result.fit.noise, limit), 'N': result.fit.noise['N']}
-        axes[axis] = replace(result, fit=replace(result.fit, noise=noise, processes=processes))
+        axes[axis] = refitted(result, noise, processes)
     return replace(results, axes=axes)
 
 

@@ -22,6 +22,7 @@ from support.exports import (
     numbers,
     read_lines,
     read_yaml,
+    refitted,
     with_process,
 )
 
@@ -206,15 +207,8 @@ def test_orb_slam3_reads_real_numbers(known_results: Results) -> None:
 def test_numbers_are_clamped_to_the_ranges_of_the_autopilot(
     known_results: Results, name: str
 ) -> None:
-    quiet = {
-        axis: replace(
-            result,
-            fit=replace(
-                result.fit, noise={**result.fit.noise, 'N': Coefficient(1e-7, (9e-8, 1.1e-7))}
-            ),
-        )
-        for axis, result in known_results.axes.items()
-    }
+    low = {'N': Coefficient(1e-7, (9e-8, 1.1e-7))}
+    quiet = {axis: refitted(result, low) for axis, result in known_results.axes.items()}
     made = make_export(replace(known_results, axes=quiet), name)
     found = read_lines(made.text)
     gyro, accel, *_ = found.values()
@@ -230,10 +224,7 @@ def test_the_madgwick_gain_includes_a_ramp_of_all_axes(known_results: Results) -
     ramp = Coefficient(4e-7, (3e-7, 5e-7), sign=-1)
     known = replace(
         known_results,
-        axes={
-            axis: replace(r, fit=replace(r.fit, noise={**r.fit.noise, 'R': ramp}))
-            for axis, r in known_results.axes.items()
-        },
+        axes={axis: refitted(r, {'R': ramp}) for axis, r in known_results.axes.items()},
     )
     assert numbers(known, 'imu_filter_madgwick')['zeta'] == near(3.46410e-7)  # sqrt(3/4) 4e-7
 
