@@ -10,7 +10,6 @@ from collections.abc import Collection, Iterable, Sequence
 from ..core.findings import significant as significant
 from ..core.fit import Coefficient, Deviation
 from ..core.fit.interpretation import Region
-from ..core.imu import SHOWN_UNITS as SHOWN_UNITS
 from ..core.imu import ShownUnit as ShownUnit
 from ..core.imu import shown_unit as shown_unit
 

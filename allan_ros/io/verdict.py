@@ -250,7 +250,7 @@ def _resolved_terms(results: Results) -> Iterator[str]:
     if not measured(results):
         return
     if not any(c.ci95 for axis in axes.values() for c in axis.fit.noise.values()):
-        yield f'Method {results.method} gives no intervals; likelihood shows which terms are resolved.'
+        yield f'Method {results.method} gives no intervals: use likelihood to see what is resolved.'
         return
     counts = {
         term: sum(axis.fit.noise[term].status == 'estimated' for axis in axes.values())
@@ -414,4 +414,4 @@ def _html_row(name: str, axis: AxisResult) -> str:
 
 
 def _warnings_and_errors(results: Results) -> list[Finding]:
-    return [each for each in results.findings if each.severity != 'info']
+    return [each for each in grouped(results.findings) if each.severity != 'info']
