@@ -19,7 +19,7 @@ NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf|infinity)(?!\w)', re.IGNORECASE)
 """Pattern of texts that must not appear in any output."""
 
 SIGNED = {
-    *('reference', 'sign', 'slope', 'gof_z', 'start_ns', 'signed', 'phase', 'ramp_correction'),
+    *('reference', 'total', 'sign', 'slope', 'gof_z', 'start_ns', 'begin_ns'),
     'relative',
 }
 """Fields whose numbers may be negative."""

@@ -30,9 +30,10 @@ from .octaves import SAMPLE_OCTAVES, octave, tapers
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-BLOCK = 4096
-"""Phase points per block of level 0: fits into the cache and amortizes the overhead of numpy calls.
-Blocks of higher levels have half as many, which locates their sums more accurately in time."""
+FIRST_BLOCK, BLOCK = 512, 4096
+"""Phase points of the first and of later blocks of level 0: 512, 512, 1024, 2048, 4096, 4096 ...
+Long blocks amortize the overhead of numpy calls, and still fit into the cache. Those of higher
+levels have at most half as many, which locates their sums more accurately in time."""
 
 MAX_INTERPOLATED = 0.1
 """A spectral block is excluded if more than this share of its samples is interpolated."""
@@ -47,7 +48,7 @@ class Level:
     """Averaging factors and octaves of one level."""
 
     stride: int  # samples between two points
-    block: int  # points per block
+    block: int  # largest number of points per block
     factors: tuple[int, ...]  # averaging factors in units of the stride
     octaves: range
 
@@ -133,8 +134,7 @@ class _RunningLevel:
 
     def __init__(self, level: int, rows: int) -> None:
         self.level = level
-        self.block = level_of(level).block
-        self.points = np.zeros((rows, _KEPT + self.block))
+        self.points = np.zeros((rows, _KEPT + level_of(level).block))
         self.fill = 0
         self.summed = 0  # number of summed points after the first, theta(0)
         self.halves: tuple[_Half | None, ...] = (None,) * len(level_of(level).octaves)
@@ -144,11 +144,16 @@ class _RunningLevel:
         self.points[:, _KEPT + self.fill : _KEPT + self.fill + points.shape[1]] = points
         self.fill += points.shape[1]
 
+    @property
+    def size(self) -> int:
+        """Number of points of the current block when it is full."""
+        return min(max(self.summed, FIRST_BLOCK), level_of(self.level).block)
+
     def close(self) -> LevelSums:
         """Return the sums of the full block, and begin a new one."""
-        sums, self.halves = self.sums_of(self.points)
-        self.points[:, :_KEPT] = self.points[:, self.block :]
-        self.summed += self.block
+        sums, self.halves = self.sums_of(self.points[:, : _KEPT + self.fill])
+        self.points[:, :_KEPT] = self.points[:, self.fill : self.fill + _KEPT]
+        self.summed += self.fill
         self.fill = 0
         return sums
 
@@ -289,7 +294,7 @@ class Cascade:
         at, n = 0, samples.shape[1]
         bottom = self._levels[0]
         while at < n:
-            take = min(BLOCK - bottom.fill, n - at)
+            take = min(bottom.size - bottom.fill, n - at)
             begin = _KEPT + bottom.fill
             phase = bottom.points[:, begin : begin + take]
             np.subtract(samples[:, at : at + take], self.reference[:, None], out=phase[:-1])
@@ -301,13 +306,13 @@ class Cascade:
             bottom.fill += take
             at += take
             self.samples += take
-            if bottom.fill == BLOCK:
+            if bottom.fill == bottom.size:
                 yield from self._close()
 
     def _close(self) -> Iterator[Block]:
         """Yield the full blocks, from level 0 on, and begin new ones."""
         bottom = self._levels[0]
-        phase = bottom.points[:, _KEPT - 1 :] + self._base
+        phase = bottom.points[:, _KEPT - 1 : _KEPT + bottom.fill] + self._base
         yield Block(bottom.summed, bottom.close(), phase)
         last = bottom.points[:, _KEPT - 1 : _KEPT].copy()
         self._base += last
@@ -318,9 +323,9 @@ class Cascade:
                 self._levels.append(_RunningLevel(j, len(phase)))
             level = self._levels[j]
             level.append(phase[:, 2::2])
-            if level.fill < level.block:
+            if level.fill < level.size:
                 return
-            phase = level.points[:, _KEPT - 1 :].copy()
+            phase = level.points[:, _KEPT - 1 : _KEPT + level.fill].copy()
             yield Block(level.summed << j, level.close(), phase[:, :0])
 
     def open_blocks(self) -> Iterator[Block]:

@@ -19,7 +19,6 @@ from ..errors import AllanError
 from ..fields import MAX_INTEGER, Fields
 from ..imu import AXES, LARGEST, MAX_NAME, ImuIdentity
 from .grid import FIRST_FACTORS, LEVEL_FACTORS, MAX_LEVELS
-from .sums import LONGEST_FILLED, AllanSums, length_class
 from .octaves import SAMPLE_OCTAVES, bins_up_to, octave
 from .periods import (
     KEPT_SEGMENTS,
@@ -32,6 +31,7 @@ from .periods import (
     Recording,
     totals,
 )
+from .sums import LONGEST_FILLED, AllanSums, length_class
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from .cascade import level_of
 from .grid import grid
-from .sums import AllanSums, Lengths, add_lengths
 from .octaves import SAMPLE_OCTAVES
 from .periods import MIN_MEANS, BlockMeans, Recording, add_padded, nonzero_length
+from .sums import AllanSums, Lengths, add_lengths
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

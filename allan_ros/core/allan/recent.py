@@ -59,12 +59,12 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
     count = np.array([_padded(p.count, levels) for p in sums.periods])
     sum_sq = np.array([_padded(p.sum_sq, levels) for p in sums.periods])
     # all data before the window are one row
-    begins = np.array([p.begin for p in latest.periods])
-    first = int(np.searchsorted(begins, latest.samples - window_s / sums.tau0))
-    earlier = len(count) - len(begins) + max(first, 1)
+    start = latest.samples - window_s / sums.tau0
+    begins = [p.begin if r is latest else -1 for r in sums.recordings for p in r.periods]
+    earlier = max(int(np.searchsorted(begins, max(start, 0))), 1)
     count = np.concatenate([count[:earlier].sum(axis=0)[None], count[earlier:]])
     sum_sq = np.concatenate([sum_sq[:earlier].sum(axis=0)[None], sum_sq[earlier:]])
-    begins = np.concatenate([[0], begins[max(first, 1) :]])
+    begins = begins[earlier - 1 :]
     if len(begins) < 2 or not levels:
         return {}
     m = sums.m[:levels]
@@ -82,7 +82,7 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
         )
         since = tau = None
         if level is not None:
-            since = (latest.samples - int(begins[next_row])) * sums.tau0
+            since = (latest.samples - begins[next_row]) * sums.tau0
             tau = float(m[level] * sums.tau0)
         found[axis] = RecentNoise(before, recent, since, tau)
     return found

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..imu import AXES, ImuIdentity
-from .cascade import BLOCK, Block, Cascade, LevelSums
-from .sums import AllanSums, Lengths, add_lengths
+from .cascade import FIRST_BLOCK, Block, Cascade, LevelSums
 from .periods import (
     MAX_PERIODS,
     MEAN_BYTES,
@@ -25,6 +24,7 @@ from .periods import (
     rounded,
     totals,
 )
+from .sums import AllanSums, Lengths, add_lengths
 
 Floats = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ class _State:
             total = block.phase[:, -1] - block.phase[:, 0]
             total[:-1] += length * (segment.cascade.reference - self.reference)
             new = _RunningPeriod(age, (segment.start_ns, block.begin), length, total)
-            if periods and periods[-1].samples < BLOCK:
+            if periods and periods[-1].samples < FIRST_BLOCK:
                 periods[-1] = periods[-1].extended(new)
             else:
                 periods.append(new)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .curve import chi_squared_limits
-from .sums import AllanSums
 from .octaves import octave, overlap
 from .periods import totals
+from .sums import AllanSums
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

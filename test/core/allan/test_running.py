@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.allan_table import allan_table
-from support.running import feed, noise, sums_of
-from support.sums import TICK_NS
+from support.sums import TICK_NS, feed, noise, sums_of
 
-from allan_ros.core.allan.cascade import BLOCK
+from allan_ros.core.allan.cascade import BLOCK, FIRST_BLOCK
 from allan_ros.core.allan.grid import counts, grid_for
 from allan_ros.core.allan.octaves import octave, overlap, tapers
 from allan_ros.core.allan.periods import MAX_MEANS, MAX_PERIODS, totals
@@ -43,7 +42,7 @@ def test_any_chunking_gives_the_same_sums(n, chunks, cuts, seed):
     y = noise(n, seed)
     mask = np.random.default_rng(seed).random(n) < 0.02
     cuts = {c for c in cuts if c < n}
-    assert sums_of(y, None, cuts, mask) == sums_of(y, chunks, cuts, mask)
+    assert sums_of(y, None, cuts, interpolated=mask) == sums_of(y, chunks, cuts, interpolated=mask)
 
 
 def test_reading_the_sums_does_not_change_them():
@@ -80,7 +79,7 @@ def test_periods_add_up_to_the_whole(cuts):
 def test_periods_are_short_at_both_ends_at_any_length():
     for n in (500_000, 1_000_000):
         lengths = np.array([p.samples for p in sums_of(np.zeros((n, 1))).periods])
-        assert lengths[0] == BLOCK and lengths[-1] <= BLOCK
+        assert lengths[0] == FIRST_BLOCK and lengths[-1] <= BLOCK
         ends = np.cumsum(lengths)
         distance = np.minimum(ends, n - ends + lengths)
         far = distance > 8 * BLOCK

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.running import noise
-from support.running import sums_of as without_names
+from support.sums import noise
+from support.sums import sums_of as without_names
 
 from allan_ros.core.allan.cascade import BLOCK
-from allan_ros.core.allan.excerpt import part
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
-from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.allan.excerpt import part
 from allan_ros.core.allan.periods import KEPT_SEGMENTS, MAX_MEANS, MAX_PERIODS
 from allan_ros.core.allan.spectra import noise_density, pooled_spectra
+from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuIdentity
 
@@ -188,7 +188,7 @@ def spoilers():
         'not base64': (lambda d: one(d).update(power='z4:?'), 'unpacked'),
         'other kind': (lambda d: one(d).update(power=one(d)['count']), 'z4'),
         'truncated': (lambda d: one(d).update(power=one(d)['power'][:-9]), 'power'),
-        'periods': (lambda d: one(d)['samples'].pop(), 'at most 2'),
+        'periods': (lambda d: one(d)['samples'].pop(), 'at most'),
         'no periods': (lambda d: one(d).update(samples=[]), 'at most 0'),
         'factors': (lambda d: one(d)['factors'].__setitem__(0, 2**40), 'too many'),
         'octaves': (lambda d: one(d)['octaves'].__setitem__(0, 40), 'expected'),
