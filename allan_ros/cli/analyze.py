@@ -35,6 +35,7 @@ from ..io.readers.recording import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.verdict import verdict_of
 from .batch import (
+    EXIT_ERROR,
     EXIT_FAILED,
     EXIT_UNJUDGED,
     METADATA,
@@ -133,10 +134,12 @@ def _check_references(settings: ResultSettings) -> None:
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     """Fit the sums of recordings, write the files to ``--output``, and print the results.
 
-    The exit code is 3 if ``--fail-on`` applies, 1 if nothing could be computed, else 0.
+    The exit code is 3 if ``--fail-on`` applies, 1 if nothing could be computed or a requested file
+    is not written, else 0.
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     results, names = fit_and_write(recorded, args, args.output)
+    refused = [name for name in args.export if target_of(name).file_name not in names]
     written = f'written to {args.output}: {", ".join(names)}' if names else ''
     if console.json:
         console.document(results_to_document(results, units=settings.units))
@@ -151,7 +154,10 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
         print('\n'.join(results_lines(results, verdict, settings.units, *style)))
         if written:
             print(f'\n{written}')
-    return exit_code_of(results, args.fail_on)
+    if refused:
+        why = next(f for f in results.findings if f.id == 'file_left_out')
+        print(f'allan analyze: {why}', file=sys.stderr)
+    return exit_code_of(results, args.fail_on) or (EXIT_ERROR if refused else 0)
 
 
 def _read_all(

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from allan_ros.cli.main import main
@@ -66,6 +67,20 @@ def test_the_own_file_is_compared_and_not_changed(
     document = json.loads(capsys.readouterr().out)
     assert document['drift'][0]['axis'] == 'gyro_x' and document['drift'][0]['ratio'] > 0.0
     assert mine.read_bytes() == before
+
+
+def test_wrong_units_are_not_silent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(1)
+    samples = rng.normal([0.5] * 3 + [0.0, 0.0, 9.81], [0.08] * 3 + [0.02] * 3, (6000, 6))
+    np.save(tmp_path / 'dps.npy', samples)
+    words = ['analyze', str(tmp_path / 'dps.npy'), '--rate', '100', '-q', '-o', str(tmp_path / 'x')]
+    assert main([*words, '--export', 'px4']) == 1
+    assert 'the unit is probably deg/s' in capsys.readouterr().err
+    assert not list((tmp_path / 'x').glob('*.yaml')) + list((tmp_path / 'x').glob('*.params'))
+    assert main(['export', str(tmp_path / 'x'), '--to', 'px4']) == 1
+    capsys.readouterr()
+    assert main(['export', str(tmp_path / 'x'), '--to', 'px4', '--force']) == 0
+    assert capsys.readouterr().out.startswith('# warning: gyro_x, gyro_y, gyro_z: The gyro at rest')
 
 
 def test_notes_of_an_export_go_to_stderr(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
