@@ -24,7 +24,7 @@ from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding
 from ..core.settings import SegmenterSettings
-from ..core.stream.health import Counts, Segment
+from ..core.stream.health import Counts, Event, Segment
 from ..core.stream.pipeline import ImuStream
 from .readers import open_recordings
 from .readers.recording import ReadOptions, Recording, SourceInfo
@@ -69,7 +69,7 @@ class Provenance:
 class RecordingSums:
     """The sums of one or more recordings of one IMU, with the data for a report.
 
-    ``signals`` and ``temperatures`` are empty unless they were requested.
+    ``signals``, ``temperatures`` and ``events`` are empty unless they were requested.
     """
 
     name: str  # path of the first recording
@@ -77,6 +77,7 @@ class RecordingSums:
     provenance: Provenance = field(default_factory=Provenance)
     signals: tuple[SignalEnvelope, ...] = ()  # one per recording
     temperatures: tuple[TemperatureTrace | None, ...] = ()  # one per recording
+    events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
     judged: tuple[DatasheetComparison, ...] = ()  # comparisons with datasheets that were read
 
     def __add__(self, other: RecordingSums) -> RecordingSums:
@@ -99,6 +100,7 @@ class RecordingSums:
             self.provenance + other.provenance,
             self.signals + other.signals,
             self.temperatures + other.temperatures,
+            self.events + other.events,
             self.judged + other.judged,
         )
 
@@ -163,7 +165,8 @@ def read_recording(
     if not job.with_context:
         return RecordingSums(job.path, known.sums, provenance)
     temperature = recording.temperature(known.sums[0].identity.frame_id)
-    return RecordingSums(job.path, known.sums, provenance, (signal,), (temperature,))
+    events = known.health.events
+    return RecordingSums(job.path, known.sums, provenance, (signal,), (temperature,), events)
 
 
 def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:

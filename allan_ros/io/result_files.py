@@ -92,7 +92,7 @@ def write_result_files(
     filters, results = _filter_files(results, targets)
     known = results.provenance
     summary = summarize_signal(
-        recorded.signals, known.segments, SIGNAL_BINS, known.counts.cuts, recorded.temperatures
+        recorded.signals, known.segments, SIGNAL_BINS, recorded.events, recorded.temperatures
     )
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
     drawn: dict[str, bytes] = {}

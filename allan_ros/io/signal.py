@@ -9,7 +9,7 @@ times that are excluded and the reasons.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.imu import AXES, LARGEST, ImuBatch
-from ..core.stream.health import Segment
+from ..core.stream.health import Event, Segment
 
 Floats = NDArray[np.float64]
 
@@ -197,16 +197,11 @@ LEAST_SHARE = 1e-3
 """Smallest length of a marked gap, relative to the recording: shorter ones are narrower than a
 line."""
 
-REASONS = ('motion', 'stuck')
-"""Reasons for unused samples: motion, or an axis that repeats one value. Other reasons only
-separate two segments."""
-
 
 class Excluded(NamedTuple):
     """A period from ``start`` to ``end`` in s without used samples.
 
-    ``why`` is 'motion', 'stuck' (an axis repeats one value), or '' for another reason, such as
-    warm-up, or for several reasons.
+    ``why`` is the kind of an `Event`, or '' for another reason, such as warm-up.
     """
 
     start: float
@@ -259,14 +254,14 @@ def summarize_signal(
     signals: Sequence[SignalEnvelope],
     segments: Sequence[Segment],
     bins: int,
-    cuts: Mapping[str, int] | None = None,
+    events: Sequence[Event] = (),
     temperatures: Sequence[TemperatureTrace | None] = (),
 ) -> SignalSummary | None:
     """Return the summary of all recordings in about ``bins`` bins; None if none has two bins.
 
     ``signals`` has the signal, and ``temperatures`` the temperature or None, of each recording.
-    ``segments`` are the used parts of all recordings. ``cuts`` (reason -> number of times the data
-    were split) gives the reason why samples after the last segment are not used.
+    ``segments`` are the used parts of all recordings, and ``events`` their shocks and the reasons
+    why other times are not used.
     """
     temperatures = temperatures or [None] * len(signals)
     known = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
@@ -276,7 +271,7 @@ def summarize_signal(
     parts: list[SignalSummary] = []
     offset = 0.0
     for signal, trace in known:
-        part, length = _recording(signal, trace, segments, step, cuts or {}, offset)
+        part, length = _recording(signal, trace, segments, step, events, offset)
         parts.append(part)
         offset += length
     joined: dict[str, Any] = {
@@ -300,7 +295,7 @@ def _recording(
     trace: TemperatureTrace | None,
     segments: Sequence[Segment],
     step: int,
-    cuts: Mapping[str, int],
+    events: Sequence[Event],
     offset: float,
 ) -> tuple[SignalSummary, float]:
     """Return the summary of one recording that begins at ``offset``, and its length in s."""
@@ -318,7 +313,10 @@ def _recording(
     at = np.flatnonzero(steps > GAP * usual)
     holes = [(float(time[i] + usual), float(time[i + 1])) for i in at]
     first_ns = int(signal.start_ns[0])
-    outside = list(_excluded(_segment_times(segments, first_ns, length), holes, length, cuts))
+    outside = list(_excluded(_times(segments, first_ns, length), holes, length))
+    for event in events:
+        for start, end in _times([event], first_ns, length):
+            outside = _marked(outside, Excluded(start, end, event.kind))
     used = np.ones(len(time), bool)
     for out in outside:
         used &= (time >= out.end) | (np.append(time[1:], length) <= out.start)
@@ -345,31 +343,37 @@ def _recording(
     return summary, length
 
 
-def _segment_times(
-    segments: Sequence[Segment], first_ns: int, length: float
-) -> list[tuple[float, float, str]]:
-    """Return (start in s, end in s, ``Segment.cut``) of the segments of one recording."""
-    starts = [((s.start_ns - first_ns) * 1e-9, s) for s in segments]
-    times = [(start, start + s.duration_s, s.cut) for start, s in starts]
-    return [(start, end, cut) for start, end, cut in times if start < length and end > 0.0]
+def _times(
+    known: Sequence[Segment] | Sequence[Event], first_ns: int, length: float
+) -> list[tuple[float, float]]:
+    """Return start and end in s of the segments or events of one recording."""
+    starts = [(one.start_ns - first_ns) * 1e-9 for one in known]
+    times = [(start, start + one.duration_s) for start, one in zip(starts, known)]
+    return [(start, end) for start, end in times if start < length and end > 0.0]
 
 
 def _excluded(
-    used: Sequence[tuple[float, float, str]],
-    holes: Sequence[tuple[float, float]],
-    length: float,
-    cuts: Mapping[str, int],
+    used: Sequence[tuple[float, float]], holes: Sequence[tuple[float, float]], length: float
 ) -> Iterator[Excluded]:
     """Yield the periods of one recording that are neither in a segment nor in a gap."""
-    if not used:
-        return
-    ends = {reason for reason in REASONS if cuts.get(reason)}
-    last = ends.pop() if len(ends) == 1 else ''
     before = 0.0
-    for start, end, cut in [*sorted(used), (length, length, last)]:
+    for start, end in [*sorted(used), (length, length)] if used else ():
         for part in _subtracted((before, start), holes) if start > before else ():
-            yield Excluded(*part, cut if cut in REASONS else '')
+            yield Excluded(*part)
         before = max(before, end)
+
+
+def _marked(excluded: list[Excluded], event: Excluded) -> list[Excluded]:
+    """Return the excluded periods with the kind of an event; a shock is a period of its own."""
+    if event.why == 'shock':
+        return [*excluded, event]
+    start, end = event.start, event.end
+    return [
+        out._replace(why=event.why)
+        if out.why != 'shock' and out.start < end and start < out.end
+        else out
+        for out in excluded
+    ]
 
 
 def _subtracted(

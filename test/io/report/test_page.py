@@ -18,7 +18,7 @@ import yaml
 
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch, ImuIdentity
-from allan_ros.core.stream.health import Segment
+from allan_ros.core.stream.health import Event, Segment
 from allan_ros.io.readers.recording import SourceInfo
 from allan_ros.io.report import ReportContext, render_report
 from allan_ros.io.report.chart_data import sensor_charts, to_script
@@ -223,14 +223,18 @@ def test_the_signal_summary_states_why_data_are_excluded() -> None:
     samples[4000:4010] += 100.0  # a shock at 80 s
     signal = SignalEnvelope()
     signal.update(ImuBatch(stamps, samples))
-    spans = [Segment(20 * second, 3000, 59.8), Segment(82 * second, 3400, 68.0, 'motion')]
+    spans = [Segment(20 * second, 3000, 59.8), Segment(82 * second, 3400, 68.0)]
     trace = TemperatureTrace(
         '/t', stamps[::50] - second, stamps[::50], np.linspace(20.0, 30.0, 200)
     )
-    summary = summarize_signal([signal], spans, 100, {'motion': 2}, [trace])
+    events = [Event('motion', at * second, 2.2) for at in (80, 150)]
+    events.append(Event('shock', 100 * second, 0.5))
+    summary = summarize_signal([signal], spans, 100, events, [trace])
     assert summary is not None
-    assert [out.why for out in summary.excluded] == ['', 'motion', 'motion']
-    assert [out.end for out in summary.excluded] == pytest.approx([20.0, 82.0, 200.0], abs=2.0)
+    assert [out.why for out in summary.excluded] == ['', 'motion', 'motion', 'shock']
+    ends = [out.end for out in summary.excluded]
+    assert ends == pytest.approx([20.0, 82.0, 200.0, 100.5], abs=2.0)
+    assert not summary.used[np.searchsorted(summary.time_s, 100.5) - 1]
     assert (summary.reach < 10.0).all() and np.nanmax(summary.high) > 90.0
     assert not summary.used[summary.time_s < 19.0].any()
     assert summary.temperature is not None and summary.temperature.source == '/t'
@@ -243,7 +247,7 @@ def test_temperatures_of_several_recordings_are_joined_with_a_break() -> None:
     late = start + 5 * 10**9 + np.arange(3, dtype=np.int64) * 10**9
     # the header stamps are from another clock, so record times are used
     trace = TemperatureTrace('/t', late - 10**17, late, np.array([20.0, 21.0, 22.0]))
-    summary = summarize_signal([signal, signal, signal], (), 100, {}, [trace, None, trace])
+    summary = summarize_signal([signal, signal, signal], (), 100, (), [trace, None, trace])
     assert summary is not None and summary.temperature is not None
     assert np.isnan(summary.temperature.celsius).tolist() == [False] * 3 + [True] + [False] * 3
     assert summary.temperature.time_s[0] == pytest.approx(5.0)

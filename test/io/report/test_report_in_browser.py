@@ -15,7 +15,7 @@ from support.chromium import Chromium
 
 import allan_ros as ar
 from allan_ros.core.imu import ImuBatch, ImuIdentity
-from allan_ros.core.stream.health import Segment
+from allan_ros.core.stream.health import Event, Segment
 from allan_ros.io.datasheets import load_sensor
 from allan_ros.io.report import ReportContext, render_report
 from allan_ros.io.results import Results
@@ -69,8 +69,9 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     temperature = TemperatureTrace(
         '/imu/temp', stamps[::50], stamps[::50], np.linspace(20.0, 31.0, 400)
     )
-    spans = [Segment(int(stamps[5000]), 15_000, 300.0, 'motion')]
-    summary = summarize_signal([envelope], spans, 1000, {}, [temperature])
+    spans = [Segment(int(stamps[5000]), 15_000, 300.0)]
+    moved = Event('motion', int(stamps[0]), 100.0)
+    summary = summarize_signal([envelope], spans, 1000, [moved], [temperature])
     results = replace(results, baselines={'May': small_results})
     context = ReportContext(summary, {'command': 'x'}, ['results.json'])
     path = tmp_path_factory.mktemp('page') / 'report.html'
