@@ -34,6 +34,7 @@ from .exporters import ExportOptions, make_export, target_of
 from .files import PATH, public, write_atomic
 from .format import shown_unit
 from .recorded import Provenance, RecordingSums
+from .threads import one_thread
 from .verdict import TOO_SHORT_S, Verdict, html_summary, summary_lines, verdict_of
 
 
@@ -411,6 +412,7 @@ class Results:
         return replace(self, datasheet=comparison, margin=margin, findings=(*others, *found))
 
 
+@one_thread()
 def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Results:
     """Fit the Allan variance sums of one IMU, and return the results.
 
