@@ -298,6 +298,7 @@ def compare(
     labels: Sequence[str] = (),
     sensor: str | Sequence[str] = (),
     margin: float = MARGIN,
+    within: float = 0.0,
     method: str = 'likelihood',
     observer: Observer = Silent(),
 ) -> RunComparison:
@@ -316,6 +317,8 @@ def compare(
     margin : float
         A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above it
         by this fraction.
+    within : float
+        Also test whether the coefficients are the same up to this fraction; 0 for no such test.
     method : str
         Method of the fit of sums and recordings, as in `analyze`; results are not fitted again.
     observer : Observer
@@ -325,7 +328,8 @@ def compare(
     -------
     RunComparison
         The differences of each recording from the first one (``pairs``), the comparisons with
-        the datasheets (``datasheets``), and whether any of them is significant (``differs``).
+        the datasheets (``datasheets``), and whether any of them is significant (``differs``); with
+        ``within``, whether the recordings are the same up to this fraction (``equivalent``).
 
     Raises
     ------
@@ -341,6 +345,7 @@ def compare(
     True
     """
     ResultSettings(method=method, margin=margin)  # checks them before recordings are read
+    check_range(0.0, 10.0, within=within)
     expect(LIST, labels=labels)
     if len(labels) > len(sources):
         raise AllanError(
@@ -358,7 +363,7 @@ def compare(
     if len(sources) + len(sheets) < 2 or not sources:
         raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
     runs = (results_of(source, method, observer) for source in sources)
-    return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin)
+    return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin, within)
 
 
 @public

@@ -9,6 +9,7 @@ to recordings and sums; a results.json is not fitted again.
   allan compare monday tuesday
   allan compare run1 run2 --label cold --label warm -o compared
   allan compare results sensor:adis16475-3 --fail-on-difference
+  allan compare reference today --within 5% --fail-on-difference
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
         labels=args.label,
         sensor=[text[len(SENSOR_PREFIX) :] for text in given] + args.sensor,
         margin=args.margin,
+        within=args.within or 0.0,
         method=args.method,
         observer=console,
     )
@@ -113,8 +115,9 @@ inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
     the same order (default: name of folder or file)
 --sensor NAME...  also compare with this datasheet, like sensor:NAME; `allan sensors` lists the
     names
+--within PERCENT  also test whether the coefficients are the same up to this, such as 5%%
 --fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a
-    datasheet is exceeded
+    datasheet is exceeded; with --within, if N is not shown to be the same, or another term differs
 """
 
 INFLATE_OPTIONS = """

@@ -52,6 +52,17 @@ def _terms(text: str) -> dict[str, float]:
         raise argparse.ArgumentTypeError(f'{text!r}: write terms as N=0.3,B=7') from None
 
 
+def _percent(text: str) -> float:
+    """Parse ``5%`` to the fraction 0.05."""
+    number, sign, rest = text.partition('%')
+    try:
+        if not sign or rest or not 0.0 < float(number) < 1000.0:
+            raise ValueError
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r}: write a percentage such as 5%') from None
+    return float(number) / 100.0
+
+
 TIME_UNITS = {'': 1.0, 's': 1.0, 'm': 60.0, 'min': 60.0, 'h': 3600.0, 'd': 86400.0}
 """Unit of a time on the command line -> s."""
 
@@ -70,6 +81,7 @@ def _seconds(text: str) -> float:
 TYPES: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(('HZ', 'HOURS'), float),
     'SECONDS': _seconds,
+    'PERCENT': _percent,
     'N': int,
     'N=..,B=..': _terms,
 }

@@ -77,24 +77,45 @@ class RunComparison:
     pairs: tuple[Pair, ...]
     datasheets: tuple[tuple[str, DatasheetComparison], ...]
     family_error: float = FAMILY_ERROR
+    within: float = 0.0  # fraction for the tests of equivalence; 0 for none
 
     def __repr__(self) -> str:
         return '\n'.join(comparison_headline(self))
 
     @property
+    def equivalent(self) -> bool:
+        """Whether N of all axes is the same up to ``within``, and no other term is different."""
+        results = (
+            (d.quantity, d.equivalence(self.within))
+            for pair in self.pairs
+            for d in pair.differences
+            if d.tau is None
+        )
+        return all(r == 'same' or (r == 'open' and term != 'N') for term, r in results)
+
+    @property
     def differs(self) -> bool:
-        """Whether any difference is significant, or a limit of a datasheet is exceeded."""
+        """Whether any difference is significant, or a limit of a datasheet is exceeded.
+
+        With ``within``, equality up to this fraction is required instead.
+        """
+        if self.within:
+            return not self.equivalent or any(c.verdict == 'beyond' for _, c in self.datasheets)
         return any(pair.significant for pair in self.pairs) or any(
             comparison.verdict == 'beyond' for _, comparison in self.datasheets
         )
 
 
 def compare_runs(
-    runs: Sequence[Subject], datasheets: Sequence[Datasheet] = (), margin: float = 0.0
+    runs: Sequence[Subject],
+    datasheets: Sequence[Datasheet] = (),
+    margin: float = 0.0,
+    within: float = 0.0,
 ) -> RunComparison:
     """Compare each recording with the first one, and every recording with each datasheet.
 
-    A limit of a datasheet is exceeded if the 95 % interval is completely above
+    With ``within``, the comparison also tests whether the coefficients are the same up to this
+    fraction. A limit of a datasheet is exceeded if the 95 % interval is completely above
     limit * (1 + ``margin``). Raises AllanError when two recordings have no common axis.
     """
     first, *others = runs
@@ -114,6 +135,7 @@ def compare_runs(
             for run in runs
             if (checked := run.results.against_datasheet(datasheet, margin).datasheet)
         ),
+        within=within,
     )
 
 
@@ -123,6 +145,7 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
         'schema': SCHEMA,
         'family_error': comparison.family_error,
         'differs': comparison.differs,
+        'within': comparison.within or None,
         'runs': [
             {'label': run.label, 'results': results_to_document(run.results, curves=False)}
             for run in comparison.runs
@@ -140,6 +163,9 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
                         'ci95': plain(d.ci95),
                         'p': d.p,
                         'verdict': d.verdict,
+                        'equivalence': d.equivalence(comparison.within)
+                        if comparison.within
+                        else None,
                     }
                     for d in pair.differences
                 ],
@@ -161,6 +187,8 @@ def comparison_headline(comparison: RunComparison) -> Iterator[str]:
     """Yield a sentence for each pair, with its largest difference, and for each datasheet."""
     for pair in comparison.pairs:
         yield _pair_sentence(pair, comparison.family_error)
+        if comparison.within:
+            yield _equivalence_sentence(pair, comparison.within)
     for label, checked in comparison.datasheets:
         yield _datasheet_sentence(label, checked)
 
@@ -220,6 +248,24 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
     if opposite:
         text += f' ({opposite} of them in the opposite direction)'
     return text
+
+
+def _equivalence_sentence(pair: Pair, within: float) -> str:
+    """Return which terms are the same up to ``within``, which differ, and which are undecided."""
+    found: dict[str, dict[str, list[str]]] = {'same': {}, 'different': {}, 'open': {}}
+    for d in pair.differences:
+        if d.tau is None and d.p is not None:
+            terms = found[d.equivalence(within)]
+            terms.setdefault(d.quantity, []).append(d.axis.replace('_', ' '))
+    texts = (
+        '; '.join(f'{term} of {", ".join(axes)}' for term, axes in terms.items())
+        for terms in found.values()
+    )
+    same, different, undecided = (text or 'no term' for text in texts)
+    return (
+        f'{pair.second} is the same as {pair.first} to {100.0 * within:g} % in {same}; it differs '
+        f'by more in {different}; undecided, because the intervals are too wide: {undecided}'
+    )
 
 
 def _ratio_above_one(difference: Difference) -> tuple[float | None, float, float]:

@@ -144,3 +144,18 @@ def test_a_measured_ratio_precedes_a_bound(analyzed: Path, tmp_path: Path, capsy
     worse.write_text(json.dumps(document))
     assert main(['compare', str(analyzed), str(worse)]) == 0
     assert capsys.readouterr().out.startswith('worse is 10.0x noisier than run in gyro z N (')
+
+
+def test_equality_is_answered_and_sets_the_exit_code(
+    analyzed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = str(analyzed)
+    copy = ['compare', run, run, '--label', 'a', '--label', 'b', '--fail-on-difference']
+    assert main([*copy, '--within', '20%']) == 0
+    assert 'b is the same as a to 20 % in' in capsys.readouterr().out
+    assert main([*copy, '--within', '0.01%', '--json']) == 3
+    document = json.loads(capsys.readouterr().out)
+    assert document['within'] == pytest.approx(1e-4)
+    with pytest.raises(SystemExit):
+        main([*copy, '--within', '5'])
+    assert 'write a percentage such as 5%' in capsys.readouterr().err

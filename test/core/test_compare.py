@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from allan_ros.core.compare import compare_with_limits, verdict
+from allan_ros.core.compare import Difference, compare_with_limits, verdict
 from allan_ros.core.fit.model import TERMS, Coefficient
 
 NOT_OBSERVABLE = Coefficient(None, None, 0.5, 'not_observable')
@@ -38,3 +39,31 @@ def test_only_what_has_a_limit_is_compared():
         ('N', 'beyond', 1.8), ('B', 'within', 0.45),
     ]  # fmt: skip
     assert compare_with_limits('sheet', limits, {'accel_x': noise}, 0.2) == ()
+
+
+@pytest.mark.parametrize(
+    ('ratio', 'ci95', 'answer'),
+    [
+        (1.0, (0.97, 1.03), 'same'),
+        (1.03, (1.01, 1.051), 'same'),  # the 90 % interval ends at 1.0476
+        (1.04, (1.02, 1.06), 'open'),
+        (1.1, (1.06, 1.14), 'different'),
+        (1.0 / 1.1, (1.0 / 1.14, 1.0 / 1.06), 'different'),
+        (None, (0.0, 1.01), 'open'),
+    ],
+)
+def test_equality_up_to_a_fraction_is_tested_from_both_sides(ratio, ci95, answer):
+    d = Difference('gyro_x', 'N', None, 1.0, ratio, ci95, 0.5)
+    assert d.equivalence(0.05) == answer
+
+
+def test_false_equality_at_the_limit_is_five_percent():
+    """The logarithm of the ratio is normal about the limit, and its interval is known."""
+    rng = np.random.default_rng(5)
+    limit, sigma = np.log(1.05), 0.01
+    found = []
+    for x in rng.normal(limit, sigma, 4000):
+        ci95 = (np.exp(x - 1.96 * sigma), np.exp(x + 1.96 * sigma))
+        d = Difference('gyro_x', 'N', None, 1.0, np.exp(x), ci95, 0.5)
+        found.append(d.equivalence(0.05) == 'same')
+    assert abs(np.mean(found) - 0.05) < 4 * (0.05 * 0.95 / 4000) ** 0.5
