@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
 from ..core.findings import finding
 from ..core.imu import SENSORS
@@ -163,8 +163,7 @@ def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
 
 def _names(sources: Sequence[tuple[str, str]]) -> list[str]:
     """Return file name and topic of each source, sorted."""
-    text = sorted(f'{Path(path).name} {topic}'.strip() for path, topic in sources)
-    return [os.fsencode(name).decode(errors='backslashreplace') for name in text]
+    return sorted(one_line(f'{Path(path).name} {topic}'.strip()) for path, topic in sources)
 
 
 def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, str], Results]:
