@@ -127,6 +127,7 @@ def test_the_time_of_all_inputs_decides_whether_data_are_short(
     paths = [str(tmp_path / name) for name in ('a.npz', 'b.npz')]
     for seed, path in enumerate(paths):
         how = ['--preset', 'paper', '--hours', '0.01', '--rate', '50', '--seed', str(seed)]
+        how += ['--start', str(1e9 + 100 * seed)]
         assert main(['simulate', path, *how]) == 0
     capsys.readouterr()
     short = []
@@ -142,9 +143,6 @@ ABSURD_SUMS: dict[str, tuple[list[Any], Any]] = {
     'no time': (['elapsed_ns'], 0),
     'negative sums': (['sum_sq', 0, 0], -1.0),
     'sums of infinite noise': (['sum_sq', 3, 0], 1e300),
-    'one sample': (['segments', 0, 'samples'], 1),
-    'a phase of another length': (['segments', 0, 'phase'], [[0.0] * 6]),
-    'signed sums of another length': (['segments', 0, 'signed'], [[0.0] * 6]),
     'counts that disagree': (['count', 0], 2**62),
 }
 
