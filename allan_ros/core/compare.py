@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .allan.curve import CI_LEVEL, AxisCurve
-from .deferred import special
 from .fit.model import TERMS, Z_95, Coefficient
 
 MARGIN = 0.2
@@ -270,6 +269,8 @@ def _run_differences(first: Run, second: Run) -> Iterator[Difference]:
 
 def _curve_differences(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Difference]:
     """Yield the differences of the interpolated deviations; the verdicts are set later."""
+    from scipy import special
+
     points = _log_points(first), _log_points(second)
     if not all(len(one) for one in points):
         return
@@ -351,6 +352,8 @@ def _ratio_of_estimates(a: Estimate, b: Estimate) -> tuple[float, tuple[float, f
     The p value uses the upper half of the interval of the smaller estimate and the lower half of
     the other interval.
     """
+    from scipy import special
+
     log_ratio = math.log(b[0]) - math.log(a[0])
     down = math.hypot(_width(b[0], b[1], b), _width(a[2], a[0], a))
     up = math.hypot(_width(b[2], b[0], b), _width(a[0], a[1], a))
@@ -380,6 +383,8 @@ def _p_value_of_limit(a: Estimate, limit: float) -> float:
     # normal errors, and its estimate is assumed to be 0, which is the worst case. At the z where
     # both are equal, each limit is wrong with probability Phi(-z). The result is 4 Phi(-z), because
     # either recording could have the estimate.
+    from scipy import special
+
     value, low, _ = a
     scale = max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
     # 2 s z exp(2 s z) = 2 s 1.96 (value / limit)^2, solved by the Lambert W function in logarithms
@@ -391,6 +396,8 @@ def _p_value_of_limit(a: Estimate, limit: float) -> float:
 
 def _degrees_of_freedom(low: Floats, high: Floats) -> Floats:
     """Return the degrees of freedom whose chi-squared limits have the ratio high / low."""
+    from scipy import special
+
     tail = (1.0 - CI_LEVEL) / 2.0
     ratio = np.log(special.chdtri(EDF_TABLE, tail) / special.chdtri(EDF_TABLE, 1.0 - tail)) / 2.0
     found: Floats = np.exp(

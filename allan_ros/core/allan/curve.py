@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..deferred import special
 from ..errors import AllanError
 from .grid import counts
 from .sums import AllanSums
@@ -116,6 +115,8 @@ def chi_squared_limits(
     the confidence level. The limits are sqrt(avar degrees / chi^2) at two quantiles of chi^2, NIST
     SP 1065 section 5.3.1.
     """
+    from scipy import special
+
     avar, degrees = np.asarray(avar, float), np.asarray(degrees, float)
     tail = (1.0 - level) / 2.0
     low, high = (np.sqrt(avar * degrees / special.chdtri(degrees, p)) for p in (tail, 1.0 - tail))

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..deferred import special
 from ..errors import AllanError
 from ..fit.model import Z_95, AxisFit
 from ..noise import ProcessModel
@@ -65,6 +64,8 @@ def turn_on_bias(means: Floats) -> TurnOnBias | None:
 
     It is None for fewer than two recordings.
     """
+    from scipy import special
+
     free = len(means) - 1
     if free < 1:
         return None
