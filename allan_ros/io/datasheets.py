@@ -353,7 +353,10 @@ def _measured(fields: Fields) -> Measured:
     fields.only('by', 'url', 'hours', 'condition', *SI_UNITS)
     values: dict[str, dict[str, MeasuredValue]] = {}
     for sensor in SI_UNITS:
-        for term in terms if (terms := fields.optional_fields(sensor)) else ():
+        terms = fields.optional_fields(sensor)
+        if terms is None:
+            continue
+        for term in terms:
             one = terms.fields(term)
             one.only(*MeasuredValue._fields, 'unit')
             factor = one.quantity(SI_UNITS[sensor][term]) / one.number('value')

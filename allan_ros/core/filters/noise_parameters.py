@@ -118,22 +118,22 @@ def reduce_axis(
             f'{max(reduction.ratio[1], 1.0 / reduction.ratio[0]):.1f} over {horizons}: choose '
             'another --horizon, write state_space, or omit --strict'
         )
-    increased = None
+    increased: list[Reduction] = []
     if has_intervals(fit) and states in ('none', 'walk'):
         increased = [reduce_model(one, states, horizons) for one in interval_models(fit)]
     if walk is None and reduction.walk > 0.0:
         walk = Level(axis, 'K', reduction.walk, fit.noise['K'].ci95)
         if reduction.walk > 1.001 * resolved_walk:
-            ends = increased and [one.walk for one in increased]
-            walk = _raised(walk, reduction.walk, resolved_walk, ends)
+            walks = [one.walk for one in increased]
+            walk = _raised(walk, reduction.walk, resolved_walk, walks)
         walk = _accepted(walk, strict)
     if reduction.white > 1.001 * white.value:
-        ends = increased and [one.white for one in increased]
-        white = _raised(white, reduction.white, white.value, ends)
+        whites = [one.white for one in increased]
+        white = _raised(white, reduction.white, white.value, whites)
     return replace(reduction, levels={'N': white, **({'K': walk} if walk else {})})
 
 
-def _raised(level: Level, value: float, fitted: float, ends: Sequence[float] | None) -> Level:
+def _raised(level: Level, value: float, fitted: float, ends: Sequence[float]) -> Level:
     ci95 = (min(*ends, value), max(*ends, value)) if ends else None
     return replace(level, value=value, ci95=ci95, raised_from=fitted)
 
