@@ -185,6 +185,9 @@ def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
     return any(
         (one.samples, one.start_ns) == (other.samples, other.start_ns)
         and bool(np.array_equal(x.reference, y.reference))
+        and bool(
+            np.array_equal(*(m.coarser(max(one.step, other.step)).values for m in (one, other)))
+        )
         for x, y in product(a.recordings, b.recordings)
         for one, other in product(x.means, y.means)
     )
