@@ -18,7 +18,6 @@ from allan_ros.core.filters.bias import (
     time_within,
     turn_on_bias,
 )
-from allan_ros.core.filters.growth import UNRESOLVED_SHARE, expected_variance
 from allan_ros.core.fit.model import AxisFit, Coefficient
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.simulate import simulate_axis
@@ -82,16 +81,6 @@ def test_the_slope_prior_follows_from_the_interval_of_the_ramp():
     assert vague.slope_std > 100.0 * 1e-7
     for nothing in (Coefficient(None, None, None, 'not_observable'), Coefficient(0.0)):
         assert BiasModel.of_fit(fit_with_ramp(nothing)).slope_std == 0.0
-
-
-def test_a_walk_that_is_not_resolved_has_its_expected_variance():
-    hidden = Coefficient(None, None, 1e-7, 'not_observable')
-    noise = {**fit_with_ramp(Coefficient(0.0)).noise, 'K': hidden}
-    processes = BiasModel.of_fit(AxisFit(noise)).processes
-    assert pytest.approx(UNRESOLVED_SHARE * expected_variance(hidden)) == processes.terms.K**2
-    assert processes.terms.B == TERMS.B
-    resolved = fit_with_ramp(Coefficient(0.0))
-    assert BiasModel.of_fit(resolved).processes == resolved.model
 
 
 def test_white_noise_alone_averages_out():
