@@ -42,6 +42,10 @@ back. Fewer such samples are dropped."""
 REORDER = 32
 """Samples that arrive out of order are sorted if their place is at most this far away."""
 
+DISORDERED_SHARE = 0.25
+"""If more than this share of the stamps are earlier than the previous one, although they were
+sorted over `REORDER` places, they are not used."""
+
 EPOCH_S = (1e9, 4e9)
 """Present times of a clock, in s: the years 2001 to 2096."""
 
@@ -65,6 +69,11 @@ def unit_of_stamps(stamps: Stamps) -> str:
     return 'ns'
 
 
+JUMP_DISTANCE = 4096
+"""If the clock was set back this number of samples ago or less, twice as many consecutive earlier
+stamps as then are needed to continue. So stamps without order do not split the data endlessly."""
+
+
 class StampChoice:
     """Chooses the stamps of a stream: from the header, the record times, or the declared rate."""
 
@@ -72,6 +81,7 @@ class StampChoice:
         self.use_record = use_record
         self._rate = declared_rate
         self._unit = 1  # of the stamps, in ns
+        self._unusable = False  # the stamps are in no order
         # number of samples whose stamps were computed from the rate; None if it is not used
         self._computed: int | None = None
 
@@ -80,11 +90,14 @@ class StampChoice:
         stamps = first.stamps_ns
         if self.use_record:
             return []
-        if len(stamps) < 2 or stamps.min() != stamps.max():
-            unit = unit_of_stamps(stamps)
-            self._unit = STAMP_UNITS[unit]
-            return [finding('stamps_unit', unit=unit)] if unit != 'ns' else []
         what = 'all equal' if stamps.any() else 'all zero'
+        if len(stamps) < 2 or stamps.min() != stamps.max():
+            backward = np.diff(StampSorter.all_sorted(stamps, first.samples.T)[0]) < 0
+            if np.count_nonzero(backward) <= DISORDERED_SHARE * len(stamps):
+                unit = unit_of_stamps(stamps)
+                self._unit = STAMP_UNITS[unit]
+                return [finding('stamps_unit', unit=unit)] if unit != 'ns' else []
+            what, self._unusable = 'in no order', True
         if first.record_ns is not None:
             self.use_record = True
             return [finding('stamps_unusable', what=what)]
@@ -98,7 +111,10 @@ class StampChoice:
         if self.use_record and batch.record_ns is not None:
             return batch.record_ns
         if self._computed is None:
-            return batch.stamps_ns * self._unit if self._unit > 1 else batch.stamps_ns
+            stamps = batch.stamps_ns
+            if self._unusable:
+                return np.zeros_like(stamps)  # `SensorStream` counts them as untimed
+            return stamps * self._unit if self._unit > 1 else stamps
         self._computed += len(batch)
         return even_stamps(self._computed - len(batch), len(batch), self._rate)
 
@@ -186,7 +202,10 @@ class StampFilter:
         self._counts = counts
         self._latest: int | None = None
         self._latest_row: Floats = np.full(axes, np.nan)
-        self._backward = 0
+        self._backward = 0  # consecutive samples with earlier stamps
+        # how many of these mean that the clock was set back; more if it was set back recently
+        self._needed = BACKWARD_RUN
+        self._position = self._last_jump = 0  # number of samples
 
     def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, NDArray[np.bool_]]:
         """Return stamps (k,), values (axes, k) and flags (k,) of the samples that are kept.
@@ -206,6 +225,7 @@ class StampFilter:
         if step.min() <= 0 or self._backward:
             keep, jumped = self._select(stamps, rows, step)
             stamps, rows, jumped = stamps[keep], rows[:, keep], jumped[keep]
+        self._position += len(step)
         if len(stamps):
             self._latest, self._latest_row = int(stamps[-1]), rows[:, -1].copy()
         return stamps, rows, jumped
@@ -226,13 +246,17 @@ class StampFilter:
                 latest = stamps[i]
                 continue
             self._backward += 1
-            if self._backward < BACKWARD_RUN:
+            if self._backward < self._needed:
                 keep[i] = False
                 self._counts.backward += 1
-            else:
-                self._backward = 0
-                jumped[i] = True
-                latest = stamps[i]
+                continue
+            self._backward = 0
+            jumped[i] = True
+            latest = stamps[i]
+            at = self._position + int(i)
+            recently = at - self._last_jump < JUMP_DISTANCE
+            self._needed = 2 * self._needed if recently else BACKWARD_RUN
+            self._last_jump = at
         return keep, jumped
 
 

@@ -63,14 +63,15 @@ class Counts:
 
     If the sensors have different rates, the counts of both sensor streams are added, except for
     ``received`` and ``skipped``. For one sensor stream, received + bridged = used + skipped +
-    not_finite + duplicate + backward + untimed + moving + stuck + louder + the samples still
-    buffered.
+    other_frame + not_finite + duplicate + backward + untimed + moving + stuck + louder + the
+    samples still buffered.
     """
 
     received: int = 0
     used: int = 0  # in the sums, including interpolated ones
     # dropped
     skipped: int = 0  # in the warm-up time at the start
+    other_frame: int = 0  # with an earlier frame_id whose sums were dropped
     not_finite: int = 0
     duplicate: int = 0  # the stamp and all values equal those of the previous sample
     backward: int = 0  # the stamp is earlier than the latest one
@@ -210,6 +211,7 @@ class StreamHealth:
     # axis with heavy tails -> share of its samples that are outliers
     outliers: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
+    dropped_frames: int = 0  # number of frame_ids whose sums were dropped
 
     @property
     def still_share(self) -> float | None:
@@ -350,6 +352,8 @@ def stream_findings(
         differs = abs(rate / declared - 1.0) > RATE_CHANGE
         add('rate_differs', differs, measured=rate, declared=declared)
     base = health.base_rate_hz
+    frames, samples = health.dropped_frames, counts.other_frame
+    add('frames_dropped', frames, count=frames, samples=samples)
     add('rate_assumed', base and rate, rate=rate, base=base)
     add('bursty_stamps', health.bursty and rate, rate=rate)
     kept = 1.0 - counts.backward / max(counts.received, 1)

@@ -49,12 +49,6 @@ from .motion import RELEARNED, MotionGate
 from .repeats import RepeatFilter
 from .timing import LEARN, Block, Clock, SampleClock, learn_clock
 
-KEPT_FRAMES = 8
-"""Largest number of frame_ids (that is, of IMUs) in one stream whose sums are kept."""
-
-KEPT_RATES = 8
-"""Largest number of different sample rates of one sensor stream whose sums are kept."""
-
 
 class StreamOptions(NamedTuple):
     """Settings of the stages, and whether to compute one-second means."""
@@ -84,7 +78,8 @@ class ImuStream:
         self._frames: dict[str, FrameStream] = {}
         self._present = FrameStream(ImuIdentity('', hardware_id), self._options)
         self._frame_changes = 0
-        self._dropped = Counts()  # of frames beyond `KEPT_FRAMES`
+        self._dropped = Counts()  # of frames whose sums were dropped
+        self._dropped_frames = 0
 
     def update(self, batch: ImuBatch) -> None:
         """Process the next samples of the stream."""
@@ -135,15 +130,12 @@ class ImuStream:
         return now._health(state, sums)
 
     def _add_frame(self, frame_id: str) -> FrameStream:
-        """Add a frame_id; if there are too many, drop the one with the least data."""
-        if len(self._frames) >= KEPT_FRAMES:
-            least = min(
-                self._frames.values(),
-                key=lambda frame: max((s.sums.elapsed_ns for s in frame.by_rate()), default=0),
-            )
+        """Add a frame_id; of the earlier ones, keep the one with the most data."""
+        if len(self._frames) > 1:
+            least = min(self._frames.values(), key=lambda frame: frame.counts.used)
             del self._frames[least.identity.frame_id]
-            least.flush()
-            self._dropped.add(least.counts)
+            self._dropped.other_frame += least.received
+            self._dropped_frames += 1
         frame = FrameStream(ImuIdentity(frame_id, self._hardware_id), self._options)
         self._frames[frame_id] = frame
         return frame
@@ -184,6 +176,7 @@ class ImuStream:
             max((stream.discarded_s for stream in streams), default=0.0),
             {axis: share for s in frame.sensors for axis, share in s.outliers.items()},
             tuple(event for s in frame.sensors for event in s.events.events),
+            self._dropped_frames,
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
         found = [*notes, *stream_findings(health, longest, self._options.settings)]
@@ -203,6 +196,7 @@ class FrameStream:
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.last_ns: int | None = None
+        self.received = 0
         settings = options.settings
         self.stamps = StampChoice(settings.stamps == 'record', settings.declared_rate)
         self._options = options
@@ -234,6 +228,7 @@ class FrameStream:
 
     def update(self, batch: ImuBatch) -> None:
         """Process the next samples with this frame_id."""
+        self.received += len(batch)
         if self.sensors:
             self._sort(batch)
             return
@@ -306,7 +301,7 @@ class SensorStream:
         self._axes = plan.axes
         self._polled = bool(plan.drop)
         self._repeated = [[plan.axes.index(a) for a in group] for group in plan.random_repeats]
-        self._former: list[StreamSums] = []  # one per earlier rate
+        self._former: StreamSums | None = None  # at the earlier rate with the most data
         self._identity = identity
         self._options = options
         self._hold_filter = SampleHoldFilter(plan)
@@ -361,18 +356,19 @@ class SensorStream:
         return None if self._clock is None else self._clock.clock
 
     def by_rate(self) -> list[StreamSums]:
-        """Return the sums at each sample rate, including the current one."""
+        """Return the sums at the present sample rate and at the earlier one with the most data."""
         segments = tuple(sorted(segment for _, segment in self._segments))
         sums = self._engine.sums
         if len(self._filled.count):
             sums = replace(sums, filled=self._filled.count.copy())
+        former = [] if self._former is None else [self._former]
         if not sums.samples:
-            return self._former
+            return former
         present = StreamSums(sums, segments)
-        for i, each in enumerate(self._former):
+        if former:
             with suppress(AllanError):  # another rate
-                return [*self._former[:i], each.joined(present), *self._former[i + 1 :]]
-        return [*self._former, present]
+                return [former[0].joined(present)]
+        return [*former, present]
 
     @property
     def means(self) -> Means | None:
@@ -441,8 +437,8 @@ class SensorStream:
         assert self._clock is not None
         self._flush_gate()
         self.counts.cuts['rate change'] += 1
-        longest_first = sorted(self.by_rate(), key=lambda each: -each.sums.elapsed_ns)
-        self._former = longest_first[:KEPT_RATES]
+        known = self.by_rate()
+        self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
         stamps, rows = self._clock.pending
         self._start(stamps.copy(), rows.copy())
 

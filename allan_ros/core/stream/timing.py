@@ -126,7 +126,7 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
 
 def _common_step(step: Floats) -> float:
     """Return the shortest step, (n,), if all are multiples of it and many are longer, else 0."""
-    shortest = float(np.quantile(step, MANY))
+    shortest = float(np.sort(step)[int(MANY * len(step))])
     near = step[np.abs(step - shortest) <= EXACT * shortest]
     base = float(near.mean())
     number = np.rint(step / base) if base else step
