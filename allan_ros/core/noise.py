@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, field
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -114,17 +115,24 @@ TERM_TYPES: dict[str, Gamma] = {
 }
 """Noise types without a shape: the terms of the Allan variance."""
 
-PROCESS_TYPES: dict[str, Callable[..., Gamma]] = {
-    'gauss_markov': gauss_markov,
-    'bounded_walk': bounded_walk,
-    'sinusoid': sinusoid,
+class ProcessType(NamedTuple):
+    """Noise type with a shape: its gamma, and the meaning of each number of the shape."""
+
+    gamma: Callable[..., Gamma]
+    shape: tuple[Literal['time', 'frequency'], ...]  # in samples, in cycles per sample
+
+
+PROCESS_TYPES = {
+    'gauss_markov': ProcessType(gauss_markov, ('time',)),
+    'bounded_walk': ProcessType(bounded_walk, ('time',)),
+    'sinusoid': ProcessType(sinusoid, ('frequency',)),
 }
-"""Noise types with a shape: correlation time in samples, or frequency in cycles per sample."""
+"""Noise types with a shape."""
 
 
 def gamma_of(kind: str, *shape: float) -> Gamma:
     """Return gamma(M, j) of a term or of a process with the given shape."""
-    return PROCESS_TYPES[kind](*shape) if shape else TERM_TYPES[kind]
+    return PROCESS_TYPES[kind].gamma(*shape) if shape else TERM_TYPES[kind]
 
 
 def unit_avar(m: ArrayLike, kind: str, *shape: float) -> Floats:

@@ -43,7 +43,7 @@ class Estimate:
         Covariance of the coefficients, with that of the shapes included.
     intervals : tuple of Interval
         Intervals of q, w, b and k.
-    shape_errors : dict of component index to relative standard error of its shape
+    shape_errors : dict of (component, number of its shape) to its relative standard error
     ramp : RampEstimate or None
         Ramp per sample.
     top : float
@@ -65,7 +65,7 @@ class Estimate:
     filtered: bool = False
     chi_squared: tuple[float, float] = (0.0, 0.0)
     lack: dict[int, float] = field(default_factory=dict)
-    shape_errors: dict[int, float] = field(default_factory=dict)
+    shape_errors: dict[tuple[int, int], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,9 +213,10 @@ def _result(
     data = rules.data
     parts = list(_deviances(data, fit).values()) if len(data.power) else []
     shaped = [
-        k
+        (k, at)
         for k, c in enumerate(fit.components)
-        if len(c) > 1 and fit.p[k] > 0.0 and c not in rules.base
+        for at in range(len(c) - 1)
+        if fit.p[k] > 0.0 and c not in rules.base
     ]
     n = len(fit.p)
     signed = (*rules.signed, *range(n, n + len(shaped)))
@@ -233,8 +234,8 @@ def _result(
         fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
     covariance = full.covariance()
     errors = {
-        k: math.sqrt(max(covariance[n + i, n + i], 0.0)) / float(fit.p[k])
-        for i, k in enumerate(shaped)
+        (k, at): math.sqrt(max(covariance[n + i, n + i], 0.0)) / float(fit.p[k])
+        for i, (k, at) in enumerate(shaped)
     }
     ramp = ramp_estimate(data, fit)
     scale = data.scale

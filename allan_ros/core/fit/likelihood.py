@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from ..noise import PROCESS_TYPES
 from .statistics import Component, Floats, Statistics
 
 Flags = NDArray[np.bool_]
@@ -31,8 +32,15 @@ RIDGE = 1e-9
 """Relative ridge of the information matrix: coefficients that the data cannot tell apart share
 their variance instead of making the matrix singular."""
 
-TANGENT_STEP = {'gauss_markov': 0.05, 'bounded_walk': 0.05, 'sinusoid': 0.002}
-"""Step in the logarithm of a shape for the derivative of the expectation."""
+TANGENT_STEP = {'time': 0.05, 'frequency': 0.002}
+"""Step in the logarithm of a number of a shape for the derivative of the expectation."""
+
+
+def moved(component: Component, at: int, step: float) -> Component:
+    """Return a component of which the logarithm of one number of its shape is changed."""
+    kind, *shape = component
+    shape[at] *= math.exp(step)
+    return (kind, *shape)
 
 
 class Columns(NamedTuple):
@@ -147,20 +155,19 @@ class AxisData:
         return cls(statistics, axis, scale, power / scale, low, statistics.dof, used)
 
     def columns(
-        self, components: Sequence[Component], tangents: Sequence[int] = ()
+        self, components: Sequence[Component], tangents: Sequence[tuple[int, int]] = ()
     ) -> Columns:
         """Return the expectations of components, then their derivatives d/d log(shape).
 
-        ``tangents`` are the indices of the components whose derivatives are added.
+        ``tangents`` are pairs: the index of a component, and that of a number of its shape.
         """
         columns = [self.statistics.column(each, self.axis) for each in components]
         power = [each.power for each in columns]
         low = [[each.low[g] for each in columns] for g in range(len(self.low))]
-        for i in tangents:
-            kind, shape = components[i]
-            h = TANGENT_STEP[kind]
+        for i, at in tangents:
+            h = TANGENT_STEP[PROCESS_TYPES[components[i][0]].shape[at]]
             above, below = (
-                self.statistics.column((kind, shape * math.exp(sign * h)), self.axis)
+                self.statistics.column(moved(components[i], at, sign * h), self.axis)
                 for sign in (1.0, -1.0)
             )
             power.append((above.power - below.power) / (2.0 * h))

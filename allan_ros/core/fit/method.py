@@ -171,11 +171,11 @@ def _processes(result: Estimate, tau0: float) -> tuple[Processes, list[int]]:
         sizes = _around(size, relative / 2.0)
         if kind == 'sinusoid':
             f = shape / tau0
-            ends = _around(f, result.shape_errors.get(k, 0.0))
+            ends = _around(f, result.shape_errors.get((k, 0), 0.0))
             lines.append((Sinusoid(size, sizes, f, ends), k))
         else:
             time = shape * tau0
-            times = _around(time, result.shape_errors.get(k, 0.0))
+            times = _around(time, result.shape_errors.get((k, 0), 0.0))
             drifts.append((GaussMarkov(size, sizes, time, times), k))
     drifts.sort(key=lambda each: each[0].correlation_time)
     lines.sort(key=lambda each: each[0].frequency)

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..noise import PROCESS_TYPES
 from .likelihood import TERMS, AxisData, Fit
 from .limits import (
     GAIN_BOUNDED,
@@ -27,10 +28,14 @@ from .limits import (
 )
 from .statistics import Component, Floats, Statistics, contrasts
 
-K = TERMS.index(('K',))
+N, K = TERMS.index(('N',)), TERMS.index(('K',))
 
-LONGEST_MOVE = {'gauss_markov': 0.7, 'bounded_walk': 0.7, 'sinusoid': 0.06}
-"""Longest step in the logarithm of a shape: a factor of two, and half a bin."""
+LONGEST_MOVE = {'time': 0.7, 'frequency': 0.06}
+"""Longest step in the logarithm of a number of a shape: a factor of two, and half a bin."""
+
+ALIASED = 0.1
+"""Variance of the block means due to a fast sinusoid, relative to that of white noise, from which
+its alias matters."""
 
 PROMISING = 0.4
 """Share of its threshold that the approximate gain of a candidate must reach to be fitted."""
@@ -161,7 +166,7 @@ class Selection:
         The search over the frequencies of sinusoids increases it by 2 log(bins).
         """
         bins = max(len(self.data.power), 8)
-        return GAIN_PROCESS + (2.0 * math.log(bins) if kind == 'sinusoid' else 0.0)
+        return GAIN_PROCESS + 2.0 * math.log(bins) * ('frequency' in PROCESS_TYPES[kind].shape)
 
     def fit(
         self, components: Sequence[Component], p: Floats | None = None, tolerance: float = 1e-4
@@ -196,6 +201,9 @@ class Selection:
     def _with_one_more(self, fit: Fit) -> Fit | None:
         """Return the fit with the best further process, or None if none exceeds its threshold."""
         gains = self.candidates.gains(self.data, fit, self.shortest, self.fastest)
+        if self._aliased(fit):
+            first = len(self.candidates.times)
+            gains[first : first + self.candidates.slow] = 0.0
         best, most = None, 0.0
         at = 0
         for kind, each in (('gauss_markov', self.candidates.times), ('sinusoid', self.candidates.lines)):
@@ -227,46 +235,63 @@ class Selection:
 
     def refined(self, fit: Fit, k: int, rounds: int = 12) -> Fit:
         """Move the shape of the component ``k`` along its derivative while the likelihood grows."""
-        kind = fit.components[k][0]
         longest = self.data.statistics.longest
-        low, high = {
-            'gauss_markov': (self.shortest, float(longest)),
-            'bounded_walk': (self.shortest, 4.0 * longest),
-            'sinusoid': (0.5 / longest, 0.499),
-        }[kind]
+        bounds = {'time': (self.shortest, 4.0 * longest), 'frequency': (0.5 / longest, 0.499)}
         for _ in range(rounds):
             if fit.p[k] <= 0.0:
                 break
-            n, shape = len(fit.p), fit.components[k][1]
+            n, shape = len(fit.p), PROCESS_TYPES[fit.components[k][0]].shape
             full = self.data.solve(
                 fit.components,
-                self.data.columns(fit.components, [k]),
-                np.append(fit.p, 0.0),
-                signed=(*self.signed, n),
+                self.data.columns(fit.components, [(k, at) for at in range(len(shape))]),
+                np.append(fit.p, np.zeros(len(shape))),
+                signed=(*self.signed, *range(n, n + len(shape))),
                 rounds=4,
                 tolerance=1e-2,
             )
-            move = full.p[n] / max(full.p[k], 1e-300)
-            move = float(np.clip(move, -LONGEST_MOVE[kind], LONGEST_MOVE[kind]))
+            most = [LONGEST_MOVE[each] for each in shape]
+            move = np.clip(full.p[n:] / max(full.p[k], 1e-300), np.negative(most), most)
             before = fit.value
             for _ in range(3):
-                trial = list(fit.components)
-                trial[k] = (kind, min(max(shape * math.exp(move), low), high))
-                new = self.fit(trial, fit.p, tolerance=1e-3)
+                kind, *numbers = fit.components[k]
+                for at, each in enumerate(shape):
+                    low, high = bounds[each]
+                    numbers[at] = min(max(numbers[at] * math.exp(move[at]), low), high)
+                new = self._replaced(fit, k, (kind, *numbers))
                 if new.value < fit.value:
                     fit = new
                     break
-                move *= 0.3
+                move = move * 0.3
             if before - fit.value < 0.05:
                 break
         return fit
+
+    def _replaced(self, fit: Fit, k: int, component: Component) -> Fit:
+        """Return the fit with another component ``k``."""
+        components = (*fit.components[:k], component, *fit.components[k + 1 :])
+        return self.fit(components, fit.p, tolerance=1e-3)
+
+    def _aliased(self, fit: Fit) -> bool:
+        """Return whether the alias of a fast sinusoid in the block means is comparable to noise.
+
+        The averages over M samples leave 1/(M sin(pi f)) of its amplitude, at an alias that depends
+        on more digits of the frequency than the spectra determine. A slow sinusoid or a bounded
+        walk cannot be told from it.
+        """
+        step = self.data.statistics.step
+        left = (
+            0.5 * p / (step * math.sin(math.pi * c[1])) ** 2
+            for p, c in zip(fit.p, fit.components)
+            if c[0] == 'sinusoid' and c[1] * step > 1.0
+        )
+        return sum(left) > ALIASED * fit.p[N] / step
 
     def bounded(self, fit: Fit) -> Fit:
         """Return the fit in which the random walk is bounded, if the data show this.
 
         K is a Gauss-Markov process of infinite correlation time T; 1/T > 0 is one more coefficient.
         """
-        if fit.p[K] <= 0.0:
+        if fit.p[K] <= 0.0 or self._aliased(fit):
             return fit
         tries = []
         for time in self.data.statistics.longest / 2.0 ** np.arange(0, 11, 2):
