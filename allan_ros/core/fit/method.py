@@ -99,7 +99,7 @@ def axis_fit(result: Estimate, known: Statistics, tau0: float, brief: bool = Fal
     terms = NoiseTerms(
         **{t: noise[t].value or 0.0 for t in 'QNB'},
         K=walk or 0.0,
-        R=(noise['R'].sign or 1) * (noise['R'].value or 0.0),
+        R=0.0 if brief else _drift_of_model(result.ramp, noise['R'].status == 'estimated', tau0),
     )
     model = ProcessModel(
         terms,
@@ -139,9 +139,6 @@ def _coefficient(
 
 def _ramp(ramp: RampEstimate | None, tau0: float) -> Coefficient:
     """Return the ramp in SI: its magnitude and its sign.
-
-    The square of a ramp that is not resolved exceeds its expectation by the squared error, which is
-    subtracted.
     """
     if ramp is None:
         return Coefficient(None, status='not_observable')
@@ -150,9 +147,20 @@ def _ramp(ramp: RampEstimate | None, tau0: float) -> Coefficient:
         return Coefficient(
             size / tau0, (max(size - half, 0.0) / tau0, (size + half) / tau0), sign=sign
         )
-    value = math.sqrt(max(size**2 - ramp.error**2, 0.0))
     limit = (size + half) / tau0 if math.isfinite(half) else None
-    return Coefficient(value / tau0 or None, None, limit, 'not_observable', sign)
+    return Coefficient(size / tau0 or None, None, limit, 'not_observable', sign)
+
+
+def _drift_of_model(ramp: RampEstimate | None, resolved: bool, tau0: float) -> float:
+    """Return the ramp of the model in SI.
+
+    The other terms alone cause a random ramp, whose variance is ``ramp.error``^2. If the ramp is
+    not resolved, this is subtracted from its square, so that drift is not counted twice.
+    """
+    if ramp is None:
+        return 0.0
+    excess = ramp.value**2 - (0.0 if resolved else ramp.error**2)
+    return math.copysign(math.sqrt(max(excess, 0.0)), ramp.value) / tau0
 
 
 def _processes(result: Estimate, tau0: float) -> tuple[Processes, list[int]]:
