@@ -249,10 +249,13 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
     some = sums.count > 0
     m, stride, avar = sums.m[some], sums.stride[some], sums.avar[some]
     types = noise_types_of_avar(m, avar, sums.samples)
-    degrees = degrees_of_freedom(sums, m, stride, types)
+    adev, n = np.sqrt(avar), sums.count[some]
+    # a part of a recording has fewer differences than its length would give
+    complete = sum(k * counts(round(size), m, stride) for size, k in sums.length_histogram)
+    share = np.minimum(n / np.maximum(complete, 1), 1.0)[:, None]
+    degrees = share * degrees_of_freedom(sums, m, stride, types)
     low, high = chi_squared_limits(avar, degrees)
     tau = np.asarray(m * tau0, float)
-    adev, n = np.sqrt(avar), sums.count[some]
     return AllanCurve(m, tau, n, adev, low, high, sums.axes, degrees, types)
 
 
@@ -261,16 +264,16 @@ def degrees_of_freedom(
 ) -> Floats:
     """Return the equivalent degrees of freedom of the Allan variances of the sums, (factors, axes).
 
-    They are NaN at factors for which no segment is long enough. Segments that are stored only as a
-    `LengthClass` are assumed to have its mean length.
+    They are NaN at factors for which no segment is long enough. Segments of a length class are
+    assumed to have its mean length.
 
     ``m`` are averaging factors, and ``stride`` are the numbers of samples between the starts of two
     second differences (m itself for the non-overlapping Allan variance). ``types`` are the noise
     types, (factors, axes), as from `noise_types_of_avar`.
     """
+    degrees = np.empty(types.shape)
     lengths = [round(samples) for samples, _ in sums.length_histogram]
     number = [how_many for _, how_many in sums.length_histogram]
-    degrees = np.empty(types.shape)
     for i in range(len(m)):
         per_segment = np.array([counts(n, m[i], stride[i]) for n in lengths])
         of_type = {
