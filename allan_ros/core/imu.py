@@ -119,6 +119,10 @@ MICRO_G = STANDARD_GRAVITY * 1e-6
 """One millionth of standard gravity in m/s^2."""
 
 
+LONGEST_S = 2**63 / NANOSECONDS
+"""Time in s that stamps of 64 bits in ns can represent."""
+
+
 class Unit(NamedTuple):
     """A unit of measurement: its SI unit, and the factor that converts values to the SI unit."""
 
@@ -236,7 +240,12 @@ STAMP_UNITS = {'s': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1}
 
 
 def even_stamps(first: int, count: int, rate: float) -> NDArray[np.int64]:
-    """Return the stamps in ns of the samples ``first`` to ``first + count - 1`` at ``rate`` Hz."""
+    """Return the stamps in ns of the samples ``first`` to ``first + count - 1`` at ``rate`` Hz.
+
+    Raises AllanError if they do not fit into 64 bits (292 years).
+    """
+    if (first + count) / rate >= LONGEST_S:
+        raise AllanError(f'a sample rate of {rate:g} Hz is too low: state the rate in Hz')
     stamps: NDArray[np.int64] = np.rint(np.arange(first, first + count) * (1e9 / rate)).astype(
         np.int64
     )

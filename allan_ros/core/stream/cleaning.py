@@ -168,8 +168,8 @@ class StampSorter:
     def all_sorted(cls, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
         """Return complete data sorted in the same way."""
         sorter = cls(stamps)
-        parts = [sorter.feed(stamps, rows), sorter.flush()]
-        return tuple(np.concatenate([part[i] for part in parts], axis=-1) for i in (0, 1))
+        (s1, r1), (s2, r2) = sorter.feed(stamps, rows), sorter.flush()
+        return np.concatenate([s1, s2]), np.concatenate([r1, r2], axis=1)
 
     def _take(self, number: int) -> tuple[Stamps, Floats]:
         """Return the first buffered samples, sorted."""

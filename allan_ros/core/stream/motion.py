@@ -336,16 +336,16 @@ class MotionGate:
         """Return the windows of the motion that just ended if it was a shock, else split."""
         assert self._floor is not None and self._motion is not None
         out: list[Block] = []
-        first, *rest = self._motion.replaced(self._floor, self._period_s) or [None]
-        if first is not None:
+        kept = self._motion.replaced(self._floor, self._period_s)
+        if kept:
             self._motion.kind = 'shock'
-            self._count_shocks(1, len(first))
-            out.append(first)
+            self._count_shocks(1, len(kept[0]))
+            out.append(kept[0])
         else:
             self._no_shock()
         self._log_motion()
         self._motion = None
-        for window in rest:
+        for window in kept[1:]:
             self._level.add(window.rows.mean(axis=1)[:, None], len(window))
             out += self._release(window)
         return out

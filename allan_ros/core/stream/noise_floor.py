@@ -51,7 +51,7 @@ HEAVY_SHARE, LEAST_HEAVY = 5e-3, 3
 """Noise has heavy tails if this share of the samples, and at least this number, are outliers. The
 share is 5e-5 for white noise, and 7e-3 for a t distribution with five degrees of freedom."""
 
-EXAMINED = 8
+EXAMINED = 16
 """One of this number of windows at rest is searched for outliers, to save time."""
 
 MEMORY = 2.0**20

@@ -481,7 +481,7 @@ class SensorStream:
         self._end_ns = int(block.stamps[-1])
         self.counts.used += len(block)
         self._filled.add(block.filled)
-        interpolated = None if block.filled is None else block.filled.any(axis=0)
+        interpolated = None if block.filled is None else np.asarray(block.filled.any(axis=0))
         self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns, interpolated)
         if self._means is not None:
             self._means.update(block.stamps, block.rows)

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from support.sums import assert_identical
 
 from allan_ros.core.allan.running import RunningSums
+from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import fit_noise
-from allan_ros.core.imu import AXES, ImuBatch, ImuIdentity
+from allan_ros.core.imu import AXES, ImuBatch, ImuIdentity, even_stamps
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.stream.pipeline import ImuStream
 
@@ -329,6 +330,11 @@ def test_without_stamps_the_declared_rate_is_used():
     t, x = still(5000)
     result = accumulate(t * 0, x, declared_rate=200.0)
     assert result.sums[0].tau0 == pytest.approx(0.005) and 'stamps_from_rate' in ids(result)
+
+
+def test_a_rate_whose_stamps_do_not_fit_into_64_bits_is_refused():
+    with pytest.raises(AllanError, match='too low'):
+        even_stamps(0, 10, 1e-300)
 
 
 def test_a_declared_rate_is_only_checked():
