@@ -82,7 +82,9 @@ def gauss_markov(time: float) -> Gamma:
         later = mean**2 * decay + (mean - 1.0) * (mean + 1.0)
         # lag 0: the mean of exp(-|a - b|/T) - 1 over all pairs of samples
         half = 0.5 / time
-        pairs = (M / math.tanh(half) + np.expm1(-x) / (2.0 * math.sinh(min(half, 300.0)) ** 2)) / M**2
+        pairs = (
+            M / math.tanh(half) + np.expm1(-x) / (2.0 * math.sinh(min(half, 300.0)) ** 2)
+        ) / M**2
         lag = (M - 1.0 / M) / (3.0 * time)  # mean of |a - b|/T, then of its square and cube
         series = -lag + (M**2 - 1.0) / (12.0 * time**2) - x**3 / 60.0 * (1.0 - 1.0 / M**2)
         return np.where(j >= 1, later, np.where(x < 1e-3, series, pairs - 1.0))
@@ -114,6 +116,7 @@ TERM_TYPES: dict[str, Gamma] = {
     'K': random_walk,
 }
 """Noise types without a shape: the terms of the Allan variance."""
+
 
 class ProcessType(NamedTuple):
     """Noise type with a shape: its gamma, and the meaning of each number of the shape."""

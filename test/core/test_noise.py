@@ -63,9 +63,7 @@ def test_gamma_is_the_autocovariance_of_means_of_simulated_samples(component, m)
     assert np.all(np.abs(np.mean(found, axis=0) - expected) < error)
 
 
-@given(
-    st.floats(0.5, 1e8), st.sampled_from([1, 2, 5, 64]), st.sampled_from([0, 1, 3])
-)
+@given(st.floats(0.5, 1e8), st.sampled_from([1, 2, 5, 64]), st.sampled_from([0, 1, 3]))
 def test_gauss_markov_equals_the_mean_over_all_pairs_of_samples(time, m, lag):
     a = np.arange(m)
     distance = np.abs(a[:, None] - (a + lag * m))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..allan.octaves import octave
 from .intervals import Interval, RampEstimate, profile_interval, ramp_estimate
 from .likelihood import TERMS, AxisData, Fit, inverse
 from .limits import CURVATURE, GAIN_RESOLVED, LACK_OF_FIT, LEAST_BINS, LOST_POWER, WHITE_NOISE
@@ -50,6 +51,8 @@ class Estimate:
         Highest frequency of the fit in cycles per sample: 0.5 if all data are used.
     filtered : bool
         Whether q may be negative.
+    low_pass : float
+        Coefficient q of the term 3 q/m^2 of the Allan variance due to the filter; 0 without one.
     chi_squared : (value, degrees of freedom)
         Test of all octaves up to ``top``.
     lack : dict of octave to ratio
@@ -63,6 +66,7 @@ class Estimate:
     ramp: RampEstimate | None
     top: float = 0.5
     filtered: bool = False
+    low_pass: float = 0.0
     chi_squared: tuple[float, float] = (0.0, 0.0)
     lack: dict[int, float] = field(default_factory=dict)
     shape_errors: dict[tuple[int, int], float] = field(default_factory=dict)
@@ -206,6 +210,27 @@ def _test(rules: Selection, fit: Fit) -> tuple[bool, bool]:
     return min(tails) >= LACK_OF_FIT and not curved, curved
 
 
+def _low_pass(data: AxisData, fit: Fit, top: float) -> float:
+    """Return q of the term 3 q/m^2 of the Allan variance that is due to a low-pass filter.
+
+    At averaging factors above some 1/top, a change d(f) of the spectrum of white noise changes the
+    Allan variance by 3/m^2 times the integral of d(f)/(2 sin^2(pi f)) over f up to 1/2, because
+    sin^4(pi f m) is 3/8 on average. Below the frequency ``top``, d(f) is the model of the filter,
+    and above it the measured power minus the model without filter.
+    """
+    f = data.statistics.f
+    filters = np.array([c in (TERMS[Q], FILTER) for c in fit.components])
+    columns = replace(data, used=np.ones(len(f), bool)).columns(fit.components).power
+    change = np.where(
+        f < top,
+        columns @ np.where(filters, fit.p, 0.0),
+        data.power - columns @ np.where(filters, 0.0, fit.p),
+    )
+    step = np.array([octave(o).step for o in data.statistics.octave.tolist()])
+    width = np.array([1.0 / octave(o).length for o in data.statistics.octave.tolist()])
+    return float(np.sum(step * change * width / (2.0 * np.sin(np.pi * f) ** 2)))
+
+
 def _result(
     rules: Selection, fit: Fit, top: float, lack: dict[int, float] | None = None
 ) -> Estimate:
@@ -244,11 +269,14 @@ def _result(
         fit.p * scale,
         covariance[:n, :n] * scale**2,
         tuple(Interval(i.low * scale, i.high * scale, i.gain) for i in intervals),
-        None if ramp is None else ramp._replace(
+        None
+        if ramp is None
+        else ramp._replace(
             value=ramp.value * math.sqrt(scale), error=ramp.error * math.sqrt(scale)
         ),
         top,
         bool(rules.signed),
+        _low_pass(data, fit, top) * scale if rules.signed else 0.0,
         (sum(x for x, _ in parts), sum(k for _, k in parts)),
         lack or {},
         errors,

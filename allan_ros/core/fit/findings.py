@@ -77,8 +77,6 @@ SMALL_DEVIATION = 0.05
 """Relative deviation of the curve from the model below which the finding has severity info."""
 
 
-
-
 SLOWEST_VIBRATION = 0.5
 """Frequency in Hz below which sinusoids are not called vibration: buildings and tables resonate
 above it."""

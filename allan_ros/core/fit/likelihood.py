@@ -173,9 +173,7 @@ class AxisData:
             power.append((above.power - below.power) / (2.0 * h))
             for group, a, b in zip(low, above.low, below.low):
                 group.append((a - b) / (2.0 * h))
-        return Columns(
-            np.array(power).T[self.used], [np.array(group)[:, 1:, 1:] for group in low]
-        )
+        return Columns(np.array(power).T[self.used], [np.array(group)[:, 1:, 1:] for group in low])
 
     def moments(self, columns: Columns, p: Floats) -> tuple[float, Floats, Floats] | None:
         """Return -2 log L, the information I and the moment m of the step argmin p'Ip - 2m'p.

@@ -11,7 +11,7 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..noise import NoiseTerms, ProcessModel
-from .estimate import FILTER, Estimate, estimate
+from .estimate import Estimate, estimate
 from .findings import axis_findings, merge_equal
 from .intervals import Interval, RampEstimate
 from .likelihood import AxisData
@@ -61,7 +61,9 @@ def fit_likelihood(sums: AllanSums) -> NoiseModel:
         if size < LEAST_STATISTICS or _is_constant(sums, a):
             axes[name] = without_estimates()
             constant = len(sums.count) > 0 and _is_constant(sums, a)
-            id, numbers = ('no_noise', {}) if constant else ('record_too_short', {'samples': sums.samples})
+            id, numbers = (
+                ('no_noise', {}) if constant else ('record_too_short', {'samples': sums.samples})
+            )
             findings.append(finding(id, (name,), **numbers))
             continue
         result = estimate(AxisData.of(known, a), candidates, daily)
@@ -105,7 +107,7 @@ def axis_fit(result: Estimate, known: Statistics, tau0: float, brief: bool = Fal
         terms,
         tuple((p.sigma, p.correlation_time) for p in processes.gauss_markov),
         tuple((p.amplitude, p.frequency) for p in processes.sinusoid),
-        _low_pass(result, tau0) if result.filtered else 0.0,
+        result.low_pass * tau0**2,
     )
     value, number = result.chi_squared
     return AxisFit(
@@ -138,8 +140,7 @@ def _coefficient(
 
 
 def _ramp(ramp: RampEstimate | None, tau0: float) -> Coefficient:
-    """Return the ramp in SI: its magnitude and its sign.
-    """
+    """Return the ramp in SI: its magnitude and its sign."""
     if ramp is None:
         return Coefficient(None, status='not_observable')
     size, half, sign = abs(ramp.value), ramp.half_width, int(np.sign(ramp.value))
@@ -195,14 +196,6 @@ def _around(value: float, relative: float) -> tuple[float, float]:
     """Return the 95 % interval of a positive value with a relative standard error."""
     factor = math.exp(min(Z_95 * relative, 50.0))
     return value / factor, value * factor
-
-
-def _low_pass(result: Estimate, tau0: float) -> float:
-    """Return q of the filtered samples; the term f^4 of the spectrum adds twice its coefficient."""
-    extra = sum(
-        float(p) for p, c in zip(result.p, result.components) if c == FILTER
-    )
-    return (float(result.p[Q]) + 2.0 * extra) * tau0**2
 
 
 def _lack(known: Statistics, o: int, ratio: float, tau0: float) -> LackOfFit:

@@ -77,7 +77,9 @@ class Candidates:
     def covariances(self) -> list[Floats]:
         """Covariances of the contrasts of each group for the Gauss-Markov processes."""
         columns = [self.statistics.column(each).low for each in self.times]
-        return [np.array([c[g][1:, 1:] for c in columns]) for g in range(len(self.statistics.groups))]
+        return [
+            np.array([c[g][1:, 1:] for c in columns]) for g in range(len(self.statistics.groups))
+        ]
 
     @cached_property
     def slow(self) -> int:
@@ -206,7 +208,10 @@ class Selection:
             gains[first : first + self.candidates.slow] = 0.0
         best, most = None, 0.0
         at = 0
-        for kind, each in (('gauss_markov', self.candidates.times), ('sinusoid', self.candidates.lines)):
+        for kind, each in (
+            ('gauss_markov', self.candidates.times),
+            ('sinusoid', self.candidates.lines),
+        ):
             part = gains[at : at + len(each)]
             at += len(each)
             if not len(part) or part.max() < PROMISING * self.threshold(kind):
