@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from ..noise import PROCESS_TYPES
 from .statistics import Component, Floats, Statistics
@@ -180,6 +179,8 @@ class AxisData:
 
         The result is None if the expected power or covariance is not positive.
         """
+        from scipy.linalg import lapack  # slow to import
+
         s = columns.power @ p
         if np.any(s <= 0.0):
             return None

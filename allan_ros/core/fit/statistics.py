@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import toeplitz
 
 from ..allan.octaves import octave, tapers
 from ..allan.spectra import pooled_spectra
@@ -75,6 +74,8 @@ def contrasts(points: int, high: int) -> Floats:
 @lru_cache(maxsize=512)
 def _low_covariance(component: Component, step: int, points: int, high: int) -> Floats:
     """Return the covariance of the contrasts of block means for unit noise."""
+    from scipy.linalg import toeplitz  # slow to import
+
     v = contrasts(points, high)
     return np.asarray(v.T @ toeplitz(gamma_of(*component)(step, np.arange(points))) @ v)
 
