@@ -486,7 +486,8 @@ def plan_sensors(
                 findings.append(finding('clipped', (axis,), share=share))
         plans.append(plan)
     kept = [AXES.index(axis) for plan in plans if not plan.drop for axis in plan.axes]
-    if kept and are_interleaved(rows[kept]):
+    possible = (np.abs(rows[kept]) <= LARGEST).all(axis=0)
+    if kept and are_interleaved(rows[kept][:, possible]):
         findings.append(finding('interleaved', tuple(AXES[i] for i in kept)))
     random = [plan for plan in plans if plan.random_repeats]
     if random:
