@@ -29,7 +29,8 @@ except ImportError:
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from allan_ros.core.fit import Coefficient
+from allan_ros.core.fit import AxisFit, Coefficient
+from allan_ros.core.fit.model import model_of_terms
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis, simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
@@ -63,8 +64,9 @@ def with_truth(results: Results) -> Results:
     axes = {}
     for name, axis in results.axes.items():
         terms = GYRO if name.startswith('gyro') else ACCEL
-        true = {'N': Coefficient(terms.N), 'K': Coefficient(terms.K)}
-        axes[name] = replace(axis, fit=replace(axis.fit, noise={**axis.fit.noise, **true}))
+        noise = dict.fromkeys('QBR', Coefficient(None, status='not_observable'))
+        noise |= {'N': Coefficient(terms.N), 'K': Coefficient(terms.K)}
+        axes[name] = replace(axis, fit=AxisFit(noise, model_of_terms(noise)))
     return replace(results, axes=axes)
 
 
