@@ -181,13 +181,11 @@ def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
-    """Return whether both contain the same segment, judged by its sums: noise never repeats."""
+    """Return whether both contain the same segment, judged by its means: noise never repeats."""
     return any(
         (one.samples, one.start_ns) == (other.samples, other.start_ns)
-        and bool(np.array_equal(x.reference, y.reference))
-        and bool(
-            np.array_equal(*(m.coarser(max(one.step, other.step)).values for m in (one, other)))
-        )
+        and np.array_equal(x.reference, y.reference)
+        and np.array_equal(one.coarser(other.step).values, other.coarser(one.step).values)
         for x, y in product(a.recordings, b.recordings)
         for one, other in product(x.means, y.means)
     )

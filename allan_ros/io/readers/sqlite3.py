@@ -23,6 +23,9 @@ from .storage import Messages, Topic, Truncation, among, damaged, normal_type, t
 ROWS = 512
 """Number of rows that are fetched from SQLite at a time: few enough for the processor cache."""
 
+BLOCK = 4 * ROWS
+"""Number of messages that are decoded together."""
+
 _TIME_INDEX = """
 SELECT list.name FROM pragma_index_list('messages') AS list, pragma_index_info(list.name) AS part
 WHERE NOT list.partial AND part.seqno = 0 AND part.name = 'timestamp'
@@ -105,15 +108,23 @@ class Sqlite3Storage:
                 'ORDER BY timestamp, id'
             )
             while batch := rows.fetchmany(ROWS):
-                times, payloads, *more = zip(*batch)
+                times: list[int] = []
+                payloads: list[bytes | memoryview] = []
+                topics: list[int] = []
+                while batch:
+                    more_times, more_payloads, *of_topics = zip(*batch)
+                    times += more_times
+                    payloads += more_payloads
+                    topics += of_topics[0] if of_topics else ()
+                    batch = rows.fetchmany(ROWS) if len(times) < BLOCK else []
                 if set(map(type, payloads)) != {bytes}:
                     raise ValueError('a message is not a BLOB')
-                block = Messages(np.array(times, dtype=np.int64), list(payloads))
-                if not more:
+                block = Messages(np.array(times, dtype=np.int64), payloads)
+                if not topics:
                     yield [block]
                     continue
-                (topics,) = map(np.array, more)
-                yield [block.chosen(np.flatnonzero(among(topics, ids))) for ids in groups]
+                numbers = np.array(topics)
+                yield [block.chosen(np.flatnonzero(among(numbers, ids))) for ids in groups]
 
     def _query(self, sql: str, *values: int) -> sqlite3.Cursor:
         return self._connection.execute(sql, values)
