@@ -41,6 +41,9 @@ MEANS = 128
 LEAST_POINTS = 4
 """Smallest number of points of a chart over time."""
 
+PASS_BAND = 4.0
+"""Product of the highest frequency and the shortest averaging time that a model describes."""
+
 SAME_LINE = 1.05
 """Ratio of frequencies below which the sinusoids of two axes share a mark."""
 
@@ -226,13 +229,13 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
 
 
 def model_density(axis: AxisResult, frequency: Floats) -> Floats:
-    """Return the one-sided power spectral density of the selected model, SI unit^2/Hz.
+    """Return the one-sided power spectral density of the model, SI unit^2/Hz.
 
     It is twice the two-sided density of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C. For
     samples of period tau0 and w = 2 pi f, this is 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w and
     K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) for a Gauss-Markov process. The
-    ramp is left out because the mean of a block is subtracted, a sinusoid because its density is
-    infinite at one frequency and 0 elsewhere.
+    ramp is omitted because the mean of a block is subtracted, a sinusoid because its density is
+    infinite at one frequency and 0 elsewhere. It is NaN above the pass band of a filter.
     """
     terms = axis.fit.model.terms
     omega = 2.0 * np.pi * frequency
@@ -245,7 +248,8 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
     )
     for sigma, time in axis.fit.model.gauss_markov:
         density = density + 2.0 * sigma**2 * time / (1.0 + (omega * time) ** 2)
-    return 2.0 * density
+    band = PASS_BAND / (axis.fit.m_min * axis.tau0) if axis.fit.m_min > 1 else math.inf
+    return np.where(frequency <= band, 2.0 * density, np.nan)
 
 
 class Trend(NamedTuple):

@@ -169,7 +169,7 @@ const Charts = (() => {
       ],
     });
     below(host, chart, axes, shown);
-    host.append(element('p', { class: 'note' }, `Dashed: the model; its flat part is √2 N, the noise density of datasheets.${lines.length ? ' Vertical lines: sinusoids with their frequency and axes, such as vibration.' : ''}`));
+    host.append(element('p', { class: 'note' }, `Dashed: the model, within the pass band; its flat part is √2 N, the noise density of datasheets.${lines.length ? ' Vertical lines: sinusoids with their frequency and axes, such as vibration.' : ''}`));
     chart.render();
     return [chart];
   }
