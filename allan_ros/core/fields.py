@@ -241,8 +241,9 @@ class Fields:
     def typed(self, key: str, hint: Any) -> Any:
         """Return the value of a key as the type of an annotation.
 
-        Possible types are str, bool, int, float, a pair of floats, Literal, an array, a dataclass
-        or named tuple, a tuple of strings, of pairs or of dataclasses, and each of these or None.
+        Possible types are str, bool, int, float, a pair of floats, Literal, an array, a mapping of
+        names to floats, a dataclass or named tuple, a tuple of strings, of pairs or of dataclasses,
+        and each of these or None.
         """
         origin, args = get_origin(hint), get_args(hint)
         least = -MAX_FLOAT if key in self._record_rules[0] else 0.0
@@ -250,6 +251,9 @@ class Fields:
             return None if self._document.get(key) is None else self.typed(key, args[0])
         if origin is Literal:
             return self.choice(key, args)
+        if origin is Mapping:
+            numbers = self.fields(key)
+            return {name: numbers.number(name, -MAX_FLOAT) for name in numbers._document}
         if origin in (np.ndarray, NDArray):  # from numpy 2.5 on, NDArray is a type itself
             whole = np.int64 in (args[-1], *get_args(args[-1]))
             return self.integers(key, len(self.sequence(key))) if whole else self.numbers(key)

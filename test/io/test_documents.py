@@ -20,7 +20,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.fields import Fields, plain
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
-from allan_ros.core.stream.health import Segment
+from allan_ros.core.stream.health import Event, Segment
 from allan_ros.io.documents import (
     results_from_document,
     results_to_document,
@@ -280,3 +280,9 @@ def test_a_record_is_read_by_the_types_of_its_fields(change, message):
         assert fields.record(Kind, count=7).count == 7
         with pytest.raises(AllanError, match=r'x\.shift is'):
             Fields(document, 'x').record(Kind)
+
+
+def test_an_event_of_a_stream_is_read_as_written() -> None:
+    event = Event('motion', 5, 2.5, {'accel_x': -0.1, 'gyro_z': 1e-4})
+    document = json.loads(json.dumps({**event._asdict(), 'changes': dict(event.changes)}))
+    assert Fields(document, 'x').record(Event) == event
