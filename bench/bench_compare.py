@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 
-from bench_accuracy import clopper_pearson
+from scipy.stats import beta
 
 import allan_ros as ar
 from allan_ros.core.simulate import PRESETS
@@ -32,6 +32,13 @@ def simulated(hours: float, seed: int, factor: float = 1.0) -> ar.Results:
     }
     gyro, accel = ([noise[f'{s}_{a}'] for a in 'xyz'] for s in ('gyro', 'accel'))
     return ar.analyze(ar.simulate(hours, RATE, gyro=gyro, accel=accel, seed=seed))
+
+
+def clopper_pearson(hits: int, runs: int) -> tuple[float, float]:
+    """Return the 95 % interval of a probability."""
+    low = beta.ppf(0.025, hits, runs - hits + 1) if hits else 0.0
+    high = beta.ppf(0.975, hits + 1, runs - hits) if hits < runs else 1.0
+    return float(low), float(high)
 
 
 def main() -> None:

@@ -136,7 +136,8 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
 
 def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
     """Print one line for each unit as it finishes, and the totals; return the worst exit code."""
-    console, codes, known = Console.of(args), [], {}
+    console, codes = Console.of(args), []
+    known: dict[object, str] = {}
     words: Counter[str] = Counter()
     for outcome in _outcomes(units, args):
         code, word, verdict, note = _judged(outcome, args, known)

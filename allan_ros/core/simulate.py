@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -115,12 +116,12 @@ class Faults(CheckedSettings):
             object.__setattr__(self, name, periods)
 
 
-def _period(name: str, given: object) -> tuple[float, float]:
+def _period(name: str, given: Any) -> tuple[float, float]:
     """Return a period as (start, length) in s; raise AllanError if it is none."""
     expect(LIST, '(start, length)', **{name: given})
-    if len(given) != 2:  # type: ignore[arg-type]
+    if len(given) != 2:
         raise AllanError(f'{name} has {one_line(repr(given)):.60}: give (start, length) in s')
-    start, length = given  # type: ignore[misc]
+    start, length = given
     check_range(0.0, 1e10, 's', **{f'start of {name}': start})
     check_range(1e-9, 1e10, 's', **{f'length of {name}': length})
     return start, length

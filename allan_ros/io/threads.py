@@ -47,7 +47,7 @@ def _limit() -> None:
     import scipy.linalg  # noqa: F401  # loads its own BLAS library
 
     try:
-        from threadpoolctl import threadpool_limits
+        from threadpoolctl import threadpool_limits  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
         for get, set_number in _openblas():
             _restore.callback(set_number, get())

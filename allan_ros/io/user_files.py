@@ -64,7 +64,8 @@ def read_specification(path: str | os.PathLike[str]) -> Specification:
     fields.only('noise', 'faults', 'schema', 'seconds', 'rate_hz', 'seed')
     stated = fields.optional_fields('faults')
     with located(f'{path}.faults'):
-        faults = settings_from(Faults, {name: stated.value(name) for name in stated or ()})
+        given = {} if stated is None else {name: stated.value(name) for name in stated}
+        faults = settings_from(Faults, given)
     return Specification(fields.optional_fields('noise'), faults)
 
 
