@@ -75,29 +75,6 @@ def _module(noise: FilterNoise) -> Iterator[Row]:
 
 _CODE = '''
 
-def matrices(axis, dt):
-    """Return Phi and Qd of (integral, walk, Gauss-Markov ...) over dt s, and R of one sample."""
-    noise = AXES[axis]
-    n, k = noise['white'], noise['walk']
-    size = 2 + len(noise['gauss_markov'])
-    phi, q = np.eye(size), np.zeros((size, size))
-    phi[0, 1] = dt
-    q[0, 0] = n * n * dt + k * k * dt**3 / 3
-    q[0, 1] = q[1, 0] = k * k * dt**2 / 2
-    q[1, 1] = k * k * dt
-    for i, (sigma, tau) in enumerate(noise['gauss_markov'], 2):
-        x = dt / tau
-        phi[i, i], phi[0, i] = math.exp(-x), -tau * math.expm1(-x)
-        if x > 0.05:
-            growth = 2 * x + 4 * math.expm1(-x) - math.expm1(-2 * x)
-        else:
-            growth = x**3 * (2 / 3 - x * (0.5 - x * (7 / 30 - x / 12)))
-        q[0, 0] += (sigma * tau) ** 2 * growth
-        q[0, i] = q[i, 0] = sigma**2 * tau * math.expm1(-x) ** 2
-        q[i, i] = -(sigma**2) * math.expm1(-2 * x)
-    return phi, q, n * n / dt
-
-
 class ImuNoise:
     """Simulated noise of all axes; the result of a call is added to ideal samples."""
 

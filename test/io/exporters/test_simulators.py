@@ -17,6 +17,7 @@ from support.exports import near, numbers, refitted, run_python, with_process
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.bias import TurnOnBias
+from allan_ros.core.filters.reductions import StateSpace
 from allan_ros.core.fit import Coefficient, Processes, Sinusoid
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.results import Results
@@ -123,12 +124,12 @@ def test_the_loader_of_the_manual_reads_the_matrices(
     (loader,) = re.findall(r'```python\n(import json, .*?)```', manual, re.DOTALL)
     assert sum(bool(line) for line in loader.splitlines()) == 5
     read = run_python(loader)
-    module = run_python(make_export(known_results, 'webots').text)
-    for axis in json.loads(made)['axes']:
+    for axis, one in json.loads(made)['axes'].items():
         phi, noise, sample = read['matrices'](axis)
-        np.testing.assert_allclose(phi, module['matrices'](axis, 1.0 / 200.0)[0], rtol=1e-11)
-        np.testing.assert_allclose(noise, module['matrices'](axis, 1.0 / 200.0)[1], rtol=1e-9)
-        assert sample == near(module['matrices'](axis, 1.0 / 200.0)[2])
+        space = StateSpace(one['white'], one['walk'], tuple(map(tuple, one['gauss_markov'])))
+        np.testing.assert_allclose(phi, space.transition(1.0 / 200.0), rtol=1e-11)
+        np.testing.assert_allclose(noise, space.noise(1.0 / 200.0), rtol=1e-9)
+        assert sample == near(space.sample_variance(200.0))
 
 
 def test_the_module_simulates_the_model(known_results: Results) -> None:
