@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from ..api import ResultSettings, is_document
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
 from ..core.findings import Finding
 from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
@@ -140,7 +140,7 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     results, names = fit_and_write(recorded, args, args.output)
     refused = [name for name in args.export if target_of(name).file_name not in names]
-    written = f'written to {args.output}: {", ".join(names)}' if names else ''
+    written = one_line(f'written to {args.output}: {", ".join(names)}') if names else ''
     if console.json:
         console.document(results_to_document(results, units=settings.units))
         if not console.quiet:

@@ -24,7 +24,7 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
 from ..core.imu import AXES, HOUR, NANOSECONDS, SENSORS
 from ..core.simulate import PRESETS, samples_in, simulate_imu
 from .console import Console
@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
         )
     elif not console.quiet:
         length = f'{written} samples, {seconds:g} s at {args.rate:g} Hz'
-        print(f'{args.output}: {length}; truth in {truth}')
+        print(one_line(f'{args.output}: {length}; truth in {truth}'))
     return 0
 
 
