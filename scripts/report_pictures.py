@@ -23,8 +23,8 @@ from allan_ros.cli.main import main as allan
 
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 
-WINDOW = (1120, 1560)
-"""Size of the screenshot in pixels: verdict, curve and coefficients of the gyro."""
+WINDOW = (1280, 1000)
+"""Size of the screenshot in pixels: verdict, coefficients, curves and numbers for a filter."""
 
 COLORS = 96
 """Number of colors of a picture: enough for smooth text, at a third of the file size."""

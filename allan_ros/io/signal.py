@@ -344,7 +344,7 @@ def _recording(
 
 
 def _times(
-    known: Sequence[Segment] | Sequence[Event], first_ns: int, length: float
+    known: Sequence[Segment | Event], first_ns: int, length: float
 ) -> list[tuple[float, float]]:
     """Return start and end in s of the segments or events of one recording."""
     starts = [(one.start_ns - first_ns) * 1e-9 for one in known]
