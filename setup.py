@@ -120,12 +120,12 @@ setup(
     entry_points={
         'console_scripts': [
             f'allan = {PACKAGE}.cli.main:console',
-            f'allan_accumulator = {PACKAGE}.nodes.monitor:accumulator',
-            f'allan_estimator = {PACKAGE}.nodes.monitor:estimator',
-            f'allan_imu_relay = {PACKAGE}.nodes.monitor:relay',
-            f'allan_monitor = {PACKAGE}.nodes.monitor:main',
+            f'allan_accumulator = {PACKAGE}.nodes.__main__:accumulator',
+            f'allan_estimator = {PACKAGE}.nodes.__main__:estimator',
+            f'allan_imu_relay = {PACKAGE}.nodes.__main__:relay',
+            f'allan_monitor = {PACKAGE}.nodes.__main__:monitor',
             f'allan_player = {PACKAGE}.nodes.player:main',
-            f'allan_watch = {PACKAGE}.nodes.watch:main',
+            f'allan_watch = {PACKAGE}.nodes.__main__:watch',
         ],
         'ros2cli.command': [f'allan = {PACKAGE}.ros2_command:AllanCommand'],
     },

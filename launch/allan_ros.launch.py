@@ -40,6 +40,19 @@ PARAMETERS = {
 """Launch argument -> parameter that it overrides if it is given."""
 
 
+BOOLEANS = {'true': True, 'yes': True, 'on': True, '1': True}
+BOOLEANS |= {'false': False, 'no': False, 'off': False, '0': False}
+"""Accepted values of the arguments relay, apart and use_sim_time."""
+
+
+def boolean(given, name):
+    """Return the value of a boolean argument; raise RuntimeError if it is not a boolean."""
+    text = given[name].strip().lower()
+    if text not in BOOLEANS:
+        raise RuntimeError(f'{name}:={given[name]} is not a boolean: give true or false')
+    return BOOLEANS[text]
+
+
 def items(text):
     """Return the items of a list that are separated by commas."""
     return [word.strip() for word in text.split(',') if word.strip()]
@@ -56,8 +69,8 @@ def nodes(context):
     for name, parameter in (('labels', 'input.labels'), ('hardware_id', 'input.hardware_ids')):
         if given[name]:
             overrides[parameter] = items(given[name])
-    overrides['use_sim_time'] = given['use_sim_time'].lower() == 'true'
-    relay = given['relay'].lower() == 'true'
+    overrides['use_sim_time'] = boolean(given, 'use_sim_time')
+    relay = boolean(given, 'relay')
     if relay:
         overrides['relay.enabled'] = True
 
@@ -72,7 +85,7 @@ def nodes(context):
         )
 
     imu = ('imu/data', given['imu'])
-    if given['apart'].lower() != 'true':
+    if not boolean(given, 'apart'):
         return [node('allan_monitor', [] if several else [imu])]
     if several:
         raise RuntimeError(f'apart:=true takes one IMU, but imu:={given["imu"]} names several')

@@ -264,6 +264,8 @@ class Checkpoint:
 
     def _write(self, total: Total) -> None:
         if total[0]:
+            with contextlib.suppress(OSError):  # the folder may have been removed
+                self._file.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(self.path, to_json(sums_file_to_document(*total)))
             self._content = total
 

@@ -1,11 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run a node without an installation: ``python -m allan_ros.nodes monitor --ros-args ...``."""
+"""The executables; without an installation: ``python -m allan_ros.nodes monitor --ros-args ...``."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from importlib import import_module
+from importlib.util import find_spec
 
 EXECUTABLES = {
     'accumulator': ('monitor', 'accumulator'),
@@ -18,14 +20,51 @@ EXECUTABLES = {
 """Command line argument -> module, and the function in it that runs the node."""
 
 
+def start(name: str, args: Sequence[str] | None = None) -> int:
+    """Run a node and return its exit code; without ROS, print one line and return 1."""
+    if find_spec('rclpy') is None:
+        print(
+            f'allan_{name}: rclpy is not installed for {sys.executable}: source the setup file of '
+            'a ROS 2 distribution, such as /opt/ros/jazzy/setup.bash',
+            file=sys.stderr,
+        )
+        return 1
+    module, function = EXECUTABLES[name]
+    code: int = getattr(import_module(f'.{module}', __package__), function)(args)
+    return code
+
+
+def accumulator() -> int:
+    """Run `allan_accumulator`."""
+    return start('accumulator')
+
+
+def estimator() -> int:
+    """Run `allan_estimator`."""
+    return start('estimator')
+
+
+def relay() -> int:
+    """Run `allan_imu_relay`."""
+    return start('relay')
+
+
+def monitor() -> int:
+    """Run `allan_monitor`."""
+    return start('monitor')
+
+
+def watch() -> int:
+    """Run `allan_watch`."""
+    return start('watch')
+
+
 def main() -> int:
     """Run the node that the first argument names."""
     if sys.argv[1:2] == [] or sys.argv[1] not in EXECUTABLES:
         print(f'usage: python -m allan_ros.nodes {{{",".join(EXECUTABLES)}}} ...', file=sys.stderr)
         return 2
-    module, function = EXECUTABLES[sys.argv[1]]
-    code: int = getattr(import_module(f'.{module}', __package__), function)(sys.argv[2:])
-    return code
+    return start(sys.argv[1], sys.argv[2:])
 
 
 if __name__ == '__main__':

@@ -34,6 +34,10 @@ from .settings import CheckpointSettings, InputSettings, WatchedImu
 from .shell import LATCHED
 
 
+NEW_PASS_SHARE = 0.1
+"""If stamps jump back to a point within this share of the pass, the recording is played again."""
+
+
 class AccumulatorParameters:
     """The ROS parameters of a node that accumulates Imu messages, by group."""
 
@@ -77,6 +81,7 @@ class ImuWatch(Part):
         self._faults: tuple[Finding, ...] = ()
         self._received = 0  # number of messages at the last status
         self._events: tuple[object, ...]
+        self._passes = 0
         self._begin(self._checkpoint.last_stamp_ns)
 
         home = f'~/{imu.label}/' if imu.label else '~/'
@@ -141,6 +146,7 @@ class ImuWatch(Part):
             findings=(*found, *self._checkpoint.findings),
             noted=(*(f for f in stream_findings if f.id not in live), *self._noted),
             static_s=self._static_s(health),
+            passes=self._passes,
             segments=max((s.segment_count for s in self._sums), default=0),
             publishers=publishers,
             declared_rate=self._settings.segmenter.value.declared_rate,
@@ -198,7 +204,9 @@ class ImuWatch(Part):
         segmenter, hardware_id = self._settings.segmenter.value, self._imu.hardware_id
         self._stream = ImuStream(segmenter, hardware_id, with_means=True)
         self._splitter = PassSplitter(latest_ns)
+        self._first_ns: int | None = None  # first and latest stamp of this pass
         self._latest_ns: int | None = None
+        self._passes += 1
         self._result = self._stream.result()
         self._sums: tuple[AllanSums, ...] = ()  # including earlier runs of the node
         self._outdated = True  # whether samples were added since `_result` was computed
@@ -213,10 +221,21 @@ class ImuWatch(Part):
             if not played:
                 self._accumulate(batch)
                 continue
-            for new_pass, piece in self._splitter.split(batch):
-                if new_pass:
+            for back, piece in self._splitter.split(batch):
+                if back and self._is_start(int(piece.stamps_ns[0])):
                     self._begin_pass()
                 self._accumulate(piece)
+
+    def _is_start(self, stamp_ns: int) -> bool:
+        """Return whether a stamp that jumped back lies at the start of the pass, or before it.
+
+        If not, the simulation or the playback was only set back a little: the sums are kept, and
+        the stream reports that the clock was set back.
+        """
+        if self._first_ns is None or self._latest_ns is None:
+            return True
+        passed = self._latest_ns - self._first_ns
+        return stamp_ns - self._first_ns <= NEW_PASS_SHARE * passed
 
     def _accumulate(self, batch: ImuBatch) -> None:
         self._stream.update(batch)
@@ -226,6 +245,8 @@ class ImuWatch(Part):
             self._axes = tuple(axis for axis in AXES if axis in self._axes or axis in finite)
         self.frame_id = batch.frame_id
         self._last_stamp_ns = int(batch.stamps_ns[-1])
+        if self._first_ns is None:
+            self._first_ns = int(batch.stamps_ns[0])
         self._latest_ns = max(self._latest_ns or 0, int(batch.stamps_ns.max()))
 
     def _begin_pass(self) -> None:

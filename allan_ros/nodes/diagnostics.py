@@ -47,7 +47,7 @@ class InputView:
 
     Ages are in s, and None before the first message or save. ``received_age_s`` is the time since
     the last message, ``stamp_age_s`` the ROS time since its header stamp. ``static_s`` is the time
-    at rest in s. ``noted`` are findings that do not change the level. ``declared_rate`` is in Hz,
+    at rest in s since the start of the present one of ``passes``. ``noted`` are findings that do not change the level. ``declared_rate`` is in Hz,
     0 if none. ``receiver`` is 'a timer' or 'a callback', whichever receives the messages.
     """
 
@@ -65,6 +65,7 @@ class InputView:
     stamp_age_s: float | None = None
     checkpoint: str = ''
     checkpoint_age_s: float | None = None
+    passes: int = 1
 
 
 def status_name(node: Node, *words: str) -> str:
@@ -155,6 +156,8 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
 def _state_text(view: InputView) -> str:
     h = view.health
     static = f'{duration_text(view.static_s, 3)} of static data'
+    if view.passes > 1:
+        static += f' since reset or playback began again (pass {view.passes})'
     rate = f'{h.rate_hz:.4g} Hz' if h.rate_hz else 'unknown rate'
     measured = f'{static} so far' if view.static_s else 'not at rest yet, so nothing is measured'
     return {

@@ -69,7 +69,8 @@ class ImuEstimate(Part):
 
     If samples are removed from the sums, the model is withdrawn: a noise model without axes is
     published, a warning replaces the coefficients, and the sums are fitted again. ``listener`` is
-    called with every published noise model.
+    called with every published noise model, and with every new bias at rest (axis -> largest value
+    in SI).
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class ImuEstimate(Part):
         settings: ParameterGroup[EstimatorSettings],
         references: References,
         worker: Worker,
-        listener: Callable[[Results], None] | None = None,
+        listener: Callable[[Results, Mapping[str, float]], None] | None = None,
     ) -> None:
         self._node, self._label, self._settings = node, label, settings
         self._references, self._worker, self._listener = references, worker, listener
@@ -110,8 +111,11 @@ class ImuEstimate(Part):
             self._withdraw(lost)
         self._compare_recent(snapshot.sums)
         self._bias.update(snapshot)
-        if _kinds(former) != _kinds(self._faults) and self._results is not None:
-            self._publish(self._results)
+        if self._results is not None:
+            if _kinds(former) != _kinds(self._faults):
+                self._publish(self._results)
+            elif self._listener is not None:
+                self._listener(self._with_faults(self._results), self._bias.largest())
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
@@ -223,7 +227,7 @@ class ImuEstimate(Part):
 
     def _publish(self, results: Results) -> None:
         self._bias.set_results(results if results.axes else None)
-        results = replace(results, findings=(*self._faults, *results.findings))
+        results = self._with_faults(results)
         document = results_to_document(results, curves=False)
         if bias := self._bias.document():
             document['bias'] = bias
@@ -231,7 +235,10 @@ class ImuEstimate(Part):
         self._publisher.publish(String(data=text))
         self._plot.set_results(results if results.axes else None)
         if self._listener is not None:
-            self._listener(results)
+            self._listener(results, self._bias.largest())
+
+    def _with_faults(self, results: Results) -> Results:
+        return replace(results, findings=(*self._faults, *results.findings))
 
     def _compare_recent(self, sums: tuple[AllanSums, ...]) -> None:
         """Store the comparison of the recent window with earlier data, for each axis."""

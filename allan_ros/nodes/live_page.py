@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from functools import lru_cache, partial
@@ -15,6 +16,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from ..core.errors import AllanError
+from ..core.findings import duration_text
 from ..io.report import ReportContext, render_report
 from ..io.results import analyze_sums
 from .messages import Snapshot
@@ -32,6 +34,36 @@ SUMS = '/sums', ['std_msgs/msg/String']
 CACHED_PAGES = 8
 """Number of rendered pages that are kept."""
 
+MOST_REQUESTS, REQUEST_S = 16, 10.0
+"""Largest number of requests at a time, and longest time in s for one; others are closed."""
+
+STALE_S = 60.0
+"""Age in s from which sums are shown as out of date; nodes publish them every 10 s."""
+
+
+class _Server(ThreadingHTTPServer):
+    """Serves each request in a thread, at most `MOST_REQUESTS` at a time."""
+
+    daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self._free = threading.BoundedSemaphore(MOST_REQUESTS)
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Start a thread for a request, or close it if there are too many."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer a request."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
 
 class LivePage:
     """Subscribes to the sums of all accumulators, and serves their reports over HTTP.
@@ -42,15 +74,14 @@ class LivePage:
 
     def __init__(self, node: Node, port: int) -> None:
         self._node = node
-        self._sums: dict[str, str] = {}  # topic -> latest document
+        self._sums: dict[str, tuple[float, str]] = {}  # topic -> time in s and latest document
         self._subscriptions: dict[str, Any] = {}
         try:
-            self._server = ThreadingHTTPServer((HOST, port), _handler_of(self))
+            self._server = _Server((HOST, port), _handler_of(self))
         except OSError as error:
             raise AllanError(
                 f'port {port} cannot be used ({error.strerror}): give another one with --web PORT'
             ) from error
-        self._server.daemon_threads = True
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()
         node.get_logger().info(f'live page: {self.address}')
@@ -71,7 +102,7 @@ class LivePage:
 
     def on_sums(self, topic: str, message: String) -> None:
         """Store the latest sums of a topic."""
-        self._sums[topic] = message.data
+        self._sums[topic] = time.monotonic(), message.data
 
     def page(self, path: str) -> str | None:
         """Return the HTML page of a URL path, or None if there is none.
@@ -82,7 +113,9 @@ class LivePage:
         sums = dict(self._sums)  # another thread adds topics
         topic = next(iter(sums)) if path == '/' and len(sums) == 1 else path
         if topic in sums:
-            return _report(topic, sums[topic])
+            received, text = sums[topic]
+            running = self._node.count_publishers(topic) > 0
+            return _with_age(_report(topic, text), time.monotonic() - received, running)
         return _index(sorted(sums)) if path == '/' else None
 
     def close(self) -> None:
@@ -104,6 +137,18 @@ def _report(topic: str, text: str) -> str:
         return _notice(f'{topic}: {error}')
 
 
+def _with_age(html: str, age_s: float, running: bool) -> str:
+    """Return a page with a line that states how old its data are, below the start of its body."""
+    stale = age_s > STALE_S or not running
+    text = f'live at {time.strftime("%H:%M:%S")}; data received {duration_text(age_s)} ago'
+    if stale:
+        why = 'the node no longer publishes' if running else 'the node has stopped'
+        text = f'OUT OF DATE: {why}; last data {duration_text(age_s)} ago'
+    style = 'background:#a00;color:#fff;' if stale else ''
+    line = f'<p id="live" role="status" style="{style}margin:0;padding:.3em 1em">{text}</p>'
+    return re.sub('<body[^>]*>', lambda body: body[0] + line, html, count=1)
+
+
 def _index(topics: list[str]) -> str:
     if not topics:
         return _notice('No accumulator has published sums yet. Start allan_monitor.')
@@ -122,6 +167,8 @@ def _notice(text: str, html: str = '') -> str:
 def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         """Answers GET with a page that the browser reloads periodically."""
+
+        timeout = REQUEST_S  # of a socket operation: a client may send half a request
 
         def do_GET(self) -> None:
             # A web page of another site could read the report through a host name that resolves

@@ -204,6 +204,10 @@ class BiasPublisher:
     def _known(self) -> dict[str, AxisBias]:
         return {axis: b for axis in AXES if (b := self._tracker.bias(axis)) is not None}
 
+    def largest(self) -> dict[str, float]:
+        """Return the largest bias in the 95 % interval of each axis, in SI."""
+        return {axis: max(map(abs, bias.estimate.ci95)) for axis, bias in self._known().items()}
+
     def document(self) -> dict[str, dict[str, object]]:
         """Return the bias of each axis for the noise model document, in SI."""
         return {

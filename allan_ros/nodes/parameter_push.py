@@ -2,15 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sets parameters of another node, such as a filter, from the noise model.
 
-It uses the parameter services of that node. Before each update it reads the present values: to
-store the original values, to skip values that are already correct, and to notice a restart of the
-node. If the node rejects a value, its reason is reported and the value is not sent again.
+The values are rows of an export target. A wrong value can make a filter diverge and a robot fall,
+so a value is set only if
+
+- its target is in `TARGETS`: the convention of its rows was verified in the code of a filter;
+- the input has no fault, and the value covers the bias at rest unless the filter estimates it;
+- its 95 % interval is narrow (``push.ratio``);
+- it differs from the value that was found by at most ``push.max_factor``.
+
+When the noise model is invalidated or the input has a fault, the values that were found are set
+again. The node uses the parameter services of the other node. Before each update it reads the
+present values, also to notice a restart of the node. A value that the node rejects is not sent
+again.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -24,12 +34,27 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from ..core.errors import AllanError
-from ..core.filters.mapping import FilterMapping, Proposal, narrow_enough, propose
+from ..core.fields import Fields
+from ..core.imu import AXES, SENSORS
+from ..core.stream.transport import faults_of
+from ..io.exporters import ExportOptions, target_rows
+from ..io.files import config_file, read_yaml
 from ..io.results import Results
-from ..io.user_files import load_filter
 from .diagnostics import key_values, status_name
 from .node import AllanNode, Part
 from .settings import PushSettings
+
+SCHEMA = 'allan_ros/push/1'
+
+TARGETS = {
+    'imu_filter_madgwick': False,  # gain in rad/s, zeta in rad/s^2; no state for the gyro bias
+    'kalibr': True,  # continuous densities N and K
+    'fast_lio': True,  # variances N^2 f and K^2 f
+    'fusioncore': True,  # standard deviations per sample N sqrt(f)
+}
+"""Export targets that may be sent to a running node -> whether the filter must estimate the bias,
+because the rows do not cover it. The code that shows the convention is named in `docs/filters.md`.
+"""
 
 ANSWER_S = 5.0
 """Time in s to wait for an answer of the node; without one, the next update tries again."""
@@ -38,23 +63,97 @@ RETRY_S = 1.0
 """Period in s at which an update is retried until values and node are available."""
 
 
+@dataclass(frozen=True)
+class PushPlan:
+    """Which rows of which export target are set, and as which parameters."""
+
+    target: str
+    names: Mapping[str, str]  # name of a row -> name of the parameter; empty for all rows
+    options: ExportOptions
+
+    @property
+    def covers_bias(self) -> bool:
+        """Whether the values contain the bias at rest."""
+        return not TARGETS[self.target]
+
+
+def load_plan(name: str) -> PushPlan:
+    """Read a plan, given its name in ``config/filters`` or the path of its .yaml file.
+
+    Raises AllanError if the name is unknown or the file is invalid.
+    """
+    path = config_file('filters', name, 'plan for push.filter')
+    fields = Fields(read_yaml(path), str(path))
+    fields.schema(SCHEMA)
+    fields.only('schema', 'target', 'estimates_bias', 'horizon', 'parameters')
+    target = fields.choice('target', tuple(TARGETS))
+    if TARGETS[target] and ('estimates_bias' not in fields or not fields.value('estimates_bias')):
+        raise AllanError(
+            f'{path}: the numbers of {target} do not cover the gyro bias. If the node estimates '
+            'the bias, state estimates_bias: true'
+        )
+    names = fields.fields('parameters') if 'parameters' in fields else None
+    horizon = fields.number('horizon') if 'horizon' in fields else None
+    return PushPlan(
+        target,
+        {} if names is None else {row: names.text(row) for row in names},
+        ExportOptions() if horizon is None else ExportOptions(horizon=horizon),
+    )
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A proposed value of a parameter: one number, or three."""
+
+    name: str
+    values: tuple[float, ...]
+    interval: tuple[float, float]
+    origin: str
+
+    def differs(self, current: Sequence[float], change: float) -> bool:
+        """Return whether any value differs from the current one by more than a fraction of it."""
+        if len(current) != len(self.values):
+            return True
+        return not all(abs(v - c) <= change * abs(c) for v, c in zip(self.values, current))
+
+    def refusal(self, found: Sequence[float], factor: float) -> str:
+        """Return why the value must not replace the one that was found; '' if it may."""
+        for value, before in zip(self.values, found):
+            if not before or not value > 0.0:
+                return f'is {before:.4g} in the node and stays so; the model gives {value:.4g}'
+            ratio = value / before
+            if not 1.0 / factor <= ratio <= factor:
+                how = (
+                    f'{1.0 / ratio:.3g} times below' if ratio < 1.0 else f'{ratio:.3g} times above'
+                )
+                return (
+                    f'{value:.4g} is {how} the {before:.4g} that was found, so it is not set: '
+                    'check the filter, or raise push.max_factor'
+                )
+        return ''
+
+
 class ParameterPush(Part):
     """Sets parameters of the node ``push.node`` whenever the noise model has changed enough.
 
     It declares the parameters ``push.*`` of its ``owner``, and creates the service ``~/restore``.
-    If ``push.node`` is empty, nothing is set. Raises AllanError if the mapping cannot be read.
+    If ``push.node`` is empty, nothing is set. Raises AllanError if the plan cannot be read.
     """
 
     def __init__(self, owner: AllanNode) -> None:
         self._owner, self._log = owner, owner.get_logger()
         self._settings = owner.parameters.group('push', PushSettings)
         self.node = target = self._settings.value.node
-        self._mapping = load_filter(self._settings.value.filter) if target else None
+        self._plan = load_plan(self._settings.value.filter) if target else None
         self._results: Results | None = None
+        self._bias: Mapping[str, float] = {}
+        self._covered: Mapping[str, float] = {}  # bias at the last update
+        self._invalid = ''  # why there are no results
         self._former: dict[str, ParameterValue] = {}
         self._current: dict[str, ParameterValue] = {}
-        self._refused: dict[str, Proposal] = {}
-        self._notes: dict[str, str] = {}
+        self._set_by: dict[str, Proposal] = {}
+        self._rejected: dict[str, Proposal] = {}
+        self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> warning, text
         self._calls: list[Any] = []  # futures of the answers that `_on_answers` processes
         self._on_answers: Callable[[list[Any]], None] = list.clear
         self._called_at = self._due_at = 0.0
@@ -70,11 +169,18 @@ class ParameterPush(Part):
                 GetParameters, f'{target}/get_parameters', callback_group=group
             )
 
-    def offer(self, results: Results) -> None:
-        """Use the latest noise model; results without axes mean that it is withdrawn."""
-        if not results.axes or self._results is None:
-            self._due_at = 0.0  # use the first model, and the first after a withdrawal, at once
-        self._results = results if results.axes else None
+    def offer(self, results: Results, bias: Mapping[str, float]) -> None:
+        """Use the latest noise model and bias at rest (axis -> largest value in SI).
+
+        Results without axes mean that the model is invalidated.
+        """
+        faults = faults_of(results.findings)
+        usable = bool(results.axes) and not faults
+        more = any(value > 1.1 * self._covered.get(axis, 0.0) for axis, value in bias.items())
+        if not usable or self._results is None or (self._covered and more):
+            self._due_at = 0.0  # at once: the first model, an invalid one, and a larger bias
+        self._results, self._bias = (results if usable else None), bias
+        self._invalid = str(faults[0]) if faults else 'the noise model was invalidated'
 
     def tick(self, now: float) -> None:
         """Process answers of the node, and start an update if it is due."""
@@ -87,60 +193,83 @@ class ParameterPush(Part):
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
             return
         settings = self._settings.value
-        if self._mapping is None or self._results is None:
+        if self._plan is None or not settings.enabled or now < self._due_at:
             return
-        if not settings.enabled or now < self._due_at:
+        if self._results is None and not self._former:
             return
         self._due_at = now + RETRY_S
-        ready = self._proposals(self._mapping, self._results, settings)
-        if not ready:
+        ready = self._proposals(self._plan, self._results, settings) if self._results else []
+        if self._results is not None and not ready:
             return
         if not (self._get.service_is_ready() and self._set.service_is_ready()):
             self._note('', f'{self.node} is not running: start it, or correct push.node')
             return
-        self._due_at = now + settings.period
         self._notes.pop('', None)
+        if self._results is None:
+            then = partial(self._on_restored, self._invalid)
+            self._call(self._set, [self._restoration()], then)
+            return
+        self._due_at, self._covered = now + settings.period, self._bias
         # one by one: if one of several is not declared, a node returns no value at all
         requests = [GetParameters.Request(names=[proposal.name]) for proposal in ready]
         self._call(self._get, requests, partial(self._on_read, ready))
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the status of the parameters; no status without ``push.node``."""
-        if self._mapping is None:
+        if self._plan is None:
             return []
         enabled = self._settings.value.enabled
-        problems = [f'{name}: {note}' if name else note for name, note in self._notes.items()]
-        refused = bool(self._refused) or '' in self._notes
-        done = f'set {", ".join(self._former)}' if self._former else 'nothing set yet'
-        former = {f'former {name}': value for name, value in self._former.items()}
-        shown = {**self._current, **former}
+        problems = [f'{name}: {note}' if name else note for name, (_, note) in self._notes.items()]
+        done = [
+            f'{name} = {_text(_numbers(self._current[name]))} (was {_text(_numbers(value))})'
+            for name, value in self._former.items()
+        ]
+        said = f'set {", ".join(done)}' if done else 'nothing set yet'
+        pairs = {name: _text(_numbers(value)) for name, value in self._current.items()}
+        pairs |= {f'former {name}': _text(_numbers(v)) for name, v in self._former.items()}
+        pairs |= {f'origin of {name}': proposal.origin for name, proposal in self._set_by.items()}
+        warned = any(warning for warning, _ in self._notes.values())
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if refused and enabled else DiagnosticStatus.OK,
+            level=DiagnosticStatus.WARN if warned and enabled else DiagnosticStatus.OK,
             name=status_name(self._owner, f'parameters of {self.node}'),
-            message='; '.join([done if enabled else 'off: push.enabled is false', *problems]),
-            values=key_values((name, _numbers(value)) for name, value in shown.items()),
+            message='; '.join([said if enabled else 'off: push.enabled is false', *problems]),
+            values=key_values(pairs.items()),
         )
         return [status]
 
     # --- setting ----------------------------------------------------------------------------------
 
     def _proposals(
-        self, mapping: FilterMapping, results: Results, settings: PushSettings
+        self, plan: PushPlan, results: Results, settings: PushSettings
     ) -> list[Proposal]:
         """Return the values that can be set; for each other value, store the reason as a note."""
-        fits = {name: axis.fit for name, axis in results.axes.items()}
-        known = fits, results.rate_hz, mapping.constants, mapping.horizon
-        made = []
-        for parameter in mapping.parameters:
-            try:
-                made.append(propose(parameter, *known))
-            except AllanError as error:
-                self._note(parameter.name, str(error))
-        ready, waiting = narrow_enough(made, settings.ratio)
-        for name, why in waiting.items():
-            self._note(name, why)
-        refused = ((p, self._refused.get(p.name)) for p in ready)
-        return [p for p, r in refused if r is None or p.differs(r.values, settings.change)]
+        needed = plan.covers_bias and not settings.debiased
+        if needed and not all(axis in self._bias for axis in AXES[SENSORS['gyro']]):
+            self._note('', 'waits for the gyro bias at rest', warning=False)
+            return []
+        try:
+            rows = target_rows(results, plan.target, plan.options, self._bias if needed else {})
+        except AllanError as error:
+            self._note('', str(error), warning=False)
+            return []
+        for missing in plan.names.keys() - {row.name for row in rows}:
+            self._note(plan.names[missing], f'{plan.target} has no number {missing}')
+        ready = []
+        for row in rows:
+            name = plan.names.get(row.name, '') if plan.names else row.name
+            low, high = row.interval
+            if name and row.ratio > settings.ratio:
+                why = (
+                    f'between {low:.3g} and {high:.3g}: it will be set when this interval is '
+                    f'within a factor of {settings.ratio:g}'
+                )
+                self._note(name, why, warning=False)
+            elif name:
+                proposal = Proposal(name, row.values, row.interval, row.words)
+                rejected = self._rejected.get(name)
+                if rejected is None or proposal.differs(rejected.values, settings.change):
+                    ready.append(proposal)
+        return ready
 
     def _call(self, client: Client, requests: list[Any], then: Callable[[list[Any]], None]) -> None:
         """Send the requests; `tick` passes all answers to ``then``, or stops after `ANSWER_S`."""
@@ -154,14 +283,18 @@ class ParameterPush(Part):
 
     def _on_read(self, proposals: list[Proposal], answers: list[Any]) -> None:
         """Store the present values of the node, and set those that differ from the proposals."""
-        wanted = []
+        wanted, settings = [], self._settings.value
         for proposal, answer in zip(proposals, answers):
             name, value = proposal.name, next(iter(answer.values), ParameterValue())
-            if self._has_right_type(proposal, value):
-                self._current[name] = value
-                self._notes.pop(name, None)
-                if proposal.differs(_numbers(value), self._settings.value.change):
-                    wanted.append(proposal)
+            if not self._has_right_type(proposal, value):
+                continue
+            self._current[name] = value
+            self._notes.pop(name, None)
+            found = _numbers(self._former.get(name, value))
+            if refusal := proposal.refusal(found, settings.max_factor):
+                self._note(name, refusal, warning=any(found))
+            elif proposal.differs(_numbers(value), settings.change):
+                wanted.append(proposal)
         if wanted:
             messages = [_message(p, self._current[p.name]) for p in wanted]
             request = SetParameters.Request(parameters=messages)
@@ -176,8 +309,8 @@ class ParameterPush(Part):
             return True
         unset = value.type == ParameterType.PARAMETER_NOT_SET
         what = 'not declared' if unset else 'of another type'
-        self._refused[proposal.name] = proposal
-        self._note(proposal.name, f'is {what} in {self.node}: the mapping sets {kind}')
+        self._rejected[proposal.name] = proposal
+        self._note(proposal.name, f'is {what} in {self.node}: {kind} would be set')
         return False
 
     def _on_set(self, wanted: list[Proposal], answers: list[Any]) -> None:
@@ -185,61 +318,72 @@ class ParameterPush(Part):
         for proposal, result in zip(wanted, answers[0].results):
             name, value = proposal.name, _text(proposal.values)
             if not result.successful:
-                self._refused[name] = proposal
+                self._rejected[name] = proposal
                 self._note(name, f'{self.node} refused {value}: {result.reason or "no reason"}')
                 continue
-            self._refused.pop(name, None)
+            self._rejected.pop(name, None)
             before = self._current[name]
             self._former.setdefault(name, before)
             self._current[name] = _message(proposal, before).value
-            limited = ', clamped to its limit' if proposal.limited else ''
+            self._set_by[name] = proposal
+            low, high = proposal.interval
             self._log.info(
-                f'{name} of {self.node}: {_text(_numbers(before))} -> {value}{limited} '
-                f'(95 %: {proposal.low:.3g} to {proposal.high:.3g})'
+                f'{name} of {self.node}: {_text(_numbers(before))} -> {value} '
+                f'(95 %: {low:.3g} to {high:.3g}; {proposal.origin})'
             )
 
-    def _note(self, name: str, note: str) -> None:
+    def _note(self, name: str, note: str, warning: bool = True) -> None:
         """Store a message about a parameter ('' for the node), and log it if it is new."""
-        if self._notes.get(name) != note:
+        if self._notes.get(name) != (warning, note):
             self._log.info(f'{name}: {note}' if name else note)
-        self._notes[name] = note
+        self._notes[name] = warning, note
 
     # --- restoring --------------------------------------------------------------------------------
+
+    def _restoration(self) -> Any:
+        """Return a request that sets all values that were found."""
+        former = self._former.items()
+        parameters = [ParameterMessage(name=name, value=value) for name, value in former]
+        return SetParameters.Request(parameters=parameters)
+
+    def _on_restored(self, reason: str, answers: list[Any]) -> str:
+        """Clear the stored values if all were restored; return the reasons of the others."""
+        failed = [
+            f'{name}: {result.reason or "refused"}'
+            for name, result in zip(self._former, answers[0].results)
+            if not result.successful
+        ]
+        values = (f'{name} = {_text(_numbers(v))}' for name, v in self._former.items())
+        said = f'restored {", ".join(values)}{f", because {reason}" if reason else ""}'
+        if not failed:
+            stored = (self._former, self._current, self._set_by, self._rejected, self._notes)
+            for each in stored:
+                each.clear()
+            self._covered = {}
+        self._note('', '; '.join(failed) or said, warning=bool(failed or reason))
+        return '; '.join(failed)
 
     async def _on_restore(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         """Set the original values again, and set push.enabled to false."""
-        if self._mapping is not None:
+        if self._plan is not None:
             off = Parameter('push.enabled', Parameter.Type.BOOL, False)
             self._owner.set_parameters([off])
         self._cancel_calls()
-        former = dict(self._former)
-        if not former:
+        if not self._former:
             response.message = 'nothing was set, so there is nothing to restore'
             return response
         if not self._set.service_is_ready():
             response.message = f'{self.node} is not running: nothing was restored'
             return response
-        wanted = [ParameterMessage(name=name, value=value) for name, value in former.items()]
-        request = SetParameters.Request(parameters=wanted)
-        self._call(self._set, [request], list.clear)
+        self._call(self._set, [self._restoration()], list.clear)
         answer = await self._calls[0]
         if answer is None:  # canceled by `tick`
             response.message = f'{self.node} did not answer within {ANSWER_S:g} s'
             return response
-        failed = [
-            f'{name}: {result.reason or "refused"}'
-            for name, result in zip(former, answer.results)
-            if not result.successful
-        ]
-        response.success = not failed
-        restored = ', '.join(f'{name} = {_text(_numbers(v))}' for name, v in former.items())
-        response.message = '; '.join(failed) or f'restored {restored}'
-        if not failed:
-            for values in (self._former, self._current, self._refused, self._notes):
-                values.clear()
-        self._log.info(response.message)
+        response.success = not self._on_restored('', [answer])
+        response.message = self._notes[''][1]
         return response
 
 

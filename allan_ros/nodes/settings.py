@@ -258,7 +258,7 @@ class PushSettings(CheckedSettings):
 
     node: str = fixed_parameter('', 'Full name of the node whose parameters are set; empty: none.')
     filter: str = fixed_parameter(
-        '', 'Mapping from noise terms to parameters: a name in config/filters, or a file.'
+        '', 'Which numbers are set as which parameters: a name in config/filters, or a file.'
     )
     enabled: bool = parameter(
         True, 'Whether parameters are set; ~/restore undoes all changes and sets this to false.'
@@ -270,6 +270,16 @@ class PushSettings(CheckedSettings):
         low=1.0,
         high=1000.0,
     )
+    max_factor: float = parameter(
+        10.0,
+        'A value that differs by more than this factor from the one that was found in the node is '
+        'not set.',
+        low=1.0,
+        high=1e6,
+    )
+    debiased: bool = parameter(
+        False, 'The driver or the relay removes the gyro bias, so no value has to cover it.'
+    )
     period: float = parameter(300.0, 'Shortest time between two changes.', 's', 0.1, 604800.0)
     change: float = parameter(
         0.1, 'A value is set again when it has changed by more than this fraction.', '', 0.0, 10.0
@@ -280,7 +290,7 @@ class PushSettings(CheckedSettings):
         if self.node and not (self.node.startswith('/') and self.filter):
             raise AllanError(
                 f'push.node is {self.node!r}, push.filter {self.filter!r}: give a full name such '
-                'as /imu_filter_madgwick, and the mapping'
+                'as /imu_filter_madgwick, and a filter'
             )
 
 

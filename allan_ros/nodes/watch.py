@@ -39,8 +39,9 @@ REFRESH_S = 0.5
 SETTLE_S = 1.5
 """Time in s from the first status until every node has published once."""
 
-PATIENCE_S = 10.0
-"""Time in s for which ``--once`` waits for the first status."""
+PATIENCE_S, NOBODY_S = 10.0, 3.0
+"""Time in s for which ``--once`` waits for the first status: if a node publishes on `TOPIC`, and if
+none has been discovered."""
 
 HINT_S = 8.0
 """Time in s without a status after which the hint is shown. Nodes need some seconds to start."""
@@ -72,6 +73,7 @@ class Watch(Node):
         super().__init__('allan_watch')
         self._options, self._stop = options, stop
         self._latest: dict[str, tuple[float, DiagnosticStatus]] = {}
+        self._wanted = f'/{options.node.strip("/")}/' if options.node.strip('/') else ''
         self._display = make_display(options)
         self._began = time.monotonic()
         self._first: float | None = None
@@ -101,6 +103,9 @@ class Watch(Node):
         for status in message.status:
             # a renamed node also has statuses of axes and inputs
             known = {'evidence [s]', 'segments'} <= {v.key for v in status.values}
+            node = f'/{status.name.partition(":")[0].strip("/")}/'
+            if self._wanted and not node.startswith(self._wanted):
+                continue
             if self._options.all or 'allan' in status.name or known:
                 self._latest[status.name] = now, status
                 self._first = self._first or now
@@ -111,7 +116,9 @@ class Watch(Node):
             self._page.discover()
         if self._options.once:
             settled = self._first is not None and now - self._first >= SETTLE_S
-            done = settled or now - self._began >= (self._options.seconds or PATIENCE_S)
+            heard = self.count_publishers(TOPIC)
+            patience = self._options.seconds or (PATIENCE_S if heard else NOBODY_S)
+            done = settled or now - self._began >= patience
         else:
             silent = not self._latest and now - self._began >= HINT_S
             self._display.show(self._rows(), self._hint() if silent else 'listening ...')
@@ -164,6 +171,9 @@ def make_parser() -> argparse.ArgumentParser:
         '--check',
         action='store_true',
         help='like --once; the exit code is 3 for a warning and 4 for an error',
+    )
+    parser.add_argument(
+        '--node', default='', metavar='NAME', help='only this node, such as /allan_monitor'
     )
     parser.add_argument('--all', action='store_true', help='show the statuses of all nodes')
     parser.add_argument(

@@ -5,9 +5,12 @@ change."""
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import os
 import socket
+import threading
+import time
 import urllib.request
 from collections.abc import Iterator
 
@@ -20,7 +23,7 @@ from support.chromium import Chromium
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.files import to_json
-from allan_ros.nodes.live_page import REFRESH_S, LivePage
+from allan_ros.nodes.live_page import MOST_REQUESTS, REFRESH_S, LivePage, _with_age
 from allan_ros.nodes.messages import Snapshot
 
 TOPIC = '/allan_monitor/sums'
@@ -57,7 +60,8 @@ def test_the_report_follows_the_sums(page: LivePage, small_run) -> None:
     page.on_sums(TOPIC, String(data=text))
     first = read(page.address)
     assert 'Noise of unit 7' in first and 'data-kind="allan"' in first
-    assert read(page.address) == first  # rendered once
+    assert 'OUT OF DATE: the node has stopped' in first  # nothing publishes this topic
+    assert 'id="live"' in first and 'OUT OF DATE' not in _with_age('<body>', 3.0, True)
     page.on_sums(TOPIC, String(data='{"schema": "odd"}'))
     assert TOPIC in read(page.address)
     page.on_sums('/other/sums', String(data=text))
@@ -72,6 +76,21 @@ def test_other_hosts_and_unknown_paths_are_rejected(page: LivePage) -> None:
         connection.request('GET', path, headers={'Host': host})
         assert connection.getresponse().status == code
         connection.close()
+
+
+def test_half_requests_do_not_exhaust_the_threads(page: LivePage) -> None:
+    port = int(page.address.rsplit(':', 1)[1].strip('/'))
+    before = threading.active_count()
+    halves = [socket.create_connection(('127.0.0.1', port)) for _ in range(200)]
+    for half in halves:
+        with contextlib.suppress(OSError):
+            half.sendall(b'GET / HT')
+    time.sleep(0.5)
+    assert threading.active_count() - before <= MOST_REQUESTS
+    for half in halves:
+        half.close()
+    time.sleep(0.5)
+    assert 'No accumulator' in read(page.address)
 
 
 def test_a_port_in_use_is_one_line(node: Node) -> None:

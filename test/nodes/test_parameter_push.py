@@ -1,8 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of another node are set once values are known, rejected with a reason, and
-restored.
-"""
+"""Parameters of another node are set once values are known, and only within safe limits."""
 
 from __future__ import annotations
 
@@ -13,25 +11,27 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
 
+from allan_ros.core.errors import AllanError
+from allan_ros.io.files import config_names
+from allan_ros.nodes.parameter_push import TARGETS, Proposal, load_plan
+
 OK, WARN = b'\x00', b'\x01'
 N = 1e-3 / 200**0.5
 
-MAPPING = """
-schema: allan_ros/filter/1
-name: a test
-constants: {h: 4.0}
+PLAN = """
+schema: allan_ros/push/1
+target: kalibr
+estimates_bias: true
 parameters:
-  gain: {sensor: gyro, expression: N / sqrt(h)}
-  zeta: {sensor: gyro, axis: mean, expression: 1000 * N}   # out of the range of the node
-  densities: {sensor: gyro, axis: each, expression: N**2 * f}
-  fixed: {sensor: gyro, expression: N}                     # the node refuses it
-  missing: {sensor: gyro, expression: N}
-  count: {sensor: gyro, expression: N}
-  later: {sensor: gyro, expression: K}                     # K is not resolved in half a minute
+  gyroscope_noise_density: gain
+  accelerometer_noise_density: fixed   # the node refuses it
+  gyroscope_random_walk: later         # not resolved in half a minute
+  nothing: missing
 """
 
 QUICK = {
@@ -39,19 +39,18 @@ QUICK = {
     'publish.diagnostics_period': 0.2,
     'qos_overrides./imu/data.subscription.reliability': 'reliable',
     'qos_overrides./imu/data.subscription.history': 'keep_all',
-    'push.node': '/imu_filter',
     'push.period': 0.5,
 }
 
 
 @pytest.fixture
-def filter_node(ros_domain: int) -> Iterator[Callable[..., None]]:
-    """Return a function that starts the node whose parameters are set, in the graph's domain."""
+def filter_node(ros_domain: int) -> Iterator[Callable[[str], None]]:
+    """Return a function that starts a node whose parameters are set, in the graph's domain."""
     started: list[subprocess.Popen[bytes]] = []
 
-    def start() -> None:
+    def start(name: str) -> None:
         script = Path(__file__).with_name('filter_node.py')
-        started.append(subprocess.Popen([sys.executable, str(script)], env={**os.environ}))
+        started.append(subprocess.Popen([sys.executable, str(script), name], env={**os.environ}))
 
     yield start
     for process in started:
@@ -59,72 +58,130 @@ def filter_node(ros_domain: int) -> Iterator[Callable[..., None]]:
         process.wait()
 
 
-def values(graph: Any, *names: str) -> list[Any]:
-    """Return parameters of the node, read from the node itself."""
+def values(graph: Any, node: str, *names: str) -> list[Any]:
+    """Return parameters of a node, read from the node itself."""
     from rcl_interfaces.srv import GetParameters
     from rclpy.parameter import parameter_value_to_python
 
     request = GetParameters.Request(names=names)
-    response = graph.ask(GetParameters, '/imu_filter/get_parameters', request)
+    response = graph.ask(GetParameters, f'{node}/get_parameters', request)
     return [parameter_value_to_python(value) for value in response.values]
 
 
+def said(graph: Any, text: str) -> Any:
+    """Wait until the status of the parameters contains a text, and return the status."""
+    return graph.until(
+        lambda: (s := graph.status('parameters of /imu_filter')) and text in s.message and s
+    )
+
+
 def test_parameters_are_set_rejected_and_restored(graph, still_imu, tmp_path, filter_node):
-    mapping = tmp_path / 'mapping.yaml'
-    mapping.write_text(MAPPING)
-    monitor = graph.start('monitor', **QUICK, **{'push.filter': str(mapping)})
+    plan = tmp_path / 'plan.yaml'
+    plan.write_text(PLAN)
+    wide = {'push.max_factor': 1e5, 'push.node': '/imu_filter'}
+    monitor = graph.start('monitor', **QUICK, **wide, **{'push.filter': str(plan)})
     graph.send(graph.publisher(), still_imu(6000))
-    absent = graph.until(
-        lambda: (s := graph.status('parameters of /imu_filter')) and s.level == WARN and s
-    )
-    assert '/imu_filter is not running: start it' in absent.message
+    assert said(graph, '/imu_filter is not running: start it').level == WARN
     graph.model_of(6000)
-    filter_node()
-    # not atomic: one parameter may be set before the next one
-    graph.until(lambda: 'set gain, densities' in graph.status('parameters of /imu_filter').message)
-    gain, zeta, densities, count = values(graph, 'gain', 'zeta', 'densities', 'count')
+    filter_node('imu_filter')
+    said(graph, 'set gain = ')
     # the gyro has N: 6000 samples determine it to 2 %, the worst of three axes lies above
-    assert gain == pytest.approx(N / 2.0, rel=0.15)
-    assert list(densities) == pytest.approx([1e-6] * 3, rel=0.15)
-    assert zeta == 0.0 and count == 3
-    status = graph.until(
-        lambda: 'refused' in (s := graph.status('parameters of /imu_filter')).message and s
-    )
+    assert values(graph, '/imu_filter', 'gain')[0] == pytest.approx(N, rel=0.15)
+    status = said(graph, 'fixed is not for you')
     assert status.level == WARN
-    for said in (
-        'set gain, densities',
-        'zeta: /imu_filter refused 0.0',
-        'out of range',
-        'fixed: /imu_filter refused 7',
-        'fixed is not for you',
-        'missing: is not declared in /imu_filter',
-        'count: is of another type in /imu_filter',
-        'later: between 0 and',
-    ):
-        assert said in status.message
+    for text in ('(was 0.1)', 'missing: kalibr has no number nothing', 'later: between'):
+        assert text in status.message
+    assert any(v.key == 'origin of gain' and 'gyro' in v.value for v in status.values)
     assert 'gain of /imu_filter: 0.1 -> ' in monitor.output
     restored = graph.call('/allan_monitor/restore')
-    assert restored.success, restored.message
-    assert 'gain = 0.1' in restored.message
-    assert [*values(graph, 'gain', 'zeta')] == [0.1, 0.0]
-    assert list(values(graph, 'densities')[0]) == [0.1, 0.2, 0.3]
+    assert restored.success and 'gain = 0.1' in restored.message, restored.message
     graph.spin(1.5)  # three periods: the values stay restored
+    assert values(graph, '/imu_filter', 'gain') == [0.1]
     assert monitor.output.count('fixed is not for you') == 1
-    assert values(graph, 'gain') == [0.1]
-    off = graph.until(
-        lambda: 'push.enabled' in (s := graph.status('parameters of /imu_filter')).message and s
-    )
-    assert off.level == OK
+    assert said(graph, 'push.enabled').level == OK
     assert not graph.call('/allan_monitor/restore').success
     assert monitor.stop() == 0, monitor.output
+
+
+@pytest.mark.parametrize('factor', [10.0, 1000.0])
+def test_the_push_does_not_make_a_filter_diverge(graph, still_imu, filter_node, factor):
+    """The gyro has a bias of 0.1 deg/s, and the filter cannot estimate it.
+
+    From white noise alone, the gain would be 0.00014, and the tilt would grow by 0.08 deg/s.
+    """
+    from std_msgs.msg import Float64
+
+    bias = np.radians(0.1)
+    tilts: list[float] = []
+    graph.node.create_subscription(Float64, 'tilt', lambda m: tilts.append(m.data), 1000)
+    push = {'push.node': '/imu_filter_madgwick', 'push.filter': 'imu_filter_madgwick'}
+    filter_node('imu_filter_madgwick')
+    graph.start('monitor', **QUICK, **push, **{'push.max_factor': factor})
+    publisher = graph.publisher()
+    graph.introduce(publisher, 2)
+    batch = still_imu(24_000)
+    batch.samples[:, 0] += bias
+    graph.send(publisher, batch[:6000])
+    graph.model_of(6000)
+    status = said(graph, 'set gain' if factor > 100.0 else 'gain: 0.0')
+    graph.send(publisher, batch[6000:])
+    graph.until(lambda: len(tilts) == 24_000)
+    assert max(tilts[6000:]) < 0.5
+    (gain,) = values(graph, '/imu_filter_madgwick', 'gain')
+    if factor > 100.0:
+        assert bias < gain / 0.75**0.5 < 1.5 * bias
+        assert any('bias' in v.value for v in status.values if v.key == 'origin of gain')
+    else:
+        assert gain == 0.1 and status.level == WARN and 'push.max_factor' in status.message
+    graph.call('/allan_monitor/reset')  # the model is invalidated
+    if factor > 100.0:
+        said(graph, 'restored gain = 0.1')
+        assert values(graph, '/imu_filter_madgwick', 'gain') == [0.1]
+
+
+def test_a_value_far_from_the_one_that_was_found_is_refused():
+    def refusal(value: float, found: float) -> str:
+        return Proposal('gain', (value,), (value, value), '').refusal((found,), 10.0)
+
+    assert refusal(0.011, 0.1) == refusal(0.9, 0.1) == ''
+    assert '11.1 times below the 0.1' in refusal(0.009, 0.1)
+    assert '20 times above the 0.1' in refusal(2.0, 0.1)
+    assert 'is 0 in the node and stays so' in refusal(1e-5, 0.0)
+
+
+def test_every_plan_of_the_package_can_be_read():
+    assert config_names('filters') == ['imu_filter_madgwick', 'noise_densities']
+    for name in config_names('filters'):
+        assert load_plan(name).target in TARGETS
+
+
+@pytest.mark.parametrize(
+    'old, new, reason',
+    [
+        ('push/1', 'push/2', 'schema'),
+        ('target: kalibr', 'target: gazebo', 'target'),
+        ('estimates_bias: true', 'estimates_bias: false', 'do not cover the gyro bias'),
+        ('estimates_bias: true\n', '', 'do not cover the gyro bias'),
+        ('estimates_bias', 'estimate', 'unknown'),
+    ],
+)
+def test_a_bad_plan_is_rejected_with_its_name(tmp_path: Path, old: str, new: str, reason: str):
+    path = tmp_path / 'bad.yaml'
+    path.write_text(PLAN.replace(old, new))
+    with pytest.raises(AllanError) as refused:
+        load_plan(str(path))
+    assert reason in str(refused.value) and 'bad.yaml' in str(refused.value)
 
 
 @pytest.mark.parametrize(
     'given, reason',
     [
         ({'push.node': 'imu_filter'}, 'give a full name'),
-        ({'push.node': '/a', 'push.filter': 'none-such'}, 'no filter mapping'),
-        ({'input.topics': ('a', 'b'), 'push.filter': 'noise_densities'}, 'there are 2 IMUs'),
+        ({'push.node': '/a', 'push.filter': 'none-such'}, 'no plan for push.filter'),
+        (
+            {'push.node': '/a', 'input.topics': ('a', 'b'), 'push.filter': 'noise_densities'},
+            'there are 2 IMUs',
+        ),
     ],
 )
 def test_bad_settings_are_rejected_at_start(graph, given, reason):
