@@ -280,14 +280,14 @@ def _provenance_from_document(fields: Fields) -> Provenance:
     return Provenance(
         fields.typed('source', tuple[SourceInfo, ...]),
         fields.typed('segments', tuple[Segment, ...]),
-        tuple(_finding_from_document(each) for each in fields.each('findings')),
+        tuple(finding_from_document(each) for each in fields.each('findings')),
         fields.fields('counts').record(Counts, cuts=cut_counts),
         _settings_from_document(fields.fields('settings')),
         fields.typed('last_stamp_ns', int | None),
     )
 
 
-def _finding_from_document(fields: Fields) -> Finding:
+def finding_from_document(fields: Fields) -> Finding:
     """Return a finding; one of another version, which lacks values, keeps its stated texts."""
     stated = fields.optional_fields('values')
     values = {name: _value_from_document(stated, name) for name in stated} if stated else {}

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read and write files safely: only regular files of limited size, atomic writing, and locks.
 
-Configuration files, such as datasheets (``sensors``) and filter mappings (``filters``), are given
-by path or by name. A name is searched in the folder of the user (``~/.config/allan_ros/<kind>``, or
-under ``$XDG_CONFIG_HOME``) and then in the package.
+Configuration files, such as datasheets (``sensors``) and plans for parameters of filters
+(``filters``), are given by path or by name. A name is searched in the folder of the user
+(``~/.config/allan_ros/<kind>``, or under ``$XDG_CONFIG_HOME``) and then in the package.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read files of the user: noise to simulate, and filter mappings.
+"""Read the noise and faults to simulate from files of the user.
 
 A specification of a simulated IMU is a YAML or JSON file. ``noise`` maps axes to coefficients: a
 number in datasheet units, or ``{value, unit}``. ``gyro`` and ``accel`` apply to three axes, and a
@@ -24,15 +24,14 @@ from typing import Any, NamedTuple
 
 from ..core.errors import AllanError
 from ..core.fields import Fields, located
-from ..core.filters.mapping import Expression, FilterMapping, FilterParameter, check_mapping
 from ..core.imu import AXES, SI_UNITS, from_datasheet, sensor_of
 from ..core.noise import NoiseTerms
 from ..core.settings import settings_from
 from ..core.simulate import PRESETS, Faults
 from .datasheets import load_sensor
-from .files import config_file, read_yaml, to_json, write_atomic
+from .files import read_yaml, to_json, write_atomic
 
-TRUTH_SCHEMA, FILTER_SCHEMA = 'allan_ros/truth/1', 'allan_ros/filter/1'
+TRUTH_SCHEMA = 'allan_ros/truth/1'
 
 TRUTH_SUFFIX = '.truth.json'
 """Suffix of the truth file: the truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
@@ -168,35 +167,3 @@ def write_truth(
     path = truth_path(recording)
     write_atomic(path, to_json(document))
     return path
-
-
-def load_filter(name: str) -> FilterMapping:
-    """Read a filter mapping, given its name or the path of its .yaml file.
-
-    Raises AllanError if the name is unknown or the file is invalid.
-    """
-    path = config_file('filters', name, 'filter mapping')
-    fields = Fields(read_yaml(path), str(path))
-    fields.schema(FILTER_SCHEMA)
-    parameters = fields.fields('parameters')
-    constants = fields.fields('constants') if 'constants' in fields else None
-    mapping = FilterMapping(
-        fields.text('name'),
-        tuple(_parameter(key, parameters.fields(key)) for key in parameters),
-        {} if constants is None else {key: constants.number(key) for key in constants},
-        fields.number('horizon') if 'horizon' in fields else FilterMapping.horizon,
-    )
-    with located(str(path)):
-        check_mapping(mapping)
-    if not mapping.parameters:
-        raise AllanError(f'{path}: contains no parameter: add at least one')
-    return mapping
-
-
-def _parameter(name: str, fields: Fields) -> FilterParameter:
-    fields.only('sensor', 'axis', 'expression', 'limits', 'unit')
-    limits = fields.interval('limits') if 'limits' in fields else FilterParameter.limits
-    with located(fields.where):
-        expression = Expression(fields.text('expression'))
-    rule = fields.text('axis', 'worst')
-    return FilterParameter(name, fields.text('sensor'), expression, rule, limits)

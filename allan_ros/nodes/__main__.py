@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The executables; without an installation: ``python -m allan_ros.nodes monitor --ros-args ...``."""
+"""The executables; not installed: ``python -m allan_ros.nodes monitor --ros-args ...``."""
 
 from __future__ import annotations
 

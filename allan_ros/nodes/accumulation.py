@@ -33,7 +33,6 @@ from .node import AllanNode, Part, Periodic
 from .settings import CheckpointSettings, InputSettings, WatchedImu
 from .shell import LATCHED
 
-
 NEW_PASS_SHARE = 0.1
 """If stamps jump back to a point within this share of the pass, the recording is played again."""
 

@@ -47,8 +47,9 @@ class InputView:
 
     Ages are in s, and None before the first message or save. ``received_age_s`` is the time since
     the last message, ``stamp_age_s`` the ROS time since its header stamp. ``static_s`` is the time
-    at rest in s since the start of the present one of ``passes``. ``noted`` are findings that do not change the level. ``declared_rate`` is in Hz,
-    0 if none. ``receiver`` is 'a timer' or 'a callback', whichever receives the messages.
+    at rest in s since the start of the present pass; ``passes`` is their number. ``noted`` are
+    findings that do not change the level. ``declared_rate`` is in Hz, 0 if none. ``receiver`` is 'a
+    timer' or 'a callback', whichever receives the messages.
     """
 
     topic: str

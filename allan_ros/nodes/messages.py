@@ -19,13 +19,13 @@ from sensor_msgs.msg import CompressedImage
 from ..core.allan.periods import KEPT_SEGMENTS
 from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
-from ..core.fields import Fields, plain
+from ..core.fields import Fields
 from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
 from ..core.findings import Finding
 from ..core.imu import AXES, SENSORS
 from ..core.stream.health import Means
 from ..io.checkpoint import Total
-from ..io.documents import sums_file_from_document, sums_file_to_document
+from ..io.documents import finding_from_document, sums_file_from_document, sums_file_to_document
 from ..io.files import parse_json
 from ..io.results import Results
 from .settings import EstimatorSettings
@@ -78,7 +78,7 @@ class Snapshot:
             }
             for one in self.means
         ]
-        live = {'imu': imu, 'means': means, 'faults': plain(self.faults)}
+        live = {'imu': imu, 'means': means, 'faults': [each.document() for each in self.faults]}
         return {**sums_file_to_document(*self.total), **live}
 
     @classmethod
@@ -97,7 +97,7 @@ class Snapshot:
             imu.text('hardware_id', ''),
             tuple(axis for axis in AXES if axis in axes),
             _means(document.get('means', []) if isinstance(document, dict) else []),
-            fields.typed('faults', tuple[Finding, ...]) if 'faults' in fields else (),
+            tuple(map(finding_from_document, fields.each('faults'))) if 'faults' in fields else (),
         )
 
 

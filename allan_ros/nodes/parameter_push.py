@@ -174,7 +174,8 @@ class ParameterPush(Part):
 
         Results without axes mean that the model is invalidated.
         """
-        faults = faults_of(results.findings)
+        # without data, the model is still valid
+        faults = [fault for fault in faults_of(results.findings) if fault.axes]
         usable = bool(results.axes) and not faults
         more = any(value > 1.1 * self._covered.get(axis, 0.0) for axis, value in bias.items())
         if not usable or self._results is None or (self._covered and more):
@@ -289,11 +290,12 @@ class ParameterPush(Part):
             if not self._has_right_type(proposal, value):
                 continue
             self._current[name] = value
-            self._notes.pop(name, None)
             found = _numbers(self._former.get(name, value))
             if refusal := proposal.refusal(found, settings.max_factor):
                 self._note(name, refusal, warning=any(found))
-            elif proposal.differs(_numbers(value), settings.change):
+                continue
+            self._notes.pop(name, None)
+            if proposal.differs(_numbers(value), settings.change):
                 wanted.append(proposal)
         if wanted:
             messages = [_message(p, self._current[p.name]) for p in wanted]
@@ -333,8 +335,8 @@ class ParameterPush(Part):
             )
 
     def _note(self, name: str, note: str, warning: bool = True) -> None:
-        """Store a message about a parameter ('' for the node), and log it if it is new."""
-        if self._notes.get(name) != (warning, note):
+        """Store a message about a parameter ('' for the node), and log the first of its kind."""
+        if name not in self._notes or self._notes[name][0] != warning:
             self._log.info(f'{name}: {note}' if name else note)
         self._notes[name] = warning, note
 

@@ -89,7 +89,7 @@ def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Vari
     They do not cover the bias.
     """
     faults = faults_of(results.findings)
-    bad = {sensor_of(axis) for fault in faults for axis in fault.axes or results.axes}
+    bad = {sensor_of(axis) for fault in faults for axis in fault.axes}
     found = _noise_variances(results, settings)
     return {sensor: variances for sensor, variances in found.items() if sensor not in bad}
 

@@ -224,7 +224,8 @@ class RelaySettings(CheckedSettings):
         high=1000.0,
     )
     debiased: bool = parameter(
-        False, 'The driver removes the gyro bias, so the variance does not have to cover it.'
+        False,
+        'The driver removes the gyro bias or the filter estimates it, so no variance covers it.',
     )
     inflate: float = parameter(1.0, 'Factor on the standard deviation.', '', 1.0, 1000.0)
     subtract_bias: bool = parameter(

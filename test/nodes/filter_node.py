@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes like filters, whose parameters are set: run with the name of one of them.
 
-``imu_filter`` declares parameters with ranges, and rejects one. ``imu_filter_madgwick`` estimates the
-orientation as the filter of imu_tools does, and publishes the angle between the estimated and the
-true vertical of an IMU that lies level.
+``imu_filter`` declares parameters with ranges, and rejects one. ``imu_filter_madgwick`` estimates
+the orientation as the filter of imu_tools does, and publishes the angle between the estimated and
+the true vertical of an IMU that lies level.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64
+
+EVERY = 100
+"""Number of samples for each published tilt."""
 
 
 def imu_filter() -> Node:
@@ -69,6 +72,7 @@ class Madgwick(Node):
         self.gain = 0.1
         self.q = np.array([1.0, 0.0, 0.0, 0.0])
         self.last_s: float | None = None
+        self.tilts: list[float] = []
         keep_all = QoSProfile(history=HistoryPolicy.KEEP_ALL)
         self.create_subscription(Imu, 'imu/data', self.on_imu, keep_all)
         self.create_subscription(ParameterEvent, '/parameter_events', self.on_event, 100)
@@ -81,7 +85,7 @@ class Madgwick(Node):
                 self.gain = parameter.value.double_value
 
     def on_imu(self, message: Imu) -> None:
-        """Update the orientation, and publish the tilt in degrees."""
+        """Update the orientation; publish the largest tilt of the last samples, in degrees."""
         time_s = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
         dt = 0.0 if self.last_s is None else time_s - self.last_s
         self.last_s = time_s
@@ -98,7 +102,10 @@ class Madgwick(Node):
         self.q = self.q + change * dt
         self.q /= np.linalg.norm(self.q)
         _, x, y, _ = self.q
-        self.tilt.publish(Float64(data=float(np.degrees(2.0 * np.arcsin(np.hypot(x, y))))))
+        self.tilts.append(float(np.degrees(2.0 * np.arcsin(np.hypot(x, y)))))
+        if len(self.tilts) == EVERY:
+            self.tilt.publish(Float64(data=max(self.tilts)))
+            self.tilts.clear()
 
 
 def main() -> None:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..findings import SEVERITIES, Finding, finding
+from ..findings import SEVERITIES, Finding, by_consequence, finding
 from ..imu import AXES, NANOSECONDS
 from .cleaning import BACKWARD_RUN
 from .health import EVENTS, StreamHealth, event_findings, events
@@ -202,7 +202,7 @@ def ordered(present: Iterable[Finding], past: Iterable[Finding] = ()) -> tuple[F
     def key(one: Finding) -> tuple[int, int]:
         return SEVERITIES.index(one.severity), -(one.id in FAULTS)
 
-    return *sorted(present, key=key), *sorted(past, key=key)
+    return *sorted(by_consequence(present), key=key), *sorted(by_consequence(past), key=key)
 
 
 class TransportMonitor:
