@@ -32,6 +32,7 @@ from ..io.format import (
     significant,
     value_text,
 )
+from .metrics import FINDING
 
 LEVELS: Mapping[str, bytes] = {
     'info': DiagnosticStatus.OK,
@@ -98,19 +99,19 @@ def status_of(
 ) -> DiagnosticStatus:
     """Return a status with the level of its most severe finding.
 
-    The message is the warning or error with the largest consequence; without one it is
-    ``otherwise``. The values are ``pairs`` and all findings. Findings in ``noted`` change neither
-    level nor message.
+    The message is the first warning or error in ``findings``; without one it is ``otherwise``. The
+    values are the id of the finding in the message, ``pairs`` and all findings. Findings in
+    ``noted`` change neither level nor message.
     """
-    shown = [(f'finding: {f.id}', f) for f in (*findings, *noted)]
-    severe = [f for f in by_consequence(findings) if f.severity != 'info']
+    shown = [(f'{FINDING}: {f.id}', f) for f in (*findings, *noted)]
+    severe = [f for f in findings if f.severity != 'info']
     more = f' (and {len(severe) - 1} more)' if len(severe) > 1 else ''
     return DiagnosticStatus(
         level=max((LEVELS[f.severity] for f in findings), default=DiagnosticStatus.OK),
         name=name,
         message=f'{severe[0]}{more}' if severe else otherwise,
         hardware_id=hardware_id,
-        values=key_values([*pairs, *shown]),
+        values=key_values([(FINDING, severe[0].id if severe else 'none'), *pairs, *shown]),
     )
 
 

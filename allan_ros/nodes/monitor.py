@@ -17,7 +17,7 @@ from .estimation import ImuEstimate, SumsInput, load_references
 from .node import AllanNode, Part
 from .parameter_push import ParameterPush
 from .relaying import ImuRelay, RelayTopics
-from .settings import EstimatorSettings, RelaySettings
+from .settings import EstimatorSettings, MonitorSettings, RelaySettings
 from .shell import Worker, run
 
 
@@ -65,6 +65,7 @@ class Monitor(AllanNode):
 
     def __init__(self) -> None:
         super().__init__('allan_monitor')
+        self.metrics_file = self.parameters.group('monitor', MonitorSettings).value.metrics_file
         settings = AccumulatorParameters(self)
         estimator = self.parameters.group('estimator', EstimatorSettings)
         references, worker = load_references(estimator.value), Worker()

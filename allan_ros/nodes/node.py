@@ -25,7 +25,9 @@ from rclpy.parameter import Parameter
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from ..core.settings import CheckedSettings, ParameterInfo, describe
+from ..io.files import write_atomic
 from .diagnostics import status_name, status_of
+from .metrics import metrics_text
 from .settings import GROUPS, PublishSettings
 from .shell import STEADY
 
@@ -33,6 +35,9 @@ T = TypeVar('T', bound=CheckedSettings)
 
 TICK_S = 0.1
 """Default period in s of the timer that polls the parts of a node."""
+
+METRICS_S = 5.0
+"""Period in s at which the metrics file is written."""
 
 FAULT_SHOWN_S = 60.0
 """Time in s for which an internal error stays on `/diagnostics` after its last occurrence."""
@@ -215,6 +220,8 @@ class AllanNode(Node):
         self._faults: dict[tuple[str, str], tuple[float, Finding]] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._diagnostics_due = Periodic(lambda: self.publish.value.diagnostics_period)
+        self.metrics_file = ''
+        self._metrics_due = Periodic(lambda: METRICS_S)
 
     def begin(self, parts: Sequence[Part], purpose: str, period: float = TICK_S) -> None:
         """Start a timer with this period in s that polls the parts, and log the purpose."""
@@ -265,6 +272,11 @@ class AllanNode(Node):
         faults = list(self._faults.values())  # a thread of a part may add one at the same time
         if recent := [f for at, f in faults if now - at <= FAULT_SHOWN_S]:
             statuses.append(status_of(status_name(self, 'node'), recent, '', ()))
+        if self.metrics_file and self._metrics_due.due(now):
+            try:
+                write_atomic(self.metrics_file, metrics_text(statuses, time.time()))
+            except AllanError as error:
+                self.get_logger().warning(str(error), throttle_duration_sec=60.0)
         array = DiagnosticArray(status=statuses)
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)

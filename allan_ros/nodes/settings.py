@@ -295,6 +295,17 @@ class PushSettings(CheckedSettings):
             )
 
 
+@dataclass(frozen=True)
+class MonitorSettings(CheckedSettings):
+    """Output of the monitor for fleets (group ``monitor``)."""
+
+    metrics_file: str = fixed_parameter(
+        '',
+        "File for the textfile collector of Prometheus' node exporter, such as "
+        '/var/lib/node_exporter/imu.prom; empty: none.',
+    )
+
+
 GROUPS: dict[str, type] = {
     'input': InputSettings,
     'segmenter': SegmenterSettings,
@@ -303,5 +314,6 @@ GROUPS: dict[str, type] = {
     'estimator': EstimatorSettings,
     'relay': RelaySettings,
     'push': PushSettings,
+    'monitor': MonitorSettings,
 }
 """Parameter group -> its settings."""
