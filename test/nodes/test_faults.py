@@ -1,0 +1,111 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A fault is shown on its axes, and stops what uses them; a bias is covered by the variance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy')
+
+from geometry_msgs.msg import TwistWithCovarianceStamped
+
+from allan_ros.core.findings import finding
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.recorded import Provenance
+from allan_ros.io.results import Results, analyze_sums
+from allan_ros.nodes.relaying import cover_bias, relay_variances
+from allan_ros.nodes.settings import RelaySettings
+
+OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
+
+QUICK = {
+    'publish.sums_period': 0.5,
+    'publish.diagnostics_period': 0.2,
+    'qos_overrides./imu/data.subscription.reliability': 'reliable',
+    'qos_overrides./imu/data.subscription.history': 'keep_all',
+    'relay.enabled': True,
+    'input.stale_after': 3600.0,
+}
+
+
+def continued(batch: ImuBatch, before: ImuBatch) -> ImuBatch:
+    """Return the batch with stamps that continue those of another one."""
+    shift = before.stamps_ns[-1] - batch.stamps_ns[0] + 5_000_000
+    return replace(batch, stamps_ns=batch.stamps_ns + shift)
+
+
+def test_a_stuck_axis_is_an_error_of_this_axis_and_of_the_relay(graph, still_imu) -> None:
+    graph.start('monitor', **QUICK)
+    publisher = graph.publisher()
+    healthy = still_imu(8000)
+    graph.send(publisher, healthy)
+    said = lambda name, text: (s := graph.status(name)) and text in s.message and s  # noqa: E731
+    graph.until(lambda: said('relay', 'covariances of gyro and accel are filled'))
+    stuck = continued(still_imu(1000, seed=2), healthy)
+    stuck.samples[:, 2] = stuck.samples[0, 2]
+    graph.send(publisher, stuck)
+    assert graph.until(lambda: said('imu gyro z', 'no longer changes')).level == ERROR
+    assert graph.until(lambda: said('relay', 'gyro_z: The value no longer changes')).level == ERROR
+    assert graph.value('relay', 'variance of gyro x') is None
+    assert graph.value('relay', 'variance of accel x') is not None
+    assert graph.status('imu gyro x').level == graph.status('imu accel z').level == OK
+    assert graph.value('imu gyro z', 'finding') == 'stuck_now'
+    graph.send(publisher, continued(still_imu(200, seed=3), stuck))
+    graph.until(lambda: said('relay', 'covariances of gyro and accel are filled'))
+    assert graph.until(lambda: (s := graph.status('imu gyro z')).level == OK and s)
+
+
+def test_wrong_units_and_silence_are_errors_of_the_axes(graph, still_imu) -> None:
+    graph.start('monitor', **{**QUICK, 'input.stale_after': 5.0})
+    publisher = graph.publisher()
+    batch = still_imu(6000)
+    batch.samples[:, 3:] /= 9.80665
+    graph.send(publisher, batch)
+    status = graph.until(
+        lambda: (s := graph.status('imu accel z')) and 'unit is probably g' in s.message and s
+    )
+    assert status.level == ERROR and graph.status('imu gyro z').level == OK
+    assert graph.until(lambda: (s := graph.status('relay')) and s.level == ERROR and s)
+    assert graph.value('relay', 'variance of accel x') is None
+    graph.until(lambda: 'no present data' in graph.status('imu gyro z').message)
+    assert graph.value('imu gyro z', 'finding') == 'no_data'
+
+
+@pytest.fixture(scope='module')
+def results() -> Results:
+    rng = np.random.default_rng(7)
+    samples = rng.normal(0.0, [1e-3] * 3 + [1e-2] * 3, (4000, 6)) + [0, 0, 0, 0, 0, 9.8]
+    stream = ImuStream()
+    stream.update(ImuBatch(10**18 + np.arange(4000) * 5_000_000, samples, frame_id='imu'))
+    stream.end()
+    return analyze_sums(stream.result().sums, Provenance(), 'relative')
+
+
+def test_a_sensor_with_a_fault_has_no_variances(results: Results) -> None:
+    settings = RelaySettings()
+    assert set(relay_variances(results, settings)) == {'gyro', 'accel'}
+    found = finding('stuck_now', ('gyro_z',))
+    faulty = replace(results, findings=(*results.findings, found))
+    assert set(relay_variances(faulty, settings)) == {'accel'}
+
+
+@pytest.mark.parametrize('horizon', [0.0, 10.0])
+def test_the_variance_covers_the_bias(results: Results, horizon: float) -> None:
+    """Over the horizon, white noise adds as much to the angle as the noise and the bias."""
+    rate, bias = 200.0, TwistWithCovarianceStamped()
+    bias.twist.twist.angular.x = 1.7e-3
+    noise = relay_variances(results, RelaySettings())
+    messages = max(horizon * rate, 1.0)
+    with_bias = cover_bias(noise, bias, horizon * rate)
+    growth = np.array(with_bias['gyro']) * messages / rate**2  # of the variance of the angle
+    expected = np.array(noise['gyro']) * messages / rate**2
+    expected[0] += (1.7e-3 * messages / rate) ** 2
+    np.testing.assert_allclose(growth, expected, rtol=1e-9)
+    assert with_bias['accel'] == noise['accel']
+    bias.twist.covariance[21] = -1.0  # unknown
+    assert cover_bias(noise, bias, 1.0) == noise == cover_bias(noise, None, 1.0)
