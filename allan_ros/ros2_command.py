@@ -23,7 +23,7 @@ NODE_VERBS = {
     'watch': 'show /diagnostics of running nodes as a live table',
     'check': 'without a file: show the state; exit code 0 ok, 3 warning, 4 error, 1 no node',
     'save': 'write the checkpoint of running nodes now',
-    'fit': 'without a file: fit the sums of running nodes now',
+    'fit': 'fit the sums of running nodes now',
 }
 """Verb for running nodes -> help text."""
 

@@ -204,7 +204,8 @@ class AxisView:
 
 def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus:
     """Return the status of one axis."""
-    findings = [*view.problems, *_change_findings(view), *_limit_findings(view)]
+    changes = [*_change_findings(view), *_limit_findings(view)]
+    findings = by_consequence([*view.problems, *changes])
     static_s = view.sums.elapsed_ns * 1e-9 if view.sums else 0.0
     next_term = _next_term(view)
     pairs: list[tuple[str, object]] = []

@@ -25,7 +25,7 @@ from allan_ros.core.findings import (
     significant,
 )
 from allan_ros.core.imu import DATASHEET_UNITS, SI_UNITS, to_datasheet
-from allan_ros.io.documents import _finding_from_document
+from allan_ros.io.documents import finding_from_document
 
 IN_DEG_H = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
 IN_SI = {unit for units in SI_UNITS.values() for unit in units.values()}
@@ -84,14 +84,14 @@ def test_the_prefix_fits_and_the_interval_follows(quantity, text):
 def test_a_document_has_all_values_and_gives_the_same_text(id):
     found = example(id, number=0.25)
     document = json.loads(json.dumps(found.document('SI'), allow_nan=False))
-    read = _finding_from_document(Fields(document, 'finding'))
+    read = finding_from_document(Fields(document, 'finding'))
     assert read == found and str(read) == str(found)
 
 
 def test_a_finding_of_another_version_keeps_its_texts():
     document = {**example('vibration').document(), 'id': 'unheard', 'message': 'A {brace} of 5 %.'}
     for changed in (document, {**document, 'id': 'vibration', 'values': {}}):
-        read = _finding_from_document(Fields(changed, 'finding'))
+        read = finding_from_document(Fields(changed, 'finding'))
         assert read.message == 'A {brace} of 5 %.'
 
 

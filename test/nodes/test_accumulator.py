@@ -64,7 +64,7 @@ def test_a_played_bag_gives_the_sums_of_the_bag(graph, still_imu, tmp_path: Path
     online = json.loads(checkpoint.read_text())['sums']
     expected = offline(*open_recordings([bag])[0].batches())
     assert online == expected
-    assert len(expected[0]['segments']) > 2
+    assert len(expected[0]['segments']) > 1
     assert graph.until(lambda: graph.value('input', 'lost on the way')) == '0'
 
 

@@ -134,7 +134,9 @@ def test_a_change_of_the_noise_is_found_and_dated(graph, still_imu):
     louder.samples[:, 2] *= 1.5
     graph.send(publisher, louder)
     status = graph.until(lambda: (s := graph.status('gyro z')).level == WARN and s)
-    assert re.match(r'N rose from 0\.2\d+ to 0\.3\d+ deg/sqrt\(h\) .* ago', status.message)
+    assert re.match(
+        r'N rose from 0\.2\d+ deg/sqrt\(h\) to 0\.3\d+ deg/sqrt\(h\) .* ago', status.message
+    )
     assert graph.status('gyro x').level == OK
 
 

@@ -72,7 +72,7 @@ def test_wrong_units_and_silence_are_errors_of_the_axes(graph, still_imu) -> Non
     assert status.level == ERROR and graph.status('imu gyro z').level == OK
     assert graph.until(lambda: (s := graph.status('relay')) and s.level == ERROR and s)
     assert graph.value('relay', 'variance of accel x') is None
-    graph.until(lambda: 'no present data' in graph.status('imu gyro z').message)
+    graph.until(lambda: 'No samples arrive' in graph.status('imu gyro z').message)
     assert graph.value('imu gyro z', 'finding') == 'no_data'
 
 

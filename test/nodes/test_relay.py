@@ -326,7 +326,11 @@ def test_messages_are_relayed_also_if_waiting_for_them_fails(ros_domain, still_i
 
 
 def test_the_monitor_relays_what_it_measures(graph, still_imu):
-    monitor = graph.start('monitor', **QUICK, **{'relay.enabled': True, 'publish.sums_period': 0.5})
+    monitor = graph.start(
+        'monitor',
+        **QUICK,
+        **{'relay.enabled': True, 'relay.debiased': True, 'publish.sums_period': 0.5},
+    )
     received = raw(graph)
     publisher = graph.publisher()
     batch = still_imu(6000)

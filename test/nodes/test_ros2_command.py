@@ -50,8 +50,8 @@ def test_a_verb_of_allan_runs_with_its_options_and_exit_code() -> None:
     assert failed.returncode == 1 and failed.stderr.startswith('allan analyze: ')
 
 
-@pytest.mark.parametrize('verb', ['check', 'fit'])
-def test_check_and_fit_with_a_file_are_those_of_allan(verb: str) -> None:
+@pytest.mark.parametrize('verb', ['check'])
+def test_check_with_a_file_is_that_of_allan(verb: str) -> None:
     failed = ros2_allan(verb, 'missing.csv')
     assert f'allan {verb}: ' in failed.stderr and 'missing.csv' in failed.stderr
     shown = ros2_allan(verb, '--help')
@@ -64,7 +64,8 @@ def test_verbs_for_running_nodes(graph: Any, still_imu: Any, tmp_path: Path) -> 
         'qos_overrides./imu/data.subscription.reliability': 'reliable',
         'qos_overrides./imu/data.subscription.history': 'keep_all',
     }
-    graph.start('monitor', **reliable, **{'checkpoint.path': str(checkpoint)})
+    given = {'checkpoint.path': str(checkpoint), 'input.stale_after': 2.0}
+    graph.start('monitor', **reliable, **given)
     graph.send(graph.publisher(), still_imu(2000))
     graph.until(lambda: graph.value('input', 'used') == '2000')
     saved = ros2_allan('save', '--node', 'allan_monitor')

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..findings import SEVERITIES, Finding, by_consequence, finding
+from ..findings import Finding, by_consequence, finding
 from ..imu import AXES, NANOSECONDS
 from .cleaning import BACKWARD_RUN
 from .health import EVENTS, StreamHealth, event_findings, events
@@ -75,8 +75,7 @@ FAULTS = (
     *('input_unusable', 'no_data', 'stuck_now', 'gyro_unit', 'accel_unit', 'accel_scale'),
     'no_noise',
 )
-"""Ids of findings that mean that present samples of their axes (all if none) must not be used. The
-first cause more damage than the later ones."""
+"""Ids of findings that mean that present samples of their axes (all if none) must not be used."""
 
 
 @dataclass
@@ -192,19 +191,6 @@ def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...
     )
 
 
-def ordered(present: Iterable[Finding], past: Iterable[Finding] = ()) -> tuple[Finding, ...]:
-    """Return findings in the order in which an operator needs them.
-
-    Present ones precede past ones; the most severe comes first, and of these the one with the worst
-    consequence.
-    """
-
-    def key(one: Finding) -> tuple[int, int]:
-        return SEVERITIES.index(one.severity), -(one.id in FAULTS)
-
-    return *sorted(by_consequence(present), key=key), *sorted(by_consequence(past), key=key)
-
-
 class TransportMonitor:
     """Reports the current problems of the live input ``topic``.
 
@@ -265,7 +251,8 @@ class TransportMonitor:
         live = {*LIVE_FINDINGS, *(('noise_louder',) if health.state == 'louder' else ())}
         present += [f for f in stream if f.id in live]
         events, past = self._recent_findings(health)
-        return ordered([*events, *present], past)
+        # present ones first: a past event must not hide a fault
+        return *by_consequence([*events, *present]), *by_consequence(past)
 
     def _update(self, time_s: float, transport: TransportStatistics, health: StreamHealth) -> None:
         c = health.counts
