@@ -140,7 +140,9 @@ class EstimatorSettings(CheckedSettings):
     """How Allan variance sums are fitted and results are compared (group ``estimator``)."""
 
     method: str = parameter(
-        'likelihood', 'Method that fits the five terms.', choices=('likelihood', 'relative', 'paper')
+        'likelihood',
+        'Method that fits the five terms.',
+        choices=('likelihood', 'relative', 'paper'),
     )
     growth: float = parameter(
         0.1, 'Fit again when the number of samples has grown by this fraction.', '', 0.0, 10.0

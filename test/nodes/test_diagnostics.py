@@ -14,7 +14,7 @@ pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from allan_ros.core.allan.parts import recent_noise
+from allan_ros.core.allan.recent import recent_noise
 from allan_ros.core.compare import Comparison, Difference
 from allan_ros.core.findings import finding
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
