@@ -19,6 +19,7 @@ from allan_ros.core.compare import Comparison, Difference
 from allan_ros.core.findings import finding
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
 from allan_ros.core.imu import ImuBatch
+from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.core.stream.transport import TransportStatistics
@@ -41,7 +42,8 @@ def sums():
 def fit(**noise: Coefficient) -> AxisResult:
     found = {term: noise.get(term, NOT_SEEN) for term in TERMS}
     found['N'] = noise.get('N', Coefficient(N, (0.95 * N, 1.05 * N)))
-    return AxisResult(0.005, AxisFit(found))
+    terms = {term: c.value or 0.0 for term, c in found.items()}
+    return AxisResult(0.005, AxisFit(found, ProcessModel(NoiseTerms(**terms))))
 
 
 def status_of(sums, **changes) -> DiagnosticStatus:
