@@ -3,10 +3,10 @@
 """All thresholds of the fit, with the false-alarm probability that each stands for."""
 
 GAIN_PROCESS = 11.0
-"""Least gain in -2 log L of one more process (plus 2 log(bins) for a sinusoid)."""
+"""Least gain in -2 log L of one more process, plus 2 log(bins) if it has a frequency: 1 % of axes."""
 
 GAIN_BOUNDED = 5.41
-"""Least gain in -2 log L of a bounded random walk (Gauss-Markov process instead of K): one-sided 1 %."""
+"""Least gain in -2 log L of a bounded random walk instead of K: one-sided 1 %."""
 
 GAIN_RESOLVED = 5.41
 """Least gain in -2 log L from 0 for a term to be resolved: one-sided 1 %."""

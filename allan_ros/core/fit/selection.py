@@ -37,6 +37,10 @@ ALIASED = 0.1
 """Variance of the block means due to a fast sinusoid, relative to that of white noise, from which
 its alias matters."""
 
+BANDWIDTHS = (1.0, 3.0)
+"""Correlation times of the candidates with a frequency, in periods. Shorter ones than the first are
+not allowed: they imitate a low-pass filter."""
+
 PROMISING = 0.4
 """Share of its threshold that the approximate gain of a candidate must reach to be fitted."""
 
@@ -64,9 +68,21 @@ class Candidates:
         every = np.unique(np.concatenate([low, known.f, between]))
         return [('sinusoid', float(f)) for f in every if 0.0 < f < 0.49]
 
+    @cached_property
+    def broad(self) -> list[Component]:
+        """Processes with a frequency and a correlation time, at frequencies above the block means."""
+        kinds = [k for k, v in PROCESS_TYPES.items() if v.shape == ('frequency', 'time')]
+        f = self.statistics.f[self.statistics.f > 2.0 * self.statistics.crossover]
+        return [(kind, float(x), float(1.5 * c / x)) for kind in kinds for x in f for c in BANDWIDTHS]
+
+    @property
+    def by_kind(self) -> tuple[list[Component], ...]:
+        """All candidates in groups of which the best one is fitted."""
+        return self.times, self.lines, self.broad
+
     @property
     def all(self) -> list[Component]:
-        return self.times + self.lines
+        return [each for group in self.by_kind for each in group]
 
     @cached_property
     def power(self) -> Floats:
@@ -134,8 +150,8 @@ class Candidates:
         own = own - np.sum(cross * np.linalg.solve(known, cross.T).T, axis=1)
         left = (fit.moment - fit.information @ fit.p)[on] / size
         score = score - cross @ np.linalg.solve(known, left)
-        shapes = np.array([each[1] for each in self.all])
-        allowed = np.where(np.arange(len(shapes)) < n, shapes >= shortest, shapes < fastest)
+        first = np.array([each[1] for each in self.all])
+        allowed = np.where(np.arange(len(first)) < n, first >= shortest, first < fastest)
         return np.where(allowed & (score > 0.0), score**2 / np.maximum(own, 1e-12), 0.0)
 
 
@@ -208,13 +224,11 @@ class Selection:
             gains[first : first + self.candidates.slow] = 0.0
         best, most = None, 0.0
         at = 0
-        for kind, each in (
-            ('gauss_markov', self.candidates.times),
-            ('sinusoid', self.candidates.lines),
-        ):
+        for each in self.candidates.by_kind:
             part = gains[at : at + len(each)]
             at += len(each)
-            if not len(part) or part.max() < PROMISING * self.threshold(kind):
+            kind = each[0][0] if each else ''
+            if not each or part.max() < PROMISING * self.threshold(kind):
                 continue
             seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
             new = self.fit((*fit.components, each[int(part.argmax())]), np.append(fit.p, seed))
@@ -261,6 +275,8 @@ class Selection:
                 kind, *numbers = fit.components[k]
                 for at, each in enumerate(shape):
                     low, high = bounds[each]
+                    if each == 'time' and len(shape) > 1:
+                        low = BANDWIDTHS[0] / numbers[0]
                     numbers[at] = min(max(numbers[at] * math.exp(move[at]), low), high)
                 new = self._replaced(fit, k, (kind, *numbers))
                 if new.value < fit.value:
