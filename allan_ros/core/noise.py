@@ -13,6 +13,7 @@ The unit of time of these functions is the sample period, and the coefficient is
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, field
@@ -109,6 +110,23 @@ def sinusoid(frequency: float) -> Gamma:
     return gamma
 
 
+def resonance(frequency: float, time: float) -> Gamma:
+    """Second-order process of unit variance: a damped oscillation of random phase.
+
+    Its autocovariance at a lag of t samples is exp(-t/time) cos(2 pi frequency t).
+    """
+    z = cmath.exp(complex(-1.0 / time, 2.0 * math.pi * frequency))
+
+    def gamma(M: ArrayLike, j: ArrayLike) -> Floats:
+        M, j = np.broadcast_arrays(np.asarray(M, float), np.asarray(j, float))
+        sums = (1.0 - z**M) / (1.0 - z)
+        zero = M * (1.0 + z) / (1.0 - z) - 2.0 * z * sums / (1.0 - z)
+        later = z ** ((np.maximum(j, 1.0) - 1.0) * M + 1.0) * sums**2
+        return np.asarray(np.where(j >= 1, later, zero).real / M**2)
+
+    return gamma
+
+
 TERM_TYPES: dict[str, Gamma] = {
     'Q': quantization,
     'N': white,
@@ -129,6 +147,7 @@ PROCESS_TYPES = {
     'gauss_markov': ProcessType(gauss_markov, ('time',)),
     'bounded_walk': ProcessType(bounded_walk, ('time',)),
     'sinusoid': ProcessType(sinusoid, ('frequency',)),
+    'resonance': ProcessType(resonance, ('frequency', 'time')),
 }
 """Noise types with a shape."""
 
@@ -253,6 +272,9 @@ class ProcessModel:
         samples, correlation time in s.
     sinusoids : tuple of (amplitude, frequency)
         Amplitude in the unit of the samples, frequency in Hz.
+    resonances : tuple of (sigma, frequency, tau)
+        Second-order processes: standard deviation in the unit of the samples, frequency in Hz,
+        correlation time in s.
     low_pass : float
         Effect of a low-pass filter of the sensor on averages that are long compared with its
         response: 3 ``low_pass``/tau^2 is added to the Allan variance. It has the unit of Q^2 and is
@@ -263,6 +285,7 @@ class ProcessModel:
     gauss_markov: tuple[tuple[float, float], ...] = ()
     sinusoids: tuple[tuple[float, float], ...] = ()
     low_pass: float = 0.0
+    resonances: tuple[tuple[float, float, float], ...] = ()
 
     def avar(self, tau: ArrayLike, tau0: float = 0.0) -> Floats:
         """Return the Allan variance at the averaging times ``tau``.
@@ -300,7 +323,7 @@ class ProcessModel:
         -------
         dict of name to (times,) float64 array
             Names are the letters of the terms, then 'GM' with the correlation time of a
-            Gauss-Markov process, 'sine' with the frequency of a sinusoid, and 'filter'.
+            Gauss-Markov process, 'sine' or 'resonance' with the frequency of a sinusoid, and 'filter'.
 
         Examples
         --------
@@ -323,6 +346,9 @@ class ProcessModel:
         for amplitude, frequency in (each for each in self.sinusoids if each[0]):
             unit = unit_avar(m, 'sinusoid', frequency * step)
             parts[f'sine {_two_digits(frequency)} Hz'] = amplitude**2 * unit
+        for sigma, frequency, time in (each for each in self.resonances if each[0]):
+            unit = unit_avar(m, 'resonance', frequency * step, time / step)
+            parts[f'resonance {_two_digits(frequency)} Hz'] = sigma**2 * unit
         if self.low_pass:
             parts['filter'] = 3.0 * self.low_pass / tau**2
         return parts

@@ -30,6 +30,7 @@ SHAPES = [
     ('gauss_markov', 30.0),
     ('bounded_walk', 200.0),
     ('sinusoid', 0.031),
+    ('resonance', 0.05, 30.0),
 ]
 
 
@@ -40,6 +41,10 @@ def simulated(component, n, rng):
         return simulate_axis(n, 1.0, NoiseTerms(**{kind: 1.0}), rng)
     if kind == 'sinusoid':
         return np.sin(2.0 * np.pi * (shape[0] * np.arange(n) + rng.uniform()))
+    if kind == 'resonance':  # a rotating complex Gauss-Markov process
+        rest = simulated(('gauss_markov', shape[1]), 2 * n, rng).reshape(2, n)
+        turn = np.exp(2j * np.pi * shape[0] * np.arange(n))
+        return ((rest[0] + 1j * rest[1]) * turn).real
     keep = math.exp(-1.0 / shape[0])
     variance = 1.0 if kind == 'gauss_markov' else shape[0] / 2.0
     steps = rng.standard_normal(n) * math.sqrt(variance * (1.0 - keep * keep))

@@ -122,12 +122,14 @@ def growth_interval(
 
 
 def drift_model(model: ProcessModel) -> ProcessModel:
-    """Return the model without quantization and without sinusoids above 0.1 Hz.
+    """Return the model without quantization, resonances and sinusoids above 0.1 Hz.
 
-    The integrals of both are bounded, so they do not contribute to the growth of the error.
+    Their integrals are bounded, so they do not contribute to the growth of the error.
     """
     slow = tuple(pair for pair in model.sinusoids if pair[1] <= SLOW_SINUSOID_HZ)
-    return replace(model, terms=replace(model.terms, Q=0.0), sinusoids=slow, low_pass=0.0)
+    return replace(
+        model, terms=replace(model.terms, Q=0.0), sinusoids=slow, low_pass=0.0, resonances=()
+    )
 
 
 def has_drift(model: ProcessModel) -> bool:

@@ -134,6 +134,10 @@ def axis_findings(
         found.append(finding('low_pass', name, frequency=result.top / tau0))
     for lines in _with_harmonics(fit.processes.sinusoid):
         found.append(line_finding(name, lines, tau0))
+    for hump in fit.processes.resonance:
+        width = 1.0 / (math.pi * hump.correlation_time)
+        numbers = {'frequency': hump.frequency, 'width': width, 'amplitude': hump.sigma}
+        found.append(finding('resonance', name, **numbers))
     found += _drift_findings(name, fit)
     if sums.samples * tau0 < LEAST_DRIFT_S:
         found.append(finding('rest_too_short', name, rest=sums.samples * tau0))

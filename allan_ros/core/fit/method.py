@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from typing import Any
 
 import numpy as np
 
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
-from ..noise import NoiseTerms, ProcessModel
+from ..noise import PROCESS_TYPES, NoiseTerms, ProcessModel
 from .estimate import Estimate, estimate
 from .findings import axis_findings, merge_equal
 from .intervals import Interval, RampEstimate
@@ -26,10 +28,9 @@ from .model import (
     GaussMarkov,
     K,
     LackOfFit,
-    N,
     NoiseModel,
     Processes,
-    Q,
+    Resonance,
     Sinusoid,
     coefficient_to_si,
 )
@@ -108,6 +109,7 @@ def axis_fit(result: Estimate, known: Statistics, tau0: float, brief: bool = Fal
         tuple((p.sigma, p.correlation_time) for p in processes.gauss_markov),
         tuple((p.amplitude, p.frequency) for p in processes.sinusoid),
         result.low_pass * tau0**2,
+        tuple((p.sigma, p.frequency, p.correlation_time) for p in processes.resonance),
     )
     value, number = result.chi_squared
     return AxisFit(
@@ -166,30 +168,23 @@ def _drift_of_model(ramp: RampEstimate | None, resolved: bool, tau0: float) -> f
 
 def _processes(result: Estimate, tau0: float) -> tuple[Processes, list[int]]:
     """Return the processes in SI, and the indices of their coefficients in this order."""
-    drifts: list[tuple[GaussMarkov, int]] = []
-    lines: list[tuple[Sinusoid, int]] = []
-    for k, component in enumerate(result.components):
+    kinds = {'gauss_markov': GaussMarkov, 'sinusoid': Sinusoid, 'resonance': Resonance}
+    found: dict[str, list[tuple[float, int, Any]]] = {kind: [] for kind in kinds}
+    for k, (kind, *shape) in enumerate(result.components):
         variance = float(result.p[k])
-        if len(component) < 2 or variance <= 0.0:
+        if not shape or variance <= 0.0:
             continue
-        kind, shape = component
         if kind == 'bounded_walk':
-            variance *= shape / 2.0
-        size = math.sqrt(variance)
+            kind, variance = 'gauss_markov', variance * shape[0] / 2.0
         relative = math.sqrt(max(result.covariance[k, k], 0.0)) / float(result.p[k])
-        sizes = _around(size, relative / 2.0)
-        if kind == 'sinusoid':
-            f = shape / tau0
-            ends = _around(f, result.shape_errors.get((k, 0), 0.0))
-            lines.append((Sinusoid(size, sizes, f, ends), k))
-        else:
-            time = shape * tau0
-            times = _around(time, result.shape_errors.get((k, 0), 0.0))
-            drifts.append((GaussMarkov(size, sizes, time, times), k))
-    drifts.sort(key=lambda each: each[0].correlation_time)
-    lines.sort(key=lambda each: each[0].frequency)
-    processes = Processes(tuple(p for p, _ in drifts), tuple(p for p, _ in lines))
-    return processes, [k for _, k in (*drifts, *lines)]
+        values = [math.sqrt(variance), _around(math.sqrt(variance), relative / 2.0)]
+        for at, (x, meaning) in enumerate(zip(shape, PROCESS_TYPES[kind].shape)):
+            value = x * tau0 if meaning == 'time' else x / tau0
+            values += [value, _around(value, result.shape_errors.get((k, at), 0.0))]
+        found[kind].append((shape[0], k, kinds[kind](*values)))
+    ordered = [sorted(each, key=lambda one: one[0]) for each in found.values()]
+    processes = Processes(*(tuple(process for _, _, process in each) for each in ordered))
+    return processes, [k for each in ordered for _, k, _ in each]
 
 
 def _around(value: float, relative: float) -> tuple[float, float]:
@@ -208,10 +203,10 @@ def _covariance(result: Estimate, order: list[int], tau0: float) -> Covariance:
     """Return the covariance of the squared coefficients in SI."""
     units = [coefficient_to_si(t, 1.0, tau0) ** 2 for t in RANDOM_TERMS]
     names = list(RANDOM_TERMS)
-    numbers = {'gauss_markov': 0, 'sinusoid': 0}
+    numbers: Counter[str] = Counter()
     for k in order:
-        kind, shape = result.components[k]
-        kind, unit = ('gauss_markov', shape / 2.0) if kind == 'bounded_walk' else (kind, 1.0)
+        kind, *shape = result.components[k]
+        kind, unit = ('gauss_markov', shape[0] / 2.0) if kind == 'bounded_walk' else (kind, 1.0)
         names.append(f'{kind} {numbers[kind]}')
         numbers[kind] += 1
         units.append(unit)

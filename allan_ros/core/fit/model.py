@@ -126,6 +126,34 @@ class Sinusoid:
 
 
 @dataclass(frozen=True)
+class Resonance:
+    """Second-order process: a damped oscillation that noise excites, for example of a mounting.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation in SI units.
+    sigma_ci95 : (low, high)
+        95 % interval of sigma.
+    frequency : float
+        Frequency in Hz.
+    frequency_ci95 : (low, high)
+        95 % interval of the frequency.
+    correlation_time : float
+        Time in s in which the oscillation decays to 1/e; its width is 1/(pi times this) Hz.
+    correlation_time_ci95 : (low, high)
+        95 % interval of the correlation time.
+    """
+
+    sigma: float
+    sigma_ci95: tuple[float, float]
+    frequency: float
+    frequency_ci95: tuple[float, float]
+    correlation_time: float
+    correlation_time_ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Processes:
     """Processes that are added to the five terms if these do not describe the curve.
 
@@ -135,10 +163,13 @@ class Processes:
         Sorted by correlation time, shortest first.
     sinusoid : tuple of Sinusoid
         Sorted by frequency, lowest first.
+    resonance : tuple of Resonance
+        Sorted by frequency, lowest first.
     """
 
     gauss_markov: tuple[GaussMarkov, ...] = ()
     sinusoid: tuple[Sinusoid, ...] = ()
+    resonance: tuple[Resonance, ...] = ()
 
 
 class Deviation(NamedTuple):
@@ -180,8 +211,8 @@ class Covariance:
     Attributes
     ----------
     names : tuple of str
-        Parameters: 'Q', 'N', 'B', 'K', then 'gauss_markov' and 'sinusoid' with a number, in the
-        order of `Processes`.
+        Parameters: 'Q', 'N', 'B', 'K', then 'gauss_markov', 'sinusoid' and 'resonance' with a
+        number, in the order of `Processes`.
     matrix : (parameters, parameters) array
         Covariance of their squares (of N^2, of sigma^2, of amplitude^2 ...) in SI, with the
         uncertainty of correlation times and frequencies included.

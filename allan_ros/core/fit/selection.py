@@ -73,7 +73,9 @@ class Candidates:
         """Processes with a frequency and a correlation time, at frequencies above the block means."""
         kinds = [k for k, v in PROCESS_TYPES.items() if v.shape == ('frequency', 'time')]
         f = self.statistics.f[self.statistics.f > 2.0 * self.statistics.crossover]
-        return [(kind, float(x), float(1.5 * c / x)) for kind in kinds for x in f for c in BANDWIDTHS]
+        return [
+            (kind, float(x), float(1.5 * c / x)) for kind in kinds for x in f for c in BANDWIDTHS
+        ]
 
     @property
     def by_kind(self) -> tuple[list[Component], ...]:
