@@ -174,7 +174,7 @@ def _state_text(view: InputView) -> str:
 RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
 """Averaging times in s at which the recent Allan deviation is compared with the earlier one."""
 
-NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes', 'drift_changes')
+NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes', 'level_changed')
 """Findings of the fit that are listed in the status of an axis but do not change its level."""
 
 

@@ -48,3 +48,15 @@ LEAST_DRIFT_S = 10.0
 
 LEAST_STATISTICS = 12
 """Fewest bins and contrasts of a fit."""
+
+GAIN_WARM_UP = 16.5
+"""Least gain in -2 log L of a warm-up, summed over the axes of a sensor: 1 % per sensor."""
+
+GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
+"""Least gain in -2 log L of a step of the bias, and of each further one: 1 % per axis."""
+
+CERTAIN_EXCESS = 4.5
+"""Gain above `GAIN_WARM_UP` from which on an early part is excluded: 0.1 % per sensor."""
+
+LEVEL_CHANGES = 1e-3
+"""Probability below which the level of the white noise varies, per axis."""

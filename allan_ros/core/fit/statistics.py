@@ -142,7 +142,7 @@ class Statistics:
     @cached_property
     def crossover(self) -> float:
         """Frequency in cycles per sample below which the block means are used."""
-        return _edge(self.octaves)
+        return lower_edge(self.octaves)
 
     def column(self, component: Component, axis: int = 0) -> Column:
         """Return the expectation for unit noise of a component of an axis.
@@ -167,7 +167,7 @@ class Statistics:
         return Column(np.concatenate(power) if power else np.zeros(0), low)
 
 
-def _edge(octaves: int) -> float:
+def lower_edge(octaves: int) -> float:
     """Return the lower edge of the lowest of a number of octaves in cycles per sample."""
     if not octaves:
         return 1.0
@@ -186,7 +186,7 @@ def statistics(sums: AllanSums) -> Statistics:
         octaves = o + 1
     used = spectra.octave < octaves
     means = [(m.step, m.values.T) for r in sums.recordings for m in r.means]
-    step, groups = _groups(means, _edge(octaves))
+    step, groups = _groups(means, lower_edge(octaves))
     return Statistics(
         sums.samples,
         longest,

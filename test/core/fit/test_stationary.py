@@ -1,0 +1,146 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Noise that changes with time: warm-up, steps of the bias, level of the white noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from allan_ros.core.allan.running import RunningSums
+from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.fit.stationary import fit_stationary
+from allan_ros.core.imu import AXES, from_datasheet
+from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.simulate import simulate_axis
+
+Floats = NDArray[np.float64]
+
+DEG_H = from_datasheet('B', 'gyro', 1.0)
+HOUR = 3600
+CHANGES = {
+    'warm_up', 'settled_part', 'early_part', 'bias_steps', 'bias_differs', 'level_changes',
+    'level_changed',
+}  # fmt: skip
+
+
+def draw(seed: int, samples: int, rate: float = 1.0, terms: str = 'NB', axes: int = 3) -> Floats:
+    """Return noise of a common MEMS gyroscope."""
+    values = {'N': 0.242, 'B': 5.237, 'K': 31.807}
+    noise = NoiseTerms(**{t: from_datasheet(t, 'gyro', values[t]) for t in terms})
+    rng = np.random.default_rng(seed)
+    return np.stack([simulate_axis(samples, 1.0 / rate, noise, rng) for _ in range(axes)], axis=1)
+
+
+def sums_of(*segments: Floats, rate: float = 1.0, pause: float = 1.0) -> AllanSums:
+    """Return the sums of segments with pauses between them."""
+    engine, start = RunningSums(axes=AXES[: segments[0].shape[1]]), 0.0
+    for y in segments:
+        engine.update(y, round(start * 1e9), round((start + (len(y) - 1) / rate) * 1e9))
+        engine.end_segment()
+        start += len(y) / rate + pause
+    return engine.sums
+
+
+def changes(sums: AllanSums, settle: bool = True) -> dict[str, tuple[str, ...]]:
+    """Return the axes of each finding about noise that changes with time."""
+    _, model = fit_stationary(sums, settle=settle)
+    found: dict[str, tuple[str, ...]] = {}
+    for each in model.findings:
+        if each.id in CHANGES:
+            found[each.id] = (*found.get(each.id, ()), *each.axes)
+    return found
+
+
+@pytest.mark.parametrize('terms', ['N', 'NB', 'NK'])
+def test_clean_noise_is_used_completely(terms: str) -> None:
+    sums = sums_of(draw(1, 2 * HOUR, terms=terms))
+    used, _ = fit_stationary(sums)
+    assert used is sums
+    assert not changes(sums)
+
+
+def test_a_warm_up_is_excluded_and_the_drift_is_that_without_it() -> None:
+    y = draw(2, 8 * HOUR)
+    decay = 300.0 * DEG_H * np.exp(-np.arange(len(y)) / 600.0)[:, None]
+    sums = sums_of(y + decay)
+    used, model = fit_stationary(sums)
+    lost = 1.0 - used.samples / sums.samples
+    assert 2 * 600.0 / len(y) < lost < 0.4
+    assert 'settled_part' in {f.id for f in model.findings}
+    for fit in model.axes.values():
+        b, k = fit.noise['B'], fit.noise['K']
+        assert b.value == pytest.approx(5.237 * DEG_H, rel=0.2)
+        assert k.status != 'estimated'
+    kept, _ = fit_stationary(sums, settle=False)
+    assert kept is sums
+    assert 'early_part' in changes(sums, settle=False)
+
+
+def test_a_warm_up_that_does_not_end_is_reported() -> None:
+    y = draw(3, 2 * HOUR)
+    decay = 3000.0 * DEG_H * np.exp(-np.arange(len(y)) / HOUR)[:, None]
+    sums = sums_of(y + decay)
+    used, _ = fit_stationary(sums)
+    assert used is sums
+    assert 'warm_up' in changes(sums)
+
+
+def test_steps_of_the_bias_are_located() -> None:
+    y = draw(4, 8 * HOUR)
+    y[3 * HOUR :, 1] += 100.0 * DEG_H
+    y[6 * HOUR :, 1] -= 60.0 * DEG_H
+    _, model = fit_stationary(sums_of(y))
+    (found,) = (f for f in model.findings if f.id in CHANGES)
+    assert found.id == 'bias_steps' and found.axes == ('gyro_y',)
+    assert found.values['size'].value == pytest.approx(100.0 * DEG_H, rel=0.15)
+    assert found.values['after'].value < 0.2 * found.values['before'].value
+    assert found.values['at'] == '3 h, 6 h'
+
+
+def test_the_bias_after_a_gap_differs() -> None:
+    y = draw(5, 2 * HOUR)
+    later = draw(6, HOUR)
+    assert not changes(sums_of(y[:HOUR], y[HOUR:]))
+    assert set(changes(sums_of(y, later + 200.0 * DEG_H))) == {'bias_differs'}
+
+
+@pytest.mark.parametrize('factor', [2.0, 0.7])
+def test_the_model_follows_a_change_of_the_white_noise(factor: float) -> None:
+    # 3 % is 4.5 standard deviations of N in 3 min at 100 Hz
+    y = draw(7, 108_000, 100.0, 'N')
+    y[90_000:] *= factor
+    sums = sums_of(y, rate=100.0)
+    used, model = fit_stationary(sums)
+    assert used.samples <= 18_000
+    n = from_datasheet('N', 'gyro', 0.242)
+    for fit in model.axes.values():
+        assert fit.noise['N'].value == pytest.approx(factor * n, rel=0.03)
+    assert set(changes(sums)['level_changed']) == set(AXES[:3])
+    assert set(changes(sums, settle=False)) == {'level_changes'}
+
+
+def test_a_short_burst_of_noise_excludes_nothing() -> None:
+    y = draw(8, 108_000, 100.0, 'N')
+    y[40_000:50_000] *= 2.0
+    sums = sums_of(y, rate=100.0)
+    used, _ = fit_stationary(sums)
+    assert used is sums
+    assert 'level_changes' in changes(sums)
+
+
+def test_a_noisier_recording_of_the_same_sensor_replaces_earlier_ones() -> None:
+    y = draw(9, 3 * HOUR, terms='N')
+    earlier = sums_of(y[:HOUR]) + sums_of(y[HOUR : 2 * HOUR], pause=0.0)
+    sums = earlier + sums_of(2.0 * y[2 * HOUR :])
+    used, _ = fit_stationary(sums)
+    assert used.samples <= HOUR
+
+
+def test_impulsive_noise_has_a_constant_level() -> None:
+    rng = np.random.default_rng(10)
+    sums = sums_of(rng.laplace(size=(200_000, 3)) * 1e-3, rate=100.0)
+    used, _ = fit_stationary(sums)
+    assert used is sums
+    assert not changes(sums)
