@@ -182,10 +182,10 @@ def test_five_findings_at_most_and_all_on_demand(small_results: Results) -> None
 def test_a_part_that_is_left_out_is_named_first(small_results: Results) -> None:
     warnings = tuple(Finding(f'w{i}', 'warning', f'{"abcdefgh"[i]}.', 'Do.') for i in range(8))
     change = {'what': 'warm-up', 'axis': 'gyro_x K', 'before': 2.0, 'after': 1.0}
-    left_out = finding('settled_part', ('gyro_x',), early=3600.0, **change)
+    left_out = finding('settled_part', ('gyro_x',), early=7200.0, **change)
     shown = lines_of(replace(small_results, findings=(*warnings, left_out)), 'SI', 100)
     first = next(i for i, line in enumerate(shown) if line.startswith(('info', 'warning')))
-    assert shown[first].startswith('info: gyro x: The first 1 h differ from the later data')
+    assert shown[first].startswith('info: gyro x: The first 2 h differ from the later data')
     assert 'and 4 more findings: -v shows all' in shown
 
 

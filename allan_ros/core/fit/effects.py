@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..allan.periods import BlockMeans
-from ..allan.sums import AllanSums
 from ..noise import unit_avar
 from .likelihood import TERMS, AxisData, Columns, Fit, LowBand
 from .limits import GAIN_MORE_STEPS, GAIN_STEPS, GAIN_WARM_UP
-from .statistics import Component, Floats, Group, Statistics, contrasts, lower_edge, statistics
+from .statistics import Component, Floats, Group, Statistics, contrasts, lower_edge
 
 MOST_CONTRASTS = 96
 """Largest number of contrasts of the block means; octave spectra describe higher frequencies."""
@@ -58,14 +57,16 @@ class Segment:
         return both[:, :-1], both[:, -1]
 
     def scores(self, x: Floats, base: Floats) -> Floats:
-        """Return the score of each column of ``x``, given effects ``base`` that are in the model."""
+        """Return the score of each column of ``x``, given effects ``base`` in the model."""
         white, z = self.whitened(np.column_stack([base, x]), self.fit)
         known, white = white[:, : base.shape[1]], white[:, base.shape[1] :]
         if known.shape[1]:
             q, _ = np.linalg.qr(known)
             white, z = white - q @ (q.T @ white), z - q @ (q.T @ z)
         size = np.sum(white**2, axis=0)
-        return np.where(size > 1e-9 * size.max(), (white.T @ z) ** 2 / np.maximum(size, 1e-300), 0.0)
+        return np.where(
+            size > 1e-9 * size.max(), (white.T @ z) ** 2 / np.maximum(size, 1e-300), 0.0
+        )
 
     def with_effects(self, x: Floats) -> tuple[Segment, Floats]:
         """Return the segment with the noise fitted beside effects, and the sizes of these."""
@@ -84,7 +85,7 @@ class Segment:
         return replace(self, fit=fit), beta * math.sqrt(self.data.scale)
 
     def deviation(self, m: float) -> float:
-        """Return the Allan deviation of the terms at an averaging factor, in the unit of samples."""
+        """Return the Allan deviation of the terms at the averaging factor m, in SI."""
         avar = sum(p * float(unit_avar(max(m, 1.0), *c)) for p, c in zip(self.fit.p, TERMS))
         return math.sqrt(avar * self.data.scale)
 
@@ -118,9 +119,7 @@ def segment_statistics(known: Statistics, means: BlockMeans) -> tuple[Statistics
     """Return the statistics with contrasts of one segment only, and the lowest used octave."""
     points, step = len(means.values), means.step
     octaves = known.octaves
-    fewer = [
-        o for o in range(octaves + 1) if 2.0 * points * step * lower_edge(o) <= MOST_CONTRASTS
-    ]
+    fewer = [o for o in range(octaves + 1) if 2.0 * points * step * lower_edge(o) <= MOST_CONTRASTS]
     cut = min(fewer, default=octaves)
     high = max(min(int(2.0 * points * step * lower_edge(cut)), MOST_CONTRASTS, points - 2), 2)
     z = means.values.T @ contrasts(points, high)
@@ -207,9 +206,7 @@ def warm_up(
 def _decays(times: Floats, means: BlockMeans) -> Floats:
     """Return the block means of exp(-t/T) for each T, (times, means)."""
     step, begin = means.step, means.step * np.arange(len(means.values))
-    return np.asarray(
-        [-np.expm1(-step / t) * t / step * np.exp(-begin / t) for t in times]
-    )
+    return np.asarray([-np.expm1(-step / t) * t / step * np.exp(-begin / t) for t in times])
 
 
 def bias_steps(
