@@ -255,7 +255,8 @@ class AxisResult:
         Gauss-Markov process or a sinusoid.
         """
         parts = self.fit.model.parts(self._tau(m), self.tau0)
-        return {name: np.sqrt(avar) for name, avar in parts.items()}
+        # the part of a low-pass filter is negative: it has no deviation
+        return {name: np.sqrt(avar) for name, avar in parts.items() if np.all(avar >= 0.0)}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
         """Return the Allan deviation of each term that the model omits, at its 95 % upper limit.
