@@ -75,7 +75,7 @@ def gauss_markov(time: float) -> Gamma:
     """
 
     def gamma(M: ArrayLike, j: ArrayLike) -> Floats:
-        M, j = np.broadcast_arrays(np.asarray(M, float), np.asarray(j, float))
+        M, j = np.asarray(M, float), np.asarray(j, float)
         x = M / time
         # lag j >= 1: exp(-((j - 1) M + 1)/T) times the square of the mean of exp(-i/T), i < M
         mean = np.expm1(-x) / math.expm1(-1.0 / time) / M
@@ -88,7 +88,7 @@ def gauss_markov(time: float) -> Gamma:
         ) / M**2
         lag = (M - 1.0 / M) / (3.0 * time)  # mean of |a - b|/T, then of its square and cube
         series = -lag + (M**2 - 1.0) / (12.0 * time**2) - x**3 / 60.0 * (1.0 - 1.0 / M**2)
-        return np.where(j >= 1, later, np.where(x < 1e-3, series, pairs - 1.0))
+        return np.asarray(np.where(j >= 1, later, np.where(x < 1e-3, series, pairs - 1.0)))
 
     return gamma
 
@@ -118,11 +118,13 @@ def resonance(frequency: float, time: float) -> Gamma:
     z = cmath.exp(complex(-1.0 / time, 2.0 * math.pi * frequency))
 
     def gamma(M: ArrayLike, j: ArrayLike) -> Floats:
-        M, j = np.broadcast_arrays(np.asarray(M, float), np.asarray(j, float))
-        sums = (1.0 - z**M) / (1.0 - z)
-        zero = M * (1.0 + z) / (1.0 - z) - 2.0 * z * sums / (1.0 - z)
-        later = z ** ((np.maximum(j, 1.0) - 1.0) * M + 1.0) * sums**2
-        return np.asarray(np.where(j >= 1, later, zero).real / M**2)
+        M, j = np.asarray(M, float), np.asarray(j, float)
+        sums = (1.0 - np.exp(M * cmath.log(z))) / (1.0 - z)
+        zero = (M * (1.0 + z) / (1.0 - z) - 2.0 * z * sums / (1.0 - z)).real
+        k = (np.maximum(j, 1.0) - 1.0) * M + 1.0
+        wave = np.cos(2.0 * math.pi * frequency * k + 2.0 * np.angle(sums))
+        later = np.abs(sums) ** 2 * np.exp(-k / time) * wave
+        return np.asarray(np.where(j >= 1, later, zero) / M**2)
 
     return gamma
 

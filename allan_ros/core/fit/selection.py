@@ -89,7 +89,7 @@ class Candidates:
     @cached_property
     def power(self) -> Floats:
         """Expected power of each candidate, (candidates, bins)."""
-        return np.array([self.statistics.column(each).power for each in self.all])
+        return np.array([self.statistics.power_of(each) for each in self.all])
 
     @cached_property
     def covariances(self) -> list[Floats]:

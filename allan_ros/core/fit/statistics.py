@@ -144,6 +144,11 @@ class Statistics:
         """Frequency in cycles per sample below which the block means are used."""
         return lower_edge(self.octaves)
 
+    def power_of(self, component: Component) -> Floats:
+        """Return the expected power of the bins for unit noise without interpolated samples."""
+        power = [expected_power(component, o) for o in range(self.octaves)]
+        return np.concatenate(power) if power else np.zeros(0)
+
     def column(self, component: Component, axis: int = 0) -> Column:
         """Return the expectation for unit noise of a component of an axis.
 
@@ -153,7 +158,6 @@ class Statistics:
         if component == ('Q2',):
             q = self.column(('Q',))
             return Column(q.power**2, [0.0 * low for low in q.low])
-        power = [expected_power(component, o) for o in range(self.octaves)]
         if component[0] == 'sinusoid' and component[1] * self.step > 1.0:
             # Its alias in the block means depends on more digits of its frequency than are known:
             # there, the mean power of all aliases is taken as white noise.
@@ -163,8 +167,8 @@ class Statistics:
             low = [_low_covariance(component, self.step, g.points, g.high) for g in self.groups]
         gain = self.white_gain[:, axis]
         if component == ('N',) and np.any(gain != 1.0):
-            return Column(np.concatenate(power) * gain[:-1], [gain[-1] * each for each in low])
-        return Column(np.concatenate(power) if power else np.zeros(0), low)
+            return Column(self.power_of(component) * gain[:-1], [gain[-1] * each for each in low])
+        return Column(self.power_of(component), low)
 
 
 def lower_edge(octaves: int) -> float:
