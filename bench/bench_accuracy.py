@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from allan_ros.core.fit.goodness import Z_FAIL
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import TERMS, AxisFit, Coefficient, fit_noise
-from allan_ros.core.fit.goodness import Z_FAIL
 from allan_ros.core.imu import from_datasheet, to_datasheet
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
@@ -304,7 +304,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description='Monte Carlo of the fits.')
     parser.add_argument('scenarios', nargs='*', default=['table1_x', 'white', 'five_minutes'])
     parser.add_argument('--runs', type=int, default=24)
-    parser.add_argument('--methods', nargs='+', default=['likelihood', 'relative', 'paper', 'slope'])
+    methods = ['likelihood', 'relative', 'paper', 'slope']
+    parser.add_argument('--methods', nargs='+', default=methods)
     parser.add_argument('--keep', type=Path, help='folder to keep the sums of the draws in')
     parser.add_argument('--rate', type=float, help='another rate in Hz than that of the scenarios')
     options = parser.parse_args(arguments)

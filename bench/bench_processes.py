@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from allan_ros.core.fit.model_selection import GAUSS_MARKOV_RATIO
 from bench_accuracy import AXES, HOUR, X, clopper_pearson, gyro, read_slopes
 from scipy.signal import lfilter
 
@@ -29,7 +30,6 @@ from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.fit import AxisFit, fit_noise
-from allan_ros.core.fit.model_selection import GAUSS_MARKOV_RATIO
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import (
     NoiseTerms,

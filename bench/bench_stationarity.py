@@ -23,13 +23,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from allan_ros.core.allan.levels import drift_scatter, level_changes
+from allan_ros.core.allan.stationarity import bias_steps, early_parts
 from doc_table import DocTable
 from numpy.typing import NDArray
 from scipy.stats import beta
 
 from allan_ros.core.allan.running import RunningSums
-from allan_ros.core.allan.levels import drift_scatter, level_changes
-from allan_ros.core.allan.stationarity import bias_steps, early_parts
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import Coefficient, fit_noise
 from allan_ros.core.fit.stationary import fit_stationary

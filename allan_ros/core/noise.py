@@ -325,7 +325,8 @@ class ProcessModel:
         -------
         dict of name to (times,) float64 array
             Names are the letters of the terms, then 'GM' with the correlation time of a
-            Gauss-Markov process, 'sine' or 'resonance' with the frequency of a sinusoid, and 'filter'.
+            Gauss-Markov process, 'sine' or 'resonance' with the frequency of a sinusoid, and
+            'filter'.
 
         Examples
         --------

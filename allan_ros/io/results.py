@@ -306,8 +306,9 @@ class Results:
         expect(LIST, targets=targets, plots=plots)
         check_plots(plots)
         expect(bool, overwrite=overwrite)
-        files = {'targets': targets, 'plots': plots, 'overwrite': overwrite}
-        return write_result_files(folder, self, units=units, **files)[1]
+        return write_result_files(
+            folder, self, units=units, targets=targets, plots=plots, overwrite=overwrite
+        )[1]
 
     @public
     def check(

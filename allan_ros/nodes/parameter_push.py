@@ -155,7 +155,7 @@ class ParameterPush(Part):
         self._rejected: dict[str, Proposal] = {}
         self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> warning, text
         self._calls: list[Any] = []  # futures of the answers that `_on_answers` processes
-        self._on_answers: Callable[[list[Any]], None] = list.clear
+        self._on_answers: Callable[[list[Any]], object] = list.clear
         self._called_at = self._due_at = 0.0
         owner.create_service(Trigger, '~/restore', self._on_restore)
         if target:
@@ -272,7 +272,9 @@ class ParameterPush(Part):
                     ready.append(proposal)
         return ready
 
-    def _call(self, client: Client, requests: list[Any], then: Callable[[list[Any]], None]) -> None:
+    def _call(
+        self, client: Client, requests: list[Any], then: Callable[[list[Any]], object]
+    ) -> None:
         """Send the requests; `tick` passes all answers to ``then``, or stops after `ANSWER_S`."""
         self._calls = [client.call_async(request) for request in requests]
         self._on_answers, self._called_at = then, time.monotonic()

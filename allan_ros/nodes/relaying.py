@@ -369,7 +369,8 @@ class ImuRelay(Part):
             found += faults
             settings, known = self._settings.value, {sensor_of(axis) for axis in results.axes}
             if self._ratio > settings.ratio:
-                values = {'horizon': settings.horizon, 'ratio': self._ratio, 'done': self._done}
+                horizon, ratio = settings.horizon, self._ratio
+                values: dict[str, Any] = {'horizon': horizon, 'ratio': ratio, 'done': self._done}
                 found.append(finding('relay_unsettled', **values))
             elif not faults:
                 for sensor in SENSORS:

@@ -66,7 +66,10 @@ CALLS = [
     (lambda r: ar.analyze(['a', 'b'], processes='x'), "processes is 'x': a whole number"),
     (lambda r: ar.analyze(np.ones(9), rate=1, hardware_id=5), 'hardware_id is 5: a text'),
     (lambda r: ar.analyze(np.ones(9), rate=1, axes=5), 'axes is 5: a text or a list'),
-    (lambda r: ar.analyze(np.ones(9), rate=1, method=[]), r'method is \[\]: choose one of likelihood'),
+    (
+        lambda r: ar.analyze(np.ones(9), rate=1, method=[]),
+        r'method is \[\]: choose one of likelihood',
+    ),
     (lambda r: ar.analyze('x', topik='/imu'), "option 'topik' is unknown: use topic$"),
     (lambda r: ar.analyze('x', foo=1), "option 'foo' is unknown: use stamps, .*, topic, columns"),
     (lambda r: ar.analyze('x', rate_hz=9.0), "option 'rate_hz' is unknown"),

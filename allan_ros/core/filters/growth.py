@@ -171,7 +171,8 @@ def growth_table(
 
     ``horizons`` are these times and ``window`` the time over which the bias was averaged before, in
     s. ``integrals`` is 1 for the angle of a gyro or the velocity of an accelerometer, 2 for its
-    position. Terms that are not resolved are included with their estimates. For the upper end of the interval, all terms have their 95 % upper limits.
+    position. Terms that are not resolved are included with their estimates. For
+    the upper end of the interval, all terms have their 95 % upper limits.
     """
     h = np.array(horizons)
     model = drift_model(fit.model)

@@ -202,11 +202,8 @@ def _test(rules: Selection, fit: Fit) -> tuple[bool, bool]:
     if fit.p[N] > 0.0:
         at = 1 + int(np.searchsorted(on, N))
         white = float(fit.p[N]) / math.sqrt(covariance[at, at])
-    if rules.signed:
-        curved = abs(z) > CURVATURE
-    else:
-        curved = fit.p[Q] == 0.0 and z < -CURVATURE
-    curved = curved or white < WHITE_NOISE or crowded(fit)
+    bent = abs(z) > CURVATURE if rules.signed else fit.p[Q] == 0.0 and z < -CURVATURE
+    curved = bent or white < WHITE_NOISE or crowded(fit)
     return min(tails) >= LACK_OF_FIT and not curved, curved
 
 

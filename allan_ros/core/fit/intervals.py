@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""95 % intervals: profile likelihood of the coefficients, generalized least squares for the ramp."""
+"""95 % intervals: profile likelihood of coefficients, generalized least squares of the ramp."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def _crossing(distance, z: float, inside: float, outside: float, at_outside: flo
 
 
 class RampEstimate(NamedTuple):
-    """Ramp per sample in scaled units: estimate, standard error, degrees of freedom of the error."""
+    """Ramp per sample in scaled units: estimate, standard error and its degrees of freedom."""
 
     value: float
     error: float
@@ -117,9 +117,9 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
         e = np.zeros(d.shape[1])
         e[0] = unit
         w = np.linalg.solve(np.tensordot(fit.p, d, 1), e)
-        information += group.count * float(w[0]) * unit
+        information += group.segments * float(w[0]) * unit
         moment += float(w @ low.line)
-        slope += group.count * np.einsum('i,kij,j->k', w, d, w)
+        slope += group.segments * np.einsum('i,kij,j->k', w, d, w)
     if not information > 0.0:
         return None
     slope = slope / information

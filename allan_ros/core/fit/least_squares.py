@@ -34,7 +34,7 @@ from ..errors import AllanError
 from ..findings import Finding, Quantity, finding
 from ..imu import sensor_of
 from ..noise import FLICKER_FLOOR, NoiseTerms, term_avar
-from .model import TERMS, Z_95, AxisFit, Coefficient, Floats, NoiseModel, model_of_terms
+from .model import TERMS, Z_95, AxisFit, Coefficient, Floats, NoiseModel, Status, model_of_terms
 
 MIN_GROUPS = 9
 """Smallest number of averaging times in the record for method 'relative'. With fewer, a point may
@@ -191,7 +191,7 @@ LEAST_POINTS = 6
 """Smallest number of points of a curve: one more than there are terms."""
 
 RESOLVED = 2.33
-"""Ratio of a squared coefficient to its standard error above which it is resolved: one-sided 1 %."""
+"""Ratio of a squared coefficient to its standard error above which it is resolved: 1 % of axes."""
 
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:
@@ -270,6 +270,6 @@ def _coefficient(square: float, error: float) -> Coefficient:
     """Return a coefficient from its square, with its interval or its upper limit."""
     value, high = math.sqrt(square), math.sqrt(square + Z_95 * error)
     if square < RESOLVED * error or not square:
-        status = 'likely' if square > error else 'not_observable'
+        status: Status = 'likely' if square > error else 'not_observable'
         return Coefficient(value or None, None, high, status)
     return Coefficient(value, (math.sqrt(max(square - Z_95 * error, 0.0)), high))

@@ -105,7 +105,7 @@ def inverse(information: Floats) -> Floats:
 class LowBand(NamedTuple):
     """Scaled contrasts of one group for one axis."""
 
-    count: int
+    segments: int
     line: Floats  # (contrasts,) sum over the segments; the first one is the line
     gram: Floats  # (contrasts - 1, contrasts - 1), without the line
 
@@ -143,11 +143,13 @@ class AxisData:
         if len(power):
             scale = float(np.average(power, weights=statistics.dof))
         else:
-            traces = [(float(np.trace(g.gram[axis])), g.count * g.high) for g in statistics.groups]
+            traces = [
+                (float(np.trace(g.gram[axis])), g.segments * g.high) for g in statistics.groups
+            ]
             scale = sum(t for t, _ in traces) / max(sum(n for _, n in traces), 1)
         scale = scale if scale > 0.0 else 1.0
         low = [
-            LowBand(g.count, g.sums[axis] / math.sqrt(scale), g.gram[axis][1:, 1:] / scale)
+            LowBand(g.segments, g.sums[axis] / math.sqrt(scale), g.gram[axis][1:, 1:] / scale)
             for g in statistics.groups
         ]
         used = np.ones(len(power), bool)
@@ -211,7 +213,7 @@ class AxisData:
             traces = np.trace(d, axis1=1, axis2=2)
             mean = float(np.trace(gram)) / count
             largest = np.minimum(largest, mean / np.maximum(traces, 1e-300))
-        return np.maximum(largest, 1e-12) / len(largest)
+        return np.asarray(np.maximum(largest, 1e-12) / len(largest))
 
     def solve(
         self,

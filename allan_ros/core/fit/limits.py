@@ -3,7 +3,7 @@
 """All thresholds of the fit, with the false-alarm probability that each stands for."""
 
 GAIN_PROCESS = 11.0
-"""Least gain in -2 log L of one more process, plus 2 log(bins) if it has a frequency: 1 % of axes."""
+"""Least gain in -2 log L of one more process, plus 2 log(bins) if it has a frequency: 1 %."""
 
 GAIN_BOUNDED = 5.41
 """Least gain in -2 log L of a bounded random walk instead of K: one-sided 1 %."""

@@ -32,6 +32,7 @@ from .model import (
     Processes,
     Resonance,
     Sinusoid,
+    Status,
     coefficient_to_si,
 )
 from .selection import Candidates
@@ -136,7 +137,7 @@ def _coefficient(
     )
     if interval.gain > GAIN_RESOLVED and math.isfinite(high):
         return Coefficient(value, (min(low, value), max(high, value)))
-    status = 'likely' if variance > math.sqrt(scatter) > 0.0 else 'not_observable'
+    status: Status = 'likely' if variance > math.sqrt(scatter) > 0.0 else 'not_observable'
     limit = max(high, value) if math.isfinite(high) else None
     return Coefficient(value or None, None, limit, status)
 

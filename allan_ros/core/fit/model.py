@@ -252,7 +252,7 @@ class AxisFit:
     """
 
     noise: Mapping[str, Coefficient]
-    model: ProcessModel = ProcessModel()
+    model: ProcessModel = field(default_factory=ProcessModel)
     processes: Processes = Processes()
     m_min: int = 1
     filtered: bool = False

@@ -70,7 +70,7 @@ class Candidates:
 
     @cached_property
     def broad(self) -> list[Component]:
-        """Processes with a frequency and a correlation time, at frequencies above the block means."""
+        """Processes with frequency and correlation time, at frequencies above the block means."""
         kinds = [k for k, v in PROCESS_TYPES.items() if v.shape == ('frequency', 'time')]
         f = self.statistics.f[self.statistics.f > 2.0 * self.statistics.crossover]
         return [
@@ -136,15 +136,17 @@ class Candidates:
         slow = slice(n, n + self.slow)
         for group, d, e, w in zip(data.low, fit.columns.low, self.covariances, self.waves):
             v = np.linalg.inv(np.tensordot(fit.p, d, 1))
-            h = v @ group.gram @ v - group.count * v
+            h = v @ group.gram @ v - group.segments * v
             vd = v @ d @ v
             ve = v @ e
             score[:n] += 0.5 * np.tensordot(e, h, 2)
-            own[:n] += 0.5 * group.count * np.sum(ve * ve.transpose(0, 2, 1), (1, 2))
-            cross[:n] += 0.5 * group.count * np.tensordot(e, vd, ((1, 2), (1, 2)))
+            own[:n] += 0.5 * group.segments * np.sum(ve * ve.transpose(0, 2, 1), (1, 2))
+            cross[:n] += 0.5 * group.segments * np.tensordot(e, vd, ((1, 2), (1, 2)))
             score[slow] += 0.5 * np.sum((w @ h) * w, (1, 2))
-            own[slow] += 0.5 * group.count * np.sum((w @ v @ w.transpose(0, 2, 1)) ** 2, (1, 2))
-            cross[slow] += 0.5 * group.count * np.einsum('fpk,ckl,fpl->fc', w, vd, w, optimize=True)
+            own[slow] += 0.5 * group.segments * np.sum((w @ v @ w.transpose(0, 2, 1)) ** 2, (1, 2))
+            cross[slow] += (
+                0.5 * group.segments * np.einsum('fpk,ckl,fpl->fc', w, vd, w, optimize=True)
+            )
         on = fit.free
         size = np.sqrt(np.maximum(np.diag(fit.information)[on], 1e-300))
         known = fit.information[np.ix_(on, on)] / np.outer(size, size) + 1e-9 * np.eye(len(on))
@@ -307,7 +309,7 @@ class Selection:
             for p, c in zip(fit.p, fit.components)
             if c[0] == 'sinusoid' and c[1] * step > 1.0
         )
-        return sum(left) > ALIASED * fit.p[N] / step
+        return bool(sum(left) > ALIASED * fit.p[N] / step)
 
     def bounded(self, fit: Fit) -> Fit:
         """Return the fit in which the random walk is bounded, if the data show this.

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from ..noise import gamma_of
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-Component = tuple  # type: ignore[type-arg]
+Component = tuple[Any, ...]
 """A noise type with its shape: ('N',), ('gauss_markov', 30.0). Shapes are in samples."""
 
 LOWEST_BLOCKS = 2
@@ -85,7 +85,7 @@ class Group(NamedTuple):
 
     points: int
     high: int
-    count: int  # segments
+    segments: int
     sums: Floats  # (axes, contrasts)
     gram: Floats  # (axes, contrasts, contrasts)
 
@@ -212,8 +212,8 @@ def _interpolation_gain(sums: AllanSums, f: Floats, octaves: Ints) -> Floats:
     A gap of g samples gives the samples next to it the weights A = sum (1 - i/(g + 1)) exp(-2 pi i
     f), i = 0 .. g, at the frequency f, instead of 1, and removes the noise of g samples. The last
     row is for f = 0, that is, for block means. Blocks of which a tenth is interpolated are excluded
-    from the spectra, so they contain no longer gaps. The longest gaps are shocks, which are replaced
-    by a mean level without noise; they have no effect outside of these blocks.
+    from the spectra, so they contain no longer gaps. The longest gaps are shocks, which are
+    replaced by a mean level without noise; they have no effect outside of these blocks.
     """
     at = np.append(f, 0.0)
     longest = np.append([octave(o).length // 10 for o in octaves.tolist()], np.inf)

@@ -416,7 +416,8 @@ def _unit_findings(sums: AllanSums) -> list[Finding]:
     """Return a finding for each sensor whose noise or mean is impossible in SI units."""
     if not sums.tau0 or not sums.recordings:
         return []
-    mean = sum(r.samples * r.mean for r in sums.recordings) / max(sums.samples, 1)
+    total = np.sum([r.samples * r.mean for r in sums.recordings], axis=0)
+    mean = total / max(sums.samples, 1)
     short = sums.m * sums.tau0 <= 1.0
     found: list[Finding] = []
     for sensor, place in SENSORS.items():

@@ -243,8 +243,9 @@ class TransportMonitor:
         present = [*graph] or self._silence(time_s, transport, publishers, stale_after)
         if len(publishers) > 1:
             names, count = ', '.join(publishers), len(publishers)
-            values = {'count': count, 'topic': self._topic, 'names': names}
-            present.append(finding('several_publishers', **values))
+            present.append(
+                finding('several_publishers', count=count, topic=self._topic, names=names)
+            )
         if health.frame_id != health.sums_frame_id:
             shown = health.sums_frame_id
             present.append(finding('frame_waits', present=health.frame_id, shown=shown))

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+from allan_ros.core.fit.gls import fit_gls
 
 from allan_ros.core.allan.running import RunningSums
-from allan_ros.core.fit.gls import fit_gls
 from allan_ros.core.fit.interpretation import (
     LENGTHS_S,
     SECONDS_FOR_N,

@@ -3,11 +3,11 @@
 
 import numpy as np
 import pytest
+from allan_ros.core.fit.gls import fit_gls
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.findings import duration_text, finding
 from allan_ros.core.fit.findings import line_finding, merge_equal
-from allan_ros.core.fit.gls import fit_gls
 from allan_ros.core.fit.model import Sinusoid
 
 

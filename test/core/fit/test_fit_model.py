@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
 import pytest
-
 from allan_ros.core.fit.gls import _options_of
+
 from allan_ros.core.fit.model import AxisFit, Coefficient, GaussMarkov, Processes, Sinusoid
 from allan_ros.core.noise import NoiseTerms
 
