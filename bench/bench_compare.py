@@ -3,7 +3,7 @@
 """Error rates of `allan compare`: false differences, and false equality at the limit of --within.
 
     python bench/bench_compare.py                          20 pairs of 5 min, a minute or two
-    python bench/bench_compare.py --pairs 200 --hours 1    the counts in docs/compare.md
+    python bench/bench_compare.py --pairs 200 --hours 1    the counts in docs/validation.md
 
 Each pair consists of simulated recordings of the six axes of an IMU. A first pair has equal noise;
 a difference is an error. In a second pair, all noise terms differ by the limit of the test of

@@ -1,7 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Rounding errors of the engine, against exact integer arithmetic, for
-docs/engineering/reliability.md.
+bench/results.md.
 
 A float64 near 9.8 is a multiple of 2^-49. So the sums of such samples can be computed in integers
 of any length, and the result of the engine differs only by its rounding.

@@ -5,7 +5,7 @@
     python bench/bench_faults.py                     all, about 25 min
     python bench/bench_faults.py nan_burst unplugged these
 
-The rows are written into docs/engineering/reliability.md. Each fault runs in its own process.
+The rows are written into bench/results.md. Each fault runs in its own process.
 Faults of the network and of a full disk need root (network namespaces, tmpfs); without root they
 are skipped.
 """

@@ -44,7 +44,7 @@ from bench.doc_table import DocTable
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', ROOT.parent / 'shared'))
-PAGE = ROOT / 'docs' / 'filters.md'
+PAGE = ROOT / 'docs' / 'consistency.md'
 RATE, SECONDS = 100.0, 7200
 DT = 1.0 / RATE
 OUTAGES = (10, 60, 300)
@@ -254,7 +254,7 @@ def share(names: list[str], records: int, write: bool) -> None:
     % interval of the bias 600 s later.
     """
     heading = ('sensor', 'K resolved', *(f'{value:.0%}' for value in SHARES))
-    table = DocTable('share', heading, ROOT / 'docs' / 'engineering' / 'accuracy.md')
+    table = DocTable('share', heading)
     for name in names:
         title, _, _, seconds = SENSORS[name]
         white, samples = draw(

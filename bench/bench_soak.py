@@ -6,7 +6,7 @@
     python bench/bench_soak.py live        30 min at 1 kHz through DDS into allan_monitor
     python bench/bench_soak.py live 600    the same for 600 s
 
-Both write their table into docs/engineering/reliability.md.
+Both write their table into bench/results.md.
 """
 
 from __future__ import annotations

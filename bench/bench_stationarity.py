@@ -10,7 +10,7 @@
 
 Records are drawn at 1 Hz: the tests take means over 8 s and more, which have the same distribution
 as those of faster samples with the same N. Each writes its rows into
-docs/engineering/stationarity.md (``--dry`` only prints them).
+bench/results.md (``--dry`` only prints them).
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ from allan_ros.core.simulate import simulate_axis
 
 Floats = NDArray[np.float64]
 
-PAGE = Path(__file__).resolve().parents[1] / 'docs' / 'engineering' / 'stationarity.md'
 SENSORS = ((0, 1, 2), (3, 4, 5))
 HOUR = 3600
 TRUTH = {'Q': 0.138, 'N': 0.242, 'B': 5.237, 'K': 31.807, 'R': 76.242}
@@ -310,7 +309,7 @@ def main() -> None:
         'widths': lambda: show_widths(args.records, args.seed),
         'real': lambda: show_real(args.data),
     }[args.table]()
-    page = DocTable(f'stationarity_{args.table}', TABLES[args.table], PAGE)
+    page = DocTable(f'stationarity_{args.table}', TABLES[args.table])
     for row in rows:
         print(f'| {" | ".join(row)} |', flush=True)
         if not args.dry:

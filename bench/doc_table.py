@@ -4,7 +4,8 @@
 
 A table is enclosed by two comments that Markdown does not show: ``<!-- table: faults -->`` and
 ``<!-- end -->``. Rows are identified by their first cell, so that a single row can be measured
-again.
+again. Tables that no page of the documentation contains go to bench/results.md, which is not part
+of the repository.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 
 from allan_ros.io.files import write_atomic
 
-RELIABILITY = Path(__file__).resolve().parents[1] / 'docs' / 'engineering' / 'reliability.md'
+RESULTS = Path(__file__).resolve().parent / 'results.md'
 
 
 class DocTable:
@@ -30,14 +31,15 @@ class DocTable:
         The document.
     """
 
-    def __init__(self, name: str, heading: Sequence[str], path: Path = RELIABILITY) -> None:
+    def __init__(self, name: str, heading: Sequence[str], path: Path = RESULTS) -> None:
         self._opening, self._heading, self._path = f'<!-- table: {name} -->', heading, path
 
     def put(self, *rows: Sequence[str]) -> None:
         """Write rows; each replaces the row with the same first cell, or is appended at the end."""
-        before, opening, rest = self._path.read_text().partition(self._opening)
-        if not opening:
-            raise SystemExit(f'{self._path} has no {self._opening}')
+        text = self._path.read_text() if self._path.exists() else ''
+        if self._opening not in text:
+            text += f'\n{self._opening}\n<!-- end -->\n'
+        before, opening, rest = text.partition(self._opening)
         old, _, after = rest.partition('<!-- end -->')
         lines = [line for line in old.splitlines() if line.startswith('| ')][1:]
         known = {line[2:].split(' | ')[0]: line for line in lines}

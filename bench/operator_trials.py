@@ -8,7 +8,7 @@ stream.
 
 Each trial starts its own monitor. Times count from the fault, or from the start of the process,
 until `/diagnostics` names the right cause first; the periods are the defaults. The rows go to
-docs/engineering/reliability.md.
+bench/results.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     source install/setup.bash && python bench/ros2_commands.py
 
 Needs ros2cli, ros2launch and the installed package. The commands, their exit codes and a line of
-their output go to docs/engineering/ros2_commands.md.
+their output go to bench/results.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from doc_table import DocTable
 
-PAGE = Path(__file__).resolve().parents[1] / 'docs' / 'engineering' / 'ros2_commands.md'
 TRIGGER = 'std_srvs/srv/Trigger'
 LONGEST_S = 90.0
 SHOWN = 220
@@ -105,7 +104,7 @@ def line_of(output: str, words: str) -> str:
 
 def main() -> None:
     """Run all commands and write the table."""
-    table = DocTable('commands', ('command', 'exit', 'output'), PAGE)
+    table = DocTable('commands', ('command', 'exit', 'output'))
     launch = (
         'ros2 launch allan_ros allan_ros.launch.py sensor:=adis16475-3 relay:=true '
         'checkpoint:=imu.json'

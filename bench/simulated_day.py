@@ -8,7 +8,7 @@ The monitor starts while the robot drives. Then the robot parks for 20 minutes, 
 8 minutes, stops of 30 s, a break of 30 minutes after every fourth hour. The temperature swings by
 10 K, which moves the gyro's bias. The monitor is stopped after a third of the day and killed after
 two thirds; at the third start the robot drives again. Samples are sent as fast as the nodes take
-them. The table goes to docs/engineering/reliability.md.
+them. The table goes to bench/results.md.
 """
 
 from __future__ import annotations

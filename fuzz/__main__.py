@@ -108,7 +108,7 @@ def _row(tally: Tally) -> tuple[str, ...]:
 
 
 def _write(row: tuple[str, ...]) -> None:
-    """Replace the row of this target in docs/engineering/reliability.md."""
+    """Replace the row of this target in bench/results.md."""
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'bench'))
     from doc_table import DocTable
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write docs/parameters.md, cli.md, api.md and the messages quoted in docs/troubleshooting.md.
+"""Write docs/parameters.md, options.md, api.md and the messages quoted in docs/messages.md.
 
 usage: reference.py
 
@@ -38,7 +38,7 @@ same parameters; `ros2 param describe NODE NAME` shows them for a running node. 
 can be set while the node runs; the others are read once, at the start. A value outside
 its range is rejected, and the reason is reported.
 
-Topics, services and diagnostics are in [online.md](online.md).
+Topics, services and diagnostics are in [diagnostics.md](diagnostics.md).
 """
 
 LAUNCH_HEAD = """## Launch arguments
@@ -265,7 +265,7 @@ def _members(thing: type) -> Iterator[str]:
             yield f'| `{shown}` | {_code(" ".join(what.split()))} |'
 
 
-def troubleshooting_page(text: str) -> str:
+def messages_page(text: str) -> str:
     """Return the page with the current messages of all findings below their headings.
 
     Raises
@@ -277,7 +277,7 @@ def troubleshooting_page(text: str) -> str:
     ids = [entry.split('\n', 1)[0].strip() for entry in entries]
     wrong = sorted({id for id in ids if ids.count(id) > 1} | (set(ids) ^ set(CATALOG)))
     if wrong:
-        raise SystemExit(f'docs/troubleshooting.md: each finding once, as ### id: {wrong}')
+        raise SystemExit(f'docs/messages.md: each finding once, as ### id: {wrong}')
     return head + ''.join(f'### {_with_words(entry)}' for entry in entries)
 
 
@@ -298,12 +298,12 @@ def _without_numbers(template: str) -> str:
 
 def pages() -> dict[str, str]:
     """Return file in docs -> its generated text."""
-    findings = DOCS / 'troubleshooting.md'
+    findings = DOCS / 'messages.md'
     return {
         'parameters.md': parameters_page(),
-        'cli.md': cli_page(),
+        'options.md': cli_page(),
         'api.md': api_page(),
-        findings.name: troubleshooting_page(findings.read_text(encoding='utf-8')),
+        findings.name: messages_page(findings.read_text(encoding='utf-8')),
     }
 
 

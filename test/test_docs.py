@@ -103,7 +103,7 @@ def test_pictures_are_small() -> None:
 NUMBER = re.compile(r'\d+(?:\.\d+)?')
 
 
-@pytest.mark.parametrize('page', ['README.md', 'docs/filters.md'])
+@pytest.mark.parametrize('page', ['README.md', 'docs/start.md', 'docs/filter.md'])
 def test_quoted_output_is_current(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other versions of numpy may change the last digit, so numbers are compared to 5 %."""
     monkeypatch.syspath_prepend(str(ROOT / 'scripts'))

@@ -53,7 +53,7 @@ TARGETS = {
     'fusioncore': True,  # standard deviations per sample N sqrt(f)
 }
 """Export targets that may be sent to a running node -> whether the filter must estimate the bias,
-because the rows do not cover it. The code that shows the convention is named in `docs/filters.md`.
+because the rows do not cover it. The code that shows the convention is named in `docs/targets.md`.
 """
 
 ANSWER_S = 5.0

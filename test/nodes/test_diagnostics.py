@@ -140,7 +140,7 @@ def test_a_change_is_reported_in_the_dominant_coefficient(sums):
 
 def test_the_documentation_explains_every_key_of_an_input(repository):
     health = StreamHealth(Counts(cuts=Counter(gap=1)), 'still')
-    text = (repository / 'docs' / 'online.md').read_text()
+    text = (repository / 'docs' / 'diagnostics.md').read_text()
     keys = [
         key.replace('by gap', 'by <reason>')
         for key in values(input_status('n', 'imu', view(health=health)))

@@ -57,7 +57,7 @@ def test_the_policy_is_of_the_documented_form() -> None:
 
 def test_the_tables_of_the_docs_agree_with_the_policy() -> None:
     """Another test compares the policy with running nodes, so the tables agree with these, too."""
-    text = (ROOT / 'docs' / 'online.md').read_text()
+    text = (ROOT / 'docs' / 'diagnostics.md').read_text()
     told: dict[str, set[tuple[str, str]]] = {}
     for names, _, uses, _ in rows(text, '| topic |'):
         for how, nodes in (use.split(':') for use in uses.split(';')):

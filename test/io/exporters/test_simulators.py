@@ -120,7 +120,7 @@ def test_the_loader_of_the_manual_reads_the_matrices(
     made = make_export(known_results, 'state_space').text
     (tmp_path / 'state_space.json').write_text(made)
     monkeypatch.chdir(tmp_path)
-    manual = (repository / 'docs' / 'filters.md').read_text(encoding='utf-8')
+    manual = (repository / 'docs' / 'targets.md').read_text(encoding='utf-8')
     (loader,) = re.findall(r'```python\n(import json, .*?)```', manual, re.DOTALL)
     assert sum(bool(line) for line in loader.splitlines()) == 5
     read = run_python(loader)

@@ -189,7 +189,7 @@ def test_no_character_of_a_path_ends_the_comment(known_results: Results, name: s
 
 
 def test_the_manual_lists_every_target(repository: Path) -> None:
-    manual = (repository / 'docs' / 'filters.md').read_text(encoding='utf-8')
+    manual = (repository / 'docs' / 'targets.md').read_text(encoding='utf-8')
     assert [name for name in TARGETS if f'| `{name}` |' not in manual] == []
 
 
