@@ -13,6 +13,7 @@ pytest.importorskip('rclpy')
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
 
+from allan_ros.core.filters.noise_parameters import white_ratio
 from allan_ros.core.findings import finding
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
@@ -76,14 +77,32 @@ def test_wrong_units_and_silence_are_errors_of_the_axes(graph, still_imu) -> Non
     assert graph.value('imu gyro z', 'finding') == 'no_data'
 
 
+def results_of(seconds: int, method: str) -> Results:
+    """Return the results of white noise at 200 Hz."""
+    n = 200 * seconds
+    samples = np.random.default_rng(7).normal(0.0, [1e-3] * 3 + [1e-2] * 3, (n, 6))
+    samples[:, 5] += 9.8
+    stream = ImuStream()
+    stream.update(ImuBatch(10**18 + np.arange(n) * 5_000_000, samples, frame_id='imu'))
+    stream.end()
+    return analyze_sums(stream.result().sums, Provenance(), method)
+
+
 @pytest.fixture(scope='module')
 def results() -> Results:
-    rng = np.random.default_rng(7)
-    samples = rng.normal(0.0, [1e-3] * 3 + [1e-2] * 3, (4000, 6)) + [0, 0, 0, 0, 0, 9.8]
-    stream = ImuStream()
-    stream.update(ImuBatch(10**18 + np.arange(4000) * 5_000_000, samples, frame_id='imu'))
-    stream.end()
-    return analyze_sums(stream.result().sums, Provenance(), 'relative')
+    return results_of(20, 'relative')
+
+
+@pytest.mark.parametrize('seconds', [12, 900])
+def test_a_variance_with_a_horizon_waits_until_it_is_known(seconds: int) -> None:
+    """White noise alone has the variance 1e-6; a short record allows much drift."""
+    found = results_of(seconds, 'likelihood')
+    fits = {name: axis.fit for name, axis in found.axes.items()}
+    ratio = white_ratio(fits, 10.0)
+    x, y, z = relay_variances(found, RelaySettings(horizon=10.0))['gyro']
+    if ratio <= RelaySettings().ratio:
+        assert min(x, y, z) > 0.5e-6 and max(x, y, z) < 2.25e-6
+    assert (ratio <= RelaySettings().ratio) == (seconds > 100)
 
 
 def test_a_sensor_with_a_fault_has_no_variances(results: Results) -> None:
