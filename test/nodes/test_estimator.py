@@ -42,7 +42,7 @@ def test_two_processes_make_a_noise_model(graph, still_imu):
     # the first models have too few samples to determine N
     model = graph.until(lambda: models and models[-1]['samples'] >= 5000 and models[-1])
     graph.statuses.clear()
-    assert model['schema'] == 'allan_ros/results/1' and model['samples'] <= 6000
+    assert model['schema'] == 'allan_ros/results/2' and model['samples'] <= 6000
     gyro = model['axes']['gyro_x']
     low, high = gyro['noise']['N']['ci95']
     assert low * 0.9 < N < high * 1.1
@@ -75,7 +75,7 @@ def test_sums_that_cannot_be_read_do_not_stop_the_node(graph):
     graph.start('estimator', **{'publish.diagnostics_period': 0.2})
     publisher = graph.node.create_publisher(String, 'sums', LATCHED)
     graph.introduce(publisher)
-    for text in ('nonsense', '[' * 100_000, '{"schema": "allan_ros/sums_file/1", "sums": [3]}'):
+    for text in ('nonsense', '[' * 100_000, '{"schema": "allan_ros/sums_file/2", "sums": [3]}'):
         graph.statuses.clear()
         publisher.publish(String(data=text))
         status = graph.until(lambda: (s := graph.status('sums')) and s.level == ERROR and s)

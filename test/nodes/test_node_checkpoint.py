@@ -26,7 +26,7 @@ def samples_in(checkpoint: Path) -> dict[str, int]:
     if not checkpoint.exists():
         return {}
     sums = json.loads(checkpoint.read_text())['sums']
-    return {s['frame_id']: sum(segment['samples'] for segment in s['segments']) for s in sums}
+    return {s['frame_id']: sum(n * count for n, count in s['lengths']) for s in sums}
 
 
 def test_a_path_that_another_node_keeps_is_neither_read_nor_written(

@@ -65,12 +65,12 @@ def test_a_value_of_the_wrong_type_gives_one_line(make_node: Any, value: Any) ->
 
 
 def test_an_unknown_method_is_rejected_at_start_and_at_run_time(make_node: Any) -> None:
-    with pytest.raises(AllanError, match="method is 'guess': choose one of gls"):
+    with pytest.raises(AllanError, match="method is 'guess': choose one of likelihood"):
         Parameters(make_node(estimator__method='guess')).group('estimator', EstimatorSettings)
     node = make_node()
     group = Parameters(node).group('estimator', EstimatorSettings)
     result = set_all(node, estimator__method='guess')
-    assert not result.successful and 'choose one of gls' in result.reason
+    assert not result.successful and 'choose one of likelihood' in result.reason
     assert group.value.method == 'likelihood'
     assert set_all(node, estimator__method='paper').successful and group.value.method == 'paper'
 

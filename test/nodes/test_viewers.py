@@ -62,7 +62,8 @@ def test_the_layouts_name_what_the_monitor_publishes(graph, still_imu, viewers: 
     # the first fit may have too few samples to resolve N
     for sensor in ('gyro', 'accel'):
         for axis in 'xyz':
-            graph.until(lambda name=f'{sensor} {axis}': graph.value(name, 'N low') is not None)
+            for key in ('N low', 'B high', 'K high'):
+                graph.until(lambda name=f'{sensor} {axis}', key=key: graph.value(name, key))
     graph.until(lambda: graph.status('relay'))
     told = {(s.name, v.key): v.value for s in graph.statuses.values() for v in s.values}
 
