@@ -10,10 +10,10 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from allan_ros.core.allan.parts import recent_noise
 from diagnostic_msgs.msg import DiagnosticStatus
 from support.numbers import NO_NUMBER, noiseless_sums, noisy_sums
 
+from allan_ros.core.allan.recent import recent_noise
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.transport import TransportStatistics
