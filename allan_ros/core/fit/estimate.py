@@ -161,7 +161,7 @@ def _deviances(data: AxisData, fit: Fit) -> dict[int, tuple[float, float]]:
     ratio = data.power[data.used] / fit.spectrum()
     statistics = data.statistics
     weight = (statistics.dof_alone * data.dof / statistics.dof)[data.used] / statistics.correlation
-    deviance = weight * (ratio - 1.0 - np.log(ratio))
+    deviance = weight * (ratio - 1.0 - np.log(np.maximum(ratio, 1e-300)))
     octave = statistics.octave[data.used]
     return {
         int(o): (
