@@ -177,7 +177,8 @@ class _RunningLevel:
         # the rounding errors of float32 are much smaller than the noise of single samples, not
         # than that of long means
         kind = 'f8' if self.level else 'f4'
-        samples = np.subtract(points[:-1, 1:], points[:-1, :-1], dtype=float).astype(kind)
+        with np.errstate(over='ignore'):
+            samples = np.subtract(points[:-1, 1:], points[:-1, :-1], dtype=float).astype(kind)
         if self.level:
             samples /= level.stride
         some = points[-1, -1] > points[-1, 0]
@@ -206,7 +207,8 @@ def _octave_power(
     if not number:
         return np.zeros((len(bins), axes)), 0, 0, before
     matrix = _half_tapers(o, samples.dtype.str)
-    products = samples[:, : number * half].reshape(axes * number, half) @ matrix
+    with np.errstate(invalid='ignore'):  # no sensor has values above 1e38; the fit refuses them
+        products = samples[:, : number * half].reshape(axes * number, half) @ matrix
     products = products.reshape(axes, number, 2 * columns)
     # the tapered block is the sum of the products of its two halves
     late = products[:, 0 if before else 1 :, columns:]

@@ -82,7 +82,8 @@ class Levels:
         on = (n > 0.0) & (r > 0.0)
         if on.sum() < 2:
             return False
-        statistic = float(np.sum(n[on] * np.log(self.mean(axis) / r[on])))
+        with np.errstate(divide='ignore', invalid='ignore'):
+            statistic = float(np.sum(n[on] * np.log(self.mean(axis) / r[on])))
         return _tail(statistic, int(on.sum()) - 1, spread, len(r)) < LEVEL_CHANGES
 
     def scatter(self, axis: int) -> float:
@@ -91,7 +92,7 @@ class Levels:
         spare = 1.0 - float(w @ w)
         if spare <= 0.0 or not self.varies(axis):
             return 0.0
-        mean = self.mean(axis)
+        mean = self.mean(axis) or np.nan
         variance = float(w**2 @ (self.power[:, axis] / mean - 1.0) ** 2) / spare
         return float(np.sqrt(max(variance - 2.0 / self.dof.sum(), 0.0)) / 2.0)
 
@@ -99,7 +100,10 @@ class Levels:
         """Return the lowest and the highest N of parts of the data, relative to N."""
         part = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
         rows = (slice(*np.flatnonzero(part == i)[[0, -1]] + [0, 1]) for i in np.unique(part))
-        r = np.sqrt([self.mean(axis, each) for each in rows] / np.float64(self.mean(axis)))
+        mean = np.float64(self.mean(axis)) or np.nan
+        r = np.sqrt(np.array([self.mean(axis, each) for each in rows]) / mean)
+        if not np.isfinite(r).all():
+            return 1.0, 1.0
         return float(r.min(initial=1.0)), float(r.max(initial=1.0))
 
     def last_change(self, axis: int) -> int | None:
@@ -117,7 +121,7 @@ class Levels:
                 low, high = power / before, (total - power) / after
                 mean = total / n[begin:].sum()
                 gain = before * np.log(mean / low) + after * np.log(mean / high)
-            large = np.abs(np.log(high / low)) / 2.0 > np.log1p(LEAST_CHANGE)
+                large = np.abs(np.log(high / low)) / 2.0 > np.log1p(LEAST_CHANGE)
             gain = np.where(np.isfinite(gain) & large, gain, 0.0)
             at = int(gain.argmax())
             if not _tail(float(gain[at]), 1, spread, len(n)) * len(n) < LEVEL_CHANGES:
@@ -129,7 +133,10 @@ class Levels:
 
     def change(self, axis: int, at: int) -> float:
         """Return the relative change of N at a period, from the usual level before; at least 0."""
-        ratio = self.mean(axis, slice(at, None)) / self.usual(axis, at)
+        before, after = self.usual(axis, at), self.mean(axis, slice(at, None))
+        if not (before > 0.0 and after > 0.0):  # one of them has no noise at all
+            return 0.0
+        ratio = after / before
         return float(np.sqrt(max(ratio, 1.0 / ratio)) - 1.0)
 
 

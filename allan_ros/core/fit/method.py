@@ -68,6 +68,9 @@ def fit_likelihood(sums: AllanSums) -> NoiseModel:
             )
             findings.append(finding(id, (name,), **numbers))
             continue
+        if not _is_finite(known, a):  # the stream reports impossible units
+            axes[name] = without_estimates()
+            continue
         result = estimate(AxisData.of(known, a), candidates, daily)
         brief = sums.samples * tau0 < LEAST_DRIFT_S
         axes[name] = axis_fit(result, known, tau0, brief)
@@ -77,6 +80,10 @@ def fit_likelihood(sums: AllanSums) -> NoiseModel:
 
 def _is_constant(sums: AllanSums, axis: int) -> bool:
     return not np.any(sums.avar[:, axis] > 0.0)
+
+
+def _is_finite(known: Statistics, axis: int) -> bool:
+    return bool(np.all(np.isfinite(known.power[:, axis])))
 
 
 def without_estimates() -> AxisFit:
