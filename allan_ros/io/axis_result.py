@@ -298,6 +298,7 @@ def axis_results(
     """Yield the name and the result of each axis, given the sums, curve and fit of each sensor."""
     for sums, curve, model in fitted:
         means = np.array([one.mean for one in sums.recordings])
+        lengths = np.array([one.samples * model.tau0 for one in sums.recordings])
         for i, name in enumerate(curve.axes):
             fit = model.axes[name]
             variance = sample_variance(curve.m, curve.adev[:, i], model.tau0)
@@ -310,7 +311,9 @@ def axis_results(
                 None if variance is None else math.sqrt(variance),
                 name,
                 rounding_step(sums, i, white) if white else None,
-                turn_on_bias(means[:, i]) if len(means) else None,
+                turn_on_bias(means[:, i], float(fit.model.avar(lengths).mean()))
+                if len(means) > 1
+                else None,
             )
             yield name, axis
 

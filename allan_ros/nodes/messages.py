@@ -196,7 +196,7 @@ class BiasPublisher:
             ('bias optimal averaging time [s]', bias.optimal_s),
             (f'bias stays within +-{bias.tolerance:.3g} {unit} for [s]', bias.within_s),
         ]
-        if turn_on := self._turn_on.get(axis):
+        if (turn_on := self._turn_on.get(axis)) and turn_on.std:
             count = turn_on.recordings
             pairs.append((f'bias scatter between {count} recordings [{unit}]', turn_on.std))
         return pairs

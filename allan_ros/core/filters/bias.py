@@ -46,34 +46,45 @@ class TurnOnBias:
     ----------
     recordings : int
         Number of recordings.
-    mean, std : float
-        Mean and standard deviation of the biases of the recordings (the means of their samples), in
-        the unit of the samples.
-    ci95 : (low, high)
+    mean : float
+        Mean of the biases of the recordings (the means of their samples), in the unit of the
+        samples.
+    std : float or None
+        Standard deviation of the biases, without that of the noise; None if it is not resolved:
+        the noise alone may explain the scatter.
+    ci95 : (low, high) or None
         95 % interval of ``std``, for normally distributed biases.
+    upper95 : float or None
+        Upper end of this interval, if ``std`` is not resolved.
     """
 
     recordings: int
     mean: float
-    std: float
-    ci95: tuple[float, float]
+    std: float | None
+    ci95: tuple[float, float] | None
+    upper95: float | None = None
 
 
-def turn_on_bias(means: Floats) -> TurnOnBias | None:
+def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
     """Return the repeatability of the bias from the mean of each recording, (recordings,).
 
-    It is None for fewer than two recordings.
+    ``variance`` is that of the means without a turn-on bias: the Allan variance at the length of
+    the recordings, which is half of the mean squared difference of the means of two recordings
+    without a break between them (for white noise, the variance of each mean).
+
+    The result is None for fewer than two recordings.
     """
-    from scipy import special
+    from scipy.special import chdtrc, chdtri
 
     free = len(means) - 1
     if free < 1:
         return None
-    std = float(np.std(means, ddof=1))
-    low, high = (
-        std * math.sqrt(free / quantile) for quantile in special.chdtri(free, [0.025, 0.975])
-    )
-    return TurnOnBias(len(means), float(np.mean(means)), std, (low, high))
+    total = float(np.var(means, ddof=1))
+    low, high = (total * free / quantile for quantile in chdtri(free, [0.025, 0.975]))
+    center, ends = float(np.mean(means)), [math.sqrt(max(v - variance, 0.0)) for v in (low, high)]
+    if total <= variance or (variance and chdtrc(free, free * total / variance) > 0.01):
+        return TurnOnBias(len(means), center, None, None, ends[1])
+    return TurnOnBias(len(means), center, math.sqrt(total - variance), (ends[0], ends[1]))
 
 
 @dataclass(frozen=True)

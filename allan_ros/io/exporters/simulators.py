@@ -131,7 +131,7 @@ def _gazebo(noise: FilterNoise) -> Iterator[Row]:
             variance = white.value[i] ** 2
             stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
             yield Row((*path, 'stddev'), rounded(stddev), white_words, levels=white.levels)
-            if turn_on:
+            if turn_on and turn_on.std:
                 words = (
                     f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
                 )

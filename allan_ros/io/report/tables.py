@@ -175,7 +175,8 @@ def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
     for name, axis in axes.items():
         if axis.turn_on:
             units = {system: shown_unit(name, 'B', system) for system in UNIT_SYSTEMS}
-            size = _size(axis.turn_on.std, axis.turn_on.ci95, units)
+            known = axis.turn_on
+            size = _size(known.std, known.ci95, units) if known.std else 'not resolved'
             yield (
                 f'<p class="note">Bias of {name[-1]} between {axis.turn_on.recordings} '
                 f'recordings: standard deviation {size}</p>'

@@ -164,13 +164,22 @@ def test_a_tolerance_can_be_given() -> None:
     assert found.within_s == time_within(MODEL, 20.0 * HOUR_BIAS)
 
 
-def test_the_interval_of_the_turn_on_bias_covers_its_std() -> None:
+@pytest.mark.parametrize('noise', [0.0, 1.0])
+def test_the_interval_of_the_turn_on_bias_covers_its_std(noise: float) -> None:
     # 1900 +- 9.7 of 2000 intervals: the false-alarm probability is 4e-5 (4.1 standard deviations)
     rng = np.random.default_rng(9)
     hits = 0
-    for means in rng.normal(3.0, 2.0, size=(2000, 5)):
-        found = turn_on_bias(means)
+    for means in rng.normal(3.0, math.hypot(2.0, noise), size=(2000, 5)):
+        found = turn_on_bias(means, noise**2)
         assert found is not None
-        hits += found.ci95[0] < 2.0 < found.ci95[1]
+        low, high = found.ci95 or (0.0, found.upper95 or 0.0)
+        hits += low < 2.0 < high
     assert 1860 <= hits <= 1940
     assert turn_on_bias(np.array([1.0])) is None
+
+
+def test_noise_alone_is_no_turn_on_bias() -> None:
+    # 1 % of 2000 +- 4.4: 4 standard deviations
+    means = np.random.default_rng(10).normal(3.0, 2.0, size=(2000, 5))
+    found = [turn_on_bias(each, 4.0) for each in means]
+    assert sum(one is not None and one.std is not None for one in found) <= 38
