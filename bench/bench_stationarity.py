@@ -3,7 +3,7 @@
 """Noise that changes with time: false alarms on clean records, and what is found.
 
     python bench/bench_stationarity.py alarms --records 100    findings on clean records
-    python bench/bench_stationarity.py gains --records 100     quantiles of the gains without effects
+    python bench/bench_stationarity.py gains --records 100     gains without effects
     python bench/bench_stationarity.py power --records 20      warm-up, steps and levels
 
 Each writes its rows into bench/results.md (``--dry`` only prints them).
