@@ -70,7 +70,7 @@ class Segment:
 
     def with_effects(self, x: Floats) -> tuple[Segment, Floats]:
         """Return the segment with the noise fitted beside effects, and the sizes of these."""
-        fit, beta = self.fit, np.zeros(x.shape[1])
+        fit, beta = self.fit, np.zeros(x.shape[1], float)
         for _ in range(3):
             white, z = self.whitened(x, fit)
             beta = np.linalg.lstsq(white, z, rcond=None)[0]
@@ -241,5 +241,5 @@ def bias_steps(
     excess, at, beta, now = best
     order = np.argsort(at)
     ns = [means.start_ns + round((at[i] + 1) * means.step * tau0 * 1e9) for i in order]
-    walks = [float(s.fit.p[3]) * s.data.scale for s in (segment, now)]
-    return BiasSteps(axis, tuple(ns), tuple(float(beta[i]) for i in order), *walks, excess)
+    before, after = (float(s.fit.p[3]) * s.data.scale for s in (segment, now))
+    return BiasSteps(axis, tuple(ns), tuple(float(beta[i]) for i in order), before, after, excess)
