@@ -16,8 +16,6 @@ import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from allan_ros.core.allan.levels import drift_scatter, level_changes
-from allan_ros.core.allan.stationarity import bias_steps, early_parts
 from doc_table import DocTable
 from numpy.typing import NDArray
 from scipy.stats import beta
