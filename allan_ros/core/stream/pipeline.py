@@ -23,14 +23,8 @@ from ..errors import AllanError
 from ..findings import Finding
 from ..imu import AXES, ImuBatch, ImuIdentity, joined
 from ..settings import SegmenterSettings
-from .cleaning import (
-    SampleHoldFilter,
-    SensorPlan,
-    StampChoice,
-    StampFilter,
-    StampSorter,
-    plan_sensors,
-)
+from .cleaning import StampChoice, StampFilter, StampSorter
+from .clock import LEARN, Clock, learn_clock
 from .health import (
     LISTED_SEGMENTS,
     Accumulation,
@@ -46,8 +40,8 @@ from .health import (
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
-from .repeats import RepeatFilter
-from .timing import LEARN, Block, Clock, SampleClock, learn_clock
+from .sensors import RepeatFilter, SampleHoldFilter, SensorPlan, plan_sensors
+from .timing import Block, SampleClock
 
 
 class StreamOptions(NamedTuple):

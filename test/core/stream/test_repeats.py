@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from allan_ros.core.stream.cleaning import _line_variance
-from allan_ros.core.stream.repeats import LONGEST_REPEAT, RepeatFilter
+from allan_ros.core.stream.sensors import LONGEST_REPEAT, RepeatFilter, _line_variance
 from allan_ros.core.stream.timing import Block
 
 

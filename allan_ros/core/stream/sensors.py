@@ -1,0 +1,364 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Decides which axes form a stream, and drops or interpolates samples that were not measured.
+
+Drivers that publish a slower accelerometer in every gyro message repeat its last sample (sample and
+hold), or fill it with zeros. Both change the noise (N of a 250 Hz accelerometer repeated at 400 Hz
+is 5 % too high). So each such sensor becomes a separate stream that contains only its measurements.
+Samples that a driver repeats at random, because the sensor had no new data, are interpolated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..findings import Finding, finding
+from ..imu import AXES, LARGEST, SENSORS
+from .clock import Floats, Stamps
+from .timing import Block
+
+Flags = NDArray[np.bool_]
+
+REPEATED_SHARE = 0.1
+"""Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled
+sensor."""
+
+LEAST_REPEATS, CHANCE_SHARE = 5, 0.15
+"""Smallest number of separate runs of repeated samples, among the first samples, that indicates a
+driver that repeats samples, and the largest share of them that may be equal by chance."""
+
+REGULAR_REPEATS, LARGEST_RANDOM_SHARE = 0.03, 0.6
+"""If the share of repeats is below the first value, they are regarded as random, because they are
+too few to decide. Above the second, they are regarded as those of a slower sensor."""
+
+REGULAR_VARIANCE, REGULAR_VARIANCE_RATIO = 0.5, 0.01
+"""Repeats are regular if the variance of their cumulative number about a straight line is less than
+this, or less than this fraction of the variance of a binomial count. Less than 0.1 % of random
+repeats have a variance below the fraction."""
+
+TOGETHER_LOG_RATIO = 2.0 / 3.0
+"""Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this, where p is the
+share of samples in which all axes repeat and p_i that of axis i. For three axes, the ratio is 1 if
+they repeat independently (coarse resolution), and 1/3 if they always repeat together."""
+
+
+@dataclass(frozen=True)
+class SensorPlan:
+    """The axes of a sensor stream, and which of its samples to drop.
+
+    ``drop`` is '' for none, 'repeated' for samples that repeat the previous one on all axes, or
+    'zero' for samples that are zero on all axes. ``random_repeats`` are groups of axes. A sample
+    that repeats the previous one on all axes of a group is interpolated on these axes.
+    """
+
+    axes: tuple[str, ...]
+    drop: Literal['', 'repeated', 'zero'] = ''
+    random_repeats: tuple[tuple[str, ...], ...] = ()
+
+
+class SampleHoldFilter:
+    """Selects the axes of a sensor stream, and drops its repeated or zero-filled samples."""
+
+    def __init__(self, plan: SensorPlan) -> None:
+        self._drop = plan.drop
+        self._rows = [AXES.index(axis) for axis in plan.axes]
+        self._all = self._rows == list(range(len(AXES)))
+        self._last: Floats = np.full(len(self._rows), np.nan)
+
+    def select(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
+        """Return stamps (k,) and values (axes, k) of the samples that are kept.
+
+        ``stamps``, (n,), and ``rows``, (6, n), are the next samples of the six-axis stream.
+        """
+        rows = rows if self._all else rows[self._rows]
+        if not self._drop or not len(stamps):
+            return stamps, rows
+        if self._drop == 'zero':
+            keep = rows.any(axis=0)
+        else:
+            before = np.concatenate([self._last[:, None], rows[:, :-1]], axis=1)
+            keep = (rows != before).any(axis=0)
+            self._last = rows[:, -1].copy()
+        return stamps[keep], rows[:, keep]
+
+
+MIN_CLIPPED = 0.05
+"""Smallest share of samples that are equal to the maximum or minimum and indicate clipping."""
+
+CLIPPED_RATIO, CLIPPED_VALUES = 3, 8
+"""Clipping requires that the maximum (or minimum) occurs this many times as often as the next
+value, and that the axis has at least this number of different values. (At a coarse resolution, most
+samples of an unclipped axis have one of two values.)"""
+
+
+def clipped_share(samples: Floats) -> float:
+    """Return the share of samples, (n,), that are clipped at their maximum or minimum.
+
+    A share below `MIN_CLIPPED` is returned as 0.
+
+    >>> import numpy as np
+    >>> noise = np.random.default_rng(0).normal(size=1000)
+    >>> clipped_share(noise), round(clipped_share(np.minimum(noise, 1.0)), 2)
+    (0.0, 0.15)
+    """
+    values, counts = np.unique(samples[np.abs(samples) <= LARGEST], return_counts=True)
+    if len(values) < CLIPPED_VALUES:
+        return 0.0
+    ends = ((values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2]))
+    clipped = [count for value, count, near in ends if value and count >= CLIPPED_RATIO * near]
+    share = float(max(clipped, default=0) / counts.sum())
+    return share if share >= MIN_CLIPPED else 0.0
+
+
+ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2
+"""The samples alternate if the means of even and odd ones differ by this number of standard
+deviations on this number of axes."""
+
+SWITCH_SHARE, SEPARATION = 0.25, 8.0
+"""The samples of an axis are those of two IMUs if the largest gap between their values, in standard
+deviations on either side, is at least the second value, and if at least the first value of the
+steps cross it."""
+
+
+def are_interleaved(rows: Floats) -> bool:
+    """Return whether samples, (axes, n), seem to come from two IMUs with different biases.
+
+    >>> import numpy as np
+    >>> noise = np.random.default_rng(0).normal(size=(6, 1000))
+    >>> are_interleaved(noise), are_interleaved(noise + np.arange(1000) % 2)
+    (False, True)
+    """
+    n = rows.shape[1] // 2 * 2
+    if n < 4 * LEAST_REPEATS:
+        return False
+    with np.errstate(invalid='ignore', divide='ignore'):
+        rows = rows[:, :n] - rows[:, :n].mean(axis=1, keepdims=True)
+        difference = np.abs(rows[:, ::2].sum(axis=1) - rows[:, 1::2].sum(axis=1))
+        sigma = np.sqrt(0.5 * n * np.mean((rows[:, 2:] - rows[:, :-2]) ** 2, axis=1))
+        if np.count_nonzero(difference > ALTERNATE_SIGMAS * sigma) >= ALTERNATE_AXES:
+            return True
+        for values in rows:
+            ordered = np.sort(values)
+            middle = n // 4 + int(np.argmax(np.diff(ordered[n // 4 : 3 * n // 4]))) + 1
+            low, high = ordered[:middle], ordered[middle:]
+            switches = np.count_nonzero(np.diff(values >= high[0]))
+            apart = high[0] - low[-1] > SEPARATION * max(low.std(), high.std()) > 0.0
+            if apart and switches > SWITCH_SHARE * n:
+                return True
+    return False
+
+
+def plan_sensors(
+    stamps: Stamps, rows: Floats
+) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
+    """Decide from the first samples whether gyro and accelerometer need separate streams.
+
+    Returns a plan for each stream, and the findings about the sensors. ``stamps``, (n,), are in ns.
+    ``rows``, (6, n), are NaN where a sensor is absent.
+    """
+    # without duplicate messages, which are dropped later
+    duplicate = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
+    rows = rows[:, np.concatenate([[True], ~duplicate])] if len(stamps) else rows
+    repeats = rows[:, 1:] == rows[:, :-1]
+    plans: list[SensorPlan] = []
+    findings: list[Finding] = []
+    for sensor, place in SENSORS.items():
+        present = np.arange(place.start, place.stop)
+        present = present[(np.abs(rows[place]) <= LARGEST).any(axis=1)]
+        if not len(present):
+            findings.append(finding('sensor_absent', AXES[place], sensor=sensor))
+            continue
+        axes = tuple(AXES[i] for i in present)
+        lacking = tuple(axis for axis in AXES[place] if axis not in axes)
+        if lacking:
+            findings.append(finding('axis_absent', lacking, count=rows.shape[1]))
+        zeros = rows[present] == 0.0
+        plan = SensorPlan(axes)
+        if zeros.all():
+            findings.append(finding('sensor_all_zero', axes, sensor=sensor))
+            continue
+        if _coincide(zeros):
+            plan = SensorPlan(axes, 'zero')
+            share = float(zeros.all(axis=0).mean())
+            findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
+        elif _are_repeated(rows[present]):
+            flags = repeats[present].all(axis=0)
+            if _are_regular(flags):
+                plan = SensorPlan(axes, 'repeated')
+                findings.append(finding('held', axes, sensor=sensor, share=float(flags.mean())))
+            else:
+                plan = SensorPlan(axes, random_repeats=(axes,))
+        for axis, samples in zip(axes, rows[present]):
+            if share := clipped_share(samples):
+                findings.append(finding('clipped', (axis,), share=share))
+        plans.append(plan)
+    kept = [AXES.index(axis) for plan in plans if not plan.drop for axis in plan.axes]
+    possible = (np.abs(rows[kept]) <= LARGEST).all(axis=0)
+    if kept and are_interleaved(rows[kept][:, possible]):
+        findings.append(finding('interleaved', tuple(AXES[i] for i in kept)))
+    random = [plan for plan in plans if plan.random_repeats]
+    if random:
+        flags = np.array([_all_repeat(plan, repeats) for plan in random])
+        axes = tuple(axis for plan in random for axis in plan.axes)
+        findings.append(finding('repeated', axes, share=float(flags.any(axis=0).mean())))
+    if len(plans) == len(SENSORS):
+        both = plans[0].axes + plans[1].axes
+        groups = plans[0].random_repeats + plans[1].random_repeats
+        if not any(plan.drop for plan in plans):
+            together = len(groups) == len(SENSORS) and _repeat_together(plans, repeats)
+            plans = [SensorPlan(both, random_repeats=(both,) if together else groups)]
+        elif {plan.drop for plan in plans} == {'repeated'} and _repeat_together(plans, repeats):
+            plans = [SensorPlan(both, 'repeated')]
+    return tuple(plans), tuple(findings)
+
+
+def _all_repeat(plan: SensorPlan, repeats: Flags) -> Flags:
+    return np.asarray(repeats[[AXES.index(axis) for axis in plan.axes]].all(axis=0))
+
+
+def _repeat_together(plans: list[SensorPlan], repeats: Flags) -> bool:
+    """Return whether both sensors repeat their samples in the same messages."""
+    gyro, accel = (_all_repeat(plan, repeats) for plan in plans)
+    most = min(REPEATED_SHARE, 0.5 * float(gyro.mean()), 0.5 * float(accel.mean()))
+    return bool((gyro != accel).mean() < most)
+
+
+def _are_repeated(values: Floats) -> bool:
+    """Return whether samples, (axes, n), repeat the previous one more often than by chance.
+
+    If all equal samples are in one part of the data, they are no repeats: it has a lower noise.
+    Chance is estimated from the shares of single axes, as if these were independent, and from the
+    share of changed samples that equal the one before the previous one.
+    """
+    flags = values[:, 1:] == values[:, :-1]
+    both = flags.all(axis=0)
+    share = float(both.mean()) if both.size else 0.0
+    runs = np.count_nonzero(both[1:] & ~both[:-1])
+    if runs < LEAST_REPEATS or _line_variance(both) > share * (1.0 - share) * len(both):
+        return False
+    if _coincide(flags):
+        return True
+    # If a share r of the samples is repeated and axis i is equal by chance with probability q, its
+    # share of equal samples is r + (1 - r) q. All axes are equal by chance in (1 - r) prod(q).
+    least = (1.0 - CHANCE_SHARE) * share
+    by_chance = (1.0 - least) * np.prod((flags.mean(axis=1) - least) / (1.0 - least))
+    equal_second = (values[:, 2:] == values[:, :-2]).all(axis=0)[~both[1:]].mean()
+    return bool(max(by_chance, equal_second) <= CHANCE_SHARE * share)
+
+
+def _are_regular(repeats: Flags) -> bool:
+    """Return whether the flagged repeats, (n,), are those of a sensor with a lower, constant rate.
+
+    The repeats of such a sensor follow each other evenly. If a driver repeats samples at random
+    instead, new samples have the rate of the messages, and the repeats replace lost samples.
+    """
+    share = float(repeats.mean())
+    if not REGULAR_REPEATS <= share <= LARGEST_RANDOM_SHARE:
+        return share > LARGEST_RANDOM_SHARE
+    binomial = len(repeats) * share * (1.0 - share)
+    return _line_variance(repeats) < max(REGULAR_VARIANCE, REGULAR_VARIANCE_RATIO * binomial)
+
+
+def _line_variance(flags: Flags) -> float:
+    """Return the variance of the cumulative number of flags about a straight line.
+
+    For n independent flags of share p, it is n p (1 - p) times Watson's U^2, whose mean is 1/12
+    (G. S. Watson, Biometrika 48, 1961).
+    """
+    return float(np.var(np.cumsum(flags - flags.mean())))
+
+
+def _coincide(flags: Flags) -> bool:
+    """Return whether the flags of the axes, (axes, n), coincide more often than by chance.
+
+    Returns False if all flags are set: then the values are constant, which is a different fault.
+    """
+    joint = float(flags.all(axis=0).mean()) if flags.size else 0.0
+    if not REPEATED_SHARE < joint < 1.0:
+        return False
+    return bool(np.log(joint) > TOGETHER_LOG_RATIO * np.log(flags.mean(axis=1)).sum())
+
+
+LONGEST_REPEAT = 16
+"""Largest number of consecutive repeated samples that are interpolated; a sensor that repeats more
+may be stuck."""
+
+
+class RepeatFilter:
+    """Interpolates samples that repeat the previous one, in evenly spaced blocks.
+
+    ``groups`` are the positions of the axes of each group: a sample is repeated if it equals the
+    previous one on all axes of a group. At most `LONGEST_REPEAT` + 1 samples are buffered.
+    """
+
+    def __init__(self, groups: list[list[int]], axes: int) -> None:
+        self._groups = groups
+        self._empty = Block(np.empty(0, np.int64), np.empty((axes, 0)))
+        self._restart()
+
+    def _restart(self) -> None:
+        # the last new sample, and the repeats after it, which need the next new sample
+        self._held = self._empty
+        self._repeated = np.zeros((len(self._groups), 0), bool)  # held, to be interpolated
+        self._last: Floats = np.full(len(self._empty.rows), np.nan)  # the last values received
+        self._skipping = np.zeros(len(self._groups), bool)  # whether a run is too long
+
+    def feed(self, blocks: list[Block]) -> list[Block]:
+        """Add blocks, and return the samples whose interpolation is complete."""
+        out: list[Block] = []
+        for block in blocks:
+            if block.cut:
+                out += self.flush()
+            if len(block):
+                out += self._add(block)
+        return out
+
+    def flush(self) -> list[Block]:
+        """Return the buffered samples at the end of a segment; the last repeats are kept."""
+        held = self._held
+        self._restart()
+        return [held] if len(held) else []
+
+    def _add(self, block: Block) -> list[Block]:
+        have = Block.joined([self._held, block]) if len(self._held) else block
+        old, n = len(self._held), len(have)
+        rows = have.rows.copy()
+        filled = np.zeros(rows.shape, bool) if have.filled is None else have.filled.copy()
+        before = np.concatenate([self._last[:, None], block.rows[:, :-1]], axis=1)
+        equal = block.rows == before
+        self._last = block.rows[:, -1].copy()
+        repeated = np.zeros((len(self._groups), n), bool)
+        repeated[:, :old] = self._repeated
+        index, keep = np.arange(n), n - 1
+        for flags, group, i in zip(repeated, self._groups, range(n)):
+            flags[old:] = equal[group].all(axis=0)
+            new = np.flatnonzero(~flags[old:])
+            if self._skipping[i]:
+                flags[old : old + int(new[0]) if len(new) else n] = False
+                self._skipping[i] = not len(new)
+            if not flags.any():
+                continue
+            left = np.maximum.accumulate(np.where(flags, -1, index))
+            right = np.minimum.accumulate(np.where(flags, n, index)[::-1])[::-1]
+            length = right - left - 1
+            at = np.flatnonzero(flags & (right < n) & (length <= LONGEST_REPEAT))
+            low, high = left[at], right[at]
+            fraction = (at - low) / (high - low)
+            for axis in group:
+                first = have.rows[axis, low]
+                rows[axis, at] = first + fraction * (have.rows[axis, high] - first)
+                filled[axis, at] = True
+            flags[right < n] = False
+            if flags[-1] and length[-1] > LONGEST_REPEAT:
+                flags[:] = False
+                self._skipping[i] = True
+            elif flags[-1]:
+                keep = min(keep, int(left[-1]))
+        done = Block(have.stamps, rows, have.cut, filled if filled.any() else None)
+        self._held = done.part(slice(keep, None), done.cut if keep == 0 else '').copy()
+        self._repeated = repeated[:, keep:].copy()
+        return [done.part(slice(keep), done.cut)] if keep else []
