@@ -27,6 +27,7 @@ from ..core.errors import AllanError, one_line
 from ..core.fields import Fields, plain
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, Quantity, required
 from ..core.fit import TERMS, AxisFit, Coefficient, Processes
+from ..core.fit.model import Covariance
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
@@ -68,7 +69,6 @@ SIGNED = (
     'R',
     'low_pass',
 )
-# and the elements of a covariance, which is not read again
 """Keys of numbers that may be negative."""
 
 NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
@@ -78,7 +78,7 @@ NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'region
 def results_to_document(
     results: Results, curves: bool = True, units: str = 'deg/h'
 ) -> dict[str, Any]:
-    """Return the results as the document ``allan_ros/results/1`` (results.json).
+    """Return the results as the document ``allan_ros/results/2`` (results.json).
 
     Without ``curves``, the curves and the verdict are left out, which gives a short document.
     ``units`` ('deg/h' or 'SI') are the units in the texts of the verdict; numbers are in SI.
@@ -106,7 +106,7 @@ def results_to_document(
 
 
 def results_from_document(document: object, where: str = 'results') -> Results:
-    """Return the results in a document ``allan_ros/results/1``.
+    """Return the results in a document ``allan_ros/results/2``.
 
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
@@ -381,13 +381,13 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
 
 
 def _axis_from_document(name: str, fields: Fields) -> AxisResult:
-    noise = fields.fields('noise')
+    noise, stated = fields.fields('noise'), fields.optional_fields('covariance')
     fit = fields.record(
         AxisFit,
         noise={term: noise.fields(term).record(Coefficient) for term in TERMS},
         m_min=fields.integer('m_min', least=1),
         processes=fields.fields('processes').record(Processes),
-        covariance=None,
+        covariance=None if stated is None else _covariance_from_document(stated),
     )
     return fields.record(
         AxisResult,
@@ -396,6 +396,11 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         curve=_curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
         name=name,
     )
+
+
+def _covariance_from_document(fields: Fields) -> Covariance:
+    names = fields.typed('names', tuple[str, ...])
+    return Covariance(names, fields.table('matrix', len(names), len(names)))
 
 
 def _scaled(coefficient: Coefficient, factor: float) -> float | None:

@@ -268,7 +268,7 @@ def test_simulated_noise_is_stated() -> None:
     for options, said in (
         ({'preset': 'nope'}, 'preset'),
         ({'low_pas': 3.0}, 'use low_pass'),
-        ({'hours': -1}, 'positive'),
+        ({'hours': -1}, 'must lie between 0 and'),
         ({'gyro': [{'N': 1.0}]}, 'one mapping of terms, or three'),
         ({'gyro': 'N'}, 'one mapping of terms, or three'),
         ({'gyro': {'z': 1.0}}, 'noise.gyro_z is 1.0: an object'),

@@ -13,7 +13,7 @@ import pytest
 import allan_ros as ar
 from allan_ros.api import load, load_sums, results_of
 from allan_ros.core.errors import AllanError
-from allan_ros.io.documents import results_to_document, sums_file_to_document
+from allan_ros.io.documents import fingerprint, results_to_document, sums_file_to_document
 from allan_ros.io.files import to_json
 from allan_ros.io.recorded import ReadJob, read_in_processes
 from allan_ros.io.results import Results
@@ -22,7 +22,8 @@ from allan_ros.io.results import Results
 def written(results: Results, folder: Path) -> Path:
     assert results.recorded is not None
     sums = sums_file_to_document(results.recorded.sums, results.recorded.provenance)
-    (folder / 'results.json').write_text(to_json(results_to_document(results)))
+    document = {**results_to_document(results), 'fingerprint': fingerprint(sums)}
+    (folder / 'results.json').write_text(to_json(document))
     (folder / 'sums.json').write_text(to_json(sums))
     return folder
 

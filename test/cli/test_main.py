@@ -94,7 +94,7 @@ def test_a_wrong_command_line_is_exit_2(
         (['analyse'], 'analyze'),
         (['analyze', 'x', '--skp', '3'], '--skip'),
         (['analyze', 'x', '--methd=gls'], '--method'),
-        (['check', 'x', '--method', 'gsl'], 'likelihood'),
+        (['check', 'x', '--method', 'likelyhood'], 'likelihood'),
         (['simulate', 'x', '--preset', 'papr'], 'paper'),
     ],
 )

@@ -91,7 +91,7 @@ def test_a_locked_path_is_not_changed(tmp_path: Path, sums: Sums, opened) -> Non
 
 @pytest.mark.parametrize(
     'content',
-    ['', '{"schema"', '[]', '{"schema": "allan_ros/sums_file/1"}', 'null', '\x00' * 100],
+    ['', '{"schema"', '[]', '{"schema": "allan_ros/sums_file/2"}', 'null', '\x00' * 100],
 )
 def test_a_broken_file_is_put_aside(tmp_path: Path, sums: Sums, opened, content: str) -> None:
     path = tmp_path / 'sums.json'

@@ -20,7 +20,7 @@ NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf|infinity)(?!\w)', re.IGNORECASE)
 
 SIGNED = {
     *('reference', 'total', 'sign', 'slope', 'gof_z', 'start_ns', 'begin_ns'),
-    'relative',
+    *('relative', 'matrix'),
 }
 """Fields whose numbers may be negative."""
 

@@ -151,9 +151,7 @@ def flicker_processes(bias_instability: float, white: float = 0.0) -> Processes:
     taus = np.geomspace(shortest, LONGEST_FLICKER_S, FLICKER_PROCESSES)
     tau = np.geomspace(1.3 * taus[0], 2.0 * taus[-1], 40)
     columns = np.stack([gauss_markov_avar(tau, one) / FLICKER_FLOOR for one in taus], axis=1)
-    from scipy.optimize import nnls  # slow to import
-
-    weights, _ = nnls(columns, np.ones_like(tau))
+    weights = np.linalg.lstsq(columns, np.ones_like(tau), rcond=None)[0]  # all positive
     return tuple(
         (bias_instability * math.sqrt(weight), float(one)) for weight, one in zip(weights, taus)
     )

@@ -291,7 +291,8 @@ def _over_time(summary: SignalSummary, values: Floats) -> Trend:
     The mean is NaN unless more than half of the bins of the interval are used.
     """
     step = -(-len(summary.time_s) // MEANS)
-    bin_s = float(np.median(np.diff(summary.time_s)))
+    steps = np.diff(summary.time_s)
+    bin_s = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.nan
     first = np.searchsorted(summary.time_s, summary.starts).tolist()
     x, rows = [], []
     for begin, end in zip(first, [*first[1:], len(values)]):
