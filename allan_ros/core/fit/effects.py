@@ -169,7 +169,7 @@ def warm_up(
     if not segments:
         return None
     points, high = local.groups[0].points, local.groups[0].high
-    times = WARM_UP_TIMES * points * means.step
+    times = np.asarray(WARM_UP_TIMES * points * means.step, np.float64)
     x = _decays(times, means) @ np.eye(points)
     x = (x @ contrasts(points, high)[:, 1:]).T
     none = x[:, :0]
@@ -177,14 +177,14 @@ def warm_up(
     if scores.max() < PROMISING_SCORE[0]:
         return None
     best: tuple[float, int, dict[int, tuple[float, float, Segment]]] | None = None
-    for k in np.flatnonzero(scores > 0.4 * scores.max()):
+    for k in np.flatnonzero(scores > 0.4 * scores.max()).tolist():
         each = {}
         for a, segment in segments.items():
             fitted, beta = segment.with_effects(x[:, k : k + 1])
             each[a] = max(segment.fit.value - fitted.fit.value, 0.0), float(beta[0]), fitted
         total = sum(g for g, _, _ in each.values())
         if best is None or total > best[0]:
-            best = total, int(k), each
+            best = total, k, each
     assert best is not None
     gain, k, each = best
     excess = gain - GAIN_WARM_UP
