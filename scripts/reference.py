@@ -15,6 +15,7 @@ import inspect
 import re
 import sys
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -57,16 +58,12 @@ Every option with its default. `allan VERB --help` prints the same list. Inside 
 
 API_HEAD = """# Python API
 
-Importing `allan_ros` takes less than 50 ms: each name is loaded at its first use. Functions report
-errors as `AllanError`. [notebook.ipynb](notebook.ipynb) shows a complete example.
+All functions raise `AllanError`, with a message of one line, if an argument is wrong or a file cannot
+be read. [notebook.ipynb](notebook.ipynb) shows a complete example. The examples begin with
 
 ```python
-import allan_ros as ar
-
-results = ar.analyze('my_bag')  # a recording, or an array with rate=200
-results['gyro_z'].N.to('deg/sqrt(h)')
-results.plot('gyro')
-results.export('kalibr', 'imu.yaml')
+>>> import numpy as np
+>>> import allan_ros as ar
 ```
 """
 
@@ -76,9 +73,8 @@ EVERY_VERB = """## Options of every verb
 |---|---|
 {options}
 
-Results go to stdout, all else to stderr. `analyze --json` and `merge --json` print the content of
-`results.json`: `allan analyze my_bag --json | jq .axes.gyro_x.noise.N`. Progress is drawn on a
-terminal only.
+Results go to stdout, all else to stderr. `analyze --json` prints the content of
+`results.json`. Progress is drawn on a terminal only.
 
 | exit code | |
 |---|---|
@@ -92,6 +88,13 @@ terminal only.
 
     eval "$(allan --completion bash)"      # in ~/.bashrc; for zsh in ~/.zshrc, after compinit
     allan --completion fish | source       # in ~/.config/fish/config.fish
+"""
+
+
+SHARED_HEAD = """## Options of several verbs
+
+| option | | verbs |
+|---|---|---|
 """
 
 
@@ -168,17 +171,25 @@ def cli_page() -> str:
         options='\n'.join(_option_row(action) for action in common._actions),
         exits='\n'.join(f'| {code} | {what} |' for code, what in EXITS.items()),
     )
-    return '\n'.join([WRITTEN_BY, CLI_HEAD, every, *(_verb_section(verb) for verb in VERBS)])
+    rows = {verb: _option_rows(verb) for verb in VERBS}
+    users = {row: [verb for verb in VERBS if row in rows[verb]] for row in chain(*rows.values())}
+    shared = '\n'.join(
+        f'{row} {", ".join(f"`{verb}`" for verb in verbs)} |'
+        for row, verbs in users.items()
+        if len(verbs) > 1
+    )
+    parts = [WRITTEN_BY, CLI_HEAD, every, f'{SHARED_HEAD}{shared}\n']
+    for verb, what in VERBS.items():
+        own = '\n'.join(row for row in rows[verb] if len(users[row]) == 1)
+        head = f'## `allan {verb}`\n\n{what[0].upper()}{what[1:]}.\n\n'
+        parts.append(f'{head}| option | |\n|---|---|\n{own}\n')
+    return '\n'.join(parts)
 
 
-def _verb_section(verb: str) -> str:
+def _option_rows(verb: str) -> list[str]:
     parser = argparse.ArgumentParser(prog=f'allan {verb}', add_help=False)
     command_of(verb).declare(parser)
-    rows = '\n'.join(
-        _option_row(action) for action in parser._actions if action.help != argparse.SUPPRESS
-    )
-    what = VERBS[verb][0].upper() + VERBS[verb][1:]
-    return f'## `allan {verb}`\n\n{what}.\n\n| option | |\n|---|---|\n{rows}\n'
+    return [_option_row(each) for each in parser._actions if each.help != argparse.SUPPRESS]
 
 
 def _option_row(action: argparse.Action) -> str:
@@ -192,15 +203,18 @@ def _option_row(action: argparse.Action) -> str:
 
 
 def api_page() -> str:
-    """Return the page of the public Python API, from the docstrings."""
-    return '\n'.join([WRITTEN_BY, API_HEAD, *map(_object_section, allan_ros.__all__)])
+    """Return the page of the public Python API from the docstrings, functions first."""
+    names = sorted(allan_ros.__all__, key=lambda name: inspect.isclass(getattr(allan_ros, name)))
+    return '\n'.join([WRITTEN_BY, API_HEAD, *map(_object_section, names)])
 
 
 def _object_section(name: str) -> str:
     thing = getattr(allan_ros, name)
     is_class = inspect.isclass(thing)
-    signature = name if is_class else f'{name}{_signature(thing)}'
-    parts = [f'## `{name}`', f'```python\nallan_ros.{signature}\n```', _as_markdown(thing)]
+    parts = [f'## `{name}`']
+    if not is_class:
+        parts.append(f'    {name}{_signature(thing)}')
+    parts.append(_as_markdown(thing))
     if is_class and not issubclass(thing, Exception):
         members = list(_members(thing))
         if members:
@@ -231,10 +245,21 @@ def _as_markdown(thing: Any) -> str:
     parts = [_code(head.strip())]
     for title, body in zip(sections[::2], sections[1::2]):
         if title == 'Examples':
-            parts.append(f'```python\n{body.strip()}\n```')
+            parts.append(f'```python\n{_session(body)}\n```')
+            continue
+        if title == 'Raises':
+            continue  # the head of the page states it for all functions
+        if title == 'Returns':
+            parts.append('**Returns** ' + ' '.join(each[2:] for each in _items(body.strip())))
             continue
         parts.append(f'**{title}**\n\n' + '\n'.join(_items(body.strip())))
     return '\n\n'.join(parts)
+
+
+def _session(example: str) -> str:
+    """Return an example without the import that all have in common."""
+    common = ('>>> import allan_ros as ar', '>>> import numpy as np')
+    return '\n'.join(line for line in example.strip().splitlines() if line not in common)
 
 
 def _items(body: str) -> Iterator[str]:
@@ -287,7 +312,7 @@ def _with_words(entry: str) -> str:
     rest = '\n'.join(line for line in rest.lstrip('\n').split('\n') if not line.startswith('> '))
     words = CATALOG[id.strip()]
     message, remedy = map(_without_numbers, (words.message_template, words.remedy_template))
-    return f'{id}\n\n> *{words.severity}:* {message} **{remedy}**\n\n{rest.lstrip()}'
+    return f'{id}\n> *{words.severity}:* {message} **{remedy}**\n\n{rest.lstrip()}'
 
 
 def _without_numbers(template: str) -> str:
