@@ -83,9 +83,9 @@ def cell(halves: list[float]) -> str:
     if not shown.any():
         return 'no'
     if shown.mean() < MOSTLY:
-        return f'{shown.mean():.0%} of records'
+        return f'{100 * shown.mean():.0f} % of records'
     half = 100.0 * float(np.median(np.array(halves)[shown]))
-    often = '' if shown.all() else f' ({shown.mean():.0%} of records)'
+    often = '' if shown.all() else f' ({100 * shown.mean():.0f} % of records)'
     return f'± {half:.2g} %{often}'
 
 
