@@ -34,7 +34,7 @@ MEDIAN_CHI_SQUARED = 0.455
 PART = 0.04
 """Typical length, relative to all data, of the shortest parts whose level a finding states."""
 
-LEAST_CHANGE = 0.1
+LEAST_CHANGE = 0.2
 """Least relative change of N after which only the last part is fitted."""
 
 LEAST_LAST_S, LEAST_LAST_PART = 120.0, 0.1

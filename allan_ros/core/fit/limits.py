@@ -14,7 +14,7 @@ GAIN_RESOLVED = 5.41
 LEVEL_95 = 3.841
 """Decrease of -2 log L at the ends of a 95 % interval."""
 
-MAX_PROCESSES = 8
+MAX_PROCESSES = 6
 
 SHORTEST_TIME = 8.0
 """Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
