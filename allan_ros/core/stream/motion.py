@@ -26,20 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .health import Counts, Event, EventLog, State
-from .noise_floor import (
-    EXAMINED,
-    LEAST_WINDOW,
-    SPIKE_NEIGHBORS,
-    NoiseFloor,
-    RestLimits,
-    Windows,
-    without_spikes,
-)
+from .noise_floor import EXAMINED, LEAST_WINDOW, NoiseFloor, RestLimits, Windows
 from .shocks import LONGEST_SHOCK, LONGEST_SHOCK_S, Level, Motion
-from .timing import Block
+from .timing import Block, Flags
+from .windows import SPIKE_NEIGHBORS, Saturation, WindowClass, classify_windows, without_spikes
 
 Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short compared with a motion."""
@@ -56,40 +48,12 @@ MARGIN_BEFORE, MARGIN_AFTER = 1, 4
 RELEARNED = 'relearned'
 """Reason for a split after which all earlier sums are discarded: the IMU moved."""
 
-LEAVE_RATIO = 0.8
-"""A motion ends when the standard deviation is below this fraction of the limit for its start."""
-
-KNOCK_SIGMAS = 20.0
-"""A sample that deviates from the mean of its window by this many standard deviations of the noise
-floor is a mechanical knock."""
-
-STEP_SIGMAS = 8.0
-"""Means of neighboring windows that differ by this many standard deviations of the difference
-indicate motion."""
-
 LOUDER_BLOCKS = 2
 """Number of consecutive blocks (together about 30 s) after which noise that exceeds the limits is
 classified as louder noise instead of motion."""
 
 MOST_FILLED = 0.1
 """Largest share of interpolated samples in a window that is searched for outliers."""
-
-MIN_PLATEAU, PLATEAU_STEP_LSB = 3, 4.0
-"""An axis may be saturated if this number of consecutive samples has its largest value, and the
-step to them is at least this many resolutions. (At a coarse resolution, a slow motion has equal
-samples at its peak, too.)"""
-
-LEAST_SATURATED = 10
-"""Smallest number of such samples at the same value, which is never exceeded."""
-
-
-class WindowClass(NamedTuple):
-    """Classification of k windows: arrays of flags, (k,) each."""
-
-    moving: Flags  # in motion, or an axis is stuck
-    quiet: Flags  # below the limits at which a motion ends
-    stuck: Flags  # an axis repeats one value
-    rotating: Flags  # only the mean angular rate differs from the noise floor
 
 
 class _Part(NamedTuple):
@@ -137,9 +101,7 @@ class MotionGate:
         # buffered until they fill a window, with their look-ahead
         self._pending = Block(np.empty(0, np.int64), np.empty((len(axes), 0)))
         self._before = np.empty((len(axes), 0))  # the last samples before them
-        self._extreme = np.zeros(len(axes))  # largest absolute value of each axis in motion
-        self._at_limit = np.zeros(len(axes), np.int64)  # number of samples with this value
-        self._saturated = 0
+        self._saturation = Saturation(len(axes))
         self._last_mean: Floats | None = None
         self._motion: Motion | None = None
         self._level = Level()
@@ -326,7 +288,10 @@ class MotionGate:
             self._counts.stuck += len(window)
         else:
             self._counts.moving += len(window) if motion.held is None else 0
-            self._count_saturated(window.rows)
+            assert self._floor is not None
+            before = self._saturation.count
+            self._saturation.add(window.rows, self._floor.lsb)
+            self._counts.saturated += self._saturation.count - before
         motion.add(window, mean, quiet)
         if motion.is_longer(self._longest_shock):
             self._no_shock()
@@ -384,29 +349,6 @@ class MotionGate:
             cut = ''
         self._margin = [block.part(slice(split, None), cut)]
         return out
-
-    def _count_saturated(self, rows: Floats) -> None:
-        """Count the samples of a moving window, (axes, n), at the limit of the measurement range.
-
-        These are consecutive samples with the largest absolute value of an axis so far that a large
-        step precedes or follows. A larger value later shows that this was not the limit.
-        """
-        assert self._floor is not None
-        size = np.abs(rows)
-        largest = size.max(axis=1)
-        self._at_limit[largest > self._extreme] = 0
-        self._extreme = np.maximum(self._extreme, largest)
-        top = size >= self._extreme[:, None]
-        for axis in np.flatnonzero(np.count_nonzero(top, axis=1) >= MIN_PLATEAU):
-            edges = np.flatnonzero(np.diff(top[axis], prepend=False, append=False))
-            for a, b in edges.reshape(-1, 2):
-                outside = [rows[axis, i] for i in (a - 1, b) if 0 <= i < rows.shape[1]]
-                step = max((abs(rows[axis, a] - x) for x in outside), default=0.0)
-                if b - a >= MIN_PLATEAU and step >= PLATEAU_STEP_LSB * self._floor.lsb[axis] > 0:
-                    self._at_limit[axis] += b - a
-        reached = self._at_limit[self._at_limit >= LEAST_SATURATED].sum()
-        self._counts.saturated += int(reached) - self._saturated
-        self._saturated = int(reached)
 
     # --- the noise floor --------------------------------------------------------------------------
 
@@ -506,42 +448,3 @@ def _split(blocks: list[Block], samples: int) -> tuple[list[Block], list[Block]]
             return [*blocks[:i], *before], [after, *blocks[i + 1 :]]
         samples -= len(block)
     return blocks, []
-
-
-def classify_windows(
-    windows: Windows,
-    previous_mean: Floats | None,
-    size: int,
-    floor: NoiseFloor,
-    motion_ratio: float,
-) -> WindowClass:
-    """Classify windows of ``size`` samples by comparing them with the noise floor.
-
-    A standard deviation above ``motion_ratio`` times the noise floor is motion. ``previous_mean``,
-    (axes,), is the mean of the window before the first, or None if there is none.
-    """
-    # (axes, 1) each; the limits are infinite for an axis without noise
-    scale, lsb = floor.scale[:, None], floor.lsb[:, None]
-    unknown = np.where(scale > 0.0, 0.0, np.inf)
-    sigma = np.sqrt(scale)
-    step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, floor.step[:, None])
-    # the variance of few samples is uncertain, so short windows are classified by their peak
-    uncertain = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
-    max_variance = motion_ratio**2 * scale + uncertain
-    max_peak = np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown
-    max_step = STEP_SIGMAS * step_sigma + lsb + uncertain
-    max_rate = np.maximum(floor.limits.rate[:, None], STEP_SIGMAS * step_sigma)
-    previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
-    means = np.concatenate([previous, windows.mean], axis=1)
-    step = np.abs(means[:, 1:] - means[:, :-1])
-    noisy = windows.variance > LEAVE_RATIO**2 * max_variance
-    knocked = (windows.peak > max_peak) | (step > max_step)
-    rotating = np.abs(windows.mean - floor.mean[:, None]) > max_rate
-    none = np.zeros(windows.mean.shape[1], bool)
-    if windows.variance.all() and not (noisy | knocked | rotating).any():
-        return WindowClass(none, ~none, none, none)  # the common case: an IMU at rest
-    has_noise = (floor.variance > floor.lsb**2)[:, None] & (size >= LEAST_WINDOW)
-    stuck = ((windows.variance == 0.0) & has_noise).any(axis=0)
-    moving = ((windows.variance > max_variance) | knocked | rotating).any(axis=0) | stuck
-    disturbed = (noisy | knocked).any(axis=0) | stuck
-    return WindowClass(moving, ~(moving | disturbed), stuck, rotating.any(axis=0) & ~disturbed)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates the noise of a sensor at rest from short windows, and replaces isolated spikes."""
+"""Estimates the noise of a sensor at rest from the statistics of short windows."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .timing import Block
-
 Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
@@ -72,16 +71,6 @@ SAME_DIRECTION = 0.035
 """Largest change of the measured gravity vector, relative to its magnitude, of an IMU that did not
 tilt (2 degrees)."""
 
-SPIKE_SIGMAS = 7.0
-"""An isolated sample is a spike if it deviates from the mean of its window by more than this number
-of standard deviations of the noise floor. This holds for 1e-10 of the samples of white noise, so
-the variance of white noise changes by less than 1e-8."""
-
-SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
-"""Number of samples before and after a spike that are examined. The spike is isolated if its direct
-neighbors, and all others except one, deviate less than this fraction of the smallest possible
-spike. After a mechanical knock, in contrast, several samples deviate."""
-
 
 @dataclass(frozen=True)
 class RestLimits:
@@ -94,7 +83,7 @@ class RestLimits:
     # step between the means of neighboring windows, if larger than that of white noise
     step: Floats
     rate: Floats  # deviation of the mean angular rate from its value at rest; infinite for accel
-    gravity: NDArray[np.bool_]  # whether the axis measures gravity
+    gravity: Flags  # whether the axis measures gravity
 
     @classmethod
     def of(cls, axes: tuple[str, ...], rate_limit: float) -> RestLimits:
@@ -127,7 +116,7 @@ class Windows:
         variance[variance <= (ROUNDING * mean) ** 2] = 0.0
         return cls(np.stack([mean, variance, peak]))
 
-    def __getitem__(self, which: slice | NDArray[np.bool_]) -> Windows:
+    def __getitem__(self, which: slice | Flags) -> Windows:
         """Return the windows selected by a slice or a mask (k,)."""
         return Windows(self.values[:, :, which])
 
@@ -207,7 +196,7 @@ class NoiseFloor:
         )
 
     @property
-    def heavy(self) -> NDArray[np.bool_]:
+    def heavy(self) -> Flags:
         """Which axes have heavy tails, (axes,): their single large values are noise, not spikes."""
         return np.asarray(self.outliers >= max(LEAST_HEAVY, HEAVY_SHARE * self.examined))
 
@@ -263,7 +252,7 @@ class NoiseFloor:
             examined=0.0,
         )
 
-    def updated(self, block: Windows, still: NDArray[np.bool_], rotating: bool) -> NoiseFloor:
+    def updated(self, block: Windows, still: Flags, rotating: bool) -> NoiseFloor:
         """Return the noise floor updated by a block of k windows.
 
         ``still``, (k,), flags windows at rest, of which half are needed. If all windows differ from
@@ -320,56 +309,3 @@ def _quantile(values: Floats, share: float) -> Floats:
     """Return a quantile over the last dimension without interpolation (the lower value)."""
     k = int(share * (values.shape[-1] - 1))
     return np.asarray(np.partition(values, k, axis=-1)[..., k])
-
-
-def without_spikes(
-    block: Block, size: int, before: Floats, after: Floats, floor: NoiseFloor
-) -> tuple[Block, Windows, int]:
-    """Replace isolated spikes by the mean of the two samples next to them.
-
-    ``size`` is the number of samples in a window. ``before`` and ``after``, (axes, n), are up to
-    `SPIKE_NEIGHBORS` samples on either side of the block. Returns the block, the statistics of its
-    windows, and the number of replaced values. On axes with heavy tails, spikes are only removed
-    from the statistics, and the block keeps them.
-    """
-    rows = block.rows
-    windows = Windows.of(rows, size)
-    threshold = SPIKE_SIGMAS * np.sqrt(floor.scale)
-    flagged = (windows.peak > threshold[:, None]) & (threshold > 0.0)[:, None]
-    if not flagged.any() or size < LEAST_WINDOW:
-        return block, windows, 0
-    axes, at = np.nonzero(flagged)
-    cube = rows.reshape(len(rows), -1, size)[axes, at]
-    level = np.median(cube, axis=1)
-    sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
-    # a higher threshold if the noise is louder than its floor by more than the error of sigma
-    louder = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
-    height = np.where(louder, SPIKE_SIGMAS * sigma, threshold[axes])
-    far = np.abs(cube - level[:, None]) > height[:, None]
-    few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more than this are a motion
-    around = np.concatenate([before, rows, after], axis=1)
-    without = rows.copy()
-    found = np.zeros(rows.shape, bool)
-    for n, k in zip(*np.nonzero(far & few[:, None])):
-        axis, i = axes[n], at[n] * size + k
-        x, j = around[axis], i + before.shape[1]
-        first = max(0, j - SPIKE_NEIGHBORS)
-        near = np.abs(x[first : j + SPIKE_NEIGHBORS + 1] - level[n])
-        if _is_isolated(near > NEIGHBOR_RATIO * height[n], j - first):
-            without[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
-            found[axis, i] = True
-    changed = found.any(axis=0).reshape(-1, size).any(axis=1)
-    if not changed.any():
-        return block, windows, 0
-    some = without.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
-    windows.values[:, :, changed] = Windows.of(some, size).values
-    found[floor.heavy] = False
-    filled = found if block.filled is None else block.filled | found
-    replaced = np.where(found, without, rows)
-    return Block(block.stamps, replaced, block.cut, filled), windows, int(np.count_nonzero(found))
-
-
-def _is_isolated(far: NDArray[np.bool_], at: int) -> bool:
-    """Return whether the neighbors of ``far[at]`` are not set, and at most one other flag is."""
-    inside = 0 < at < len(far) - 1
-    return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2
