@@ -13,6 +13,7 @@ samples are divided into batches.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,7 @@ from .clock import CLOCK_BLOCK, LEARN, PERIOD_TRACKING, Clock, Floats, Stamps, r
 from .health import RATE_CHANGE, Counts
 
 Flags = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -103,8 +105,8 @@ class SampleClock:
         self._rows: Floats = np.empty((axes, 0))
         self._jumped: Flags = np.empty(0, bool)
         self._past = 0
-        # index of each processed sample, with lost samples counted
-        self._index: NDArray[np.int64] = np.empty(0, np.int64)
+        # index of each sample in [0, _past), with lost samples counted; -1 before the first one
+        self._index = np.array([-1])
         self._since_gap = 0  # processed samples since the last gap, at most `_reach`
         self._blocks = 0
         self._other_period = False  # whether the period of the last block differed
@@ -156,7 +158,7 @@ class SampleClock:
                 break
             if self._are_even(count * CLOCK_BLOCK):
                 self._other_period = False
-                self._advance(count * CLOCK_BLOCK)
+                self._advance(np.ones(count * CLOCK_BLOCK, np.int64))
                 continue
             done += self._view(first)
             done += self._process(count * CLOCK_BLOCK)
@@ -186,8 +188,10 @@ class SampleClock:
             return False
         stamps = self._stamps[begin - 1 : begin + n]
         clock, longest = self.clock, int((stamps[1:] - stamps[:-1]).max())
-        if clock.bursty or longest > clock.pause_ns:
-            return longest <= clock.pause_ns
+        if longest > clock.pause_ns:
+            return False
+        if clock.bursty:
+            return True
         period = np.diff(stamps[::CLOCK_BLOCK]) / CLOCK_BLOCK
         return longest <= RATE_CHANGE_STEP * clock.step_ns and bool(
             np.all(np.abs(period / clock.period_ns - 1.0) <= RATE_CHANGE)
@@ -196,36 +200,40 @@ class SampleClock:
     def _process(self, n: int) -> list[Block]:
         """Detect gaps and a change of the rate in the next n samples; return these as blocks."""
         begin = self._past
-        stamps, jumped = (a[begin : begin + n] for a in (self._stamps, self._jumped))
-        before = stamps[0] - round(self.clock.period_ns) if begin == 0 else self._stamps[begin - 1]
-        step = np.diff(stamps, prepend=before)
-        advance = np.where(jumped, 0, 1)  # steps of the index; 0 means that the data are split
-        missing = np.zeros(n, np.int64)
-        bridged = np.zeros(-(-n // CLOCK_BLOCK), np.int64)
-        for j in np.flatnonzero((step > self.clock.pause_ns) & ~jumped):
-            missing[j] = lost = self._lost(begin + int(j), int(j), advance)
-            block = j // CLOCK_BLOCK
-            if lost > self._max_bridge or bridged[block] + lost > BRIDGED_SHARE * CLOCK_BLOCK:
-                advance[j] = 0
-            else:
-                bridged[block] += lost
-                advance[j] = 1 + lost
+        before = self._stamps[begin - 1] if begin else self._stamps[0] - round(self.clock.period_ns)
+        step = np.diff(self._stamps[begin : begin + n], prepend=before)
+        lost, split = self._find_gaps(step)
+        advance = np.where(split, 0, 1 + lost)
         same = self._count_same_rate(step, advance)
-        if same < n:
-            self.rate_changed = True
-            if same == 0:
-                return []
-        advance = advance[:same]
-        self._counts.lost += int(missing[:same].sum())
-        self._counts.bridged += int((advance[advance > 1] - 1).sum())
-        jumps = int(np.count_nonzero(jumped[:same]))
-        gaps = int(np.count_nonzero(advance == 0)) - jumps
-        self._counts.cuts += Counter({'clock jump': jumps, 'gap': gaps})
-        blocks = self._blocks_of(begin, advance)
-        self._advance(same, advance)
+        self.rate_changed = same < n
+        if same == 0:
+            return []
+        lost, split, advance = lost[:same], split[:same], advance[:same]
+        jumps = int(np.count_nonzero(self._jumped[begin : begin + same]))
+        self._counts.lost += int(lost.sum())
+        self._counts.bridged += int(lost[~split].sum())
+        self._counts.cuts += Counter({'clock jump': jumps, 'gap': np.count_nonzero(split) - jumps})
+        blocks = self._blocks_of(advance)
+        self._advance(advance)
         return blocks
 
-    def _count_same_rate(self, step: Stamps, advance: NDArray[np.int64]) -> int:
+    def _find_gaps(self, step: Stamps) -> tuple[Ints, Flags]:
+        """Return the number of samples lost before each of the next n, and where to split them.
+
+        ``step``, (n,), are the steps of the stamps in ns. Short gaps are interpolated, not split.
+        """
+        lost = np.zeros(len(step), np.int64)
+        split = self._jumped[self._past : self._past + len(step)].copy()
+        bridged: Counter[int] = Counter()  # number of interpolated samples of each clock block
+        for j in np.flatnonzero((step > self.clock.pause_ns) & ~split).tolist():
+            lost[j] = number = self._count_lost(np.where(split, 0, 1 + lost)[:j])
+            total = bridged[j // CLOCK_BLOCK] + number
+            split[j] = number > self._max_bridge or total > BRIDGED_SHARE * CLOCK_BLOCK
+            if not split[j]:
+                bridged[j // CLOCK_BLOCK] = total
+        return lost, split
+
+    def _count_same_rate(self, step: Stamps, advance: Ints) -> int:
         """Return the number of samples before a change of the rate; all if it does not change.
 
         ``step``, (n,), are the steps of the stamps in ns, and ``advance``, (n,), those of the
@@ -250,74 +258,74 @@ class SampleClock:
                 return at + int(np.argmax(unusual))
         return len(step)
 
-    def _lost(self, at: int, j: int, advance: NDArray[np.int64]) -> int:
-        """Return how many samples were lost before the sample at position ``at`` in the buffer.
+    def _count_lost(self, advance: Ints) -> int:
+        """Return how many samples were lost in a pause, from the delays before and after it.
 
-        It is number ``j`` of the samples being processed; ``advance`` are their index steps.
+        ``advance``, (j,), are the index steps of the next j samples; the pause follows them.
         """
-        period, reach = self.clock.period_ns, self._reach
-        gaps = np.flatnonzero(advance[:j] == 0)
-        past = min(reach, j - int(gaps[-1]) if len(gaps) else self._since_gap + j)
-        if past == 0:
+        at = self._past + len(advance)  # the first sample after the pause
+        before = self._since_gap_after(advance)
+        if before == 0:
             return 0
-        origin = self._stamps[at - 1]
-        steps = np.concatenate([np.diff(self._index, prepend=0), advance[:j]])
-        back = -np.cumsum(steps[::-1])[: past - 1]
-        index = np.concatenate([[0], back])[::-1]
-        delay_before = ((self._stamps[at - past : at] - origin) - period * index).min()
-        after = self._stamps[at : at + reach]
-        jumps = np.flatnonzero(self._jumped[at + 1 : at + reach])
-        if len(jumps):
-            after = after[: jumps[0] + 1]
-        delay = (after - origin) - period * np.arange(1, len(after) + 1)
-        increase = (float(delay.min()) - float(delay_before)) / period
+        jumps = np.flatnonzero(self._jumped[at + 1 : at + self._reach])
+        after = self._stamps[at : at + (int(jumps[0]) + 1 if len(jumps) else self._reach)]
+        index = self._index_after(advance)[-before:]
+        period, origin = self.clock.period_ns, self._stamps[at - 1]
+        delay = (self._stamps[at - before : at] - origin) - period * (index - index[-1])
+        # as if no sample were lost
+        delay_after = (after - origin) - period * np.arange(1, len(after) + 1)
+        increase = (float(delay_after.min()) - float(delay.min())) / period
         pause = (self._stamps[at] - origin) / period - 1.0
         return round(increase) if increase > max(0.5 * pause, self.clock.smallest_loss) else 0
 
-    def _blocks_of(self, begin: int, advance: NDArray[np.int64]) -> list[Block]:
-        """Return n samples from buffer position ``begin`` on as blocks, with gaps interpolated.
+    def _index_after(self, advance: Ints) -> Ints:
+        """Return `_index` continued by the next samples, whose index steps are ``advance``."""
+        return np.concatenate([self._index, self._index[-1] + np.cumsum(advance)])
+
+    def _since_gap_after(self, advance: Ints) -> int:
+        """Return `_since_gap` after the next samples, whose index steps are ``advance``."""
+        gaps = np.flatnonzero(advance == 0)
+        return min(self._reach, len(advance) + (-int(gaps[-1]) if len(gaps) else self._since_gap))
+
+    def _blocks_of(self, advance: Ints) -> list[Block]:
+        """Return the next n samples as blocks, with gaps interpolated.
 
         ``advance``, (n,), are the index steps: above 1 where samples are interpolated, 0 where the
         data are split.
         """
-        n = len(advance)
+        begin, n = self._past, len(advance)
         samples = Block(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])
-        blocks: list[Block] = []
-        parts: list[Block] = []
-        cut, at = '', 0
-        for j in (*np.flatnonzero(advance != 1).tolist(), n):
-            if j > at:
-                parts.append(samples.part(slice(at, j), cut))
-            at = j
-            if j == n:
-                break
-            if advance[j] == 0:
-                if parts:
-                    blocks.append(Block.joined(parts))
-                parts, cut = [], 'clock jump' if self._jumped[begin + j] else 'gap'
-                continue
-            left, right = begin + j - 1, begin + j
-            fraction = np.arange(1, advance[j]) / advance[j]
-            gap_ns = self._stamps[right] - self._stamps[left]
-            step = (self._rows[:, right] - self._rows[:, left])[:, None]
-            rows = self._rows[:, left][:, None] + fraction * step
-            stamps = self._stamps[left] + np.rint(fraction * gap_ns).astype(np.int64)
-            parts.append(Block(stamps, rows, cut, np.ones(rows.shape, bool)))
-        if parts:
-            blocks.append(Block.joined(parts))
-        return blocks
+        groups: list[list[Block]] = []  # a list for each block, with the parts to be joined
+        edges = sorted({0, *np.flatnonzero(advance != 1).tolist(), n})
+        for first, last in itertools.pairwise(edges):
+            cut = ''
+            if advance[first] == 0:
+                cut = 'clock jump' if self._jumped[begin + first] else 'gap'
+            if cut or not groups:
+                groups.append([])
+            if advance[first] > 1:
+                groups[-1].append(self._interpolated(begin + first, int(advance[first])))
+            groups[-1].append(samples.part(slice(first, last), cut))
+        return [Block.joined(parts) for parts in groups]
 
-    def _advance(self, n: int, advance: NDArray[np.int64] | None = None) -> None:
-        """Mark n samples as processed; ``advance``, (n,), are their index steps (None: all 1)."""
-        end = self._past + n
-        last = int(self._index[-1]) if len(self._index) else -1
-        index = last + (np.arange(1, n + 1) if advance is None else np.cumsum(advance))
-        gaps = [] if advance is None else np.flatnonzero(advance == 0).tolist()
-        since_gap = n - gaps[-1] if gaps else self._since_gap + n
-        self._since_gap = min(since_gap, self._reach)
-        self._track(self._stamps[self._past : end], index, bool(gaps))
-        self._index = np.concatenate([self._index, index[-self._reach :]])[-self._reach :]
-        self._past = end
+    def _interpolated(self, at: int, advance: int) -> Block:
+        """Return the advance - 1 samples lost before the sample at buffer position ``at``."""
+        fraction = np.arange(1, advance) / advance
+        gap_ns = self._stamps[at] - self._stamps[at - 1]
+        stamps = self._stamps[at - 1] + np.rint(fraction * gap_ns).astype(np.int64)
+        left, right = self._rows[:, at - 1, None], self._rows[:, at, None]
+        rows = left + fraction * (right - left)
+        return Block(stamps, rows, filled=np.ones(rows.shape, bool))
+
+    def _advance(self, advance: Ints) -> None:
+        """Mark n samples as processed; ``advance``, (n,), are their index steps."""
+        n = len(advance)
+        index = self._index_after(advance)
+        stamps = self._stamps[self._past : self._past + n]
+        self._track(stamps, index[-n:], bool((advance == 0).any()))
+        self._since_gap = self._since_gap_after(advance)
+        self._index = index[-self._reach :]
+        self._past += n
 
     def _release(self) -> None:
         """Drop processed samples that are not needed to detect a later gap."""
@@ -327,7 +335,7 @@ class SampleClock:
         self._jumped = self._jumped[old:]
         self._past -= old
 
-    def _track(self, stamps: Stamps, index: NDArray[np.int64], split: bool) -> None:
+    def _track(self, stamps: Stamps, index: Ints, split: bool) -> None:
         """Update the sample period after every `TRACK_BLOCKS` blocks unless the data were split."""
         if self._blocks % TRACK_BLOCKS == 0:
             self._track_start = (int(stamps[0]), int(index[0]))
