@@ -177,11 +177,11 @@ def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any]
 
 
 def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
-    """Return the frequencies of the sinusoids of all axes, each with the letters of its axes."""
+    """Return the frequencies of sinusoids and resonances, each with the letters of its axes."""
     found = sorted(
-        (sine.frequency, name[-1])
+        (process.frequency, name[-1])
         for name, axis in axes.items()
-        for sine in axis.processes.sinusoid
+        for process in (*axis.processes.sinusoid, *axis.processes.resonance)
     )
     groups: list[list[tuple[float, str]]] = []
     for each in found:
