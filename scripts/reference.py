@@ -58,8 +58,8 @@ Every option with its default. `allan VERB --help` prints the same list. Inside 
 
 API_HEAD = """# Python API
 
-All functions raise `AllanError`, with a message of one line, if an argument is wrong or a file cannot
-be read. [notebook.ipynb](notebook.ipynb) shows a complete example. The examples begin with
+All functions raise `AllanError`, with a message of one line, if an argument is wrong or a file
+cannot be read. [notebook.ipynb](notebook.ipynb) shows a complete example. The examples begin with
 
 ```python
 >>> import numpy as np
