@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from allan_ros.core.allan.curve import AllanCurve
-from allan_ros.core.allan.sums import grid_for
+from allan_ros.core.allan.grid import grid_for
 from allan_ros.core.fit.interpretation import dominant_regions
-from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
+from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient, model_of_terms
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import NoiseTerms, term_avar
 
@@ -35,12 +35,14 @@ def exact(longest_tau=1300.0, **axes):
     edf = np.repeat(TWO_HOURS / m[:, None], len(axes), axis=1)
     types = np.zeros(adev.shape, np.int64)
     curve = AllanCurve(m, m * TAU0, m, adev, adev, adev, tuple(axes), edf, types)
-    fits = {
-        axis: AxisFit(
-            {k: Coefficient(v, status='estimated' if v else 'not_observable') for k, v in t.items()}
-        )
+    noise = {
+        axis: {
+            k: Coefficient(v or None, status='estimated' if v else 'not_observable')
+            for k, v in t.items()
+        }
         for axis, t in terms.items()
     }
+    fits = {axis: AxisFit(each, model_of_terms(each)) for axis, each in noise.items()}
     return curve, fits
 
 

@@ -145,7 +145,7 @@ def test_constant_values_have_no_coefficients(method):
 
 
 def test_unknown_methods_and_empty_sums_are_rejected(white):
-    with pytest.raises(AllanError, match='choose one of gls, relative, paper'):
+    with pytest.raises(AllanError, match='choose one of likelihood, relative, paper'):
         fit_noise(white, 'magic')
     with pytest.raises(AllanError, match='at least two samples'):
         fit_noise(AllanSums.empty(), 'paper')

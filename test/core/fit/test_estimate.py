@@ -1,0 +1,194 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Truth of simulated records. All seeds are fixed; each false-alarm probability is stated."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+from support.sums import sums_of
+
+from allan_ros.core.fit import fit_noise
+from allan_ros.core.fit.estimate import estimate
+from allan_ros.core.fit.likelihood import TERMS, AxisData
+from allan_ros.core.fit.selection import Candidates
+from allan_ros.core.fit.statistics import statistics
+from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.simulate import simulate_axis
+
+RATE = 100.0
+TAU0 = 1.0 / RATE
+TRUTH = NoiseTerms(N=1e-3, B=2e-4, K=4e-5)
+FLAT = NoiseTerms(N=1e-3, B=5e-5)
+WHITE = FLAT.N * math.sqrt(RATE)  # standard deviation of a sample
+
+
+def simulated(n, axes, seed, terms=TRUTH):
+    rng = np.random.default_rng(seed)
+    return np.stack([simulate_axis(n, TAU0, terms, rng) for _ in range(axes)], axis=1)
+
+
+def fits(y, cuts=()):
+    axes = tuple(f'axis_{i}' for i in range(y.shape[1]))
+    return list(fit_noise(sums_of(y, cuts=cuts, axes=axes)).axes.values())
+
+
+@pytest.fixture(scope='module')
+def twelve():
+    return fits(simulated(60_000, 12, 1))
+
+
+@pytest.mark.parametrize('term', ['N', 'B', 'K'])
+def test_the_truth_lies_within_its_interval(twelve, term):
+    """At least 9 of 12: with 95 % intervals, fewer have a probability of 0.2 % (at 91 %, 1.8 %)."""
+    truth, found = getattr(TRUTH, term), [fit.noise[term] for fit in twelve]
+    ends = [c.ci95 or (0.0, c.upper95) for c in found]
+    assert sum(low <= truth <= high for low, high in ends) >= 9
+    assert all(c.value is not None for c in found)
+
+
+def test_n_is_unbiased(twelve):
+    """The mean of 12 is within four of its standard errors (0.3 % each): 6e-5."""
+    off = np.array([fit.noise['N'].value for fit in twelve]) / TRUTH.N - 1.0
+    assert abs(off.mean()) < 4.0 * 0.003 / math.sqrt(12)
+
+
+def test_clean_records_get_no_process_and_no_filter(twelve):
+    """A false process or filter in 1 % of the axes: more than one of 12 has 0.6 %."""
+    assert sum(bool(fit.processes.gauss_markov or fit.processes.sinusoid) for fit in twelve) <= 1
+    assert sum(fit.filtered or bool(fit.lack_of_fit) for fit in twelve) <= 1
+
+
+def test_segments_are_fitted_together():
+    y = simulated(60_000, 4, 2, FLAT)
+    whole, cut = fits(y), fits(y + np.repeat([[0.0], [1.0], [-2.0]], 20_000, 0), (20_000, 40_000))
+    for a, b in zip(whole, cut):
+        assert b.noise['N'].value == pytest.approx(a.noise['N'].value, rel=5e-3)
+
+
+def sine(n, frequency, rng, axes):
+    t = np.arange(n)[:, None] * TAU0
+    return np.sin(2.0 * np.pi * (frequency * t + rng.uniform(size=axes)))
+
+
+@pytest.mark.parametrize('size', [0.3, 3.0, 30.0])
+def test_a_sinusoid_does_not_change_n_and_gives_no_false_one(size):
+    """N within 1.5 % (five standard errors); amplitude and frequency are found in all axes."""
+    rng = np.random.default_rng(3)
+    y = simulated(60_000, 4, 3, FLAT) + size * WHITE * sine(60_000, 21.3, rng, 4)
+    for fit in fits(y):
+        (line,) = fit.processes.sinusoid
+        assert line.frequency == pytest.approx(21.3, abs=0.05)
+        assert line.amplitude == pytest.approx(size * WHITE, rel=0.1)
+        assert fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.015)
+        assert not fit.processes.gauss_markov and not fit.filtered
+
+
+def test_a_weak_sinusoid_is_found_beside_a_strong_one():
+    rng = np.random.default_rng(4)
+    y = simulated(60_000, 3, 4, FLAT)
+    y += WHITE * (3.0 * sine(60_000, 21.3, rng, 3) + sine(60_000, 9.7, rng, 3))
+    for fit in fits(y):
+        found = [line.frequency for line in fit.processes.sinusoid]
+        np.testing.assert_allclose(found, [9.7, 21.3], atol=0.05)
+        assert fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.015)
+
+
+@pytest.mark.parametrize(('order', 'corner'), [(1, 10.0), (4, 20.0), (4, 10.0), (4, 5.0)])
+def test_a_low_pass_filter_is_recognized(order, corner):
+    """The mean N of 4 axes within 1.5 %: four standard errors and the known bias of .4 %."""
+    y = lfilter(*butter(order, 2.0 * corner / RATE), simulated(120_000, 4, 5, FLAT), axis=0)
+    found = fits(y[4000:])
+    assert all(fit.filtered and fit.noise['Q'].value is None for fit in found)
+    assert all(not fit.processes.sinusoid and fit.m_min > 1 for fit in found)
+    values = [fit.noise['N'].value for fit in found]
+    assert np.mean(values) == pytest.approx(FLAT.N, rel=0.015)
+
+
+def markov(n, time, rng, axes):
+    phi = math.exp(-TAU0 / time)
+    white = rng.standard_normal((n, axes)) * math.sqrt(1.0 - phi * phi)
+    white[0] /= math.sqrt(1.0 - phi * phi)
+    return lfilter([1.0], [1.0, -phi], white, axis=0)
+
+
+@pytest.mark.parametrize('time', [0.5, 5.0])
+def test_a_gauss_markov_process_is_found(time):
+    """A hump of three times the rest of the curve; sigma and T_c within a factor of 1.5."""
+    sigma = 3.0 * FLAT.N / math.sqrt(2.0 * time) * 2.0
+    y = simulated(120_000, 3, 6, FLAT) + sigma * markov(120_000, time, np.random.default_rng(6), 3)
+    for fit in fits(y):
+        assert fit.gauss_markov is not None
+        assert abs(math.log(fit.gauss_markov.sigma / sigma)) < math.log(1.5)
+        assert abs(math.log(fit.gauss_markov.correlation_time / time)) < math.log(1.5)
+        assert fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.02)
+
+
+def test_a_fast_gauss_markov_process_does_not_absorb_the_white_noise():
+    """Correlation over a third of a sample is white noise."""
+    rng = np.random.default_rng(7)
+    y = simulated(60_000, 3, 7, FLAT) + WHITE * markov(60_000, TAU0 / 3.0, rng, 3)
+    for fit in fits(y):
+        assert fit.noise['N'].value == pytest.approx(math.sqrt(2.0) * FLAT.N, rel=0.12)
+
+
+def test_a_walk_that_levels_off_is_recognized():
+    """Bounded with a tenth of the record as T_c: K is the slope before, and the curve is flat."""
+    time, sigma = 100.0, 6e-4
+    y = simulated(120_000, 4, 8, NoiseTerms(N=1e-3))
+    y += sigma * markov(120_000, time, np.random.default_rng(8), 4)
+    found = fits(y)
+    drifts = [fit.gauss_markov for fit in found if fit.gauss_markov]
+    assert len(drifts) >= 3  # of 4; power about 90 %
+    for drift in drifts:
+        low, high = drift.sigma_ci95
+        assert 0.5 * low < sigma < 2.0 * high
+
+
+@pytest.mark.parametrize('sign', [1, -1])
+def test_a_ramp_is_resolved_with_its_sign(sign):
+    """R of 30 standard errors; 95 % interval, 4 axes: two outside have 1.4 %."""
+    terms = NoiseTerms(N=1e-3, R=sign * 3e-6)
+    ramps = [fit.noise['R'] for fit in fits(simulated(60_000, 4, 9, terms))]
+    assert all(r.status == 'estimated' and r.sign == sign for r in ramps)
+    assert sum(r.ci95[0] <= 3e-6 <= r.ci95[1] for r in ramps) >= 3
+
+
+def test_white_noise_has_no_ramp():
+    """A false ramp in 1 % of the axes: more than one of 12 has 0.6 %."""
+    found = fits(simulated(20_000, 12, 10, NoiseTerms(N=1e-3)))
+    assert sum(fit.noise['R'].status == 'estimated' for fit in found) <= 1
+
+
+def test_a_daily_cycle_is_in_the_model_of_its_record():
+    known = statistics(sums_of(simulated(20_000, 1, 11)))
+    cycle = (('sinusoid', 1e-4),)
+    result = estimate(AxisData.of(known, 0), Candidates(known), cycle)
+    assert result.components[len(TERMS)] == cycle[0]
+
+
+@pytest.mark.parametrize('samples', [60, 300, 900])
+def test_a_brief_record_has_only_n(samples):
+    for fit in fits(simulated(samples, 3, 12)):
+        assert all(fit.noise[t].value is None for t in 'BKR')
+        assert fit.model.terms.B == fit.model.terms.K == fit.model.terms.R == 0.0
+        assert fit.noise['N'].value == pytest.approx(TRUTH.N, rel=0.5)
+
+
+def test_constant_axes_have_no_values_and_disturb_no_other():
+    y = simulated(30_000, 2, 13)
+    y[:, 0] = 9.81
+    constant, other = fits(y)
+    assert all(c.value is None for c in constant.noise.values())
+    assert other.noise['N'].value == pytest.approx(TRUTH.N, rel=0.02)
+
+
+@pytest.mark.parametrize('scale', [1e-9, 1e-3, 1e6])
+def test_units_do_not_matter(scale):
+    y = simulated(20_000, 1, 14)
+    (one,), (other,) = fits(y), fits(scale * y)
+    for term in 'QNBK':
+        a, b = one.noise[term], other.noise[term]
+        assert a.status == b.status
+        assert (b.value or 0.0) == pytest.approx(scale * (a.value or 0.0), rel=1e-3)
