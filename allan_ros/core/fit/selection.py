@@ -16,11 +16,13 @@ from functools import cached_property
 
 import numpy as np
 
+from ..allan.octaves import octave
 from ..noise import PROCESS_TYPES
 from .likelihood import TERMS, AxisData, Fit
 from .limits import (
     GAIN_BOUNDED,
     GAIN_PROCESS,
+    GAIN_RESOLVED,
     LEAST_LINE_DOF,
     LINES_PER_OCTAVE,
     MAX_PROCESSES,
@@ -76,6 +78,15 @@ class Candidates:
         return [
             (kind, float(x), float(1.5 * c / x)) for kind in kinds for x in f for c in BANDWIDTHS
         ]
+
+    def narrowest(self, frequency: float) -> float:
+        """Return the correlation time from which a process looks like a sinusoid in the spectra.
+
+        Its bandwidth is then a third of the width of a bin.
+        """
+        f, each = self.statistics.f, self.statistics.octave
+        at = int(np.argmin(np.abs(f - frequency))) if len(f) else 0
+        return float(octave(int(each[at]) if len(f) else 0).length)
 
     @property
     def by_kind(self) -> tuple[list[Component], ...]:
@@ -185,10 +196,12 @@ class Selection:
     def threshold(self, kind: str) -> float:
         """Return the least gain in -2 log L of one more process.
 
-        The search over the frequencies of sinusoids increases it by 2 log(bins).
+        The search over the frequencies of sinusoids increases it by 2 log(bins). A resonance of
+        infinite correlation time is a sinusoid, so it must be better than that by `GAIN_RESOLVED`.
         """
-        bins = max(len(self.data.power), 8)
-        return GAIN_PROCESS + 2.0 * math.log(bins) * ('frequency' in PROCESS_TYPES[kind].shape)
+        shape, bins = PROCESS_TYPES[kind].shape, max(len(self.data.power), 8)
+        search = 2.0 * math.log(bins) * ('frequency' in shape)
+        return GAIN_PROCESS + search + GAIN_RESOLVED * (len(shape) - 1)
 
     def fit(
         self, components: Sequence[Component], p: Floats | None = None, tolerance: float = 1e-4
@@ -237,6 +250,9 @@ class Selection:
             seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
             new = self.fit((*fit.components, each[int(part.argmax())]), np.append(fit.p, seed))
             new = self.refined(new, len(fit.p))
+            _, *shape = new.components[-1]
+            if len(shape) > 1 and shape[1] >= 0.99 * self.candidates.narrowest(shape[0]):
+                continue
             over = fit.value - new.value - self.threshold(kind)
             if over > most:
                 best, most = new, over
@@ -281,6 +297,7 @@ class Selection:
                     low, high = bounds[each]
                     if each == 'time' and len(shape) > 1:
                         low = BANDWIDTHS[0] / numbers[0]
+                        high = max(self.candidates.narrowest(numbers[0]), low)
                     numbers[at] = min(max(numbers[at] * math.exp(move[at]), low), high)
                 new = self._replaced(fit, k, (kind, *numbers))
                 if new.value < fit.value:

@@ -66,7 +66,7 @@ def contrasts(points: int, high: int) -> Floats:
     The columns are orthonormal, and orthogonal to a constant.
     """
     t = np.arange(points)
-    cosines = np.cos(np.pi * np.outer(t + 0.5, np.arange(1, min(high, points - 2) + 1)) / points)
+    cosines = np.cos(np.pi * np.outer(t + 0.5, np.arange(1, high + 1)) / points)
     q, _ = np.linalg.qr(np.column_stack([np.ones(points), t - t.mean(), cosines]))
     return np.asarray(q[:, 1:])
 
@@ -242,7 +242,7 @@ def _groups(means: list[tuple[int, Floats]], edge: float) -> tuple[int, tuple[Gr
             at += points
     groups = []
     for points, each in sorted(pieces.items()):
-        high = int(2.0 * points * step * edge)
+        high = min(int(2.0 * points * step * edge), points - 2)
         if high >= 2:
             z = np.stack(each) @ contrasts(points, high)
             gram = np.einsum('sai,saj->aij', z, z)

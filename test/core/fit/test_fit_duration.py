@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
-from allan_ros.core.fit.gls import fit_gls
 
 from allan_ros.core.allan.running import RunningSums
+from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.interpretation import (
     LENGTHS_S,
     SECONDS_FOR_N,
@@ -78,6 +78,6 @@ def test_at_most_four_hours_are_recommended_for_white_noise(seconds):
     engine = RunningSums(axes=('gyro_x',))
     engine.update(samples, 0, (len(samples) - 1) * 10**8)
     engine.end_segment()
-    fit = fit_gls(engine.sums).axes['gyro_x']
+    fit = fit_noise(engine.sums).axes['gyro_x']
     advice = recommended_duration(fit, seconds)
     assert advice is None or (seconds < advice[0] <= 4 * HOUR < LENGTHS_S[-1])
