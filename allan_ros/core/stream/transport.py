@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from ..findings import Finding, by_consequence, finding
 from ..imu import AXES, NANOSECONDS
 from .cleaning import BACKWARD_RUN
+from .clock import LEARN
 from .health import EVENTS, StreamHealth, event_findings, events
-from .timing import LEARN
 
 LATELY_S = 60.0
 """Time in s for which an event is reported."""

@@ -178,11 +178,11 @@ def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any]
 
 def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
     """Return the frequencies of sinusoids and resonances, each with the letters of its axes."""
-    found = sorted(
-        (process.frequency, name[-1])
-        for name, axis in axes.items()
-        for process in (*axis.processes.sinusoid, *axis.processes.resonance)
-    )
+    found: list[tuple[float, str]] = []
+    for name, axis in axes.items():
+        found += [(sine.frequency, name[-1]) for sine in axis.processes.sinusoid]
+        found += [(resonance.frequency, name[-1]) for resonance in axis.processes.resonance]
+    found.sort()
     groups: list[list[tuple[float, str]]] = []
     for each in found:
         if groups and each[0] < SAME_LINE * groups[-1][0][0]:
