@@ -124,7 +124,6 @@ setup(
             f'allan_estimator = {PACKAGE}.nodes.__main__:estimator',
             f'allan_imu_relay = {PACKAGE}.nodes.__main__:relay',
             f'allan_monitor = {PACKAGE}.nodes.__main__:monitor',
-            f'allan_player = {PACKAGE}.nodes.player:main',
             f'allan_watch = {PACKAGE}.nodes.__main__:watch',
         ],
         'ros2cli.command': [f'allan = {PACKAGE}.ros2_command:AllanCommand'],

@@ -61,7 +61,7 @@ def cpu(client: Client) -> None:
         with (
             node('accumulator') as accumulator,
             node('monitor', ros=ONE_FIT) as monitor,
-            node('player', '--simulate', str(LONGEST_S), '--frequency', str(rate), '--wait', '3'),
+            node('play', '--simulate', str(LONGEST_S), '--frequency', str(rate), '--wait', '3'),
         ):
             while not client.message('gyro z').startswith('N '):
                 client.spin(0.5)
@@ -120,7 +120,7 @@ def memory(seconds: float) -> None:
     """Print the memory of the monitor while it receives 4 kHz."""
     client = Client()
     length = str(seconds + 10.0)
-    with node('monitor') as monitor, node('player', '--simulate', length, '--frequency', '4000'):
+    with node('monitor') as monitor, node('play', '--simulate', length, '--frequency', '4000'):
         for _ in range(10):
             client.spin(seconds / 10)
             received = client.value('input', 'received')

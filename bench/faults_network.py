@@ -112,7 +112,7 @@ def _over_the_network(
 ) -> Row:
     log, checkpoint = DiagnosticsLog(client), folder / 'imu.json'
     monitor = start('monitor', ros=(f'checkpoint.path:={checkpoint}',))
-    player = start('player', '--simulate', '600', prefix=ON_ROBOT)
+    player = start('play', '--simulate', '600', prefix=ON_ROBOT)
     log.until(lambda: bool(log.grew) and float(client.value('input', 'evidence')) > HEALTHY_S)
     began = log.until(lambda: True)
     put_in(client.spin)

@@ -145,13 +145,13 @@ def kill_player(client: Client, folder: Path) -> Row:
     checkpoint = folder / 'imu.json'
     monitor = start('monitor', ros=(f'checkpoint.path:={checkpoint}',))
     arguments = ('--simulate', '300')
-    player = start('player', *arguments)
+    player = start('play', *arguments)
     log.until(lambda: bool(log.grew) and float(client.value('input', 'evidence')) > 12.0)
     began = time.monotonic()
     player.end(signal.SIGKILL)
     client.spin(DOWN_S)
     ended = time.monotonic()
-    player = start('player', *arguments)
+    player = start('play', *arguments)
     log.until(lambda: not math.isnan(log.static_data_grew_since(ended)))
     client.spin(8.0)
     lost = client.value('input', 'lost on the way')
@@ -159,7 +159,7 @@ def kill_player(client: Client, folder: Path) -> Row:
     shown_s, words = log.first_since(began)
     codes = player.end(signal.SIGINT), monitor.end(signal.SIGINT)
     return Row(
-        _title('allan_player'),
+        _title('the player'),
         f'{received - used} of {received} received, {lost} on the way',
         words or 'nothing',
         f'{shown_s - began:.1f} s',

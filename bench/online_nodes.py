@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / 'test'))  # the package `support`
 TICKS = os.sysconf('SC_CLK_TCK')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_DOMAIN_ID', '99')
@@ -92,14 +93,17 @@ class Process:
 def start(
     name: str, *arguments: str, ros: Iterable[str] = (), remap: Iterable[str] = (), **how: Any
 ) -> Process:
-    """Start a node with parameters ``name:=value`` and remappings ``old:=new``.
+    """Start a node, or 'play' (scripts/play.py), with parameters ``name:=value`` and remappings
+    ``old:=new``.
 
     ``how`` is passed to `Process`.
     """
     given = [x for parameter in ros for x in ('-p', parameter)]
     given += [x for names in remap for x in ('-r', names)]
     ros_args = ['--ros-args', '--log-level', 'error', *given]
-    return Process('-m', 'allan_ros.nodes', name, *arguments, *ros_args, **how)
+    script = str(ROOT / 'scripts' / 'play.py')
+    command = [script] if name == 'play' else ['-m', 'allan_ros.nodes', name]
+    return Process(*command, *arguments, *ros_args, **how)
 
 
 @contextlib.contextmanager
@@ -159,13 +163,12 @@ class Client:
         """Return a publisher of Imu, once ``wanted`` subscribers have discovered it."""
         from rclpy.qos import HistoryPolicy, QoSProfile
         from sensor_msgs.msg import Imu
-
-        from allan_ros.nodes.player import Handshake
+        from support.handshake import Handshake
 
         qos = QoSProfile(history=HistoryPolicy.KEEP_ALL) if keep_all else QoSProfile(depth=1000)
         publisher = self.node.create_publisher(Imu, 'imu/data', qos)
         handshake = Handshake(self.node, publisher, wanted)
-        while not (handshake.update() and not handshake.unanswered()):
+        while not handshake.update():
             self.spin(0.1)
         handshake.close()
         return publisher

@@ -62,7 +62,7 @@ def identity(length_s: float = 120.0, rate: float = 200.0) -> None:
             checkpoint.unlink(missing_ok=True)
             client.statuses.clear()
             with node('accumulator', ros=(*ros, f'checkpoint.path:={checkpoint}')):
-                with node('player', str(bag), '--rate', speed) as player:
+                with node('play', str(bag), '--rate', speed) as player:
                     while player.popen.poll() is None:
                         client.spin(0.5)
                 client.spin(2.0)
@@ -102,7 +102,7 @@ def kills(count: int = 20, speed: float = 10.0, rate: float = 200.0) -> None:
         write_recording(bag, batches)
         ros = (RELIABLE[0], f'checkpoint.path:={checkpoint}', 'checkpoint.period:=0.5')
         accumulator = start('accumulator', ros=ros)
-        with node('player', str(bag), '--rate', str(speed), ros=forgetful) as player:
+        with node('play', str(bag), '--rate', str(speed), ros=forgetful) as player:
             for pause in [*pauses, 0.0]:
                 while _samples(checkpoint) <= held[-1]:
                     if player.popen.poll() is not None:

@@ -73,8 +73,7 @@ class Stream:
     def begin(self) -> None:
         """Start publishing once the subscribers have been discovered."""
         from rclpy.executors import SingleThreadedExecutor
-
-        from allan_ros.nodes.player import Handshake
+        from support.handshake import Handshake
 
         handshake = Handshake(self._node, self._publisher, self._subscribers)
         executor = SingleThreadedExecutor(context=self._context)

@@ -40,10 +40,11 @@ def play(bag: Path, folder: Path, sensor: str) -> int:
         'estimator.recent_window': 604800.0,
     }
     given = [word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')]
-    print(f'$ ros2 run allan_ros allan_monitor   # and: allan_player {bag} --rate 0; allan_watch')
+    print(f'$ ros2 run allan_ros allan_monitor  # and: scripts/play.py {bag} --rate 0; allan_watch')
     monitor = _start('monitor', '--ros-args', *RELIABLE, *given)
     watch = _start('watch')
-    player = _start('player', str(bag), '--rate', '0')
+    script = Path(__file__).with_name('play.py')
+    player = subprocess.Popen([sys.executable, str(script), str(bag), '--rate', '0'])
     began = time.monotonic()
     try:
         if player.wait():

@@ -37,16 +37,12 @@ STARTED = {
     'allan_accumulator': ('accumulator', []),
     'allan_estimator': ('estimator', []),
     'allan_imu_relay': ('relay', []),
-    'allan_player': ('player', []),
     'allan_watch': ('watch', []),
 }
 """Node -> its module, and parameters that create all its endpoints.
 
 All get ``use_sim_time`` for `/clock`.
 """
-
-PLAYER = ['--simulate', '3600', '--clock', '--wait', '99']
-"""Nothing is played without subscribers, but the topics exist."""
 
 PATIENCE_S = 60.0
 SETTLED_S = 3.0
@@ -67,7 +63,7 @@ def read_graph(nodes: Iterable[str]) -> dict[str, Names]:
     processes = []
     try:
         for module, given in (STARTED[node] for node in nodes):
-            own = PLAYER if module == 'player' else ['--plain'] if module == 'watch' else []
+            own = ['--plain'] if module == 'watch' else []
             processes.append(
                 subprocess.Popen(
                     [sys.executable, '-m', 'allan_ros.nodes', module, *own, '--ros-args']

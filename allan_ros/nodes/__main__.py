@@ -14,7 +14,6 @@ EXECUTABLES = {
     'estimator': ('monitor', 'estimator'),
     'monitor': ('monitor', 'main'),
     'relay': ('monitor', 'relay'),
-    'player': ('player', 'main'),
     'watch': ('watch', 'main'),
 }
 """Command line argument -> module, and the function in it that runs the node."""

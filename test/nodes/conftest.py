@@ -177,10 +177,10 @@ class Graph:
         """Wait until this publisher and at least ``wanted`` subscribers have discovered each
         other.
         """
-        from allan_ros.nodes.player import Handshake
+        from support.handshake import Handshake
 
         handshake = Handshake(self.node, publisher, wanted)
-        self.until(lambda: handshake.update() and not handshake.unanswered())
+        self.until(handshake.update)
         handshake.close()
 
     def send(self, publisher: Any, batch: ImuBatch) -> None:

@@ -6,10 +6,13 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.node_server import PATIENCE_S
 
 pytest.importorskip('rclpy')
 
@@ -19,6 +22,8 @@ from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.readers import open_recordings
 from allan_ros.io.writing import write_recording
 from allan_ros.nodes.accumulation import _events
+
+ROOT = Path(__file__).resolve().parents[2]
 
 FAST = {
     # reliable QoS loses no message: the publisher waits while the queue is full
@@ -51,14 +56,24 @@ def with_gap_and_knock(still_imu) -> ImuBatch:
     return ImuBatch(batch.stamps_ns[keep], batch.samples[keep], frame_id=batch.frame_id)
 
 
+def play(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run scripts/play.py to its end."""
+    command = [sys.executable, str(ROOT / 'scripts' / 'play.py'), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+
+
+def test_a_recording_that_cannot_be_played_is_one_line(tmp_path: Path) -> None:
+    done = play(str(tmp_path / 'missing.mcap'), '--wait', '0')
+    assert done.returncode == 1 and 'missing.mcap' in done.stderr
+    assert 'Traceback' not in done.stderr
+
+
 @pytest.mark.parametrize('rate', ['50', '0'])
 def test_a_played_bag_gives_the_sums_of_the_bag(graph, still_imu, tmp_path: Path, rate):
     bag, checkpoint = tmp_path / 'bag', tmp_path / 'sums.json'
     write_recording(bag, [with_gap_and_knock(still_imu)])
     graph.start('accumulator', **{**FAST, 'checkpoint.path': str(checkpoint)})
-    player = graph.start('player', str(bag), '--rate', rate)
-    graph.until(lambda: player.poll() is not None)
-    assert player.wait() == 0
+    assert 'played 11499 messages' in play(str(bag), '--rate', rate).stdout
     saved = graph.call('/allan_accumulator/save')
     assert saved.success, saved.message
     online = json.loads(checkpoint.read_text())['sums']
@@ -72,13 +87,13 @@ def test_the_shared_memory_profile_holds_a_burst(graph, monkeypatch):
     """A best-effort burst that exceeds the default shared memory of Fast DDS, but not the
     profile.
     """
-    profile = Path(__file__).resolve().parents[2] / 'config' / 'fastdds' / 'deep_shared_memory.xml'
+    profile = ROOT / 'config' / 'fastdds' / 'deep_shared_memory.xml'
     for name in ('FASTDDS', 'FASTRTPS'):  # the second one is for Fast DDS 2
         monkeypatch.setenv(f'{name}_DEFAULT_PROFILES_FILE', str(profile))
     graph.start('accumulator', **{'publish.diagnostics_period': 0.2})
-    player = graph.start('player', '--simulate', '10', '--frequency', '300', '--rate', '0')
-    assert player.wait() == 0, player.output
-    graph.until(lambda: graph.value('input', 'received') == '3000')
+    play('--simulate', '10', '--frequency', '300', '--rate', '0')
+    counts = ('received', 'sent before the first came')
+    graph.until(lambda: sum(int(graph.value('input', key) or 0) for key in counts) == 3000)
     assert graph.value('input', 'lost on the way') == '0'
 
 

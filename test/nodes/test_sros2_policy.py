@@ -52,7 +52,7 @@ def test_the_policy_is_of_the_documented_form() -> None:
         if not children:
             assert element.text and '*' not in element.text  # no wildcards
     paths = [enclave.get('path') for enclave in root.iter('enclave')]
-    assert len(paths) == 6 == len(set(paths))
+    assert len(paths) == 5 == len(set(paths))
 
 
 def test_the_tables_of_the_docs_agree_with_the_policy() -> None:
@@ -66,7 +66,7 @@ def test_the_tables_of_the_docs_agree_with_the_policy() -> None:
     for names, nodes, _ in rows(text, '| service |'):
         for node in nodes.split(','):
             told.setdefault(node.strip(), set()).update(('reply', n) for n in names)
-    assert told == {node: allowed(node) for node in told} and len(told) == 6
+    assert told == {node: allowed(node) for node in told} and len(told) == 5
 
 
 def rows(text: str, head: str) -> list[list]:

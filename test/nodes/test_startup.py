@@ -23,9 +23,7 @@ RELIABLE = {
 }
 
 
-@pytest.mark.parametrize(
-    'executable', ['accumulator', 'estimator', 'monitor', 'relay', 'player', 'watch']
-)
+@pytest.mark.parametrize('executable', ['accumulator', 'estimator', 'monitor', 'relay', 'watch'])
 def test_help_is_printed_and_unknown_arguments_are_rejected(graph, executable: str) -> None:
     shown, refused = graph.start(executable, '--help'), graph.start(executable, '--typo')
     assert shown.wait() == 0 and 'usage: allan_' in shown.output
