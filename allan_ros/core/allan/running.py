@@ -97,6 +97,10 @@ class _State:
     lengths: Lengths = ()
     means: tuple[BlockMeans, ...] = ()
 
+    def __deepcopy__(self, memo: object) -> _State:
+        """Return the state itself: it never changes, and a copy of a stream shares it."""
+        return self
+
     def with_block(self, segment: _OpenSegment, block: Block) -> _State:
         """Return the state with a block of the current segment."""
         periods, age = list(self.periods), segment.age + block.begin

@@ -212,7 +212,8 @@ class SampleClock:
         jumps = int(np.count_nonzero(self._jumped[begin : begin + same]))
         self._counts.lost += int(lost.sum())
         self._counts.bridged += int(lost[~split].sum())
-        self._counts.cuts += Counter({'clock jump': jumps, 'gap': np.count_nonzero(split) - jumps})
+        gaps = int(np.count_nonzero(split)) - jumps
+        self._counts.cuts += Counter({'clock jump': jumps, 'gap': gaps})
         blocks = self._blocks_of(advance)
         self._advance(advance)
         return blocks
