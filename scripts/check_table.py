@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run `allan check` on recordings of known state, and print the table of docs/production.md.
+"""Run `allan check` on recordings of known state, and print a table of verdicts.
 
 usage: check_table.py DATA
 

@@ -252,7 +252,8 @@ def _as_markdown(thing: Any) -> str:
         if title == 'Returns':
             parts.append('**Returns** ' + ' '.join(each[2:] for each in _items(body.strip())))
             continue
-        parts.append(f'**{title}**\n\n' + '\n'.join(_items(body.strip())))
+        heading = '' if title == 'Parameters' else f'**{title}**\n\n'
+        parts.append(heading + '\n'.join(_items(body.strip())))
     return '\n\n'.join(parts)
 
 
