@@ -35,8 +35,9 @@ FIRST_BLOCK, BLOCK = 512, 4096
 Long blocks amortize the overhead of numpy calls, and still fit into the cache. Those of higher
 levels have at most half as many, which locates their sums more accurately in time."""
 
-MAX_INTERPOLATED = 0.1
-"""A spectral block is excluded if more than this share of its samples is interpolated."""
+MAX_INTERPOLATED = 0.75
+"""A spectral block is excluded if more than this share of its samples is interpolated on any axis:
+shocks. The fit knows the effect of short gaps."""
 
 _KEPT = 2 * LEVEL_FACTORS[-1]
 """Number of points of the previous blocks that a level keeps: the length of its longest second

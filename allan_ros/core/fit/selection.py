@@ -63,7 +63,8 @@ class Candidates:
     def lines(self) -> list[Component]:
         """Sinusoids at the frequencies of the bins and between them."""
         known = self.statistics
-        low = np.arange(1.0, known.longest * known.crossover, 0.5) / known.longest
+        highest = min(known.crossover, 0.5 / known.step)
+        low = np.arange(1.0, known.longest * highest, 0.5) / known.longest
         width = np.diff(known.f, append=known.f[-1:] if len(known.f) else [])
         same = np.append(np.diff(known.octave) == 0, False) if len(known.f) else width > 0
         between = (known.f + width / 2.0)[same]

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..allan.cascade import MAX_INTERPOLATED
 from ..allan.octaves import octave, tapers
 from ..allan.spectra import pooled_spectra
 from ..allan.sums import LONGEST_FILLED, AllanSums
@@ -36,6 +37,9 @@ overlapping blocks are averaged."""
 
 LEAST_POINTS = 4
 """Fewest block means of a segment from which contrasts are formed."""
+
+MOST_CONTRASTS = 300
+"""Largest number of cosines of a segment; fewer are used if there are spectra."""
 
 EQUAL_LENGTHS = 8
 """Largest number of different lengths of segments that are treated exactly; with more, segments are
@@ -211,12 +215,12 @@ def _interpolation_gain(sums: AllanSums, f: Floats, octaves: Ints) -> Floats:
 
     A gap of g samples gives the samples next to it the weights A = sum (1 - i/(g + 1)) exp(-2 pi i
     f), i = 0 .. g, at the frequency f, instead of 1, and removes the noise of g samples. The last
-    row is for f = 0, that is, for block means. Blocks of which a tenth is interpolated are excluded
-    from the spectra, so they contain no longer gaps. The longest gaps are shocks, which are
+    row is for f = 0, that is, for block means. Blocks of which most is interpolated are
+    excluded from the spectra, so they contain no longer gaps. The longest gaps are shocks, which are
     replaced by a mean level without noise; they have no effect outside of these blocks.
     """
     at = np.append(f, 0.0)
-    longest = np.append([octave(o).length // 10 for o in octaves.tolist()], np.inf)
+    longest = np.append([MAX_INTERPOLATED * octave(o).length for o in octaves.tolist()], np.inf)
     gain = np.ones((len(at), len(sums.axes)))
     for g in range(1, min(len(sums.filled) + 1, LONGEST_FILLED)):
         number = sums.filled[g - 1]
@@ -242,7 +246,7 @@ def _groups(means: list[tuple[int, Floats]], edge: float) -> tuple[int, tuple[Gr
             at += points
     groups = []
     for points, each in sorted(pieces.items()):
-        high = min(int(2.0 * points * step * edge), points - 2)
+        high = min(int(2.0 * points * step * edge), points - 2, MOST_CONTRASTS)
         if high >= 2:
             z = np.stack(each) @ contrasts(points, high)
             gram = np.einsum('sai,saj->aij', z, z)
