@@ -125,7 +125,7 @@ class StampSorter:
     def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
         """Learn the sample period from the first stamps, (n,), in ns."""
         self.sorted = 0
-        self.sorting = bool((np.diff(stamps) < 0).any())
+        self.sorting = bool((stamps[1:] < stamps[:-1]).any())
         places = min(len(stamps) - 1, REORDER)
         ordered = np.sort(stamps)
         # largest delay that is sorted
@@ -139,12 +139,12 @@ class StampSorter:
         start = 0
         if not self.sorting and len(stamps):
             latest = stamps[0] if self._latest is None else self._latest
-            backward = np.diff(stamps, prepend=latest) < 0
-            self.sorting = bool(backward.any())
-            start = int(np.argmax(backward)) if self.sorting else len(stamps)
-            self._latest = int(stamps[start - 1]) if start else self._latest
-            if not self.sorting:
+            if stamps[0] >= latest and (stamps[1:] >= stamps[:-1]).all():
+                self._latest = int(stamps[-1])
                 return stamps, rows
+            self.sorting = True
+            start = int(np.argmax(np.diff(stamps, prepend=latest) < 0))
+            self._latest = int(stamps[start - 1]) if start else self._latest
         self._stamps = np.concatenate([self._stamps, stamps[start:]])
         self._rows = np.concatenate([self._rows, rows[:, start:]], axis=1)
         groups = max(0, len(self._stamps) // REORDER - 1)
