@@ -214,12 +214,12 @@ class StampFilter:
         if not len(stamps):
             return stamps, rows, np.zeros(0, bool)
         latest = stamps[0] - 1 if self._latest is None else self._latest
-        step = np.diff(stamps, prepend=latest)
-        jumped = np.zeros(len(stamps), bool)
-        if step.min() <= 0 or self._backward:
-            keep, jumped = self._select(stamps, rows, step)
+        number = len(stamps)
+        jumped = np.zeros(number, bool)
+        if stamps[0] <= latest or (stamps[1:] <= stamps[:-1]).any() or self._backward:
+            keep, jumped = self._select(stamps, rows, np.diff(stamps, prepend=latest))
             stamps, rows, jumped = stamps[keep], rows[:, keep], jumped[keep]
-        self._position += len(step)
+        self._position += number
         if len(stamps):
             self._latest, self._latest_row = int(stamps[-1]), rows[:, -1].copy()
         return stamps, rows, jumped
