@@ -215,8 +215,8 @@ def _interpolation_gain(sums: AllanSums, f: Floats, octaves: Ints) -> Floats:
 
     A gap of g samples gives the samples next to it the weights A = sum (1 - i/(g + 1)) exp(-2 pi i
     f), i = 0 .. g, at the frequency f, instead of 1, and removes the noise of g samples. The last
-    row is for f = 0, that is, for block means. Blocks of which most is interpolated are
-    excluded from the spectra, so they contain no longer gaps. The longest gaps are shocks, which are
+    row is for f = 0, that is, for block means. Blocks of which most is interpolated are excluded
+    from the spectra, so they contain no longer gaps. The longest gaps are shocks, which are
     replaced by a mean level without noise; they have no effect outside of these blocks.
     """
     at = np.append(f, 0.0)

@@ -129,7 +129,7 @@ def test_spectra_equal_the_definition(n):
 
 
 def test_blocks_with_many_interpolated_samples_are_excluded():
-    """A block is used if at most three quarters of it are interpolated; the Allan sums contain all."""
+    """Of a block that is used, at most three quarters are interpolated."""
     y = noise(70_000)
     mask = np.random.default_rng(1).random(len(y)) < 0.0005
     for begin, length in ((3000, 7), (9000, 60), (30_000, 130), (50_000, 3000)):
