@@ -127,7 +127,7 @@ class McapStorage:
 
     def _clear(self) -> None:
         self._topics: dict[int, Topic] = {}
-        self._schemas: dict[int, tuple[str, str, str]] = {}
+        self._schemas: dict[int, str] = {}  # number -> name of the type
         self._counts: Counter[int] = Counter()
         # number of messages in the statistics
         self._stated: Counter[int] = Counter()
@@ -169,8 +169,8 @@ class McapStorage:
         """Raise ValueError if a schema or channel in a chunk differs from the known one."""
         if opcode == SCHEMA:
             number, schema = _schema(data, at)
-            if self._schemas.get(number, schema)[0] != schema[0]:
-                raise ValueError(f'schema {number} is {schema[0]} in a chunk only')
+            if self._schemas.get(number, schema) != schema:
+                raise ValueError(f'schema {number} is {schema} in a chunk only')
         elif opcode == CHANNEL:
             found = self._topic(data, at)
             known = self._topics.get(found.id)
@@ -340,17 +340,13 @@ class McapStorage:
         number, schema = struct.unpack_from('<HH', data, at)
         topic, at = _text(data, at + 4)
         encoding, at = _text(data, at)
-        name, form, text = self._schemas.get(schema, ('', '', ''))
-        return Topic(number, topic, normal_type(name), encoding, form, text)
+        return Topic(number, topic, normal_type(self._schemas.get(schema, '')), encoding)
 
 
-def _schema(data: bytes, at: int) -> tuple[int, tuple[str, str, str]]:
-    """Return number, and name, format and text of the schema record at ``data[at:]``."""
+def _schema(data: bytes, at: int) -> tuple[int, str]:
+    """Return number and name of the schema record at ``data[at:]``."""
     (number,) = struct.unpack_from('<H', data, at)
-    name, at = _text(data, at + 2)
-    form, at = _text(data, at)
-    text, at = _text(data, at)
-    return number, (name, form, text)
+    return number, _text(data, at + 2)[0]
 
 
 def _listed_chunk(data: bytes, at: int) -> tuple[Chunk, set[int]]:

@@ -43,10 +43,7 @@ class Ros1Storage:
     def __init__(self, path: Path, reader: Any) -> None:
         self._path = path
         self._reader = reader
-        self.topics = [
-            Topic(c.id, c.topic, c.msgtype, 'ros1', 'ros1msg', c.msgdef.data)
-            for c in reader.connections
-        ]
+        self.topics = [Topic(c.id, c.topic, c.msgtype, 'ros1') for c in reader.connections]
 
     def counts(self) -> dict[int, int]:
         """Return topic id -> number of messages."""

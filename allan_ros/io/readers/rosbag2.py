@@ -2,20 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads the samples of an Imu topic, and the temperature of the IMU, from a bag.
 
-The Imu topic is selected by its type. If there is none, Imu fields of other messages are used.
-Messages are decoded in blocks, so the memory does not depend on the size of the bag.
+The Imu topic is selected by its type. Messages are decoded in blocks, so the memory does not depend
+on the size of the bag.
 """
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import reduce
 from pathlib import Path
-from typing import Any
 
 from ...core.errors import AllanError
 from ...core.findings import finding
@@ -36,7 +33,6 @@ from .storage import (
     as_list,
     decompress,
     frame_compression,
-    optional_package,
 )
 
 ENCODINGS = ('cdr', 'ros1')
@@ -63,24 +59,10 @@ class Survey:
             shown.append(f'{key[0]} ({key[1]}, {self.counts[key]}{unsupported})')
         return listed(shown)
 
-    def imus(self, keys: Iterable[Key] | None = None) -> list[ImuSource]:
-        """Return the Imu topics among ``keys`` (None: all); if none, Imu fields in other topics."""
-        keys = self.topics if keys is None else list(keys)
-        plain = [ImuSource(key) for key in keys if key[1] == IMU_TYPE]
-        return plain or [ImuSource(key, p) for key in keys for p in imu_fields(self.topics[key])]
-
-
-@dataclass(frozen=True)
-class ImuSource:
-    """An Imu in a bag: topic, and field names that lead to it; () if the message is the Imu."""
-
-    key: Key
-    field: tuple[str, ...] = ()
-
-    @property
-    def label(self) -> str:
-        """Name for users: 'topic', or 'topic:field' for an Imu in a field."""
-        return ':'.join([self.key[0], '.'.join(self.field)]) if self.field else self.key[0]
+    def imus(self) -> list[Key]:
+        """Return the Imu topics with messages; all Imu topics if none has messages."""
+        imus = [key for key in self.topics if key[1] == IMU_TYPE]
+        return [key for key in imus if self.counts[key]] or imus
 
 
 MAX_TOPICS = 100
@@ -94,9 +76,9 @@ def imu_topics(path: Path) -> list[str]:
     are more than `MAX_TOPICS`.
     """
     bag = bag_of(path)
-    sources = _candidates(survey_bag(bag))
+    imus = survey_bag(bag).imus()
     bag.close()
-    return [source.label for source in sources] if len(sources) <= MAX_TOPICS else []
+    return [name for name, _ in imus] if len(imus) <= MAX_TOPICS else []
 
 
 def survey_bag(bag: Bag) -> Survey:
@@ -123,67 +105,50 @@ def survey_bag(bag: Bag) -> Survey:
     return survey
 
 
-def chosen_source(path: Path, survey: Survey, wanted: str) -> ImuSource:
-    """Return the Imu with the name ``wanted``, or the only Imu if it is ''.
+def chosen_topic(path: Path, survey: Survey, wanted: str) -> Topic:
+    """Return the Imu topic with the name ``wanted``, or the only Imu topic if it is ''.
 
-    Raises AllanError when there is no such Imu, there are several, or it cannot be decoded.
+    Raises AllanError when there is no such topic, there are several, or it cannot be decoded.
     """
-    candidates = [_named(path, survey, wanted)] if wanted else _candidates(survey)
+    candidates = [_named(path, survey, wanted)] if wanted else survey.imus()
     if not candidates:
         raise _no_imu(path, survey)
     if len(candidates) > 1:
-        labels = listed([f'{c.label} ({survey.counts[c.key]})' for c in candidates])
+        labels = listed([f'{key[0]} ({survey.counts[key]})' for key in candidates])
         raise AllanError(
             f'{path}: has {len(candidates)} Imu topics: {labels}: choose one with --topic'
         )
-    (chosen,) = candidates
-    topic = survey.topics[chosen.key]
+    topic = survey.topics[candidates[0]]
     if topic.encoding not in ENCODINGS:
         raise AllanError(
-            f'{path}: topic {chosen.label} is serialized as {topic.encoding!r}: only '
+            f'{path}: topic {topic.name} is serialized as {topic.encoding!r}: only '
             f'{" and ".join(ENCODINGS)} can be read; convert the bag with "ros2 bag convert"'
         )
-    if not survey.counts[chosen.key]:
-        raise no_message(path, chosen)
-    return chosen
+    if not survey.counts[candidates[0]]:
+        raise no_message(path, topic.name)
+    return topic
 
 
-def _candidates(survey: Survey) -> list[ImuSource]:
-    """Return the Imus with messages; all Imus if none has messages."""
-    sources = survey.imus()
-    return [source for source in sources if survey.counts[source.key]] or sources
-
-
-def no_message(path: Path, source: ImuSource) -> AllanError:
+def no_message(path: Path, name: str) -> AllanError:
     return AllanError(
-        f'{path}: topic {source.label} has no message: check that the driver was running and '
-        'record again'
+        f'{path}: topic {name} has no message: check that the driver was running and record again'
     )
 
 
-def _named(path: Path, survey: Survey, wanted: str) -> ImuSource:
-    """Return the Imu with the name ``wanted``, 'topic' or 'topic:field'."""
-    name, _, field = wanted.lstrip('/').partition(':')
-    keys = [key for key in survey.topics if key[0].lstrip('/') == name]
-    matching = [s for s in survey.imus(keys) if field in ('', '.'.join(s.field))]
-    if len(matching) == 1:
-        return matching[0]
+def _named(path: Path, survey: Survey, wanted: str) -> Key:
+    """Return the Imu topic with the name ``wanted``, with or without a leading slash."""
+    keys = [key for key in survey.topics if key[0].lstrip('/') == wanted.lstrip('/')]
+    imus = [key for key in survey.topics if key[1] == IMU_TYPE]
+    matching = [key for key in keys if key in imus]
     if matching:
-        labels = listed([source.label for source in matching])
-        problem = f'topic {wanted} contains several Imus: choose one of {labels}'
-    elif not keys:
-        imus = [key for key in survey.topics if key[1] == IMU_TYPE]
+        return matching[0]
+    if not keys:
         shown = survey.listed(imus or survey.topics) or 'none'
         problem = f'has no topic {wanted}; it has {shown}: check --topic'
-    elif _is_unknown(topic := survey.topics[keys[0]]):
-        problem = (
-            f'topic {wanted} is of type {topic.type}, and the bag has no schema that '
-            'describes it: record it as mcap, which stores the schemas'
-        )
     else:
         problem = (
-            f'topic {wanted} is of type {topic.type}, which contains no sensor_msgs/Imu: '
-            'choose another with --topic'
+            f'topic {wanted} is of type {keys[0][1]}, not sensor_msgs/Imu: choose another with '
+            '--topic'
         )
     raise AllanError(f'{path}: {problem}')
 
@@ -196,71 +161,11 @@ def _no_imu(path: Path, survey: Survey) -> AllanError:
             f'{path}: is truncated: {read}, without a complete message: copy or record it again'
         )
     busiest = sorted(survey.topics, key=lambda key: -survey.counts[key])
-    unknown = sum(map(_is_unknown, survey.topics.values()))
-    schemas = f', {unknown} of them of unknown type without a schema' if unknown else ''
     truncated = f'; {read}' if read else ''
     return AllanError(
         f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}'
-        f'{schemas}{truncated}: record the topic of the IMU'
+        f'{truncated}: record the topic of the IMU'
     )
-
-
-MAX_DEPTH = 8
-"""Largest depth of nested messages that is searched."""
-
-STANDARD_PACKAGES = re.compile(
-    '(actionlib|diagnostic|geometry|map|nav|rosgraph|sensor|shape|std|stereo|tf2|trajectory|'
-    'unique_identifier|visualization)_msgs|builtin_interfaces|rcl_interfaces'
-)
-"""Packages whose message types are known to contain no Imu, so that no schema is needed."""
-
-IDL_SEPARATOR = '=' * 80 + '\n'
-
-
-def imu_fields(topic: Topic) -> list[tuple[str, ...]]:
-    """Return the field names that lead to each Imu in the messages of a topic.
-
-    The result is empty if the schema is missing or invalid. Raises AllanError when the package
-    ``rosbags``, which parses the schema, is not installed.
-    """
-    definitions = definitions_of(topic)
-
-    def search(name: str, above: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-        if name == IMU_TYPE:
-            yield above
-        elif name in definitions and len(above) < MAX_DEPTH:
-            for inside, (kind, inner) in definitions[name][1]:
-                if kind == kind.NAME:
-                    yield from search(inner, (*above, inside))
-
-    return list(search(topic.type, ()))
-
-
-def _is_unknown(topic: Topic) -> bool:
-    """Return whether the topic has no schema, and its type is not from a standard package."""
-    return not topic.schema and not STANDARD_PACKAGES.fullmatch(topic.type.split('/')[0])
-
-
-def definitions_of(topic: Topic) -> dict[str, Any]:
-    """Return the definition of each type in the schema of a topic, parsed by ``rosbags``.
-
-    The result is empty if the schema is invalid or contains no Imu.
-    """
-    if 'Imu' not in topic.schema:
-        return {}
-    typesys = optional_package('rosbags.typesys', f'reading an Imu inside {topic.type}')
-    definitions: dict[str, Any] = {}
-    try:
-        if topic.schema_format in ('ros2msg', 'ros1msg'):
-            definitions = dict(typesys.get_types_from_msg(topic.schema, topic.type))
-        elif topic.schema_format in ('ros2idl', 'omgidl'):
-            for part in topic.schema.split(IDL_SEPARATOR):
-                text = part.split('\n', 1)[1] if part.startswith('IDL: ') else part
-                if text.strip():
-                    definitions.update(typesys.get_types_from_idl(text))
-    except typesys.TypesysError:
-        return {}
-    return definitions
 
 
 # --- samples --------------------------------------------------------------------------------------
@@ -274,13 +179,12 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     """
     bag = bag_of(path)
     survey = survey_bag(bag)
-    source = chosen_source(path, survey, options.topic)
-    topic = survey.topics[source.key]
+    topic = chosen_topic(path, survey, options.topic)
     topics = [topic for topic in survey.topics.values() if topic.encoding in ENCODINGS]
-    reader = _Reader(bag, topic, source, options, _thermometers(topics, topic.name))
+    reader = _Reader(bag, topic, options, _thermometers(topics, topic.name))
     return Recording(
-        SourceInfo(str(path), source.label, source.key[1], bag.format),
-        survey.counts.get(source.key),
+        SourceInfo(str(path), topic.name, topic.type, bag.format),
+        survey.counts.get((topic.name, topic.type)),
         reader.read,
         reader.temperature,
         options,
@@ -298,7 +202,6 @@ class _Reader:
 
     bag: Bag
     topic: Topic
-    source: ImuSource
     options: ReadOptions
     thermometers: list[Topic]
     _temperatures: list[Decimated[Message]] = field(default_factory=list)
@@ -309,7 +212,7 @@ class _Reader:
         """Yield the samples of all files, in order."""
         self._temperatures = [Decimated() for _ in self.thermometers]
         self._kept.clear()
-        bag, key, total = self.bag, self.source.key, 0
+        bag, key, total = self.bag, (self.topic.name, self.topic.type), 0
         stated = bag.described or {}
         for file in bag.files:
             storage = bag.storage(file)
@@ -329,7 +232,7 @@ class _Reader:
             axes = AXES[SENSORS[sensor]]
             report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
         if not total:
-            raise no_message(bag.path, self.source)
+            raise no_message(bag.path, self.topic.name)
 
     def _blocks(self, storage: Storage) -> Iterator[Messages]:
         """Yield the messages of the topic in one file; keep some of the temperature topics."""
@@ -343,20 +246,19 @@ class _Reader:
             yield imus
 
     def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
-        extract = extractor(self.topic, self.source.field) if self.source.field else None
         done = 0  # number of messages of this file
         for block in blocks:
             at = 0
             try:
-                for payloads in _imu_payloads(block.payloads, extract):
+                for payloads in _decompressed(block.payloads):
                     imus = decode_imus(payloads, _encoding(self.topic))
                     self._kept.update(imus.kept)
                     yield from imus.batches(block.record_ns[at : at + len(payloads)])
                     at += len(payloads)
             except MalformedMessage as error:
                 raise AllanError(
-                    f'{file}: message {done + at + error.index + 1} of {self.source.label} is not '
-                    f'a {self.source.key[1]} ({error}): record it again'
+                    f'{file}: message {done + at + error.index + 1} of {self.topic.name} is not '
+                    f'a {self.topic.type} ({error}): record it again'
                 ) from error
             done += at
 
@@ -406,15 +308,10 @@ def _rebatched(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
         yield from in_batches(joined(parts))
 
 
-def _imu_payloads(
-    payloads: Payloads, extract: Callable[[bytes], bytes] | None
-) -> Iterator[Payloads]:
-    """Yield the serialized Imu messages in ``payloads``, which may be compressed.
-
-    ``extract`` returns the Imu inside another message; None if the messages are Imus.
-    """
+def _decompressed(payloads: Payloads) -> Iterator[Payloads]:
+    """Yield the serialized messages in ``payloads``, which may be compressed."""
     compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
-    if not compression and extract is None:
+    if not compression:
         yield payloads
         return
     group: list[bytes | memoryview] = []
@@ -422,39 +319,15 @@ def _imu_payloads(
     for payload in as_list(payloads):
         try:
             plain = decompress(payload, compression, MAX_MESSAGE_BYTES)
-            group.append(extract(plain) if extract else plain)
+            group.append(plain)
         except ValueError as error:
-            raise MalformedMessage(len(group), f'{compression} {error}'.lstrip()) from error
+            raise MalformedMessage(len(group), f'{compression} {error}') from error
         size += len(plain)
         if size > MAX_MESSAGE_BYTES:
             yield group
             group, size = [], 0
     if group:
         yield group
-
-
-def extractor(topic: Topic, field: tuple[str, ...]) -> Callable[[bytes], bytes]:
-    """Return a function that extracts the serialized Imu message from a message of the topic.
-
-    ``field`` are the field names that lead to the Imu. The function raises ValueError when a
-    message does not match its schema.
-    """
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.EMPTY)
-    store.register(definitions_of(topic))
-    form = _encoding(topic)
-    deserialize = getattr(store, f'deserialize_{form}')
-    serialize = getattr(store, f'serialize_{form}')
-
-    def extract(payload: bytes) -> bytes:
-        try:
-            message = deserialize(payload, topic.type)
-            return bytes(serialize(reduce(getattr, field, message), IMU_TYPE))
-        except Exception as error:  # the generated code may raise any exception
-            raise ValueError(f'it does not match its schema: {error}') from error
-
-    return extract
 
 
 # --- temperature ----------------------------------------------------------------------------------

@@ -63,15 +63,9 @@ class Sqlite3Storage:
                 f'a database without the table {" and ".join(sorted(missing))}',
                 'it is not a rosbag2 file; give the .db3 that ros2 bag recorded',
             )
-        schemas: dict[str, tuple[str, str]] = {}
-        if 'message_definitions' in tables:
-            rows = self._query(
-                'SELECT topic_type, encoding, encoded_message_definition FROM message_definitions'
-            )
-            schemas = {name: (form, text) for name, form, text in rows}
         rows = self._query('SELECT id, name, type, serialization_format FROM topics ORDER BY id')
         return [
-            Topic(number, name, normal_type(kind), encoding, *schemas.get(kind, ('', '')))
+            Topic(number, name, normal_type(kind), encoding)
             for number, name, kind, encoding in rows
         ]
 

@@ -43,17 +43,13 @@ class Topic:
     """A topic of one bag file: its number in the file, name, and type (``package/msg/Name``).
 
     ``encoding`` is the serialization of the messages: 'cdr', 'ros1', or one that cannot be read.
-    ``schema`` is the text that defines the message type, and ``schema_format`` its format, such as
-    'ros2msg'; both are '' if the file has none. Raises ValueError when a name contains control
-    characters, because then the file is damaged.
+    Raises ValueError when a name contains control characters, because then the file is damaged.
     """
 
     id: int
     name: str
     type: str
     encoding: str
-    schema_format: str = ''
-    schema: str = ''
 
     def __post_init__(self) -> None:
         if not (self.name + self.type + self.encoding).isprintable():
