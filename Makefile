@@ -40,14 +40,14 @@ help:  ## show this help
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
 	@echo '  (VENV=$(VENV) DISTRO=$(DISTRO) PYTHON=$(PYTHON) JOBS=$(JOBS) can be given)'
 
-venv: $(VENV)/.ready  ## create the environment, with rclpy wheels where they exist
+venv: $(VENV)/.tested  ## create the environment, with rclpy wheels where they exist
 
 demo: $(VENV)/.ready  ## simulate the IMU of a paper (HOURS=2), analyze it, compare with the truth
 	$(VENV)/bin/python scripts/demo.py demo --hours $(HOURS)
 
 test: unit lint  ## run all tests, then check style and types
 
-unit: $(VENV)/.ready  ## run the tests alone (TESTS=test/core for some of them)
+unit: $(VENV)/.tested  ## run the tests alone (TESTS=test/core for some of them)
 	AMENT_PREFIX_PATH="$(abspath $(VENV)):$$AMENT_PREFIX_PATH" \
 		$(VENV)/bin/python -m pytest -q -n $(JOBS) --dist loadfile $(TESTS)
 
@@ -60,23 +60,23 @@ format: $(LINT)/.ready  ## format the code and fix what ruff can fix
 	$(LINT)/bin/ruff check --fix .
 	$(LINT)/bin/ruff format .
 
-bench: $(VENV)/.ready  ## run the benchmarks
+bench: $(VENV)/.tested  ## run the benchmarks
 	@for file in $(filter-out %_faults.py %_soak.py,$(wildcard bench/bench_*.py)); do echo "== $$file"; $(VENV)/bin/python $$file || exit 1; done
 
-fuzz: $(VENV)/.ready  ## try damaged inputs of every kind: no crash, no silent loss
+fuzz: $(VENV)/.tested  ## try damaged inputs of every kind: no crash, no silent loss
 	$(VENV)/bin/python -m fuzz
 
-faults: $(VENV)/.ready  ## inject faults into running nodes (half an hour; some need root)
+faults: $(VENV)/.tested  ## inject faults into running nodes (half an hour; some need root)
 	$(VENV)/bin/python bench/bench_faults.py
 
-soak: $(VENV)/.ready  ## process a simulated month, then half an hour in real time
+soak: $(VENV)/.tested  ## process a simulated month, then half an hour in real time
 	$(VENV)/bin/python bench/bench_soak.py
 
-audit: $(VENV)/.ready  ## list what is installed with its licenses, ask PyPI for vulnerabilities
+audit: $(VENV)/.tested  ## list what is installed with its licenses, ask PyPI for vulnerabilities
 	$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable '.[audit]'
 	$(VENV)/bin/python scripts/audit.py
 
-docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
+docs: $(VENV)/.tested  ## write the pages of docs/ that come from the code
 	$(VENV)/bin/python scripts/reference.py
 	$(VENV)/bin/python scripts/sensor_table.py
 	$(VENV)/bin/python scripts/quoted_output.py
@@ -84,7 +84,7 @@ docs: $(VENV)/.ready  ## write the pages of docs/ that come from the code
 site: $(SITE)/.ready  ## build the documentation as a website, into site/
 	NO_MKDOCS_2_WARNING=1 $(SITE)/bin/mkdocs build --quiet --strict
 
-pictures: $(VENV)/.ready  ## redraw the pictures of docs/
+pictures: $(VENV)/.tested  ## redraw the pictures of docs/
 	$(VENV)/bin/python scripts/pictures.py docs/images
 	$(VENV)/bin/python scripts/report_pictures.py docs/images
 
@@ -110,8 +110,14 @@ $(foreach each,$(VENV) $(LINT) $(SITE),$(eval $(call runs,$(each))))
 $(VENV)/.ready: setup.py pyproject.toml scripts/venv_extras.py
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
-	extras=$$($(VENV)/bin/python scripts/venv_extras.py $(DISTRO) $(CONSUMERS)) && \
+	extras=$$($(VENV)/bin/python scripts/venv_extras.py $(DISTRO)) && \
 		$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable ".[$$extras]"
+	touch $@
+
+# What only tests and benchmarks need is added to it.
+$(VENV)/.tested: $(VENV)/.ready
+	extras=$$($(VENV)/bin/python scripts/venv_extras.py $(DISTRO) $(CONSUMERS) 2>/dev/null) && \
+		$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable ".[test$${extras:+,$$extras}]"
 	touch $@
 
 # Of these packages only the type annotations are read, so they may need a newer Python.

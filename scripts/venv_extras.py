@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Print the extras that `make venv` installs: ROS wheels, if they exist for this system.
+"""Print the extras that `make` installs: ROS wheels, if they exist for this system.
 
 usage: venv_extras.py DISTRO [EXTRA ...]
 
@@ -15,7 +15,7 @@ import sys
 def main() -> None:
     """Print the extras on stdout, and on stderr the reason if the nodes cannot run."""
     distro, *more = sys.argv[1:]
-    extras = ['test']
+    extras: list[str] = []
     if importlib.util.find_spec('rclpy'):
         print('rclpy of the sourced ROS installation is used', file=sys.stderr)
     elif (
