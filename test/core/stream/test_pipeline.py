@@ -132,7 +132,8 @@ def test_any_chunking_of_any_stream_gives_the_same(fault, n, chunks, seed, gated
     t, x = FAULTS[fault](*still(max(n, 5001) if fault in ('stuck', 'louder') else n, seed), rng)
     whole = accumulate(t, x, (len(t) + 1,), motion_gate=gated)
     assert_same(whole, accumulate(t, x, chunks, motion_gate=gated))
-    if len(whole.sums) < 2 and fault != 'held':
+    # samples that repeat the previous one are not counted, and few random repeats may look regular
+    if len(whole.sums) < 2 and not any(f.id == 'held' for f in whole.findings):
         assert_accounted(whole)
     assert np.isfinite([v for s in whole.sums for v in s.sum_sq.ravel()]).all()
 
