@@ -45,7 +45,7 @@ ODD = {
     'rosbagjs_example-lz4.bag': NO_IMU + '/tf (tf/msg/tfMessage, 2688)',
     'rosbagjs_example-unsorted-chunks.bag': NO_IMU + 'foo (std_msgs/msg/String, 3)',
     'service_events_mcap': NO_IMU,
-    'service_events_sqlite3': '2 of them of unknown type without a schema',
+    'service_events_sqlite3': NO_IMU,
     'tiryoh_test_sample.mcap': NO_IMU + '/rosout (rcl_interfaces/msg/Log, 10)',
     'tiryoh_truncated.mcap': '1475 of 1533 bytes could be read',
     'wbag_split5_mcap': NO_IMU + 'AAA (std_msgs/msg/String, 804)',
