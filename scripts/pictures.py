@@ -138,32 +138,6 @@ def five_slopes() -> Figure:
     return figure
 
 
-def paper_gyro() -> Figure:
-    """Draw the curve and coefficients of the z gyro for two simulated hours."""
-    result = analyzed(2.0).axes['gyro_z']
-    figure, (panel,) = new_figure(7.2, 4.0)
-    draw_measured(panel, result.curve, DEG_H)
-    draw_parts(panel, result, DEG_H, 2.0)
-    n, b, k = (result.fit.noise[term] for term in 'NBK')
-    for c, name, unit, shown, x, y in (
-        (n, 'N', 'deg/sqrt(h)', 'deg/√h', 0.3, 45.0),
-        (b, 'B', 'deg/h', 'deg/h', 0.012, 4.4),
-        (k, 'K', 'deg/h^1.5', 'deg/h$^{1.5}$', 400.0, 4.7),
-    ):
-        factor, (low, high) = 1.0 / UNITS[unit].factor, c.ci95
-        panel.text(
-            x,
-            y,
-            f'{name} = {c.value * factor:.3g} {shown}\n'
-            f'95 %: {low * factor:.3g} … {high * factor:.3g}',
-            color=TERM_STYLES[name][0],
-            bbox=ON_WHITE,
-        )
-    panel.set(ylabel='Allan deviation [deg/h]', ylim=(2.0, 200.0))
-    panel.set_title('z gyro of an ADIS16475-3, simulated: 2 h at 100 Hz, 68 % limits', fontsize=9)
-    return figure
-
-
 def wrong_shape(shape: Shape) -> Figure:
     """Draw a curve with a fault over the same curve without it."""
     bad, good = analyzed(shape.hours, **shape.faults), analyzed(shape.hours)
@@ -218,7 +192,6 @@ def main() -> int:
     folder.mkdir(parents=True, exist_ok=True)
     with rc_context(FONT):
         figures = {
-            'paper-gyro': paper_gyro(),
             'five-slopes': five_slopes(),
             'more-time': more_time(),
             'held': held_samples(),

@@ -94,10 +94,12 @@ def test_generated_pages_are_current(monkeypatch: pytest.MonkeyPatch) -> None:
     sys.modules.pop('reference')
 
 
-def test_pictures_are_small() -> None:
+def test_pictures_are_small_and_shown() -> None:
     pictures = sorted((ROOT / 'docs' / 'images').glob('*.png'))
     assert pictures
     assert [p.name for p in pictures if p.stat().st_size > LARGEST_PICTURE] == []
+    text = ''.join(page.read_text() for page in PAGES)
+    assert [p.name for p in pictures if f'images/{p.name})' not in text] == []
 
 
 NUMBER = re.compile(r'\d+(?:\.\d+)?')
