@@ -89,6 +89,21 @@ def test_a_set_that_spans_two_groups_is_atomic(make_node: Any) -> None:
     assert parameters.changes() == ['publish.sums_period=2.0', 'estimator.growth=0.5']
 
 
+def test_a_range_holds_at_run_time_and_is_described(make_node: Any) -> None:
+    node = make_node()
+    parameters = Parameters(node)
+    publish = parameters.group('publish', PublishSettings)
+    parameters.group('checkpoint', GROUPS['checkpoint'])
+    low = set_all(node, publish__diagnostics_period=0.0)
+    assert not low.successful and low.reason
+    assert set_all(node, publish__diagnostics_period=0.5).successful
+    assert publish.value.diagnostics_period == 0.5
+    fixed = set_all(node, checkpoint__path='/elsewhere')
+    assert not fixed.successful and 'read-only' in fixed.reason
+    described = node.describe_parameter('publish.diagnostics_period')
+    assert described.description.endswith('[s]') and described.floating_point_range[0].to_value
+
+
 @pytest.mark.parametrize(
     ('name', 'suggestion'),
     [
