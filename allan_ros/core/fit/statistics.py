@@ -56,7 +56,7 @@ def _kernel(o: int) -> Floats:
     return np.asarray(r)
 
 
-@lru_cache(maxsize=8192)
+@lru_cache(maxsize=4096)
 def expected_power(component: Component, o: int) -> Floats:
     """Return the expected power of unit noise in the bins of an octave."""
     means, size, _ = octave(o)
@@ -75,7 +75,7 @@ def contrasts(points: int, high: int) -> Floats:
     return np.asarray(q[:, 1:])
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=128)
 def _low_covariance(component: Component, step: int, points: int, high: int) -> Floats:
     """Return the covariance of the contrasts of block means for unit noise."""
     from scipy.linalg import toeplitz  # slow to import
