@@ -221,4 +221,4 @@ def test_real_recordings_are_analyzed(
     results = read(tmp_path / 'results.json')
     assert results['rate_hz'] == pytest.approx(99.3, abs=0.05)
     assert results['segment_count'] == 1
-    assert results['samples'] == 65_067
+    assert results['counts']['received'] == 65_067

@@ -40,9 +40,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
 def test_the_factor_is_measured_with_vibration_included(
     recordings: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The noise is 4 times higher for two thirds of the time: N rises by sqrt(1/3 + 16 2/3) =
-    3.3.
-    """
+    """The motors start after a third of the time, which is excluded: N is 4 times larger."""
     assert main(['inflate', *recordings, '-o', str(tmp_path / 'out')]) == 0
     shown = capsys.readouterr().out
     assert 'N and K for a filter, over 1 to 30 s' in shown
@@ -50,12 +48,12 @@ def test_the_factor_is_measured_with_vibration_included(
     assert 'in motion' not in shown
     document = json.loads((tmp_path / 'out' / 'inflation.json').read_text())
     gyro, accel = document['axes']['gyro_x'], document['axes']['accel_y']
-    assert gyro['N']['factor'] == pytest.approx(3.32, rel=0.1)
+    assert gyro['N']['factor'] == pytest.approx(4.0, rel=0.1)
     assert gyro['N']['use'] == gyro['N']['running']
     assert accel['N']['factor'] == pytest.approx(1.0, abs=0.1)
-    assert document['factor'] == pytest.approx(3.32, rel=0.1)
+    assert document['factor'] == pytest.approx(4.0, rel=0.1)
     at_1s = min(gyro['deviation'], key=lambda d: abs(d['tau_s'] - 1.0))
-    assert at_1s['ci95'][0] < 3.32 < at_1s['ci95'][1]
+    assert at_1s['ci95'][0] < 4.0 < at_1s['ci95'][1]
     names = {path.name for path in (tmp_path / 'out').iterdir()}
     assert {'inflation.json', 'report.html'} <= names
     report = (tmp_path / 'out' / 'report.html').read_text()
