@@ -4,29 +4,34 @@
 
     python bench/bench_accuracy.py                                   a short version, minutes
     python bench/bench_accuracy.py table1_x --runs 300 --keep DIR    one scenario, sums kept
+    python bench/bench_accuracy.py line_30 lines_30_03 low_pass_4_20 hump_10 --methods likelihood
+    python bench/bench_accuracy.py real                              curve over drawn model
 
 Samples pass through the engine like those of a recording. With --keep their sums are stored and
-reused, so all methods are compared on the same records.
+reused, so all methods are compared on the same records. ``real`` needs $ALLAN_ROS_SHARED.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
 import pickle
+import runpy
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from allan_ros.core.fit.goodness import Z_FAIL
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import TERMS, AxisFit, Coefficient, fit_noise
 from allan_ros.core.imu import from_datasheet, to_datasheet
-from allan_ros.core.simulate import NoiseTerms, simulate_axis
+from allan_ros.core.noise import NoiseTerms, gauss_markov_avar, term_avar
+from allan_ros.core.simulate import simulate_axis
 
 AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
 """Number of axes that are fitted together, as the axes of one IMU."""
@@ -56,10 +61,12 @@ class Scenario:
         Number of segments.
     at_random : bool
         Whether the segments have random instead of equal lengths.
-    line : (amplitude, frequency)
-        An additional sinusoid: amplitude relative to the white noise per sample, and Hz.
-    gauss_markov : (share, correlation time)
-        Gauss-Markov noise: variance relative to the white noise per sample, and s.
+    lines : tuple of (amplitude, frequency)
+        Additional sinusoids: amplitude relative to the white noise per sample, and Hz.
+    hump : (size, correlation time)
+        Gauss-Markov noise: largest ratio of its Allan deviation to that of the truth, and s.
+    low_pass : (order, corner)
+        A Butterworth filter of the samples, and Hz; order 0: none.
     """
 
     truth: NoiseTerms
@@ -68,27 +75,33 @@ class Scenario:
     seed: int
     segments: int = 1
     at_random: bool = False
-    line: tuple[float, float] = (0.0, 1.0)
-    gauss_markov: tuple[float, float] = (0.0, 1.0)
+    lines: tuple[tuple[float, float], ...] = ()
+    hump: tuple[float, float] = (0.0, 1.0)
+    low_pass: tuple[int, float] = (0, 1.0)
 
     def axis(self, rng: np.random.Generator) -> np.ndarray:
         """Return the samples of one record."""
-        n = round(self.rate * self.seconds)
-        white = self.truth.N * self.rate**0.5
-        y = simulate_axis(n, 1.0 / self.rate, self.truth, rng)
-        amplitude, frequency = self.line
-        if amplitude > 0.0:
-            turns = frequency / self.rate * np.arange(n) + rng.uniform()
-            y += amplitude * white * np.sin(2.0 * np.pi * turns)
-        share, time = self.gauss_markov
-        if share > 0.0:
-            from scipy.signal import lfilter
+        from scipy.signal import butter, lfilter
 
+        order, corner = self.low_pass
+        before = round(100 * self.rate / corner) if order else 0
+        n = round(self.rate * self.seconds) + before
+        y = simulate_axis(n, 1.0 / self.rate, self.truth, rng)
+        for amplitude, frequency in self.lines:
+            turns = frequency / self.rate * np.arange(n) + rng.uniform()
+            y += amplitude * self.truth.N * self.rate**0.5 * np.sin(2.0 * np.pi * turns)
+        size, time = self.hump
+        if size > 0.0:
+            m = np.unique(np.geomspace(1.0, 100.0 * time * self.rate, 300).round())
+            rest = term_avar(m, 1.0 / self.rate, self.truth).sum(axis=1)
+            sigma = size / math.sqrt((gauss_markov_avar(m, time * self.rate) / rest).max())
             keep = math.exp(-1.0 / (self.rate * time))
-            steps = rng.standard_normal(n) * math.sqrt(1.0 - keep * keep)
-            steps[0] /= math.sqrt(1.0 - keep * keep)
-            y += share**0.5 * white * lfilter([1.0], [1.0, -keep], steps)
-        return y
+            steps = sigma * rng.standard_normal(n)
+            steps[1:] *= math.sqrt(1.0 - keep * keep)
+            y += lfilter([1.0], [1.0, -keep], steps)
+        if order:
+            y = lfilter(*butter(order, 2.0 * corner / self.rate), y - y[0])
+        return y[before:]
 
     def cuts(self, rng: np.random.Generator) -> np.ndarray:
         """Return the index of the first sample of each segment except the first segment."""
@@ -133,41 +146,27 @@ SCENARIOS = {
     'five_minutes': Scenario(X, 100.0, 300.0, 0),
     'three_hours': Scenario(gyro(N=0.6, B=8.0, K=40.0), 200.0, 3 * HOUR, 13),
     'six_segments': Scenario(X, 100.0, 2 * HOUR, 9, segments=6),
-    'line_slow': Scenario(X, 100.0, 2 * HOUR, 3, line=(0.03, 0.02)),
-    'line_fast': Scenario(X, 100.0, 2 * HOUR, 2, line=(0.03, 0.2)),
-    'gauss_markov': Scenario(X, 100.0, 2 * HOUR, 1, gauss_markov=(0.01, 10.0)),
+    **{
+        f'line_{size:g}': Scenario(X, 200.0, HOUR / 2, 3, lines=((size, 33.0),))
+        for size in (0.3, 3.0, 30.0, 300.0)
+    },
+    'lines_3_1': Scenario(X, 200.0, HOUR / 2, 2, lines=((3.0, 33.0), (1.0, 20.0))),
+    'lines_30_03': Scenario(X, 200.0, HOUR / 2, 21, lines=((30.0, 33.0), (0.3, 20.0))),
+    **{
+        f'hump_{time:g}': Scenario(X, 100.0, 2 * HOUR, 1, hump=(1.0, time))
+        for time in (1.0, 10.0, 100.0)
+    },
+    **{
+        f'low_pass_{order}_{corner:g}': Scenario(X, 200.0, HOUR / 2, 22, low_pass=(order, corner))
+        for order, corner in ((1, 41.0), (1, 10.0), (1, 5.0), (4, 40.0), (4, 20.0), (4, 10.0))
+    },
     'month': Scenario(MONTH, 1.0, 30 * DAY, 15, segments=2600, at_random=True),
     'month_flicker': Scenario(WITH_FLICKER, 1.0, 30 * DAY, 16, segments=2600, at_random=True),
     'month_whole': Scenario(WITH_FLICKER, 1.0, 30 * DAY, 17),
     'million': Scenario(WITH_FLICKER, 1.0, 1e6, 101),
     'half_day': Scenario(X, 20.0, 12 * HOUR, 103),
     'day': Scenario(gyro(N=0.242, B=5.237, K=31.8), 10.0, DAY, 104),
-    'month_gauss_markov': Scenario(
-        MONTH, 1.0, 30 * DAY, 18, segments=2600, at_random=True, gauss_markov=(0.04, 100.0)
-    ),
 }
-
-
-def read_slopes(sums: AllanSums) -> list[dict[str, float | None]]:
-    """Return coefficients from lines with the textbook slopes, as most tools do.
-
-    The curve is used up to a ninth of the record. B is its smallest value over 0.664. The other
-    coefficients come from lines of slope -1, -1/2, 1/2 and 1 through the point at which the
-    slope of the curve is closest to that of the line.
-    """
-    tau = sums.m * sums.tau0
-    keep = 9 * sums.m <= sums.samples
-    out: list[dict[str, float | None]] = []
-    for a in range(len(sums.axes)):
-        log_tau, log_dev = np.log10(tau[keep]), 0.5 * np.log10(sums.avar[keep, a])
-        slope = np.diff(log_dev) / np.diff(log_tau)
-        values: dict[str, float | None] = {'B': 10 ** log_dev.min() / 0.664}
-        lines = (('Q', -1, 3**0.5), ('N', -0.5, 1.0), ('K', 0.5, 3.0), ('R', 1, 2**0.5))
-        for term, gradient, at in lines:
-            i = int(np.argmin(np.abs(slope - gradient)))
-            values[term] = 10 ** (log_dev[i] + gradient * (math.log10(at) - log_tau[i]))
-        out.append(values)
-    return out
 
 
 @dataclass(frozen=True)
@@ -187,15 +186,6 @@ class Outcome:
         nan = float('nan')
         low, high = c.ci95 or (0.0, nan if c.upper95 is None else c.upper95)
         return cls(c.value or 0.0, low, high, c.status == 'estimated')
-
-
-def fits_of(sums: AllanSums, method: str) -> list[AxisFit]:
-    """Return the fit of every axis."""
-    if method == 'slope':
-        read = read_slopes(sums)
-        return [AxisFit({t: Coefficient(values[t]) for t in TERMS}) for values in read]
-    fit = fit_noise(sums, method)
-    return [fit.axes[axis] for axis in sums.axes]
 
 
 def draws(scenario: str, runs: int, keep: Path | None) -> Iterator[AllanSums]:
@@ -253,32 +243,44 @@ def table(scenario: str, fits: list[AxisFit]) -> str:
     return '\n'.join(lines)
 
 
-def additional_terms(scenario: str, fits: list[AxisFit]) -> str:
-    """Return how often the fit rejected the five terms, and the additional processes it found."""
-    failed = np.mean([fit.gof_z >= Z_FAIL for fit in fits])
-    lines = [f'fit rejected in {failed:.1%} of runs']
-    found = [fit.sinusoid for fit in fits if fit.sinusoid]
-    if found:
-        white = SCENARIOS[scenario].truth.N * SCENARIOS[scenario].rate ** 0.5
-        size = np.median([line.amplitude for line in found]) / white
-        hertz = np.median([line.frequency for line in found])
-        lines.append(
-            f'line in {len(found) / len(fits):.1%}: median {size:.4f} of the white noise per '
-            f'sample, {hertz:.4g} Hz'
-        )
-    drift = [fit.gauss_markov for fit in fits if fit.gauss_markov]
-    if drift:
-        white = SCENARIOS[scenario].truth.N * SCENARIOS[scenario].rate ** 0.5
-        share = np.median([g.sigma for g in drift]) ** 2 / white**2
-        time = np.median([g.correlation_time for g in drift])
-        lines.append(
-            f'Gauss-Markov noise in {len(drift) / len(fits):.1%}: median {share:.4f} of the '
-            f'variance per sample, {time:.4g} s'
-        )
-    misfit = np.mean([fit.misfit > 0.0 for fit in fits])
-    cut = np.mean([fit.m_min > 1 for fit in fits])
-    lines.append(f'misfit in {misfit:.1%}, shortest averages left out in {cut:.1%}')
-    return '; '.join(lines)
+def processes_found(fits: list[AxisFit]) -> str:
+    """Return how often processes, a filter and lack of fit were found, and in what number."""
+    kinds = ('gauss_markov', 'sinusoid', 'resonance')
+    numbers = {k: Counter(len(getattr(fit.processes, k)) for fit in fits) for k in kinds}
+    parts = [f'{k} {dict(sorted(n.items()))}' for k, n in numbers.items()]
+    parts.append(f'filtered {np.mean([fit.filtered for fit in fits]):.1%}')
+    parts.append(f'lack of fit {np.mean([bool(fit.lack_of_fit) for fit in fits]):.1%}')
+    return 'axes by number of processes: ' + ', '.join(parts)
+
+
+def real() -> None:
+    """Print the measured curve over the drawn model of the shared recordings, by sensor."""
+    import allan_ros as ar
+
+    data = Path(os.environ.get('ALLAN_ROS_SHARED', '../shared')) / 'data'
+    static = runpy.run_path(str(data / 'static' / 'load.py'))['load']
+    adis = runpy.run_path(str(data / 'adis16405' / 'load.py'))['load']
+    recordings = {unit: adis(unit) for unit in ('imu1', 'imu2', 'imu4')}
+    for file in sorted(data.glob('static/*.npz')):
+        t, gyro, accel = static(file.stem)
+        if accel is not None and gyro.shape[1] == 3:
+            recordings[file.stem] = np.column_stack([t, gyro, accel])
+    for name, rows in recordings.items():
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        rate = 1.0 / float(np.median(np.diff(rows[:, 0])))
+        results = ar.analyze(rows[:, 1:], rate=rate, motion_gate=False)
+        medians: dict[str, list[float]] = {'gyro': [], 'accel': []}
+        for axis in (results[each] for each in results):
+            if axis.curve is None:
+                continue
+            tau = axis.curve.m * axis.tau0
+            used = (axis.curve.m >= axis.fit.m_min) & (tau <= results.duration_s / 20.0)
+            ratio = axis.curve.adev[used] / np.sqrt(axis.fit.model.avar(tau[used], axis.tau0))
+            octave = np.floor(np.log2(tau[used] / tau[used][0]))
+            found = [float(np.median(ratio[octave == o])) for o in np.unique(octave)]
+            medians[axis.name.split('_')[0]] += found
+        cells = [f'{sensor} {min(r):.2f}..{max(r):.2f}' for sensor, r in medians.items()]
+        print(f'{name}, {results.duration_s:.0f} s: ' + ', '.join(cells), flush=True)
 
 
 def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None:
@@ -288,7 +290,7 @@ def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None
     for sums in draws(scenario, runs, keep):
         for method in methods:
             begin = time.process_time()
-            rows[method] += fits_of(sums, method)
+            rows[method] += fit_noise(sums, method).axes.values()
             spent[method] += time.process_time() - begin
     for method in methods:
         got = rows[method][:runs]
@@ -296,7 +298,7 @@ def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None
         print(f'\n{scenario}, {method}, {len(got)} runs, {cost:.1f} ms of CPU per axis\n')
         print(table(scenario, got), flush=True)
         if method == 'likelihood':
-            print(f'\n{additional_terms(scenario, got)}', flush=True)
+            print(f'\n{processes_found(got)}', flush=True)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -304,7 +306,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description='Monte Carlo of the fits.')
     parser.add_argument('scenarios', nargs='*', default=['table1_x', 'white', 'five_minutes'])
     parser.add_argument('--runs', type=int, default=24)
-    methods = ['likelihood', 'relative', 'paper', 'slope']
+    methods = ['likelihood', 'relative', 'paper']
     parser.add_argument('--methods', nargs='+', default=methods)
     parser.add_argument('--keep', type=Path, help='folder to keep the sums of the draws in')
     parser.add_argument('--rate', type=float, help='another rate in Hz than that of the scenarios')
@@ -315,7 +317,10 @@ def main(arguments: list[str] | None = None) -> None:
     if options.keep:
         options.keep.mkdir(parents=True, exist_ok=True)
     for scenario in options.scenarios:
-        run(scenario, options.runs, options.methods, options.keep)
+        if scenario == 'real':
+            real()
+        else:
+            run(scenario, options.runs, options.methods, options.keep)
 
 
 if __name__ == '__main__':

@@ -6,8 +6,7 @@
     python bench/bench_online.py memory 600  memory during 600 s at 4 kHz
 
 CPU is compared within one run with an empty raw subscriber on the same topic, so a busy machine
-changes little. The monitor is measured between two fits, which take 5 % of a core at most. Trials
-of kills and restarts are in online_trials.py.
+changes little. The monitor is measured between two fits, which take 5 % of a core at most.
 """
 
 from __future__ import annotations

@@ -167,7 +167,8 @@ class Fields:
 
     def interval(self, key: str) -> tuple[float, float]:
         """Return a list of two finite numbers as a tuple."""
-        return self._pair(key, self.sequence(key))
+        low, high = self._tuple(key, self.sequence(key), 2)
+        return low, high
 
     def numbers(self, key: str) -> NDArray[np.float64]:
         """Return a list of numbers as an array, with NaN for null."""
@@ -242,7 +243,7 @@ class Fields:
         """Return the value of a key as the type of an annotation.
 
         Possible types are str, bool, int, float, a pair of floats, Literal, an array, a mapping of
-        names to floats, a dataclass or named tuple, a tuple of strings, of pairs or of dataclasses,
+        names to floats, a dataclass or named tuple, a tuple of strings, of tuples of floats or of dataclasses,
         and each of these or None.
         """
         origin, args = get_origin(hint), get_args(hint)
@@ -263,7 +264,8 @@ class Fields:
                 raise self._wrong(key, texts, 'a list of texts')
             return tuple(texts)
         if args[1:] == (Ellipsis,) and get_origin(args[0]) is tuple:
-            return tuple(self._pair(key, pair) for pair in self.sequence(key))
+            n = len(get_args(args[0]))
+            return tuple(self._tuple(key, each, n) for each in self.sequence(key))
         if args[1:] == (Ellipsis,):
             return tuple(fields.record(args[0]) for fields in self.each(key))
         if origin is tuple:
@@ -293,10 +295,10 @@ class Fields:
             raise self._wrong(key, value, expected)
         return value
 
-    def _pair(self, key: str, values: object) -> tuple[float, float]:
-        if not isinstance(values, list) or len(values) != 2:
-            raise self._wrong(key, values, 'a pair of numbers')
-        return self._number(key, values[0]), self._number(key, values[1])
+    def _tuple(self, key: str, values: object, n: int) -> tuple[float, ...]:
+        if not isinstance(values, list) or len(values) != n:
+            raise self._wrong(key, values, 'a pair of numbers' if n == 2 else f'{n} numbers')
+        return tuple(self._number(key, value) for value in values)
 
     def _number(self, key: str, value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
