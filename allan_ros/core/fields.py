@@ -243,8 +243,8 @@ class Fields:
         """Return the value of a key as the type of an annotation.
 
         Possible types are str, bool, int, float, a pair of floats, Literal, an array, a mapping of
-        names to floats, a dataclass or named tuple, a tuple of strings, of tuples of floats or of dataclasses,
-        and each of these or None.
+        names to floats, a dataclass or named tuple, a tuple of strings, of tuples of floats or of
+        dataclasses, and each of these or None.
         """
         origin, args = get_origin(hint), get_args(hint)
         least = -MAX_FLOAT if key in self._record_rules[0] else 0.0
