@@ -16,7 +16,8 @@ def main() -> None:
     """Print the extras on stdout, and on stderr the reason if the nodes cannot run."""
     distro, *more = sys.argv[1:]
     extras: list[str] = []
-    if importlib.util.find_spec('rclpy'):
+    found = importlib.util.find_spec('rclpy')
+    if found and not str(found.origin).startswith(sys.prefix):  # else it is a wheel
         print('rclpy of the sourced ROS installation is used', file=sys.stderr)
     elif (
         platform.python_implementation() == 'CPython'
