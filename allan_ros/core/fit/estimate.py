@@ -153,6 +153,9 @@ def _trial(rules: Selection, top: float, start: Fit | None = None) -> _Trial:
     if top < 0.5:  # neither a process nor a sinusoid may imitate a filter
         rules = replace(rules, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
     fit = rules.selected(start)
+    weighed = rules.weighed(fit)
+    if weighed is not rules:  # the final weights of the bins that sinusoids dominate
+        rules, fit = weighed, weighed.fit(fit.components, fit.p)
     return _Trial(top, rules, fit, *_test(rules, fit))
 
 

@@ -215,7 +215,7 @@ class Selection:
 
         ``start`` is a fit to other bins, whose processes are kept as long as they are needed.
         """
-        rules = self._weighed(start)
+        rules = self.weighed(start)
         if start is None:
             fit = rules.fit(self.base)
         else:
@@ -228,7 +228,7 @@ class Selection:
             if crowded(fit):
                 return fit
             if fit.components[-1][0] == 'sinusoid':
-                rules = self._weighed(fit)
+                rules = self.weighed(fit)
                 fit = rules.fit(fit.components, fit.p)
             for k in range(len(self.base), len(fit.p) - 1):
                 fit = rules.refined(fit, k, 2)
@@ -344,7 +344,7 @@ class Selection:
         new = self.refined(min(tries, key=lambda each: each.value), K)
         return new if fit.value - new.value > GAIN_BOUNDED else fit
 
-    def _weighed(self, fit: Fit | None) -> Selection:
+    def weighed(self, fit: Fit | None) -> Selection:
         """Reduce the weight of bins that sinusoids dominate.
 
         A sinusoid is never as narrow as the model; such bins say little except its amplitude.

@@ -71,7 +71,7 @@ def sine(n, frequency, rng, axes):
     return np.sin(2.0 * np.pi * (frequency * t + rng.uniform(size=axes)))
 
 
-@pytest.mark.parametrize('size', [0.5, 3.0])
+@pytest.mark.parametrize('size', [0.5, 3.0, 30.0])
 def test_a_sinusoid_does_not_change_n_and_gives_no_false_one(size):
     """N within 1.5 % (five standard errors); amplitude and frequency are found in all axes."""
     rng = np.random.default_rng(3)
