@@ -19,7 +19,7 @@ MAX_PROCESSES = 6
 SHORTEST_TIME = 8.0
 """Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
 
-LEAST_LINE_DOF = 10.0
+LEAST_LINE_DOF = 100.0
 """Least degrees of freedom of a bin that a sinusoid dominates."""
 
 LINES_PER_OCTAVE = 3
