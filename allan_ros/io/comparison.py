@@ -29,6 +29,7 @@ from .datasheets import (
 from .documents import results_to_document
 from .files import to_json, write_atomic, write_together
 from .format import interval_text, markdown_rows, shown_unit, significant, value_text
+from .from_datasheet import against_measured
 from .results import Results
 
 SCHEMA = 'allan_ros/comparison/1'
@@ -141,6 +142,7 @@ def compare_runs(
 
 def comparison_document(comparison: RunComparison) -> dict[str, Any]:
     """Return the comparison as a JSON object of the schema ``allan_ros/comparison/1``, in SI."""
+    results = {run.label: run.results for run in comparison.runs}
     return {
         'schema': SCHEMA,
         'family_error': comparison.family_error,
@@ -173,7 +175,14 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
             for pair in comparison.pairs
         ],
         'datasheets': [
-            {'run': label, **comparison_to_document(checked)}
+            {
+                'run': label,
+                **comparison_to_document(checked),
+                'measured': [
+                    {**known._asdict(), 'value': known.value._asdict(), 'verdict': known.verdict}
+                    for known in against_measured(checked.datasheet, results[label])
+                ],
+            }
             for label, checked in comparison.datasheets
         ],
     }
@@ -189,8 +198,12 @@ def comparison_headline(comparison: RunComparison) -> Iterator[str]:
         yield _pair_sentence(pair, comparison.family_error)
         if comparison.within:
             yield _equivalence_sentence(pair, comparison.within)
+    results = {run.label: run.results for run in comparison.runs}
     for label, checked in comparison.datasheets:
         yield _datasheet_sentence(label, checked)
+        if known := against_measured(checked.datasheet, results[label]):
+            texts = '; '.join(map(str, known))
+            yield f'{label} against measured units of {checked.datasheet.name}: {texts}'
 
 
 def ratio_text(difference: Difference) -> str:

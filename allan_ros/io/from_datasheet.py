@@ -13,8 +13,9 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
+from ..core.compare import Change
 from ..core.errors import AllanError
 from ..core.findings import finding
 from ..core.fit import TERMS, AxisFit, Coefficient
@@ -189,6 +190,47 @@ def measured_entry(results: Results) -> str:
             text = ', '.join(f'{k}: {n}' for k, n in zip(('value', 'low', 'high'), numbers))
             lines.append(f'      {term}: {{{text}, unit: {unit}}}')
     return '\n'.join(lines)
+
+
+class AgainstMeasured(NamedTuple):
+    """N or B of one unit beside the values that were measured with units of the same sensor."""
+
+    sensor: str  # gyro or accel
+    term: str
+    value: MeasuredValue
+    low: float  # ends of the intervals of all measured units, SI
+    high: float
+    units: int  # number of measured units
+
+    @property
+    def verdict(self) -> Change:
+        """'alike' if the intervals overlap, else whether the unit is 'higher' or 'lower'."""
+        if self.value.low > self.high:
+            return 'higher'
+        return 'lower' if self.value.high < self.low else 'alike'
+
+    def __str__(self) -> str:
+        unit = SHOWN.get((self.sensor, self.term), DATASHEET_UNITS[self.sensor][self.term])
+        ends = (*self.value, self.low, self.high)
+        value, low, high, least, most = (significant(x / UNITS[unit].factor, 3) for x in ends)
+        number = '1 unit has' if self.units == 1 else f'{self.units} units have'
+        word = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}[self.verdict]
+        return (
+            f'{self.sensor} {self.term} {word}: {value} ({low}..{high}) {unit}, {number} '
+            f'{least}..{most}'
+        )
+
+
+def against_measured(sheet: Datasheet, results: Results) -> list[AgainstMeasured]:
+    """Compare each resolved N and B with the values that were measured with units of a sensor."""
+    found = []
+    for kind, terms in measured_values(results).items():
+        for term, value in terms.items():
+            known = [e.values[kind][term] for e in sheet.measured if term in e.values.get(kind, {})]
+            if known:
+                low, high = min(k.low for k in known), max(k.high for k in known)
+                found.append(AgainstMeasured(kind, term, value, low, high, len(known)))
+    return found
 
 
 def measured_lines(sheet: Datasheet, own: Mapping[str, Mapping[str, MeasuredValue]]) -> list[str]:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from allan_ros.io.exporters import TARGETS
 from allan_ros.io.from_datasheet import (
     CROSSING_S,
     Sensor,
+    against_measured,
     known_factors,
     measured_entry,
     measured_lines,
@@ -111,6 +113,30 @@ def test_a_measured_entry_is_read_back(small_results: Results, tmp_path: Path) -
     lines = measured_lines(sheet, own)
     assert lines[0] == 'measured by your name or organization' and 'your unit' in lines
     assert lines[-1].endswith(' 1.0 of the measured')
+    assert {known.verdict for known in against_measured(sheet, small_results)} == {'alike'}
+    assert len(against_measured(sheet, small_results)) == sum(map(len, own.values()))
+
+
+def test_a_unit_is_compared_with_the_measured_units(
+    small_results: Results, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    of_small = measured_values(small_results)['gyro']['N']
+    sheets = {}
+    for name, factor in (('typical', 1.0), ('noisier', 0.5), ('quieter', 2.0)):
+        entry = yaml.safe_load(measured_entry(small_results))
+        ends = {k: v * factor for k, v in zip(('value', 'low', 'high'), of_small)}
+        entry['measured'][0] |= {'gyro': {'N': {**ends, 'unit': 'rad/s/sqrt(Hz)'}}}
+        sheets[name] = tmp_path / f'{name}.yaml'
+        sheets[name].write_text(yaml.safe_dump({**SHEET, **entry}))
+    small_results.save(tmp_path / 'results')
+    for name, path in sheets.items():
+        assert main(['compare', str(tmp_path / 'results'), '--sensor', str(path)]) == 0
+        assert f'against measured units of X1: gyro N {name}: ' in capsys.readouterr().out
+    arguments = ['compare', str(tmp_path / 'results'), f'sensor:{sheets["noisier"]}', '--json']
+    assert main(arguments) == 0
+    document = json.loads(capsys.readouterr().out)
+    (known,) = (k for k in document['datasheets'][0]['measured'] if k['sensor'] == 'gyro')
+    assert (known['term'], known['units'], known['verdict']) == ('N', 1, 'higher')
 
 
 def test_the_catalogue_names_who_measured(capsys: pytest.CaptureFixture[str]) -> None:
