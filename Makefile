@@ -34,7 +34,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # The matrices of a fit are small: more threads per process only cost time.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test unit test-pythons test-floor site lint format bench fuzz faults soak audit docs pictures clean
+.PHONY: help venv demo test unit test-pythons test-floor site lint format bench fuzz audit docs pictures clean
 
 help:  ## show this help
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -61,16 +61,10 @@ format: $(LINT)/.ready  ## format the code and fix what ruff can fix
 	$(LINT)/bin/ruff format .
 
 bench: $(VENV)/.tested  ## run the benchmarks
-	@for file in $(filter-out %_faults.py %_soak.py,$(wildcard bench/bench_*.py)); do echo "== $$file"; $(VENV)/bin/python $$file || exit 1; done
+	@for file in $(wildcard bench/bench_*.py); do echo "== $$file"; $(VENV)/bin/python $$file || exit 1; done
 
 fuzz: $(VENV)/.tested  ## try damaged inputs of every kind: no crash, no silent loss
 	$(VENV)/bin/python -m fuzz
-
-faults: $(VENV)/.tested  ## inject faults into running nodes (half an hour; some need root)
-	$(VENV)/bin/python bench/bench_faults.py
-
-soak: $(VENV)/.tested  ## process a simulated month, then half an hour in real time
-	$(VENV)/bin/python bench/bench_soak.py
 
 audit: $(VENV)/.tested  ## list what is installed with its licenses, ask PyPI for vulnerabilities
 	$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable '.[audit]'

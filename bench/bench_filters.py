@@ -40,11 +40,9 @@ from allan_ros.core.filters.reductions import Horizons, reduce_model
 from allan_ros.core.imu import AXES
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.io.exporters import ExportOptions, make_export
-from bench.doc_table import DocTable
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', ROOT.parent / 'shared'))
-PAGE = ROOT / 'docs' / 'consistency.md'
 RATE, SECONDS = 100.0, 7200
 DT = 1.0 / RATE
 OUTAGES = (10, 60, 300)
@@ -119,10 +117,8 @@ def exported(results: ar.Results, axis: str) -> dict[str, dict[str, Any]]:
     return models
 
 
-def nees(names: list[str], axes: int, write: bool) -> None:
-    """Print, and write into the page, NEES and outage ratios of each sensor and export."""
-    heading = ('sensor', *(f'{measure}: {e}' for e in EXPORTS for measure in MEASURES))
-    table = DocTable('nees', heading, PAGE)
+def nees(names: list[str], axes: int) -> None:
+    """Print NEES and outage ratios of each sensor and export."""
     for name in names:
         began, title = time.monotonic(), SENSORS[name][0]
         rng = np.random.default_rng(20 + list(SENSORS).index(name))
@@ -136,15 +132,11 @@ def nees(names: list[str], axes: int, write: bool) -> None:
                 ran = REALITY['run_filter'](model, samples, DT, seed, white, outages=OUTAGES)
                 row = [ran['nees'], *(ran['outage'][h] for h in OUTAGES)]
                 found.setdefault(export, []).append(row)
-        cells = [title]
         for export in EXPORTS:
             each = np.array(found[export])
             mean = [each[:, 0].mean(), *np.sqrt((each[:, 1:] ** 2).mean(axis=0))]
-            cells += [f'{mean[0]:.2f}', ' / '.join(f'{ratio:.2f}' for ratio in mean[1:])]
             print(f'{title:28} {export:12}', *(f'{value:6.2f}' for value in mean))
         print(f'{"":28} {3 * per_axis} axes, {time.monotonic() - began:.0f} s', flush=True)
-        if write:
-            table.put(cells)
 
 
 def units() -> dict[str, Any]:
@@ -246,15 +238,14 @@ SHARES = (0.0, 0.15, 0.3, 0.5, 1.0)
 """Fractions of its expected variance with which an unresolved K may count."""
 
 
-def share(names: list[str], records: int, write: bool) -> None:
+def share(names: list[str], records: int) -> None:
     """Print how the variance of an unresolved K affects predicted errors and bias intervals.
 
     It counts with each of `SHARES` of its expected variance. Printed are the root mean square
     ratio of actual to predicted error after 300 s without correction, and the coverage of the 95
     % interval of the bias 600 s later.
     """
-    heading = ('sensor', 'K resolved', *(f'{value:.0%}' for value in SHARES))
-    table = DocTable('share', heading)
+    print('sensor', 'K resolved', *(f'{value:.0%}' for value in SHARES), sep='  ')
     for name in names:
         title, _, _, seconds = SENSORS[name]
         white, samples = draw(
@@ -282,8 +273,6 @@ def share(names: list[str], records: int, write: bool) -> None:
             ratio, covered = np.array(found[value]).T
             cells.append(f'{np.sqrt((ratio**2).mean()):.2f} / {covered.mean():.3f}')
         print(*cells, sep='  ', flush=True)
-        if write:
-            table.put([cell.replace('nan', '-') for cell in cells])
 
 
 def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> dict[int, list[bool]]:
@@ -431,19 +420,16 @@ def main() -> None:
     parser.add_argument('--sensors', nargs='+', choices=tuple(SENSORS))
     parser.add_argument('--axes', type=int, default=24, help='axes the filter runs on')
     parser.add_argument('--records', type=int, default=20, help='records of three axes')
-    parser.add_argument('--write', action='store_true', help='write the table into its page')
     args = parser.parse_args()
     if args.what == 'nees':
-        nees(
-            args.sensors or [name for name in SENSORS if name not in WEAK_K], args.axes, args.write
-        )
+        nees(args.sensors or [name for name in SENSORS if name not in WEAK_K], args.axes)
     elif args.what == 'growth':
         growth()
     elif args.what == 'bias':
         bias(args.records)
     elif args.what == 'share':
         names = args.sensors or ['x', 'y', *WEAK_K, 'nb', 'gm2', 'x5']
-        share(names, args.records, args.write)
+        share(names, args.records)
     elif args.what == 'gtsam':
         graph(GRAPH_RUNS)
     else:

@@ -11,7 +11,6 @@ changes little. The monitor is measured between two fits, which take 5 % of a co
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 from pathlib import Path
@@ -72,7 +71,7 @@ def cpu(client: Client) -> None:
                 messages = rate * (time.monotonic() - began)
                 cost = [(n.cpu_s() - b) / messages * 1e6 for n, b in zip(watched, before)]
                 age = float(client.value('gyro z', 'fit age') or 0.0)
-        empty.end(signal.SIGINT)
+        empty.end()
         print(
             f'{rate:>5} Hz {cost[0]:8.1f} {cost[1]:12.1f} {cost[1] / cost[0]:6.2f} '
             f'{cost[2]:8.1f} {cost[2] / cost[0]:6.2f}',

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise that changes with time: false alarms on clean records, and what is found.
 
-    python bench/bench_stationarity.py alarms --records 100    findings on clean records
-    python bench/bench_stationarity.py gains --records 100     gains without effects
-    python bench/bench_stationarity.py power --records 20      warm-up, steps and levels
-
-Each writes its rows into bench/results.md (``--dry`` only prints them).
+python bench/bench_stationarity.py alarms --records 100    findings on clean records
+python bench/bench_stationarity.py gains --records 100     gains without effects
+python bench/bench_stationarity.py power --records 20      warm-up, steps and levels
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from doc_table import DocTable
 from numpy.typing import NDArray
 from scipy.stats import beta
 
@@ -160,14 +157,11 @@ def main() -> None:
     parser.add_argument('what', choices=SHOWS)
     parser.add_argument('--records', type=int, default=20)
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--dry', action='store_true')
     args = parser.parse_args()
     show, columns = SHOWS[args.what]
-    table = DocTable(f'stationarity_{args.what}', columns)
+    print(f'| {" | ".join(columns)} |')
     for row in show(args.records, args.seed):
         print(f'| {" | ".join(row)} |', flush=True)
-        if not args.dry:
-            table.put(row)
 
 
 if __name__ == '__main__':

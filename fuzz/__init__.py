@@ -4,5 +4,5 @@
 
 make fuzz                                        all targets, 60 s
 python -m fuzz --seconds 600 mcap documents      two of them, ten minutes
-python -m fuzz --seconds 2400 --write            the table of bench/results.md
+python -m fuzz --seconds 2400                    all targets, 40 min
 """

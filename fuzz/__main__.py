@@ -35,7 +35,6 @@ def main() -> int:
     parser.add_argument(
         '--shrink', action='store_true', help='reduce inputs that crash to small ones (slow)'
     )
-    parser.add_argument('--write', action='store_true', help='also write the table in docs')
     parser.add_argument('--here', action='store_true', help='run in this process, and print JSON')
     options = parser.parse_args()
     names = options.targets or list(TARGETS)
@@ -57,8 +56,6 @@ def main() -> int:
         tally = _in_a_process(name, share, options.seed, options.shrink)
         row = _row(tally)
         print('\n  '.join([_line(row), *tally.crashes.values()]), flush=True)
-        if options.write:
-            _write(row)
         found += len(tally.crashes)
     return EXIT_CRASHES if found else 0
 
@@ -105,14 +102,6 @@ def _row(tally: Tally) -> tuple[str, ...]:
     counted = (tally.inputs, tally.inputs - tally.valid, tally.valid, len(tally.crashes))
     cost = f'{tally.slowest_s:.2f}', f'{tally.memory_bytes / 1e6:.0f}'
     return tally.name, *(f'{number:,}' for number in counted), *cost
-
-
-def _write(row: tuple[str, ...]) -> None:
-    """Replace the row of this target in bench/results.md."""
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'bench'))
-    from doc_table import DocTable
-
-    DocTable('fuzz', HEADING).put(row)
 
 
 if __name__ == '__main__':
