@@ -260,14 +260,22 @@ class Selection:
         return best
 
     def _without_superfluous(self, fit: Fit) -> Fit:
-        """Remove Gauss-Markov processes that later ones have made superfluous."""
+        """Remove processes that later ones have made superfluous.
+
+        A sinusoid in the block means goes if it may be the alias of a fast one.
+        """
         k = len(self.base)
         while k < len(fit.p):
-            kind = fit.components[k][0]
-            if kind != 'sinusoid':
+            kind, *shape = fit.components[k]
+            alias = (
+                kind == 'sinusoid'
+                and shape[0] < 2.0 * self.data.statistics.crossover
+                and self._aliased(fit)
+            )
+            if alias or kind != 'sinusoid':
                 others = (*fit.components[:k], *fit.components[k + 1 :])
                 rest = self.fit(others, np.maximum(np.delete(fit.p, k), 1e-9))
-                if rest.value - fit.value < self.threshold(kind):
+                if alias or rest.value - fit.value < self.threshold(kind):
                     fit, k = rest, len(self.base)
                     continue
             k += 1
