@@ -118,7 +118,7 @@ def show_power(records: int, seed: int) -> Iterator[tuple[str, ...]]:
             y[at:] += size * DEG_H * rng.choice([-1, 1])
         return y
 
-    def louder(factor: float) -> Floats:
+    def noisier(factor: float) -> Floats:
         y = draw('N', 2.0, 1.0, rng)
         y[HOUR:] *= factor
         return y
@@ -129,8 +129,8 @@ def show_power(records: int, seed: int) -> Iterator[tuple[str, ...]]:
         ('warm-up 300 deg/h, 300 s, N + K, 2 h', 0, 31.807, lambda: warming('NK', 2, 300.0)),
         ('five steps of 20 deg/h, N + B, 10 h', 1, np.nan, lambda: stepping(20.0)),
         ('five steps of 100 deg/h, N + B, 10 h', 1, np.nan, lambda: stepping(100.0)),
-        ('N 1.1 times larger in the second hour', 2, 0.0, lambda: louder(1.1)),
-        ('N 1.3 times larger in the second hour', 2, 0.0, lambda: louder(1.3)),
+        ('N 1.1 times larger in the second hour', 2, 0.0, lambda: noisier(1.1)),
+        ('N 1.3 times larger in the second hour', 2, 0.0, lambda: noisier(1.3)),
     )
     for name, which, truth, make in cases:
         found = covered = number = 0

@@ -14,7 +14,7 @@ from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import SMALL_DEVIATION
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..io.comparison import RunComparison, comparison_headline, ratio_text, verdict_text
-from ..io.datasheets import VERDICT_TEXT, DatasheetComparison
+from ..io.datasheets import DatasheetComparison
 from ..io.exporters import Row, target_rows
 from ..io.format import (
     VALUE_DIGITS,
@@ -49,8 +49,8 @@ LEVEL_COLORS: dict[Level, str] = {
 
 HEADLINES: dict[LimitVerdict | None, str] = {
     'within': 'all stated limits are met',
-    'open': 'no limit is exceeded; some intervals contain the limit',
-    'beyond': 'a limit is exceeded',
+    'undecided': 'no limit is exceeded; some intervals contain the limit',
+    'exceeds': 'a limit is exceeded',
     None: 'it states no limit for the measured terms',
 }
 
@@ -85,7 +85,7 @@ def _line(group: list[Comparison], stated: str, units: str) -> str:
     axes: dict[LimitVerdict, list[str]] = {}
     for c in group:
         axes.setdefault(c.verdict, []).append(c.axis[-1])
-    verdicts = ', '.join(f'{" ".join(names)} {VERDICT_TEXT[v]}' for v, names in axes.items())
+    verdicts = ', '.join(f'{" ".join(names)} {v}' for v, names in axes.items())
     sensor = sensor_of(first.axis)
     return f'{sensor:5} {first.term}  {verdicts}: limit {limit} (stated {stated})'
 

@@ -56,14 +56,14 @@ SMALLEST_SCALE = 1e-12
 LARGEST_EXPONENT = 709.0
 """Largest exponent whose exp is a finite float."""
 
-LimitVerdict = Literal['within', 'beyond', 'open']
+LimitVerdict = Literal['within', 'exceeds', 'undecided']
 """Not above an upper limit plus a margin, significantly above it, or undecided."""
 
-Change = Literal['higher', 'lower', 'alike', 'open']
+Change = Literal['higher', 'lower', 'alike', 'undecided']
 """The second recording is significantly higher, significantly lower or not significantly different,
 or the test is impossible or inconclusive."""
 
-Equivalence = Literal['same', 'different', 'open']
+Equivalence = Literal['same', 'different', 'undecided']
 """The same up to a stated fraction, different by more than that, or undecided."""
 
 Z_90 = 1.6449
@@ -89,8 +89,8 @@ class Comparison:
         A term (Q, N, B, K or R), or 'adev' for the Allan deviation at ``tau``.
     limit : float
         Limit of the datasheet, or the value or upper limit of the earlier run.
-    verdict : 'within', 'beyond' or 'open'
-        'beyond' if it significantly exceeds the limit by a margin, 'open' if this is undecided.
+    verdict : 'within', 'exceeds' or 'undecided'
+        'exceeds' if it significantly exceeds the limit by a margin, 'undecided' between the two.
     at_least : float
         Lower end of the 95 % interval of measured / limit; 0 if unknown.
     tau : float or None
@@ -116,7 +116,7 @@ def compare_with_limits(
 
     ``limits`` (axis -> term -> limit) and ``noise`` (axis -> term -> coefficient) are in SI;
     coefficients without a limit are skipped. ``reference`` is the name of the datasheet. A
-    coefficient is 'beyond' its limit if its complete 95 % interval lies above the limit by the
+    coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
     fraction ``margin``.
     """
     found = []
@@ -133,17 +133,17 @@ def compare_with_limits(
 def verdict(coefficient: Coefficient, limit: float, margin: float) -> LimitVerdict:
     """Compare a coefficient with an upper limit, and return the verdict.
 
-    It is 'beyond' if the complete 95 % interval lies above limit * (1 + margin), 'within' if the
+    It is 'exceeds' if the complete 95 % interval lies above limit * (1 + margin), 'within' if the
     complete interval (or the upper limit of a coefficient that is not resolved) does not exceed
-    this value, and 'open' otherwise.
+    this value, and 'undecided' otherwise.
     """
     highest = limit * (1.0 + margin)
     low, high = coefficient.ci95 or (None, coefficient.upper95)
     if coefficient.status == 'estimated' and low is not None and low > highest:
-        return 'beyond'
+        return 'exceeds'
     if high is not None and high <= highest:
         return 'within'
-    return 'open'
+    return 'undecided'
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class Difference:
         Probability of such a difference between recordings of equal noise; None if unknown.
     verdict : Change
         'higher' or 'lower' if the second recording differs significantly, after correction for the
-        number of comparisons; 'alike' if it does not; 'open' if this is undecided.
+        number of comparisons; 'alike' if it does not; 'undecided' if this is undecided.
     """
 
     axis: str
@@ -178,7 +178,7 @@ class Difference:
     ratio: float | None
     ci95: tuple[float, float] | None
     p: float | None
-    verdict: Change = 'open'
+    verdict: Change = 'undecided'
 
     @property
     def significant(self) -> bool:
@@ -200,30 +200,30 @@ class Difference:
         'same' if the 90 % interval of the ratio lies between 1 / (1 + within) and 1 + within. These
         are two one-sided tests at 5 % (Schuirmann, J. Pharmacokin. Biopharm. 15, 1987): if the true
         ratio is at a limit, the result is 'same' with a probability of at most 5 %. 'different' if
-        the interval lies beyond one of them, else 'open'.
+        the interval lies beyond one of them, else 'undecided'.
         """
         if self.ratio is None or self.ci95 is None:
-            return 'open'
+            return 'undecided'
         limit, center = math.log1p(within), math.log(self.ratio)
         ends = (math.log(end) if end > 0.0 else -math.inf for end in self.ci95)
         low, high = (center + (end - center) * Z_90 / Z_95 for end in ends)
         if -limit < low and high < limit:
             return 'same'
-        return 'different' if low > limit or high < -limit else 'open'
+        return 'different' if low > limit or high < -limit else 'undecided'
 
     def against(self, reference: str, margin: float) -> Comparison | None:
         """Return the second recording compared with the first, whose value is the limit.
 
-        ``reference`` is the name of the first recording. The verdict is 'beyond' if the second
-        recording is significantly higher by more than the fraction ``margin``. It is 'open' if the
-        second recording has only an upper limit and this lies above the margin. Otherwise it is
+        ``reference`` is the name of the first recording. The verdict is 'exceeds' if the second
+        recording is significantly higher by more than the fraction ``margin``. It is 'undecided' if
+        the second recording has only an upper limit and this lies above the margin. Otherwise it is
         'within'. Returns None if the recordings could not be compared.
         """
         if self.p is None or self.ci95 is None or self.first is None:
             return None
-        found: LimitVerdict = 'open'
+        found: LimitVerdict = 'undecided'
         if self.verdict == 'higher' and self.beyond(margin):
-            found = 'beyond'
+            found = 'exceeds'
         elif self.ratio is not None or self.ci95[1] <= 1.0 + margin:
             found = 'within'
         args = reference, self.axis, self.quantity, self.first, found, self.ci95[0], self.tau
@@ -309,10 +309,10 @@ def _with_verdicts(found: Sequence[Difference], family_error: float) -> list[Dif
 
 def _change(difference: Difference, beyond: bool) -> Change:
     if difference.p is None or difference.ci95 is None:
-        return 'open'
+        return 'undecided'
     if not beyond:
         # Two estimates without a significant difference are alike; a limit alone is inconclusive.
-        return 'open' if difference.ratio is None else 'alike'
+        return 'undecided' if difference.ratio is None else 'alike'
     return 'higher' if difference.ci95[0] > 1.0 else 'lower'
 
 

@@ -21,7 +21,6 @@ from ..core.filters.reductions import Horizons
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
 from .datasheets import (
-    VERDICT_TEXT,
     Datasheet,
     DatasheetComparison,
     comparison_to_document,
@@ -92,7 +91,7 @@ class RunComparison:
             for d in pair.differences
             if d.tau is None
         )
-        return all(r == 'same' or (r == 'open' and term != 'N') for term, r in results)
+        return all(r == 'same' or (r == 'undecided' and term != 'N') for term, r in results)
 
     @property
     def differs(self) -> bool:
@@ -101,9 +100,9 @@ class RunComparison:
         With ``within``, equality up to this fraction is required instead.
         """
         if self.within:
-            return not self.equivalent or any(c.verdict == 'beyond' for _, c in self.datasheets)
+            return not self.equivalent or any(c.verdict == 'exceeds' for _, c in self.datasheets)
         return any(pair.significant for pair in self.pairs) or any(
-            comparison.verdict == 'beyond' for _, comparison in self.datasheets
+            comparison.verdict == 'exceeds' for _, comparison in self.datasheets
         )
 
 
@@ -221,7 +220,7 @@ def ratio_text(difference: Difference) -> str:
 
 def verdict_text(difference: Difference) -> str:
     """Return 'alike', 'higher' or 'lower' for the second recording, or 'not comparable'."""
-    return 'not comparable' if difference.verdict == 'open' else difference.verdict
+    return 'not comparable' if difference.verdict == 'undecided' else difference.verdict
 
 
 def quantity_text(difference: Difference) -> str:
@@ -265,7 +264,7 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
 
 def _equivalence_sentence(pair: Pair, within: float) -> str:
     """Return which terms are the same up to ``within``, which differ, and which are undecided."""
-    found: dict[str, dict[str, list[str]]] = {'same': {}, 'different': {}, 'open': {}}
+    found: dict[str, dict[str, list[str]]] = {'same': {}, 'different': {}, 'undecided': {}}
     for d in pair.differences:
         if d.tau is None and d.p is not None:
             terms = found[d.equivalence(within)]
@@ -293,14 +292,14 @@ def _datasheet_sentence(label: str, comparison: DatasheetComparison) -> str:
     name, checks = comparison.datasheet.name, comparison.comparisons
     if not checks:
         return f'the datasheet of {name} has no limit for the axes of {label}'
-    beyond = [c for c in checks if c.verdict == 'beyond']
+    beyond = [c for c in checks if c.verdict == 'exceeds']
     if beyond:
         what = ', '.join(f'{c.axis.replace("_", " ")} {c.term}' for c in beyond)
-        return f'{label} is beyond the datasheet of {name} in {what}'
-    unsettled = sum(c.verdict == 'open' for c in checks)
+        return f'{label} exceeds the datasheet of {name} in {what}'
+    unsettled = sum(c.verdict == 'undecided' for c in checks)
     if unsettled == len(checks):
         return f'{label} cannot be judged by the datasheet of {name} yet: no number is settled'
-    note = f'; {unsettled} of {len(checks)} are not settled yet' if unsettled else ''
+    note = f'; {unsettled} of {len(checks)} are undecided' if unsettled else ''
     return f'{label} is within the datasheet of {name}{note}'
 
 
@@ -361,7 +360,7 @@ def markdown(comparison: RunComparison, units: str = 'deg/h') -> str:
             unit = shown_unit(c.axis, c.term, units)
             limit = f'{c.limit * unit.factor:.3g} {unit.name}'
             stated = _safe(checked.limit(c).stated)
-            rows.append([c.axis, c.term, limit, stated, VERDICT_TEXT[c.verdict]])
+            rows.append([c.axis, c.term, limit, stated, c.verdict])
         parts += _section(
             f'{_safe(label)} and the datasheet of {_safe(checked.datasheet.name)}', rows
         )

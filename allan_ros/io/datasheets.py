@@ -156,22 +156,15 @@ class Datasheet:
         }
 
 
-VERDICTS: tuple[LimitVerdict, ...] = ('beyond', 'open', 'within')
-"""Verdicts of a comparison, the worst first."""
-
-VERDICT_TEXT: dict[LimitVerdict, str] = {
-    'within': 'within',
-    'open': 'not settled',
-    'beyond': 'beyond',
-}
-"""Verdict -> its text in tables. 'open' means that the interval contains the limit."""
+VERDICTS: tuple[LimitVerdict, ...] = ('exceeds', 'undecided', 'within')
+"""Verdicts of a comparison, the worst first; an 'undecided' interval contains the limit."""
 
 
 @dataclass(frozen=True)
 class DatasheetComparison:
     """The comparisons of all coefficients that have a limit in a datasheet, by axis, then term.
 
-    A coefficient is 'beyond' its limit if its complete 95 % interval lies above the limit by the
+    A coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
     fraction ``margin``.
     """
 
@@ -199,14 +192,14 @@ def against_datasheet(
 ) -> DatasheetComparison:
     """Compare the coefficients (axis -> term -> coefficient) with the limits of a datasheet.
 
-    A coefficient is 'beyond' its limit if its complete 95 % interval lies above the limit by the
+    A coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
     fraction ``margin``.
     """
     found = compare_with_limits(datasheet.name, datasheet.values(), noise, margin)
     return DatasheetComparison(datasheet, margin, found)
 
 
-def beyond_limit(
+def exceeds_limit(
     comparison: Comparison, coefficient: Coefficient | None, margin: float, axes: tuple[str, ...]
 ) -> Finding:
     """Return the finding that a coefficient or an Allan deviation exceeds a limit.
@@ -221,7 +214,7 @@ def beyond_limit(
     if c.tau is None and coefficient is not None and coefficient.value is not None:
         value = Quantity(coefficient.value, *kind, *(coefficient.ci95 or ()))
     return finding(
-        'beyond_limit',
+        'exceeds_limit',
         axes,
         term=c.term if c.tau is None else 'The Allan deviation',
         tau=c.tau,

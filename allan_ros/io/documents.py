@@ -275,13 +275,13 @@ def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
 
 
 def _provenance_from_document(fields: Fields) -> Provenance:
-    cuts = fields.fields('counts').fields('cuts')
-    cut_counts = Counter({reason: cuts.integer(reason, least=0) for reason in cuts})
+    splits = fields.fields('counts').fields('splits')
+    split_counts = Counter({reason: splits.integer(reason, least=0) for reason in splits})
     return Provenance(
         fields.typed('source', tuple[SourceInfo, ...]),
         fields.typed('segments', tuple[Segment, ...]),
         tuple(finding_from_document(each) for each in fields.each('findings')),
-        fields.fields('counts').record(Counts, cuts=cut_counts),
+        fields.fields('counts').record(Counts, splits=split_counts),
         _settings_from_document(fields.fields('settings')),
         fields.typed('last_stamp_ns', int | None),
     )

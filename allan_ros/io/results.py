@@ -27,7 +27,7 @@ from .datasheets import (
     Datasheet,
     DatasheetComparison,
     against_datasheet,
-    beyond_limit,
+    exceeds_limit,
     load_sensor,
 )
 from .exporters import ExportOptions, make_export, target_of
@@ -110,13 +110,14 @@ class Results:
 
     def __post_init__(self) -> None:
         if self.datasheet is not None:
-            checks = self._open_if_short(self.datasheet.comparisons)
+            checks = self._undecided_if_short(self.datasheet.comparisons)
             object.__setattr__(self, 'datasheet', replace(self.datasheet, comparisons=checks))
 
-    def _open_if_short(self, comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
-        """Return the comparisons, with the verdict 'open' below `TOO_SHORT_S` of data at rest."""
+    def _undecided_if_short(self, comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
+        """Return the comparisons, with the verdict 'undecided' below `TOO_SHORT_S` of data at
+        rest."""
         short = self.duration_s < TOO_SHORT_S
-        return tuple(replace(c, verdict='open') if short else c for c in comparisons)
+        return tuple(replace(c, verdict='undecided') if short else c for c in comparisons)
 
     @property
     def rate_hz(self) -> float:
@@ -150,13 +151,13 @@ class Results:
         for name, of_run in zip(self.baselines, differences(pairs)):
             known = [c for d in of_run if (c := d.against(name, self.margin)) is not None]
             found += [c for c in known if c.tau is None]
-            explained = {c.axis for c in found if c.reference == name and c.verdict == 'beyond'}
+            explained = {c.axis for c in found if c.reference == name and c.verdict == 'exceeds'}
             excess: dict[str, Comparison] = {}
             for c in sorted(known, key=lambda c: c.at_least):
-                if c.tau is not None and c.verdict == 'beyond' and c.axis not in explained:
+                if c.tau is not None and c.verdict == 'exceeds' and c.axis not in explained:
                     excess[c.axis] = c
             found += excess.values()
-        return self._open_if_short(found)
+        return self._undecided_if_short(found)
 
     def __getitem__(self, axis: str) -> AxisResult:
         try:
@@ -403,12 +404,12 @@ class Results:
 
         Each coefficient that exceeds its limit by more than the fraction ``margin`` adds a finding.
         """
-        others = (f for f in self.findings if f.id != 'beyond_limit')
+        others = (f for f in self.findings if f.id != 'exceeds_limit')
         comparison = against_datasheet(self.noise, datasheet, margin)
         found = (
-            beyond_limit(c, self.noise[c.axis][c.term], margin, (c.axis,))
-            for c in self._open_if_short(comparison.comparisons)
-            if c.verdict == 'beyond'
+            exceeds_limit(c, self.noise[c.axis][c.term], margin, (c.axis,))
+            for c in self._undecided_if_short(comparison.comparisons)
+            if c.verdict == 'exceeds'
         )
         return replace(self, datasheet=comparison, margin=margin, findings=(*others, *found))
 

@@ -116,7 +116,7 @@ def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
         return 'failed'
     if too_short(results):
         return 'unknown'
-    if 'beyond' in {c.verdict for c in comparisons}:
+    if 'exceeds' in {c.verdict for c in comparisons}:
         return 'failed'
     if 'error' in severities or (comparisons and not _within_limits(comparisons)):
         return 'unknown'
@@ -139,7 +139,7 @@ def _within_limits(comparisons: Sequence[Comparison]) -> bool:
 
 def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
-    beyond = [c for c in comparisons if c.verdict == 'beyond']
+    beyond = [c for c in comparisons if c.verdict == 'exceeds']
     if beyond and not too_short(results):
         return f'Above {_references(beyond)}: {_joined(list(_excesses(results, beyond, units)))}.'
     if faults:
@@ -152,7 +152,7 @@ def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], 
         return f'Too short to judge: {duration_text(results.duration_s, 3)} at rest.'
     if not comparisons:
         return quality(results)
-    unsettled = [c for c in comparisons if c.verdict == 'open']
+    unsettled = [c for c in comparisons if c.verdict == 'undecided']
     if not unsettled:
         return f'All {len(comparisons)} numbers are within {_references(comparisons)}.'
     terms: dict[str, list[str]] = {}
@@ -161,7 +161,7 @@ def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], 
     named = [f'{term} of {_axes_text(axes, results)}' for term, axes in terms.items()]
     return (
         f'{len(comparisons) - len(unsettled)} of {len(comparisons)} numbers are within '
-        f'{_references(comparisons)}, none is above; not settled: {_joined(named)}.'
+        f'{_references(comparisons)}, none is above; undecided: {_joined(named)}.'
     )
 
 

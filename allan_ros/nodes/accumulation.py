@@ -330,5 +330,5 @@ class ImuWatch(Part):
 def _events(health: StreamHealth) -> tuple[object, ...]:
     """Return the state and the counts that stay the same while the IMU is at rest."""
     c = health.counts
-    started, splits = c.used > 0, sum(c.cuts.values())
+    started, splits = c.used > 0, sum(c.splits.values())
     return health.state, health.discarded, health.frame_id, health.frame_changes, splits, started

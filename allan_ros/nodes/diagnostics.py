@@ -23,7 +23,7 @@ from ..core.imu import sensor_of
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
 from ..io.axis_result import AxisResult
-from ..io.datasheets import beyond_limit
+from ..io.datasheets import exceeds_limit
 from ..io.format import (
     LIMIT_DIGITS,
     ShownUnit,
@@ -123,16 +123,16 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
         ('state', h.state),
         ('rate [Hz]', h.rate_hz),
         ('declared rate [Hz]', view.declared_rate or None),
-        ('evidence [s]', view.static_s),
+        ('static data [s]', view.static_s),
         ('segments', view.segments),
-        ('share of still time', h.still_share),
+        ('share at rest', h.still_share),
         ('received [messages]', r.received),
         ('sent before the first came [messages]', r.sent_before),
         ('lost on the way [messages]', r.lost),
         ('malformed [messages]', r.malformed),
         ('used [samples]', c.used),
         ('missing by the stamps [samples]', c.lost),
-        ('bridged [samples]', c.bridged),
+        ('interpolated [samples]', c.interpolated),
         ('moving [samples]', c.moving),
         ('stuck [samples]', c.stuck),
         ('saturated [samples]', c.saturated),
@@ -141,7 +141,7 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
         ('stamped backward [samples]', c.backward),
         ('without a time [samples]', c.untimed),
         ('skipped at the start [samples]', c.skipped),
-        *((f'cuts by {reason}', count) for reason, count in sorted(c.cuts.items())),
+        *((f'splits by {reason}', count) for reason, count in sorted(c.splits.items())),
         ('message age [s]', view.received_age_s),
         ('stamp age [s]', view.stamp_age_s),
         ('publishers', ', '.join(view.publishers) or 'none'),
@@ -164,10 +164,10 @@ def _state_text(view: InputView) -> str:
     measured = f'{static} so far' if view.static_s else 'not at rest yet, so nothing is measured'
     return {
         'waiting': 'waiting for the first message',
-        'learning': 'learning the rate and the noise floor; keep the IMU still',
+        'learning': 'learning the rate and the noise floor; keep the IMU at rest',
         'moving': f'moving at {rate}: {measured}',
-        'louder': f'louder than its noise floor at {rate}: not used, {static} so far',
-        'still': f'still at {rate}: {static}',
+        'noise_increased': f'noise above the noise floor at {rate}: not used, {static} so far',
+        'at_rest': f'at rest, {rate}: {static}',
     }[h.state]
 
 
@@ -183,10 +183,11 @@ class AxisView:
     """Content of the status of one axis.
 
     ``sums`` is None before there are sums; ``result`` and ``fit_age_s`` are None before the first
-    fit. ``problems`` report a failed fit or a withdrawn model. ``comparisons`` are those with the
-    datasheet and earlier results; ``margin`` is the tolerated excess, as a fraction of the limit.
-    ``recent`` contains the noise of the recent window and the noise before it, and ``changes`` the
-    differences between the two. ``noted`` are findings of the fit that do not change the level.
+    fit. ``problems`` report a failed fit or an invalidated model. ``comparisons`` are those with
+    the datasheet and earlier results; ``margin`` is the tolerated excess, as a fraction of the
+    limit. ``recent`` contains the noise of the recent window and the noise before it, and
+    ``changes`` the differences between the two. ``noted`` are findings of the fit that do not
+    change the level.
     """
 
     axis: str
@@ -223,7 +224,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
             ('next coefficient', next_term or None),
         ]
     pairs += [
-        ('evidence [s]', static_s),
+        ('static data [s]', static_s),
         ('segments', view.sums.segment_count if view.sums else 0),
         ('longest averaging time [s]', _longest_tau(view.sums) if view.sums else None),
     ]
@@ -279,8 +280,8 @@ def _nearest(changes: tuple[Difference, ...], tau: float) -> Difference | None:
 def _limit_findings(view: AxisView) -> list[Finding]:
     """Return a finding for each coefficient that exceeds its limit."""
     noise = view.result.fit.noise if view.result else {}
-    beyond = [c for c in view.comparisons if c.verdict == 'beyond' and noise]
-    return [beyond_limit(c, noise.get(c.term), view.margin, ()) for c in beyond]
+    beyond = [c for c in view.comparisons if c.verdict == 'exceeds' and noise]
+    return [exceeds_limit(c, noise.get(c.term), view.margin, ()) for c in beyond]
 
 
 def _change_findings(view: AxisView) -> list[Finding]:
@@ -326,7 +327,7 @@ def _dominant_term(view: AxisView, tau: float) -> str:
 def _summary(view: AxisView, static_s: float, next_term: str) -> str:
     """Return the coefficients in datasheet units, and which ones need more data."""
     if view.sums is None:
-        return 'no coefficients yet: no static data so far; keep the IMU still for a minute'
+        return 'no coefficients yet: no static data so far; keep the IMU at rest for a minute'
     static = f'from {duration_text(static_s, 3)} of static data'
     if view.result is None:
         return f'no coefficients yet, {static}'

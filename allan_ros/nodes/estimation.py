@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fits the sums of one IMU, and publishes or withdraws the noise model."""
+"""Fits the sums of one IMU, and publishes or invalidates the noise model."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def load_references(settings: EstimatorSettings) -> References:
 class ImuEstimate(Part):
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
-    If samples are removed from the sums, the model is withdrawn: a noise model without axes is
+    If samples are removed from the sums, the model is invalidated: a noise model without axes is
     published, a warning replaces the coefficients, and the sums are fitted again. ``listener`` is
     called with every published noise model, and with every new bias at rest (axis -> largest value
     in SI).
@@ -88,7 +88,7 @@ class ImuEstimate(Part):
         self._results: Results | None = None
         self._fitted: tuple[AllanSums, ...] = ()
         self._failed: Finding | None = None
-        self._withdrawn: Finding | None = None
+        self._invalidated: Finding | None = None
         self._faults: tuple[Finding, ...] = ()
         self._fitting: Future[tuple[Results, float]] | None = None
         self._outdated = False  # whether the sums of the running fit have been replaced
@@ -133,7 +133,7 @@ class ImuEstimate(Part):
         except Exception as error:
             self._fail(error)
             return
-        self._failed = self._withdrawn = None
+        self._failed = self._invalidated = None
         wait = min(took * (1.0 / FIT_SHARE - 1.0), LONGEST_WAIT_S)
         self._fit_ended, self._next_fit = now, now + wait
         self._publish(self._results)
@@ -174,7 +174,7 @@ class ImuEstimate(Part):
             fit_age_s=now - self._fit_ended if fit else None,
             problems=(
                 *faults_of(self._faults, axis),
-                *(f for f in (self._failed, self._withdrawn) if f is not None),
+                *(f for f in (self._failed, self._invalidated) if f is not None),
             ),
             comparisons=tuple(c for c in self._comparisons(margin) if c.axis == axis),
             margin=margin,
@@ -214,16 +214,16 @@ class ImuEstimate(Part):
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
     def _withdraw(self, lost: float) -> None:
-        """Withdraw the model because the share ``lost`` of its samples was removed."""
+        """Invalidate the model because the share ``lost`` of its samples was removed."""
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None
         if results is None:
             return
-        self._withdrawn = finding('model_withdrawn', lost=lost)
-        self._node.get_logger().warning(str(self._withdrawn))
+        self._invalidated = finding('model_invalidated', lost=lost)
+        self._node.get_logger().warning(str(self._invalidated))
         empty = replace(results, axes={}, samples=0, duration_s=0.0, segments=0, datasheet=None)
-        self._publish(replace(empty, findings=(self._withdrawn,)))
+        self._publish(replace(empty, findings=(self._invalidated,)))
 
     def _publish(self, results: Results) -> None:
         self._bias.set_results(results if results.axes else None)

@@ -32,7 +32,7 @@ from .settings import EstimatorSettings
 from .shell import LATCHED, Worker
 
 REPLACED_SHARE = 0.1
-"""Coefficients are withdrawn if their sums lose a larger share of the samples. A small loss is
+"""Coefficients are invalidated if their sums lose a larger share of the samples. A small loss is
 normal: samples from the start of a motion are removed when the motion is detected."""
 
 ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}

@@ -131,7 +131,7 @@ class ImuRelay(Part):
     ) -> None:
         self._node, self._topics, self._settings = node, topics, settings
         self._began = time.monotonic()
-        self._withdrawn = False
+        self._invalidated = False
         self._counts = dict.fromkeys(COUNTS, 0)
         self._other_frame = 0
         self._results: Results | None = None
@@ -328,7 +328,7 @@ class ImuRelay(Part):
             self._problem = (finding('relay_model_unreadable', topic=topic, reason=error),)
             self._node.get_logger().warning(str(self._problem[0]), throttle_duration_sec=60.0)
             return
-        self._withdrawn = not results.axes
+        self._invalidated = not results.axes
         self._results, self._problem = (results if results.axes else None), ()
         self.tick(time.monotonic())
 
@@ -341,8 +341,8 @@ class ImuRelay(Part):
     def _missing_model(self, now: float) -> Finding:
         """Return a finding with the reason why there is no noise model."""
         topic, seconds, done = self._model.topic_name, now - self._began, self._done
-        if self._withdrawn:
-            return finding('relay_withdrawn', topic=topic, done=done)
+        if self._invalidated:
+            return finding('relay_invalidated', topic=topic, done=done)
         if seconds > DISCOVERY_S and not self._node.count_publishers(topic):
             return finding('relay_without_model', topic=topic, done=done)
         if seconds > MODEL_GRACE_S:

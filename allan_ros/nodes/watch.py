@@ -102,7 +102,7 @@ class Watch(Node):
         now = time.monotonic()
         for status in message.status:
             # a renamed node also has statuses of axes and inputs
-            known = {'evidence [s]', 'segments'} <= {v.key for v in status.values}
+            known = {'static data [s]', 'segments'} <= {v.key for v in status.values}
             node = f'/{status.name.partition(":")[0].strip("/")}/'
             if self._wanted and not node.startswith(self._wanted):
                 continue

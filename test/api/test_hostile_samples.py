@@ -92,7 +92,7 @@ def test_an_axis_without_a_finite_value_is_reported(value: float) -> None:
 def test_masked_values_are_not_samples() -> None:
     samples = np.ma.masked_greater(np.random.default_rng(0).normal(size=2000), 2.0)
     found = {f.id for f in ar.analyze(samples, rate=100.0).findings}
-    assert found & {'not_finite', 'bridged'}
+    assert found & {'not_finite', 'interpolated'}
 
 
 def test_durations_are_times() -> None:

@@ -67,7 +67,7 @@ def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path,
     assert (tmp_path / 'out' / 'comparison.md').is_file()
     assert main(['compare', str(worse), 'sensor:adis16475-3', '--fail-on-difference']) == 3
     said = capsys.readouterr().out
-    assert said.startswith('worse is beyond the datasheet of ADIS16475-3 in gyro z N')
+    assert said.startswith('worse exceeds the datasheet of ADIS16475-3 in gyro z N')
 
 
 @pytest.mark.parametrize(

@@ -44,10 +44,10 @@ def curve(adev: np.ndarray, edf: np.ndarray, tau: np.ndarray) -> AxisCurve:
         (Coefficient(1.0, (0.9, 1.1)), Coefficient(1.12, (1.0, 1.25)), 'alike'),
         (Coefficient(3.0, (2.7, 3.3)), UNSEEN, 'lower'),
         (UNSEEN, Coefficient(3.0, (2.7, 3.3)), 'higher'),
-        (UNSEEN, Coefficient(0.6, (0.3, 0.9)), 'open'),
-        (UNSEEN, UNSEEN, 'open'),
-        (Coefficient(1.0), Coefficient(9.0), 'open'),
-        (Coefficient(1.0, (0.0, 2.0)), Coefficient(9.0, (8.9, 9.1)), 'open'),
+        (UNSEEN, Coefficient(0.6, (0.3, 0.9)), 'undecided'),
+        (UNSEEN, UNSEEN, 'undecided'),
+        (Coefficient(1.0), Coefficient(9.0), 'undecided'),
+        (Coefficient(1.0, (0.0, 2.0)), Coefficient(9.0, (8.9, 9.1)), 'undecided'),
     ],
 )
 def test_verdicts(first, second, verdict):
@@ -157,11 +157,11 @@ def test_an_endless_series_of_comparisons_has_few_false_alarms():
     [
         (Coefficient(1.0, (0.95, 1.05)), 'within'),
         (Coefficient(1.15, (1.13, 1.17)), 'within'),  # significant, within the margin
-        (Coefficient(1.5, (1.45, 1.55)), 'beyond'),
+        (Coefficient(1.5, (1.45, 1.55)), 'exceeds'),
         (Coefficient(0.5, (0.45, 0.55)), 'within'),
         (Coefficient(1.5, (0.8, 2.2)), 'within'),  # not significant
         (Coefficient(None, None, 0.9, 'not_observable'), 'within'),
-        (Coefficient(None, None, 5.0, 'not_observable'), 'open'),
+        (Coefficient(None, None, 5.0, 'not_observable'), 'undecided'),
     ],
 )
 def test_an_earlier_run_is_exceeded_only_significantly_and_by_the_margin(second, expected):

@@ -96,13 +96,13 @@ def test_a_finding_of_another_version_keeps_its_texts():
 
 
 def test_words_follow_their_number():
-    one, two = (finding('gaps', lost=n, cuts=n).message for n in (1, 2))
+    one, two = (finding('gaps', lost=n, splits=n).message for n in (1, 2))
     assert one == '1 sample is missing; 1 gap splits the recording.'
     assert two == '2 samples are missing; 2 gaps split the recording.'
 
 
 def test_every_number_before_a_noun_has_the_singular():
-    counts = 'count|times|lost|cuts|bridged|received|publishers|stated|read|points|samples'
+    counts = 'count|times|lost|splits|interpolated|received|publishers|stated|read|points|samples'
     always_several = {'several_publishers', 'relay_several_publishers'}
     for id, wording in CATALOG.items():
         message = wording.message_template
@@ -126,7 +126,7 @@ def test_equal_causes_become_one_with_the_range_of_each_number():
 
 def test_ranges_have_one_unit_and_one_interval():
     first, second = (
-        finding('beyond_limit', (axis,), term='N', value=Quantity(n, 'gyro', 'N', low, high),
+        finding('exceeds_limit', (axis,), term='N', value=Quantity(n, 'gyro', 'N', low, high),
                 limit=Quantity(1e-4, 'gyro', 'N'), reference='A', margin=0.05)
         for axis, n, low, high in (('gyro_x', 2e-4, 1.9e-4, 2.1e-4), ('gyro_y', 3e-4, 2e-4, 4e-4))
     )  # fmt: skip

@@ -24,7 +24,7 @@ def held(results: Results, **limits: float) -> Results:
     return results.against_datasheet(sheet_of(**limits), 0.2)
 
 
-@pytest.mark.parametrize('share, verdict', [(1.0, 'within'), (0.9, 'within'), (0.5, 'beyond')])
+@pytest.mark.parametrize('share, verdict', [(1.0, 'within'), (0.9, 'within'), (0.5, 'exceeds')])
 def test_the_complete_interval_decides(small_results: Results, share: float, verdict: str) -> None:
     n: Coefficient = small_results.axes['gyro_x'].fit.noise['N']
     assert n.value is not None
@@ -34,15 +34,15 @@ def test_the_complete_interval_decides(small_results: Results, share: float, ver
     [entry] = against.datasheet.comparisons
     assert (entry.axis, entry.term, entry.verdict) == ('gyro_x', 'N', verdict)
     new = against.findings[len(small_results.findings) :]
-    assert [f.id for f in new] == ['beyond_limit'] * (verdict == 'beyond')
+    assert [f.id for f in new] == ['exceeds_limit'] * (verdict == 'exceeds')
     assert all(f.axes == ('gyro_x',) and 'of X-1' in f.message for f in new)
 
 
 def test_the_worst_verdict_is_that_of_all(small_results: Results) -> None:
     against = held(small_results, N=1e-9, B=1.0).datasheet
     assert against is not None
-    assert [c.verdict for c in against.comparisons] == ['beyond', 'within']
-    assert against.verdict == 'beyond'
+    assert [c.verdict for c in against.comparisons] == ['exceeds', 'within']
+    assert against.verdict == 'exceeds'
     nothing = held(small_results).datasheet
     assert nothing is not None
     assert nothing.verdict is None
@@ -57,7 +57,7 @@ def test_a_second_datasheet_replaces_the_findings_of_the_first(small_results: Re
 def test_the_round_trip_of_the_document_is_complete(small_results: Results) -> None:
     against = held(small_results, N=1e-9, B=1.0)
     document = json.loads(json.dumps(results_to_document(against), allow_nan=False))
-    assert document['datasheet']['axes']['gyro_x']['N']['verdict'] == 'beyond'
+    assert document['datasheet']['axes']['gyro_x']['N']['verdict'] == 'exceeds'
     assert document['datasheet']['axes']['gyro_x']['N']['unit'] == 'rad/s/sqrt(Hz)'
     again = results_from_document(document)
     assert again.datasheet == against.datasheet

@@ -70,18 +70,18 @@ def test_an_excess_fails_and_is_named(small_results: Results) -> None:
 def test_a_number_that_is_not_settled_gives_no_verdict(small_results: Results) -> None:
     verdict = verdict_of(calm(small_results), against_itself(small_results, 0.999), 'SI')
     assert verdict.level == 'unknown'
-    assert 'not settled: N of all axes' in verdict.summary
+    assert 'undecided: N of all axes' in verdict.summary
 
 
 def test_n_within_its_limit_is_enough(small_results: Results) -> None:
     comparisons = [
-        replace(c, verdict='within' if c.term == 'N' else 'open')
+        replace(c, verdict='within' if c.term == 'N' else 'undecided')
         for c in against_itself(small_results, 0.999)
     ]
     verdict = verdict_of(calm(small_results), comparisons)
     assert verdict.level == 'healthy'
     assert verdict.summary == (
-        '6 of 12 numbers are within May, none is above; not settled: B of all axes.'
+        '6 of 12 numbers are within May, none is above; undecided: B of all axes.'
     )
 
 
@@ -130,17 +130,17 @@ def test_too_short_a_record_is_not_judged(small_results: Results) -> None:
 def test_no_file_calls_a_record_that_is_too_short_beyond_a_limit(small_results: Results) -> None:
     sheet = Datasheet('X', '', {}, {'gyro_x': {'N': Limit(1e-9, '1')}}, {})
     short = replace(small_results, duration_s=5.0)
-    assert small_results.against_datasheet(sheet, 0.0).comparisons[0].verdict == 'beyond'
+    assert small_results.against_datasheet(sheet, 0.0).comparisons[0].verdict == 'exceeds'
     judged = [
         short.against_datasheet(sheet, 0.0),
         replace(small_results.against_datasheet(sheet, 0.0), duration_s=5.0),
         replace(short, baselines={'May': scaled(small_results, 0.5)}),
     ]
     for results in judged:
-        assert {c.verdict for c in results.comparisons} == {'open'}
+        assert {c.verdict for c in results.comparisons} == {'undecided'}
     document = results_to_document(judged[0])
-    assert document['datasheet']['verdict'] == 'open'
-    assert 'beyond_limit' not in {finding['id'] for finding in document['findings']}
+    assert document['datasheet']['verdict'] == 'undecided'
+    assert 'exceeds_limit' not in {finding['id'] for finding in document['findings']}
     comparison = compare_runs([Subject('short', short)], [sheet])
     assert not comparison.differs
     assert [*comparison_headline(comparison)] == [
@@ -170,15 +170,15 @@ def test_comparisons_are_with_every_baseline(small_results: Results) -> None:
     runs = {'May': small_results, 'June': small_results}
     comparisons = replace(small_results, baselines=runs, margin=0.0).comparisons
     assert {c.reference for c in comparisons} == {'May', 'June'}
-    assert not any(c.verdict == 'beyond' for c in comparisons)
+    assert not any(c.verdict == 'exceeds' for c in comparisons)
 
 
 def test_an_earlier_run_and_compare_agree(small_results: Results) -> None:
-    """What `compare` calls higher by more than the margin is beyond the earlier run."""
+    """What `compare` calls higher by more than the margin exceeds the earlier run."""
     louder = scaled(small_results, 1.5)
     comparisons = louder.compared(baseline=small_results, margin=0.2).comparisons
     [pair] = compare_runs([Subject('a', small_results), Subject('b', louder)]).pairs
-    beyond = [(c.axis, c.term) for c in comparisons if c.verdict == 'beyond']
+    beyond = [(c.axis, c.term) for c in comparisons if c.verdict == 'exceeds']
     assert beyond == [(d.axis, d.quantity) for d in pair.significant] == [('gyro_z', 'N')]
     assert louder.check(baseline=small_results).summary.startswith(
         'Above the earlier run: N of gyro z (at least 1.5 times '

@@ -105,7 +105,7 @@ def test_it_publishes_its_sums_and_health(graph, still_imu):
     status = graph.until(lambda: saved_samples(graph) == 4000 and graph.status('imu/data input'))
     assert status.level == b'\x00' and status.name == 'allan_accumulator: imu/data input'
     assert status.hardware_id == 'imu'
-    assert status.message.startswith('still at 200 Hz')
+    assert status.message.startswith('at rest, 200 Hz')
     assert graph.value('input', 'rate') == '200'
     assert graph.value('input', 'messages taken by') == 'a timer'
 
@@ -151,8 +151,8 @@ def test_a_restarted_node_continues_its_sums(graph, still_imu, tmp_path: Path):
     node = graph.start('accumulator', remap={'imu/data': 'imu/other'}, **settings)
     graph.send(graph.publisher('imu/other'), second)
     graph.until(lambda: first_samples(checkpoint) == 5500)
-    evidence = f'{(2999 + 2499) * 0.005:.6g}'
-    graph.until(lambda: graph.value('input', 'evidence') == evidence)
+    static = f'{(2999 + 2499) * 0.005:.6g}'
+    graph.until(lambda: graph.value('input', 'static data') == static)
     assert node.stop() == 0, node.output
     assert f'continues {checkpoint} with 3000 samples' in node.output
 

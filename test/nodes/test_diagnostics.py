@@ -66,7 +66,7 @@ def test_the_coefficients_are_shown_in_both_unit_systems(sums):
     assert told['N 95 % [deg/sqrt(h)]'] == '0.190..0.210'
     assert told['N verdict'] == 'estimated' and told['K verdict'] == 'not observable'
     assert told['B [deg/h]'] == '< 0.206'
-    assert told['evidence [s]'] == '24.995' and told['fit age [s]'] == '3'
+    assert told['static data [s]'] == '24.995' and told['fit age [s]'] == '3'
 
 
 def test_known_values_can_be_plotted(sums):
@@ -89,7 +89,7 @@ def test_a_failed_fit_is_an_error_with_its_reason(sums):
 
 def test_foreign_text_is_escaped(sums):
     frame = 'imu\x1b[2J\u202e'
-    health = StreamHealth(Counts(), 'still', 200.0, frame_id=frame)
+    health = StreamHealth(Counts(), 'at_rest', 200.0, frame_id=frame)
     status = input_status('n', frame, view(health=health, publishers=(f'/{frame}',)))
     assert all(v.value.isprintable() for v in status.values)
 
@@ -104,8 +104,8 @@ def test_only_relevant_terms_are_recommended(sums):
     assert 'needs' not in status_of(sums, result=fit(B=large), method='paper').message
 
 
-def test_a_coefficient_beyond_its_limit_is_a_warning_with_advice(sums):
-    beyond = Comparison('ADIS', 'gyro_z', 'N', 0.1 * DEG_PER_SQRT_H, 'beyond')
+def test_a_coefficient_above_its_limit_is_a_warning_with_advice(sums):
+    beyond = Comparison('ADIS', 'gyro_z', 'N', 0.1 * DEG_PER_SQRT_H, 'exceeds')
     within = Comparison('ADIS', 'gyro_z', 'B', 1.0, 'within')
     status = status_of(sums, comparisons=(within, beyond))
     assert status.level == DiagnosticStatus.WARN
@@ -113,7 +113,7 @@ def test_a_coefficient_beyond_its_limit_is_a_warning_with_advice(sums):
         'N is 0.200 deg/sqrt(h) (0.190 to 0.210), above the 0.100 deg/sqrt(h) of ADIS by more than '
         '20 %. Check vibration'
     )
-    assert values(status)['N against ADIS'] == 'beyond, limit 0.100 deg/sqrt(h)'
+    assert values(status)['N against ADIS'] == 'exceeds, limit 0.100 deg/sqrt(h)'
     assert values(status)['B against ADIS'].startswith('within')
     assert status_of(sums, comparisons=(within,)).level == DiagnosticStatus.OK
 
@@ -139,7 +139,7 @@ def test_a_change_is_reported_in_the_dominant_coefficient(sums):
 
 
 def test_the_documentation_explains_every_key_of_an_input(repository):
-    health = StreamHealth(Counts(cuts=Counter(gap=1)), 'still')
+    health = StreamHealth(Counts(splits=Counter(gap=1)), 'at_rest')
     text = (repository / 'docs' / 'diagnostics.md').read_text()
     keys = [
         key.replace('by gap', 'by <reason>')
@@ -149,7 +149,7 @@ def test_the_documentation_explains_every_key_of_an_input(repository):
 
 
 def view(**changes) -> InputView:
-    health = StreamHealth(Counts(received=9000, used=8000, moving=2000), 'still', 200.0)
+    health = StreamHealth(Counts(received=9000, used=8000, moving=2000), 'at_rest', 200.0)
     statistics = TransportStatistics(received=9000)
     given = InputView('/imu', health, statistics, (), (), 0.0, 0, ('/driver',), 0.0, 'a timer')
     return replace(given, **changes)
@@ -173,9 +173,9 @@ def test_moving_is_ok_and_its_samples_are_not_used():
 
 
 def test_the_share_of_still_time_is_a_number():
-    assert values(input_status('n', 'i', view()))['share of still time'] == '0.8'
+    assert values(input_status('n', 'i', view()))['share at rest'] == '0.8'
     fresh = input_status('n', 'i', view(health=StreamHealth(Counts())))
-    assert values(fresh)['share of still time'] == 'unknown'
+    assert values(fresh)['share at rest'] == 'unknown'
 
 
 def test_values_are_strings():

@@ -21,10 +21,10 @@ from ..settings import SegmenterSettings
 
 Floats = NDArray[np.float64]
 
-State = Literal['waiting', 'learning', 'still', 'moving', 'louder']
-"""'waiting': no sample yet. 'learning': sample rate and noise floor are not known yet. 'still': the
-IMU is at rest, and its data are used. 'moving': it moves. 'louder': it is at rest, but its noise is
-larger than the noise floor."""
+State = Literal['waiting', 'learning', 'at_rest', 'moving', 'noise_increased']
+"""'waiting': no sample yet. 'learning': sample rate and noise floor are not known yet. 'at_rest':
+the IMU is at rest, and its data are used. 'moving': it moves. 'noise_increased': it is at rest, but
+its noise is larger than the noise floor."""
 
 RATE_CHANGE = 0.02
 """Smallest relative difference between two sample periods that is regarded as another rate."""
@@ -33,10 +33,10 @@ REPORTED_DROPPED_SHARE = 0.02
 """Smallest share of samples with backward stamps that is reported. If stamps are bursty, the gaps
 after dropped samples cannot be found, and at this share N becomes 1 % too large."""
 
-REPORTED_BRIDGED_SHARE = 1e-3
+REPORTED_INTERPOLATED_SHARE = 1e-3
 """Smallest share of interpolated samples that is reported."""
 
-LOUDER_SHARE = 0.5
+INCREASE_SHARE = 0.5
 """A finding names the axes whose noise increased by more than this share of the largest ratio."""
 
 SHORT_S = 60.0
@@ -62,9 +62,9 @@ class Counts:
     """Numbers of used, dropped, lost and interpolated samples since the start of a stream.
 
     If the sensors have different rates, the counts of both sensor streams are added, except for
-    ``received`` and ``skipped``. For one sensor stream, received + bridged = used + skipped +
-    other_frame + not_finite + duplicate + backward + untimed + moving + stuck + louder + the
-    samples still buffered.
+    ``received`` and ``skipped``. For one sensor stream, received + interpolated = used + skipped +
+    other_frame + not_finite + duplicate + backward + untimed + moving + stuck + noise_increased +
+    the samples still buffered.
     """
 
     received: int = 0
@@ -79,24 +79,24 @@ class Counts:
     untimed: int = 0  # more than a thousand consecutive stamps are equal
     # missing according to the stamps
     lost: int = 0
-    bridged: int = 0  # lost samples that were interpolated
+    interpolated: int = 0  # lost samples that were interpolated
     # not at rest, and dropped
     moving: int = 0
     stuck: int = 0  # an axis repeats one value
     saturated: int = 0  # in motion, at the end of the measurement range, counted per axis
-    louder: int = 0  # at rest, but the noise is much larger than the noise floor
+    noise_increased: int = 0  # at rest, but the noise is much larger than the noise floor
     spikes: int = 0  # isolated values that were replaced, counted per axis
     shocks: int = 0  # number of shocks
     replaced: int = 0  # part of `used`: samples of shocks, replaced by a line between means
     # reason -> number of times the data were split
-    cuts: Counter[str] = field(default_factory=Counter)
+    splits: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Counts) -> None:
         """Add the counts of another stream to these."""
         for f in fields(self):
-            if f.name != 'cuts':
+            if f.name != 'splits':
                 setattr(self, f.name, getattr(self, f.name) + getattr(other, f.name))
-        self.cuts.update(other.cuts)
+        self.splits.update(other.splits)
 
 
 class FilledGaps:
@@ -149,9 +149,9 @@ LISTED_EVENTS = 200
 class Event(NamedTuple):
     """A time when the IMU was not at rest.
 
-    ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value) or 'louder' (the noise
-    increased at rest). ``changes`` are the changes of the mean of each axis that are larger than
-    its noise, in the unit of the samples; a changed acceleration indicates a tilt.
+    ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value) or 'noise_increased' (the
+    noise increased at rest). ``changes`` are the changes of the mean of each axis that are larger
+    than its noise, in the unit of the samples; a changed acceleration indicates a tilt.
     """
 
     kind: str
@@ -205,8 +205,8 @@ class StreamHealth:
     sums_frame_id: str = ''  # of the sums with the longest elapsed time
     frame_changes: int = 0
     discarded: int = 0  # how often sums were discarded because the IMU had been moving
-    # axis -> largest ratio of its noise at rest to the noise floor; empty if none became louder
-    loudest: Mapping[str, float] = field(default_factory=dict)
+    # axis -> largest ratio of its noise at rest to the noise floor; empty if none increased
+    largest_increase: Mapping[str, float] = field(default_factory=dict)
     discarded_s: float = 0.0  # from the start of the discarded sums to the first sample kept
     # axis with heavy tails -> share of its samples that are outliers
     outliers: Mapping[str, float] = field(default_factory=dict)
@@ -217,7 +217,7 @@ class StreamHealth:
     def still_share(self) -> float | None:
         """Share of the classified samples that were at rest; None if there are none."""
         c = self.counts
-        classified = c.used + c.moving + c.stuck + c.louder
+        classified = c.used + c.moving + c.stuck + c.noise_increased
         return c.used / classified if classified else None
 
 
@@ -319,7 +319,7 @@ EVENTS = (
 def events(health: StreamHealth) -> Counter[str]:
     """Return the number of events since the start, for each finding id in `EVENTS`."""
     c = health.counts
-    jumps, changes = c.cuts['clock jump'], c.cuts['rate change']
+    jumps, changes = c.splits['clock jump'], c.splits['rate change']
     counts = (jumps, health.frame_changes, changes, c.stuck, c.not_finite, c.duplicate, c.backward)
     return Counter(dict(zip(EVENTS, (*counts, c.reordered))))
 
@@ -360,10 +360,15 @@ def stream_findings(
     mixed = health.bursty and kept < 1.0 - REPORTED_DROPPED_SHARE
     add('stamps_mixed', mixed, share=1.0 - kept, factor=max(kept, 0.01) ** -0.5)
     add('saturated', counts.saturated, count=counts.saturated)
-    gaps = counts.cuts['gap']
-    add('gaps', gaps, lost=counts.lost, cuts=gaps)
-    bridged = counts.bridged / max(counts.received, 1)
-    add('bridged', bridged > REPORTED_BRIDGED_SHARE, bridged=counts.bridged, share=bridged)
+    gaps = counts.splits['gap']
+    add('gaps', gaps, lost=counts.lost, splits=gaps)
+    interpolated = counts.interpolated / max(counts.received, 1)
+    add(
+        'interpolated',
+        interpolated > REPORTED_INTERPOLATED_SHARE,
+        interpolated=counts.interpolated,
+        share=interpolated,
+    )
     many = counts.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * counts.used)
     add('spikes', many, count=counts.spikes, share=counts.spikes / max(counts.used, 1))
     heavy = tuple(health.outliers)
@@ -377,14 +382,26 @@ def stream_findings(
     axes = tuple(a for a in AXES if _is_accel(a) and any(a in event.changes for event in tilts))
     add('tilted', tilts, axes, change=change, angle=angle, times=_times(tilts, health))
     add('relearned', health.discarded, seconds=health.discarded_s)
-    if health.rate_hz and counts.louder and health.loudest:
-        ratio = max(health.loudest.values())
-        axes = tuple(axis for axis, r in health.loudest.items() if r > LOUDER_SHARE * ratio)
-        add('noise_louder', True, axes, ratio=ratio, seconds=counts.louder / health.rate_hz)
+    if health.rate_hz and counts.noise_increased and health.largest_increase:
+        ratio = max(health.largest_increase.values())
+        axes = tuple(
+            axis for axis, r in health.largest_increase.items() if r > INCREASE_SHARE * ratio
+        )
+        add(
+            'noise_increased',
+            True,
+            axes,
+            ratio=ratio,
+            seconds=counts.noise_increased / health.rate_hz,
+        )
     if counts.moving and not counts.used and health.rate_hz:
         add('never_still', True, seconds=counts.moving / health.rate_hz)
     elif counts.moving:
-        add('motion', True, share=counts.moving / (counts.moving + counts.louder + counts.used))
+        add(
+            'motion',
+            True,
+            share=counts.moving / (counts.moving + counts.noise_increased + counts.used),
+        )
     for each in sums:
         flat = tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
         add('no_noise', flat, flat)

@@ -10,7 +10,7 @@ Some windows before and after a motion are dropped, too. The samples of a shock,
 that changes no mean, are replaced instead.
 
 First, isolated spikes are replaced by the mean of their neighbors. If the noise has heavy tails,
-they are noise: they stay in the data and are not regarded as motion. If the noise becomes louder
+they are noise: they stay in the data and are not regarded as motion. If the noise increases
 while the IMU stays at rest, the samples are dropped and counted separately.
 
 The noise floor is learned from the first windows in which the IMU can be at rest, and then updated
@@ -48,9 +48,9 @@ MARGIN_BEFORE, MARGIN_AFTER = 1, 4
 RELEARNED = 'relearned'
 """Reason for a split after which all earlier sums are discarded: the IMU moved."""
 
-LOUDER_BLOCKS = 2
+INCREASE_BLOCKS = 2
 """Number of consecutive blocks (together about 30 s) after which noise that exceeds the limits is
-classified as louder noise instead of motion."""
+classified as increased noise instead of motion."""
 
 MOST_FILLED = 0.1
 """Largest share of interpolated samples in a window that is searched for outliers."""
@@ -71,8 +71,9 @@ class MotionGate:
     ``period_ns`` is the sample period. A window is moving if its standard deviation is more than
     ``motion_ratio`` times that of the noise floor, or if its mean rate differs from that at rest by
     more than ``rate_limit`` in rad/s. ``counts`` and ``events`` are changed in place. The attribute
-    ``louder`` is the ratio of the current noise at rest to the noise floor, (axes,), or None if the
-    noise is not louder. ``loudest`` holds the largest ratios so far; 0 if it was never louder.
+    ``increase`` is the ratio of the current noise at rest to the noise floor, (axes,), or None if
+    the noise has not increased. ``largest_increase`` holds the largest ratios so far; 0 if it never
+    increased.
     """
 
     def __init__(
@@ -86,8 +87,8 @@ class MotionGate:
     ) -> None:
         wanted = round(WINDOW_S * 1e9 / period_ns)
         self.size = int(np.clip(wanted, LEAST_WINDOW, MOST_WINDOW))
-        self.louder: Floats | None = None
-        self.loudest = np.zeros(len(axes))
+        self.increase: Floats | None = None
+        self.largest_increase = np.zeros(len(axes))
         self._counts = counts
         self._events = events
         self._axes = axes
@@ -132,9 +133,9 @@ class MotionGate:
         """Current state; 'learning' until the noise floor is known or a motion is found."""
         if self._floor is None and not self.moving:
             return 'learning'
-        if self.louder is not None:
-            return 'louder'
-        return 'moving' if self.moving else 'still'
+        if self.increase is not None:
+            return 'noise_increased'
+        return 'moving' if self.moving else 'at_rest'
 
     def feed(self, blocks: list[Block]) -> list[Block]:
         """Add consecutive blocks, and return the samples that are confirmed to be at rest."""
@@ -179,7 +180,7 @@ class MotionGate:
         self._counts.moving += sum(map(len, first))
         if self._motion is None:
             self._motion = Motion('motion', int(first[0].stamps[0]), None, [])
-            self._counts.cuts['motion'] += 1
+            self._counts.splits['motion'] += 1
         self._motion.ended_ns = int(first[-1].stamps[-1])
         self._cut = 'motion'
         return []
@@ -326,7 +327,7 @@ class MotionGate:
         motion = self._motion
         if motion is not None and motion.held is not None:
             self._counts.moving += sum(map(len, motion.abandon()))
-            self._counts.cuts[motion.kind] += 1
+            self._counts.splits[motion.kind] += 1
             self._cut = self._cut or motion.kind
 
     def _log_motion(self) -> None:
@@ -367,7 +368,7 @@ class MotionGate:
         updated = floor.updated(windows, still, rotating)
         if updated.is_plausible():
             self._floor = updated.with_outliers(self._examined(block))
-        self._count_louder(block, windows, still)
+        self._count_increased(block, windows, still)
         return []
 
     def _examined(self, block: list[_Part]) -> Floats:
@@ -379,24 +380,24 @@ class MotionGate:
             at += len(part.still)
         return np.concatenate(found, axis=1)
 
-    def _count_louder(self, block: list[_Part], windows: Windows, still: Flags) -> None:
-        """Count a block of moving windows as louder noise if the IMU did not move."""
+    def _count_increased(self, block: list[_Part], windows: Windows, still: Flags) -> None:
+        """Count a block of moving windows as increased noise if the IMU did not move."""
         ratio = None
         if not still.any() and not any(part.found.stuck.any() for part in block):
             assert self._floor is not None
             rows = np.concatenate([part.samples.rows for part in block], axis=1)
-            ratio = self._floor.louder(rows, windows)
+            ratio = self._floor.increase(rows, windows)
         self._noisy_blocks = 0 if ratio is None else self._noisy_blocks + 1
-        self.louder = ratio if self._noisy_blocks >= LOUDER_BLOCKS else None
-        if self.louder is None:
+        self.increase = ratio if self._noisy_blocks >= INCREASE_BLOCKS else None
+        if self.increase is None:
             return
-        blocks = LOUDER_BLOCKS if self._noisy_blocks == LOUDER_BLOCKS else 1
+        blocks = INCREASE_BLOCKS if self._noisy_blocks == INCREASE_BLOCKS else 1
         samples = blocks * BLOCK_WINDOWS * self.size
         self._counts.moving -= samples
-        self._counts.louder += samples
-        self.loudest = np.maximum(self.loudest, self.louder)
+        self._counts.noise_increased += samples
+        self.largest_increase = np.maximum(self.largest_increase, self.increase)
         if self._motion is not None:
-            self._motion.kind = 'louder'
+            self._motion.kind = 'noise_increased'
 
     def _restart(self, block: list[_Part]) -> list[Block]:
         """Discard all earlier data, and classify the block again with the new noise floor."""
@@ -410,7 +411,7 @@ class MotionGate:
         self._counts.stuck -= stuck
         self._margin = []
         self._last_mean, self._level = None, Level()
-        self._noisy_blocks, self.louder = 0, None
+        self._noisy_blocks, self.increase = 0, None
         self._motion = Motion('motion', int(block[0].samples.stamps[0]), None, [])
         self._cut = 'motion'
         out = [block[0].samples.part(slice(0), RELEARNED)]

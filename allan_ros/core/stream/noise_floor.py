@@ -56,16 +56,16 @@ EXAMINED = 16
 MEMORY = 2.0**20
 """Number of samples from which the share of outliers is computed; older ones lose weight."""
 
-LOUDER_RATIO = 1.5
-"""Ratio of the standard deviation of an axis to its noise floor above which the noise has become
-louder."""
+INCREASE_RATIO = 1.5
+"""Ratio of the standard deviation of an axis to its noise floor above which the noise counts as
+increased."""
 
-LOUDER_SPREAD = 4.0
+INCREASE_SPREAD = 4.0
 """The variances of the windows of stationary noise lie within this factor of their median."""
 
-LOUDER_SPECTRUM = 0.5
-"""The von Neumann ratio of louder noise is at least this fraction of that of the noise floor (or of
-white noise, if that is smaller). Motion has a smaller ratio, because it has low frequencies."""
+INCREASE_SPECTRUM = 0.5
+"""The von Neumann ratio of increased noise is at least this fraction of that of the noise floor (or
+of white noise, if that is smaller). Motion has a smaller ratio, because it has low frequencies."""
 
 SAME_DIRECTION = 0.035
 """Largest change of the measured gravity vector, relative to its magnitude, of an IMU that did not
@@ -269,28 +269,28 @@ class NoiseFloor:
             return replace(self, mean=_quantile(block.mean, 0.5))
         return self
 
-    def louder(self, rows: Floats, block: Windows) -> Floats | None:
+    def increase(self, rows: Floats, block: Windows) -> Floats | None:
         """Return the ratio of the noise of a block at rest to the noise floor, (axes,).
 
         ``rows``, (axes, n), are the samples of the block, and ``block`` their windows. Returns None
-        if the noise is not louder, or if the sensor moves. It is at rest if the noise is stationary
-        with a spectrum as broad as that of the floor or of white noise, and if neither the mean
-        rate nor the direction of gravity changes.
+        if the noise has not increased, or if the sensor moves. It is at rest if the noise is
+        stationary with a spectrum as broad as that of the floor or of white noise, and if neither
+        the mean rate nor the direction of gravity changes.
         """
         level = _quantile(block.variance, 0.5)
         scale = self.scale
         with np.errstate(invalid='ignore', divide='ignore'):
             ratio = np.sqrt(level / scale)
         ratio[scale == 0.0] = 1.0
-        louder = ratio > LOUDER_RATIO
-        if not louder.any() or not np.isfinite(ratio).all():
+        increased = ratio > INCREASE_RATIO
+        if not increased.any() or not np.isfinite(ratio).all():
             return None
-        within = block.variance <= LOUDER_SPREAD * level[:, None]
-        within &= LOUDER_SPREAD * block.variance >= level[:, None]
-        if (within[louder].mean(axis=1) < 0.9).any():
+        within = block.variance <= INCREASE_SPREAD * level[:, None]
+        within &= INCREASE_SPREAD * block.variance >= level[:, None]
+        if (within[increased].mean(axis=1) < 0.9).any():
             return None
-        smallest_ratio = LOUDER_SPECTRUM * np.fmin(self.ratio, 1.0)
-        if (von_neumann_ratio([rows])[louder] < smallest_ratio[louder]).any():
+        smallest_ratio = INCREASE_SPECTRUM * np.fmin(self.ratio, 1.0)
+        if (von_neumann_ratio([rows])[increased] < smallest_ratio[increased]).any():
             return None
         sigma = np.sqrt(np.maximum(level, scale))
         white = np.sqrt(2.0 / self.size) * sigma

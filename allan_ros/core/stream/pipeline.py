@@ -166,7 +166,7 @@ class ImuStream:
             longest[0].identity.frame_id if longest else frame.identity.frame_id,
             self._frame_changes,
             sum(stream.relearned for stream in streams),
-            {axis: ratio for s in frame.sensors for axis, ratio in s.loudest.items()},
+            {axis: ratio for s in frame.sensors for axis, ratio in s.largest_increase.items()},
             max((stream.discarded_s for stream in streams), default=0.0),
             {axis: share for s in frame.sensors for axis, share in s.outliers.items()},
             tuple(event for s in frame.sensors for event in s.events.events),
@@ -202,11 +202,11 @@ class FrameStream:
 
     @property
     def state(self) -> State:
-        """State of the first sensor stream, or 'louder' if any stream is in this state."""
+        """State of the first sensor stream, or 'noise_increased' if any stream is in this state."""
         states = [sensor.state for sensor in self.sensors]
         if not states:
             return 'learning' if self._learned else 'waiting'
-        return 'louder' if 'louder' in states else states[0]
+        return 'noise_increased' if 'noise_increased' in states else states[0]
 
     @property
     def counts(self) -> Counts:
@@ -330,14 +330,15 @@ class SensorStream:
         """'waiting' or 'learning' until the period is known, then the state of `MotionGate`."""
         if self._clock is None:
             return 'learning' if self._buffered else 'waiting'
-        return 'still' if self._gate is None else self._gate.state
+        return 'at_rest' if self._gate is None else self._gate.state
 
     @property
-    def loudest(self) -> dict[str, float]:
-        """Axis -> largest ratio of its noise at rest to the noise floor; empty if never louder."""
-        if self._gate is None or not self._gate.loudest.any():
+    def largest_increase(self) -> dict[str, float]:
+        """Axis -> largest ratio of its noise at rest to the noise floor; empty if it never
+        increased."""
+        if self._gate is None or not self._gate.largest_increase.any():
             return {}
-        return dict(zip(self._axes, self._gate.loudest.tolist()))
+        return dict(zip(self._axes, self._gate.largest_increase.tolist()))
 
     @property
     def outliers(self) -> dict[str, float]:
@@ -430,7 +431,7 @@ class SensorStream:
         """Store the sums at the previous rate, and start to learn the new rate."""
         assert self._clock is not None
         self._flush_gate()
-        self.counts.cuts['rate change'] += 1
+        self.counts.splits['rate change'] += 1
         known = self.by_rate()
         self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
         stamps, rows = self._clock.pending

@@ -60,7 +60,7 @@ class Motion:
     """
 
     def __init__(self, kind: str, began_ns: int, level: Level | None, margin: list[Block]) -> None:
-        self.kind = kind  # 'motion', 'stuck' or 'louder'
+        self.kind = kind  # 'motion', 'stuck' or 'noise_increased'
         self.began_ns, self.ended_ns = began_ns, began_ns
         self.level = level
         self.held: list[Block] | None = None if level is None else margin

@@ -211,9 +211,9 @@ class SampleClock:
         lost, split, advance = lost[:same], split[:same], advance[:same]
         jumps = int(np.count_nonzero(self._jumped[begin : begin + same]))
         self._counts.lost += int(lost.sum())
-        self._counts.bridged += int(lost[~split].sum())
+        self._counts.interpolated += int(lost[~split].sum())
         gaps = int(np.count_nonzero(split)) - jumps
-        self._counts.cuts += Counter({'clock jump': jumps, 'gap': gaps})
+        self._counts.splits += Counter({'clock jump': jumps, 'gap': gaps})
         blocks = self._blocks_of(advance)
         self._advance(advance)
         return blocks
@@ -225,13 +225,13 @@ class SampleClock:
         """
         lost = np.zeros(len(step), np.int64)
         split = self._jumped[self._past : self._past + len(step)].copy()
-        bridged: Counter[int] = Counter()  # number of interpolated samples of each clock block
+        interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block
         for j in np.flatnonzero((step > self.clock.pause_ns) & ~split).tolist():
             lost[j] = number = self._count_lost(np.where(split, 0, 1 + lost)[:j])
-            total = bridged[j // CLOCK_BLOCK] + number
+            total = interpolated[j // CLOCK_BLOCK] + number
             split[j] = number > self._max_bridge or total > BRIDGED_SHARE * CLOCK_BLOCK
             if not split[j]:
-                bridged[j // CLOCK_BLOCK] = total
+                interpolated[j // CLOCK_BLOCK] = total
         return lost, split
 
     def _count_same_rate(self, step: Stamps, advance: Ints) -> int:

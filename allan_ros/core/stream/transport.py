@@ -249,7 +249,10 @@ class TransportMonitor:
         if health.frame_id != health.sums_frame_id:
             shown = health.sums_frame_id
             present.append(finding('frame_waits', present=health.frame_id, shown=shown))
-        live = {*LIVE_FINDINGS, *(('noise_louder',) if health.state == 'louder' else ())}
+        live = {
+            *LIVE_FINDINGS,
+            *(('noise_increased',) if health.state == 'noise_increased' else ()),
+        }
         present += [f for f in stream if f.id in live]
         events, past = self._recent_findings(health)
         # present ones first: a past event must not hide a fault

@@ -112,9 +112,9 @@ def without_spikes(
     cube = rows.reshape(len(rows), -1, size)[axes, at]
     level = np.median(cube, axis=1)
     sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
-    # a higher threshold if the noise is louder than its floor by more than the error of sigma
-    louder = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
-    height = np.where(louder, SPIKE_SIGMAS * sigma, threshold[axes])
+    # a higher threshold if the noise exceeds its floor by more than the error of sigma
+    increased = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
+    height = np.where(increased, SPIKE_SIGMAS * sigma, threshold[axes])
     far = np.abs(cube - level[:, None]) > height[:, None]
     few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more than this are a motion
     around = np.concatenate([before, rows, after], axis=1)

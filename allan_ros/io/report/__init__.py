@@ -276,7 +276,7 @@ def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
             for name, number in vars(counts).items()
             if isinstance(number, int) and number and name != 'used'
         },
-        'gaps': ', '.join(f'{n} × {reason}' for reason, n in counts.cuts.items()) or 'none',
+        'gaps': ', '.join(f'{n} × {reason}' for reason, n in counts.splits.items()) or 'none',
     }
     versions = {
         'versions': f'allan_ros {__version__}, Python {platform.python_version()}, '

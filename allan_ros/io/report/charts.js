@@ -180,7 +180,7 @@ const Charts = (() => {
     other: ['excluded', 'down', 'excluded'],
     gap: ['gap', '', 'no samples'],
     shock: ['bad', 'mark', 'shock'],
-    louder: ['moved', 'down', 'excluded: noise increased'],
+    noise_increased: ['moved', 'down', 'excluded: noise increased'],
   };
 
   // Time in the unit of the charts: seconds, minutes or hours.

@@ -19,7 +19,7 @@ from ...core.fit import TERMS, Coefficient
 from ...core.fit.interpretation import ADVISED_TERMS
 from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
-from ..datasheets import VERDICT_TEXT, DatasheetComparison
+from ..datasheets import DatasheetComparison
 from ..exporters import target_of, target_rows
 from ..format import (
     NOTHING_KNOWN,
@@ -46,7 +46,7 @@ Row = tuple[str, Iterable[str]]
 WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
 """Sensor -> quantities whose random walks are N and K (IEEE Std 952 and 1293)."""
 
-MARKS = {'within': '✓', 'open': '≈', 'beyond': '✕'}
+MARKS = {'within': '✓', 'undecided': '≈', 'exceeds': '✕'}
 """Verdict on one limit -> its symbol."""
 
 ERRORS = {
@@ -281,7 +281,7 @@ def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results |
         second = f'<small>{"" if resolved else "&lt; "}{share}</small>'
     return (
         f'<td>{shown(coefficient)}{second}<b class="mark {check.verdict}">'
-        f'<i aria-hidden="true">{MARKS[check.verdict]}</i> {VERDICT_TEXT[check.verdict]}</b></td>'
+        f'<i aria-hidden="true">{MARKS[check.verdict]}</i> {check.verdict}</b></td>'
     )
 
 

@@ -142,7 +142,7 @@ def test_a_motion_is_left_out_with_its_margins():
     out, counts, passed = gate(rows)
     assert not passed[9_900:12_300].any()
     assert passed[:9_700].all() and passed[12_700:].all()
-    assert [r.cut for r in out if r.cut] == ['motion'] and counts.cuts == {'motion': 1}
+    assert [r.cut for r in out if r.cut] == ['motion'] and counts.splits == {'motion': 1}
     assert counts.moving == np.count_nonzero(~passed)
 
 
@@ -168,7 +168,7 @@ def test_a_shock_is_replaced_and_does_not_end_the_segment(axis, times):
     for at in range(7_000, 7_000 + 3_000 * times, 3_000):
         rows[axis, at : at + 40] += shock(axis)[axis]
     out, counts, passed = gate(rows, events=events)
-    assert passed.all() and not counts.cuts and counts.moving == 0
+    assert passed.all() and not counts.splits and counts.moving == 0
     assert [e.kind for e in events.events] == ['shock'] * counts.shocks == ['shock'] * times
     flags = flagged(out, rows.shape[1])
     assert flags[7_000:7_040].all() and np.count_nonzero(flags) == counts.replaced
@@ -185,7 +185,7 @@ def test_a_disturbance_of_a_few_seconds_is_a_shock(seconds, split):
     n = int(seconds * RATE)
     rows[:, 7_000 : 7_000 + n] += 30 * SIGMA * np.random.default_rng(1).normal(size=(6, n))
     _, counts, passed = gate(rows)
-    assert (counts.cuts == {'motion': 1}) == split and passed.all() != split
+    assert (counts.splits == {'motion': 1}) == split and passed.all() != split
 
 
 def test_a_shock_that_changes_a_mean_splits_the_data_and_the_change_is_listed():
@@ -193,7 +193,7 @@ def test_a_shock_that_changes_a_mean_splits_the_data_and_the_change_is_listed():
     rows[3, 7_000:7_040] += shock(3)[3]
     rows[3, 7_040:] += SIGMA[3, 0]
     _, counts, passed = gate(rows, events=events)
-    assert counts.cuts == {'motion': 1} and counts.shocks == 0 and not passed.all()
+    assert counts.splits == {'motion': 1} and counts.shocks == 0 and not passed.all()
     (event,) = events.events
     assert event.kind == 'motion' and list(event.changes) == ['accel_x']
     # 5 sigma of the difference of two means over 2 s
@@ -203,7 +203,7 @@ def test_a_shock_that_changes_a_mean_splits_the_data_and_the_change_is_listed():
 def test_a_short_turn_is_motion_though_all_means_are_as_before():
     rows = white(120)
     rows[2, 7_000 : 7_000 + RATE] += np.radians(5.0)
-    assert gate(rows)[1].cuts == {'motion': 1}
+    assert gate(rows)[1].splits == {'motion': 1}
 
 
 def test_an_imu_that_is_seldom_at_rest_has_no_shocks_but_motion():
@@ -211,7 +211,7 @@ def test_an_imu_that_is_seldom_at_rest_has_no_shocks_but_motion():
     for at in range(5_000, rows.shape[1] - 5_000, 5 * RATE):
         rows[:, at : at + RATE] += 30 * SIGMA * np.random.default_rng(at).normal(size=(6, RATE))
     _, counts, passed = gate(rows)
-    assert counts.cuts['motion'] > 10 and counts.replaced < 0.5 * np.count_nonzero(passed)
+    assert counts.splits['motion'] > 10 and counts.replaced < 0.5 * np.count_nonzero(passed)
 
 
 def test_a_steady_turn_is_motion_though_it_is_smooth():
@@ -249,13 +249,19 @@ def test_driving_never_counts_as_rest():
 
 
 def states(rows):
-    """Return 'louder' or 'moving' or 'still' after each second."""
+    """Return 'noise_increased' or 'moving' or 'at_rest' after each second."""
     stage = MotionGate(1e9 / RATE, AXES, Counts(), EventLog(), 3.0, 0.0087)
     out = []
     for at in range(0, rows.shape[1], RATE):
         part = slice(at, at + RATE)
         stage.feed([Block(np.arange(at, at + RATE), rows[:, part])])
-        out.append('louder' if stage.louder is not None else 'moving' if stage.moving else 'still')
+        out.append(
+            'noise_increased'
+            if stage.increase is not None
+            else 'moving'
+            if stage.moving
+            else 'at_rest'
+        )
     return out
 
 
@@ -264,10 +270,14 @@ def test_louder_stationary_noise_is_distinguished_from_motion(ratio):
     rows = white(240)
     rows[1:, 60 * RATE : 180 * RATE] = MEAN[1:] + ratio * (rows - MEAN)[1:, 60 * RATE : 180 * RATE]
     _, counts, passed = gate(rows)
-    assert counts.louder > 60 * RATE and counts.moving < 60 * RATE
+    assert counts.noise_increased > 60 * RATE and counts.moving < 60 * RATE
     assert not passed[63 * RATE : 179 * RATE].any() and passed[200 * RATE :].all()
     found = states(rows)
-    assert found[59] == 'still' and set(found[110:180]) == {'louder'} and found[-1] == 'still'
+    assert (
+        found[59] == 'at_rest'
+        and set(found[110:180]) == {'noise_increased'}
+        and found[-1] == 'at_rest'
+    )
 
 
 @pytest.mark.parametrize(
@@ -278,14 +288,14 @@ def test_motion_is_not_reported_as_louder_noise(frequency, gyro, accel):
     angle = 2 * np.pi * frequency * np.arange(rows.shape[1]) / RATE
     swing = np.sin(angle + np.arange(6)[:, None]) * np.array([gyro] * 3 + [accel] * 3)[:, None]
     rows[:, 60 * RATE :] += swing[:, 60 * RATE :]
-    assert gate(rows)[1].louder == 0
+    assert gate(rows)[1].noise_increased == 0
 
 
 def test_vibration_while_tilted_or_turning_is_motion():
     for change in ([0.0, 0.0, 0.05, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0, -0.05]):
         rows = white(240)
         rows[:, 60 * RATE :] += 4 * (rows - MEAN)[:, 60 * RATE :] + np.array(change)[:, None]
-        assert gate(rows)[1].louder == 0
+        assert gate(rows)[1].noise_increased == 0
 
 
 def test_a_stuck_axis_is_not_used():
@@ -293,7 +303,7 @@ def test_a_stuck_axis_is_not_used():
     rows[1, 12_000:] = rows[1, 12_000]
     _, counts, passed = gate(rows)
     assert passed[:11_800].all() and not passed[12_000:].any()
-    assert counts.stuck >= 11_900 and counts.cuts == {'stuck': 1}
+    assert counts.stuck >= 11_900 and counts.splits == {'stuck': 1}
 
 
 def test_a_gap_ends_a_block_but_keeps_the_data():

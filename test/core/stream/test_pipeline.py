@@ -60,7 +60,7 @@ def assert_accounted(result):
     """Check that every received or interpolated sample is counted exactly once."""
     c = result.health.counts
     fates = c.used + c.skipped + c.other_frame + c.not_finite + c.duplicate + c.backward
-    assert c.received + c.bridged == fates + c.untimed + c.moving + c.stuck + c.louder
+    assert c.received + c.interpolated == fates + c.untimed + c.moving + c.stuck + c.noise_increased
 
 
 def moves(times, every, samples):
@@ -106,7 +106,10 @@ FAULTS = {
     'starts in motion': lambda t, x, g: (t, x + g.normal(size=x.shape) * moves(t, 10**9, 4500) / 9),
     'drives first': lambda t, x, g: (t, x + swing(t) * moves(t, 10**9, 7000)),
     'spikes': lambda t, x, g: (t, x + 0.02 * (g.random(x.shape) < 0.002)),
-    'louder': lambda t, x, g: (t, x + 0.02 * g.normal(size=x.shape) * (t[:, None] > t[1500])),
+    'noise_increased': lambda t, x, g: (
+        t,
+        x + 0.02 * g.normal(size=x.shape) * (t[:, None] > t[1500]),
+    ),
     'stuck': lambda t, x, g: (t, np.where(np.arange(len(t))[:, None] > 5000, x[5000], x)),
     'held': lambda t, x, g: (t, np.hstack([x[:, :3], x[np.arange(len(t)) * 5 // 8, 3:]])),
     'repeats': lambda t, x, g: (t, repeated(x, 0.2, g)),
@@ -129,7 +132,9 @@ FAULTS = {
 )
 def test_any_chunking_of_any_stream_gives_the_same(fault, n, chunks, seed, gated):
     rng = np.random.default_rng(seed)
-    t, x = FAULTS[fault](*still(max(n, 5001) if fault in ('stuck', 'louder') else n, seed), rng)
+    t, x = FAULTS[fault](
+        *still(max(n, 5001) if fault in ('stuck', 'noise_increased') else n, seed), rng
+    )
     whole = accumulate(t, x, (len(t) + 1,), motion_gate=gated)
     assert_same(whole, accumulate(t, x, chunks, motion_gate=gated))
     # samples that repeat the previous one are not counted, and few random repeats may look regular
@@ -146,7 +151,7 @@ def test_a_clean_stream_gives_the_same_sums_as_the_engine():
     result = accumulate(t, x)
     assert_identical(result.sums[0], engine.sums)
     assert result.health.rate_hz == pytest.approx(200.0)
-    assert result.health.still_share == 1.0 and result.health.state == 'still'
+    assert result.health.still_share == 1.0 and result.health.state == 'at_rest'
     assert [(s.start_ns, s.samples) for s in result.segments] == [(START, 20_000)]
 
 
@@ -191,7 +196,7 @@ def test_the_present_health_is_that_of_the_result_but_for_buffered_samples(fault
     [
         ('nothing', set()),
         ('gap', {'gaps'}),
-        ('drops', {'bridged'}),
+        ('drops', {'interpolated'}),
         ('clock back', {'clock_jumps', 'backward_stamps'}),
         ('rate', {'rate_changed'}),
         ('nan', {'not_finite'}),
@@ -216,7 +221,7 @@ def test_each_fault_is_reported_by_its_finding(fault, expected):
     t, x = FAULTS[fault](*still(9000), np.random.default_rng(1))
     found = ids(accumulate(t, x))
     assert expected <= found
-    assert not found - expected - {'bridged', 'gaps', 'motion', 'saturated', 'not_finite'}
+    assert not found - expected - {'interpolated', 'gaps', 'motion', 'saturated', 'not_finite'}
 
 
 def test_sensors_with_different_rates_have_separate_sums():
@@ -394,7 +399,7 @@ def test_stamps_without_order_are_not_used(ordered):
             assert_identical(same.sums[0], accumulate(t, x).sums[0])
         else:
             assert 'backward_stamps' in ids(result)
-        assert sum(result.health.counts.cuts.values()) < 0.01 * len(t)
+        assert sum(result.health.counts.splits.values()) < 0.01 * len(t)
         assert_accounted(result)
 
 
@@ -421,7 +426,7 @@ def test_a_returning_rate_continues_with_its_data():
     t, x = still(12000)
     slow = np.clip(np.arange(12000) - 5000, 0, 2000)
     result = accumulate(t + slow * PERIOD, x)
-    assert result.health.counts.cuts['rate change'] == 2
+    assert result.health.counts.splits['rate change'] == 2
     assert result.sums[0].samples == pytest.approx(10_000, abs=300)
     assert_accounted(result)
 
@@ -454,7 +459,7 @@ def test_real_bursty_stamps_are_one_segment_at_the_true_rate(shared_data):
     (sums,) = result.sums
     assert sums.segment_count == 1 and sums.samples == len(table) == 65_067
     assert 1 / sums.tau0 == pytest.approx(99.3, abs=0.05)
-    assert result.health.counts.bridged == 0 and result.health.bursty
+    assert result.health.counts.interpolated == 0 and result.health.bursty
 
 
 def test_a_real_static_recording_is_used_completely_and_equals_a_reference(shared_data):
@@ -525,7 +530,7 @@ def test_samples_that_arrive_out_of_order_are_sorted(places, begin):
     at = np.arange(len(t))
     order = np.where(at < begin, at, at // places * places + places - 1 - at % places)
     result = accumulate(t[order], x[order])
-    assert {'reordered'} <= ids(result) <= {'reordered', 'backward_stamps', 'bridged', 'gaps'}
+    assert {'reordered'} <= ids(result) <= {'reordered', 'backward_stamps', 'interpolated', 'gaps'}
     # only the first late sample, before which nothing was sorted, is lost
     assert result.health.counts.backward <= (places if begin else 0)
     assert result.health.rate_hz == pytest.approx(200.0, rel=1e-6)
@@ -566,7 +571,7 @@ def test_samples_that_are_missing_regularly_are_reported_with_the_assumed_rate(d
     kept = np.arange(len(t)) % 3 != 1
     result = accumulate(t[kept], x[kept], declared_rate=declared)
     assert result.health.rate_hz == pytest.approx(rate, rel=1e-3) and len(result.segments) == 1
-    assert ids(result) == ({'bridged'} if declared else {'rate_assumed'})
+    assert ids(result) == ({'interpolated'} if declared else {'rate_assumed'})
 
 
 def test_a_sensor_of_zeros_is_absent_and_named():
@@ -599,8 +604,8 @@ def test_louder_noise_at_rest_is_a_warning_with_its_size_and_no_motion():
     t, x = still(40_000)
     x[20_000:] += 3.9 * np.random.default_rng(3).normal(size=(20_000, 6)) * 1e-3
     result = accumulate(t, x)
-    (found,) = [f for f in result.findings if f.id == 'noise_louder']
-    assert result.health.state == 'louder' and found.axes == AXES
+    (found,) = [f for f in result.findings if f.id == 'noise_increased']
+    assert result.health.state == 'noise_increased' and found.axes == AXES
     # the largest of six standard deviations over the lowest quarter of the floor: 4.0 to 4.6
     ratio = float(found.message.split('increased to ')[1].split(' ')[0])
     assert 3.9 < ratio < 4.8 and found.severity == 'warning'

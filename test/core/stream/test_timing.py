@@ -73,7 +73,7 @@ def test_isolated_losses_are_bridged_on_the_line_between_their_neighbors():
     (one,), counts, _ = run(stamps[keep], np.stack([keep * 1.0, keep * -2.0]))
     assert np.array_equal(one.stamps, stamps)
     assert one.rows == pytest.approx(np.stack([np.arange(3000.0), np.arange(3000) * -2.0]))
-    assert (counts.lost, counts.bridged, counts.cuts) == (3, 3, {})
+    assert (counts.lost, counts.interpolated, counts.splits) == (3, 3, {})
 
 
 @pytest.mark.parametrize('day', [0, 1])
@@ -89,13 +89,13 @@ def test_losses_with_jitter_are_not_a_change_of_the_rate(day):
     assert stage.clock.jitter and not stage.rate_changed
     assert stage.clock.period_ns == pytest.approx(10 * MS, rel=1e-3)
     assert sum(len(r.stamps) for r in runs) == pytest.approx(n, rel=0.01)
-    assert counts.cuts['gap'] <= 1 + day
+    assert counts.splits['gap'] <= 1 + day
 
 
 def test_random_losses_of_a_fifth_do_not_split_the_data():
     keep = np.random.default_rng(0).random(20_000) > 0.2
     runs, counts, _ = run(even(20_000)[keep], max_bridge=20)
-    assert len(runs) == 1 and counts.bridged == counts.lost
+    assert len(runs) == 1 and counts.interpolated == counts.lost
 
 
 def test_a_longer_gap_splits_the_data_without_interpolation():
@@ -103,13 +103,13 @@ def test_a_longer_gap_splits_the_data_without_interpolation():
     (a, b), counts, _ = run(even(3000)[keep], keep[None, :] * 1.0)
     assert (a.cut, b.cut) == ('', 'gap')
     assert np.array_equal(np.concatenate([a.rows, b.rows], axis=1), keep[None, :])
-    assert (counts.lost, counts.bridged) == (4, 0) and counts.cuts == {'gap': 1}
+    assert (counts.lost, counts.interpolated) == (4, 0) and counts.splits == {'gap': 1}
 
 
 def test_without_interpolation_every_loss_splits_the_data():
     keep = np.delete(np.arange(2000), [400, 900])
     runs, counts, _ = run(even(2000)[keep], max_bridge=0)
-    assert len(runs) == 3 and counts.cuts == {'gap': 2}
+    assert len(runs) == 3 and counts.splits == {'gap': 2}
 
 
 def test_a_late_sample_is_not_a_lost_one():

@@ -46,14 +46,14 @@ class Input:
         self.counts.received += messages
         for name, more in changes.items():
             if name in CUTS:
-                self.counts.cuts[CUTS[name]] += more
+                self.counts.splits[CUTS[name]] += more
             else:
                 where = self.counts if hasattr(self.counts, name) else self.reception
                 setattr(where, name, getattr(where, name) + more)
-        counts = replace(self.counts, cuts=Counter(self.counts.cuts))
+        counts = replace(self.counts, splits=Counter(self.counts.splits))
         health = StreamHealth(
             counts,
-            'still',
+            'at_rest',
             self.rate_hz,
             frame_id=self.frames[0],
             sums_frame_id=self.frames[1],
@@ -184,7 +184,7 @@ def test_present_problems_precede_past_events():
         source.second()
     two = ('/a', '/b')
     live = finding('rate_differs', measured=100.0, declared=200.0)
-    past = finding('gaps', lost=3, cuts=1)
+    past = finding('gaps', lost=3, splits=1)
     found = source.second(two, [past, live])
     assert found == ['several_publishers', 'rate_differs']
 

@@ -184,7 +184,7 @@ def wrong_units(results: Results) -> Results:
     found = finding('gyro_unit', n=0.1, rate=0.2)
     return replace(
         results,
-        findings=(*results.findings, finding('noise_louder', ratio=3.0, seconds=9.0), found),
+        findings=(*results.findings, finding('noise_increased', ratio=3.0, seconds=9.0), found),
     )
 
 

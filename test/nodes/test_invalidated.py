@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A model whose sums were replaced is withdrawn, and no document stops the estimator."""
+"""A model whose sums were replaced is invalidated, and no document stops the estimator."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ def test_replaced_sums_withdraw_the_model_at_once_and_are_fitted(graph, still_im
     publisher.publish(String(data=sums_text(rest)))
     graph.until(lambda: models[-1]['samples'] == 2000)
     assert [model['samples'] for model in models] == [8000, 0, 2000]
-    withdrawn = models[1]
-    assert withdrawn['axes'] == {} and withdrawn['findings'][-1]['id'] == 'model_withdrawn'
-    assert '100 %' in withdrawn['findings'][-1]['message']
+    invalidated = models[1]
+    assert invalidated['axes'] == {} and invalidated['findings'][-1]['id'] == 'model_invalidated'
+    assert '100 %' in invalidated['findings'][-1]['message']
     status = graph.until(
         lambda: (s := graph.status('imu gyro x')) and s.message.startswith('N') and s
     )
