@@ -26,11 +26,12 @@ from pathlib import Path
 
 import numpy as np
 
+import allan_ros as ar
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import TERMS, AxisFit, Coefficient, fit_noise
 from allan_ros.core.imu import from_datasheet, to_datasheet
-from allan_ros.core.noise import NoiseTerms, gauss_markov_avar, term_avar
+from allan_ros.core.noise import NoiseTerms, gamma_of, gauss_markov_avar, term_avar
 from allan_ros.core.simulate import simulate_axis
 
 AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
@@ -253,10 +254,68 @@ def processes_found(fits: list[AxisFit]) -> str:
     return 'axes by number of processes: ' + ', '.join(parts)
 
 
-def real() -> None:
-    """Print the measured curve over the drawn model of the shared recordings, by sensor."""
-    import allan_ros as ar
+POINTS, RECORDS = 512, 400
+"""Block means and number of the records that are simulated from a fitted model."""
 
+
+def octave_medians(ratio: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Return the median of each octave of tau; ``ratio`` is (..., taus)."""
+    octave = np.floor(np.log2(tau / tau[0]) + 1e-9)
+    return np.stack([np.median(ratio[..., octave == o], -1) for o in np.unique(octave)], -1)
+
+
+def differences(axis: ar.AxisResult, step: int) -> np.ndarray:
+    """Return the covariance of the differences of ``POINTS`` block means in the fitted model.
+
+    The gamma of nonstationary noise is known up to a constant, which the differences remove.
+    """
+    model, tau0, lag = axis.fit.model, axis.tau0, np.arange(POINTS)
+    gamma = sum(
+        value * gamma_of(term)(step, lag)
+        for term, value in zip('QNBK', model.terms.in_sample_units(tau0))
+    )
+    for sigma, constant in model.gauss_markov:
+        gamma = gamma + sigma**2 * gamma_of('gauss_markov', constant / tau0)(step, lag)
+    for amplitude, frequency in model.sinusoids:
+        gamma = gamma + amplitude**2 * gamma_of('sinusoid', frequency * tau0)(step, lag)
+    rows = gamma[np.abs(lag[:, None] - lag)]
+    return np.diff(np.diff(rows, axis=0), axis=1)
+
+
+def beyond(axis: ar.AxisResult, seconds: float) -> tuple[int, int]:
+    """Return how many octaves of tau above T/20 lie outside the 95 % band of records simulated
+    from the fitted model, and the number of these octaves.
+    """
+    step = int(seconds / axis.tau0) // POINTS
+    root = np.linalg.cholesky(differences(axis, step))
+    noise = root @ np.random.default_rng(1).standard_normal((POINTS - 1, RECORDS))
+    drift = axis.fit.model.terms.R * step * axis.tau0
+    phase = np.cumsum(
+        np.cumsum(np.pad(noise, ((2, 0), (0, 0))), 0) + drift * np.arange(513)[:, None], 0
+    )
+    curve = axis.curve
+    tau = curve.m * axis.tau0
+    used = (tau > seconds / 20.0) & (tau < seconds / 4.0)
+    k = np.round(curve.m[used] / step).astype(int)
+    simulated = np.array(
+        [
+            np.mean((phase[2 * n :] - 2 * phase[n:-n] + phase[: -2 * n]) ** 2, 0) / (2 * n**2)
+            for n in k
+        ]
+    ).T
+    expected = axis.fit.model.avar(tau[used], axis.tau0)
+    measured = octave_medians(curve.adev[used] / np.sqrt(expected), tau[used])
+    low, high = np.quantile(
+        octave_medians(np.sqrt(simulated / expected), tau[used]), (0.025, 0.975), 0
+    )
+    return int(np.sum((measured < low) | (measured > high))), len(measured)
+
+
+def real() -> None:
+    """Print the measured curve over the drawn model of the shared recordings, by sensor.
+
+    Up to T/20: the range of the medians of the octaves; beyond: octaves outside their band.
+    """
     data = Path(os.environ.get('ALLAN_ROS_SHARED', '../shared')) / 'data'
     static = runpy.run_path(str(data / 'static' / 'load.py'))['load']
     adis = runpy.run_path(str(data / 'adis16405' / 'load.py'))['load']
@@ -268,19 +327,31 @@ def real() -> None:
     for name, rows in recordings.items():
         rows = rows[np.isfinite(rows).all(axis=1)]
         rate = 1.0 / float(np.median(np.diff(rows[:, 0])))
+        began = time.process_time()
         results = ar.analyze(rows[:, 1:], rate=rate, motion_gate=False)
+        spent = (time.process_time() - began) / len(list(results))
         medians: dict[str, list[float]] = {'gyro': [], 'accel': []}
+        outside: Counter[str] = Counter()
+        octaves: Counter[str] = Counter()
         for axis in (results[each] for each in results):
             if axis.curve is None:
                 continue
             tau = axis.curve.m * axis.tau0
             used = (axis.curve.m >= axis.fit.m_min) & (tau <= results.duration_s / 20.0)
             ratio = axis.curve.adev[used] / np.sqrt(axis.fit.model.avar(tau[used], axis.tau0))
-            octave = np.floor(np.log2(tau[used] / tau[used][0]))
-            found = [float(np.median(ratio[octave == o])) for o in np.unique(octave)]
-            medians[axis.name.split('_')[0]] += found
-        cells = [f'{sensor} {min(r):.2f}..{max(r):.2f}' for sensor, r in medians.items()]
-        print(f'{name}, {results.duration_s:.0f} s: ' + ', '.join(cells), flush=True)
+            sensor = axis.name.split('_')[0]
+            medians[sensor] += octave_medians(ratio, tau[used]).tolist()
+            found, number = beyond(axis, results.duration_s)
+            outside[sensor] += found
+            octaves[sensor] += number
+        cells = [
+            f'{sensor} {min(r):.2f}..{max(r):.2f}, {outside[sensor]} of {octaves[sensor]} outside'
+            for sensor, r in medians.items()
+        ]
+        print(
+            f'{name}, {results.duration_s:.0f} s, {spent:.2f} s/axis: ' + '; '.join(cells),
+            flush=True,
+        )
 
 
 def run(scenario: str, runs: int, methods: list[str], keep: Path | None) -> None:
