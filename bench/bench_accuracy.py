@@ -116,7 +116,7 @@ class Scenario:
         rows = np.stack([self.axis(rng) for _ in range(axes)], axis=1)
         engine = RunningSums(axes=AXES[:axes])
         start = 0
-        for part in np.split(rows, self.splits(rng)):
+        for part in np.split(rows, self.cuts(rng)):
             period = 1e9 / self.rate
             engine.update(part, round(start * period), round((start + len(part) - 1) * period))
             engine.end_segment()
