@@ -105,7 +105,7 @@ $(VENV)/.ready: setup.py pyproject.toml scripts/venv_extras.py
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV)
 	extras=$$($(VENV)/bin/python scripts/venv_extras.py $(DISTRO)) && \
-		$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable ".[$$extras]"
+		$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable ".$${extras:+[$$extras]}"
 	touch $@
 
 # What only tests and benchmarks need is added to it.
