@@ -118,10 +118,11 @@ ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2
 """The samples alternate if the means of even and odd ones differ by this number of standard
 deviations on this number of axes."""
 
-SWITCH_SHARE, SEPARATION = 0.25, 8.0
-"""The samples of an axis are those of two IMUs if the largest gap between their values, in standard
-deviations on either side, is at least the second value, and if at least the first value of the
-steps cross it."""
+SWITCH_SHARE, SEPARATION, SEPARATION_STEPS = 0.25, 8.0, 1.5
+"""The samples of an axis come from two IMUs if the largest gap between their values is at least the
+second value, in standard deviations on either side, and the third, in steps of the resolution (1
+between neighboring levels of rounded noise), and if at least the first value of the differences
+cross it."""
 
 
 def are_interleaved(rows: Floats) -> bool:
@@ -146,8 +147,10 @@ def are_interleaved(rows: Floats) -> bool:
             middle = n // 4 + int(np.argmax(np.diff(ordered[n // 4 : 3 * n // 4]))) + 1
             low, high = ordered[:middle], ordered[middle:]
             switches = np.count_nonzero(np.diff(values >= high[0]))
-            apart = high[0] - low[-1] > SEPARATION * max(low.std(), high.std()) > 0.0
-            if apart and switches > SWITCH_SHARE * n:
+            gap, levels = high[0] - low[-1], np.diff(ordered)
+            step = levels[levels > 0.0].min(initial=gap)
+            apart = gap > SEPARATION * max(low.std(), high.std()) > 0.0
+            if apart and gap > SEPARATION_STEPS * step and switches > SWITCH_SHARE * n:
                 return True
     return False
 
