@@ -68,9 +68,16 @@ def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
     """Return the 95 % interval of an estimated coefficient as ``low..high``, else ''."""
     if coefficient.status != 'estimated' or coefficient.ci95 is None:
         return ''
-    low, high = coefficient.ci95
-    digits = VALUE_DIGITS if high - low < SHARP * high else LIMIT_DIGITS
+    low, high = _signed_interval(coefficient)
+    sharp = high - low < SHARP * max(abs(low), abs(high))
+    digits = VALUE_DIGITS if sharp else LIMIT_DIGITS
     return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))
+
+
+def _signed_interval(coefficient: Coefficient) -> tuple[float, float]:
+    """Return the interval of the signed value; the coefficient has that of its magnitude."""
+    low, high = coefficient.ci95 or (math.nan, math.nan)
+    return (-high, -low) if coefficient.sign < 0 else (low, high)
 
 
 NUMBER_DIGITS = 6
@@ -78,13 +85,13 @@ NUMBER_DIGITS = 6
 
 
 def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
-    """Return the signed value, the two ends of the interval of its magnitude, and the upper limit.
+    """Return the signed value, the two ends of its interval, and the upper limit.
 
     All are in ``unit``, and None if unknown. A coefficient that is not resolved has only a limit,
     and one that is resolved has no limit.
     """
     resolved = c.status == 'estimated'
-    low, high = c.ci95 if resolved and c.ci95 is not None else (None, None)
+    low, high = _signed_interval(c) if resolved and c.ci95 is not None else (None, None)
     sign = -1.0 if c.sign < 0 else 1.0
     value = c.value * sign if resolved and c.value is not None else None
     numbers = (value, low, high, None if resolved else c.upper95)

@@ -49,7 +49,7 @@ def test_shown_numbers_equal_the_values_to_their_digits(value: float, digits: in
 def test_a_value_has_its_interval_and_its_sign() -> None:
     ramp = Coefficient(2.0, (1.5, 2.5), sign=-1)
     assert value_text(ramp, PLAIN) == '-2.000'
-    assert interval_text(ramp, PLAIN) == '1.50..2.50'
+    assert interval_text(ramp, PLAIN) == '-2.50..-1.50'
 
 
 def test_a_sharp_interval_is_shown_sharply() -> None:

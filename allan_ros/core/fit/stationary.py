@@ -27,7 +27,7 @@ from .method import DAY_S, DAYS_WITH_CYCLE
 from .model import Z_95
 from .statistics import Component, statistics
 
-LEAST_REMAINING = 0.4
+LEAST_REMAINING = 0.25
 """Smallest fraction of the samples that must remain after the early part."""
 
 LEAST_SEGMENT = 0.3
