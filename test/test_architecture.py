@@ -144,7 +144,7 @@ from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.recorded import Provenance
-stream = ImuStream(with_means=True)
+stream = ImuStream()
 stamps = np.arange(20000) * 10**7
 stream.update(ImuBatch(stamps, np.random.default_rng(0).normal(size=(20000, 6))))
 result = stream.result()

@@ -201,7 +201,7 @@ class ImuWatch(Part):
         earlier stamps mean that the recording is played again.
         """
         segmenter, hardware_id = self._settings.segmenter.value, self._imu.hardware_id
-        self._stream = ImuStream(segmenter, hardware_id, with_means=True)
+        self._stream = ImuStream(segmenter, hardware_id)
         self._splitter = PassSplitter(latest_ns)
         self._first_ns: int | None = None  # first and latest stamp of this pass
         self._latest_ns: int | None = None

@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from bisect import insort
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, NamedTuple
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,50 +101,32 @@ class Counts:
 
 
 class FilledGaps:
-    """Counts interpolated gaps by their length in samples.
-
-    ``count``, (lengths, axes), is the number of gaps of 1, 2, ... samples.
-    """
+    """Counts interpolated gaps by their length in samples; longer ones are shocks."""
 
     def __init__(self, axes: int) -> None:
-        self.count = np.zeros((0, axes), np.int64)
+        self._count = np.zeros((LONGEST_FILLED + 1, axes), np.int64)
         self._open = [0] * axes  # length of the gap at the end of each axis
+
+    @property
+    def count(self) -> NDArray[np.int64]:
+        """Number of gaps of 1, 2, ... samples, (lengths, axes)."""
+        count = self._count[1:]
+        return count[: np.flatnonzero(count.any(axis=1)).max(initial=-1) + 1].copy()
 
     def add(self, filled: NDArray[np.bool_] | None) -> None:
         """Count the gaps in the next samples; ``filled``, (axes, n), flags interpolated values.
 
         None means that no value is interpolated.
         """
-        if filled is None:
-            self.end()
-            return
-        for axis, flags in enumerate(filled):
-            edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).reshape(-1, 2)
-            if not len(edges) or edges[0, 0]:
-                self._close(axis)
-            for begin, end in edges.tolist():
-                self._open[axis] += end - begin
-                if end < len(flags):
-                    self._close(axis)
-
-    def end(self) -> None:
-        """Count the gaps that reach the end of the samples."""
-        if any(self._open):
-            for axis in range(len(self._open)):
-                self._close(axis)
-
-    def _close(self, axis: int) -> None:
-        length, self._open[axis] = self._open[axis], 0
-        if not 0 < length <= LONGEST_FILLED:  # longer ones are shocks
-            return
-        if length > len(self.count):
-            longer = np.zeros((length - len(self.count), self.count.shape[1]), np.int64)
-            self.count = np.concatenate([self.count, longer])
-        self.count[length - 1, axis] += 1
-
-
-LISTED_EVENTS = 200
-"""Largest number of events that are listed; these are the longest ones."""
+        for axis, known in enumerate(self._open):
+            if filled is None and not known:
+                continue
+            flags = np.zeros(1, bool) if filled is None else filled[axis]
+            measured = np.flatnonzero(~np.concatenate([np.ones(known, bool), flags, [False]]))
+            lengths = np.diff(measured, prepend=-1) - 1
+            self._open[axis] = int(lengths[-1])
+            counted = lengths[:-1][lengths[:-1] <= LONGEST_FILLED]
+            self._count[:, axis] += np.bincount(counted, minlength=LONGEST_FILLED + 1)
 
 
 class Event(NamedTuple):
@@ -160,23 +143,6 @@ class Event(NamedTuple):
     changes: Mapping[str, float] = {}
 
 
-class EventLog:
-    """The number of events of each kind, and the longest `LISTED_EVENTS` of them."""
-
-    def __init__(self) -> None:
-        self._longest: list[tuple[float, int, Event]] = []  # shortest first
-
-    def add(self, event: Event) -> None:
-        """Add an event."""
-        insort(self._longest, (event.duration_s, -event.start_ns, event), key=lambda one: one[:2])
-        del self._longest[:-LISTED_EVENTS]
-
-    @property
-    def events(self) -> tuple[Event, ...]:
-        """The listed events, in the order of their times."""
-        return tuple(sorted((one[2] for one in self._longest), key=lambda event: event.start_ns))
-
-
 class Segment(NamedTuple):
     """A part of a stream without a gap, which begins at the stamp ``start_ns``.
 
@@ -187,6 +153,31 @@ class Segment(NamedTuple):
     samples: int
     duration_s: float
     cut: str = ''
+
+
+LISTED_EVENTS, LISTED_SEGMENTS = 200, 1000
+"""Largest numbers of events and of segments that are listed; these are the longest ones."""
+
+
+T = TypeVar('T', Event, Segment)
+
+
+class Longest(Generic[T]):
+    """The longest events or segments, at most ``number``."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self._items: list[tuple[float, int, T]] = []  # shortest first
+
+    def add(self, length: float, item: T) -> None:
+        """Add an item of this length."""
+        insort(self._items, (length, -item.start_ns, item), key=lambda each: each[:2])
+        del self._items[: -self._number]
+
+    @property
+    def items(self) -> tuple[T, ...]:
+        """The items in the order of their times."""
+        return tuple(sorted((item for *_, item in self._items), key=lambda item: item.start_ns))
 
 
 @dataclass(frozen=True)
@@ -219,24 +210,6 @@ class StreamHealth:
         c = self.counts
         classified = c.used + c.moving + c.stuck + c.noise_increased
         return c.used / classified if classified else None
-
-
-LISTED_SEGMENTS = 1000
-"""Largest number of segments that are listed; these are the longest ones."""
-
-
-class StreamSums(NamedTuple):
-    """Sums and longest segments of data at one sample rate."""
-
-    sums: AllanSums
-    segments: tuple[Segment, ...]
-
-    def joined(self, other: StreamSums) -> StreamSums:
-        """Return the combined results of both; raise AllanError if the sample rates differ."""
-        segments = sorted(
-            [*self.segments, *other.segments], key=lambda segment: (-segment.samples, segment)
-        )
-        return StreamSums(self.sums + other.sums, tuple(sorted(segments[:LISTED_SEGMENTS])))
 
 
 @dataclass(frozen=True)
@@ -289,16 +262,17 @@ class RunningMeans:
         if self._start_ns is None:
             self._start_ns = int(stamps[0])
         seconds = (stamps - self._start_ns) // NANOSECONDS
-        begins = np.concatenate([[0], np.flatnonzero(np.diff(seconds)) + 1])
-        sums = np.add.reduceat(rows, begins, axis=1).T
-        counts = np.diff(begins, append=len(stamps)).tolist()
-        for second, total, count in zip(seconds[begins].tolist(), sums, counts):
+        edges = [0, *(np.flatnonzero(np.diff(seconds)) + 1).tolist(), len(stamps)]
+        for first, last in itertools.pairwise(edges):
+            second = int(seconds[first])
             if second > self._second:
                 end_ns = self._start_ns + (self._second + 1) * NANOSECONDS
                 self._kept.append((end_ns, self._sum / max(self._count, 1)))
-                self._sum, self._count, self._second = np.zeros(len(total)), 0, second
-            self._sum = self._sum + total
-            self._count += count
+                self._sum, self._count, self._second = np.zeros(len(rows)), 0, second
+            # one by one, so that the rounding does not depend on the batches
+            parts = np.column_stack([self._sum, rows[:, first:last]])
+            self._sum = np.add.accumulate(parts, axis=1)[:, -1]
+            self._count += last - first
 
     @property
     def means(self) -> Means:
@@ -308,20 +282,19 @@ class RunningMeans:
         return Means(self._axes, end_ns, values)
 
 
-EVENTS = (
-    *('clock_jumps', 'frame_changed', 'rate_changed', 'stuck', 'not_finite', 'duplicates'),
-    'backward_stamps',
-    'reordered',
-)
-"""Ids of findings about events, ordered from causes to effects."""
-
-
 def events(health: StreamHealth) -> Counter[str]:
-    """Return the number of events since the start, for each finding id in `EVENTS`."""
+    """Return the number of events since the start by the id of their finding, causes first."""
     c = health.counts
-    jumps, changes = c.splits['clock jump'], c.splits['rate change']
-    counts = (jumps, health.frame_changes, changes, c.stuck, c.not_finite, c.duplicate, c.backward)
-    return Counter(dict(zip(EVENTS, (*counts, c.reordered))))
+    return Counter(
+        clock_jumps=c.splits['clock jump'],
+        frame_changed=health.frame_changes,
+        rate_changed=c.splits['rate change'],
+        stuck=c.stuck,
+        not_finite=c.not_finite,
+        duplicates=c.duplicate,
+        backward_stamps=c.backward,
+        reordered=c.reordered,
+    )
 
 
 def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -> list[Finding]:
@@ -330,83 +303,67 @@ def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -
     ``when``, such as ' in the last minute', is appended to the text of the findings.
     """
     now: dict[str, Any] = {'frame_id': health.frame_id, 'rate': health.rate_hz or 0.0, 'when': when}
-    return [
-        finding(id, count=counts[id], times=counts[id], **now) for id in EVENTS if counts[id] > 0
-    ]
+    present = [id for id in events(health) if counts[id] > 0]
+    return [finding(id, count=counts[id], times=counts[id], **now) for id in present]
 
 
 def stream_findings(
     health: StreamHealth, sums: tuple[AllanSums, ...], settings: SegmenterSettings
 ) -> list[Finding]:
     """Return the findings about a complete stream and its sums."""
-    counts = health.counts
+    c = health.counts
     found = event_findings(events(health), health)
 
     def add(id: str, present: object, axes: tuple[str, ...] = (), **numbers: Any) -> None:
         if present:
             found.append(finding(id, axes, **numbers))
 
+    received, used = max(c.received, 1), max(c.used, 1)
     rate = 1.0 / sums[0].tau0 if sums and sums[0].tau0 else health.rate_hz
-    declared = settings.declared_rate
-    if declared and rate:
-        differs = abs(rate / declared - 1.0) > RATE_CHANGE
-        add('rate_differs', differs, measured=rate, declared=declared)
-    base = health.base_rate_hz
-    frames, samples = health.dropped_frames, counts.other_frame
-    add('frames_dropped', frames, count=frames, samples=samples)
+    declared, base = settings.declared_rate, health.base_rate_hz
+    differs = declared and rate and abs(rate / declared - 1.0) > RATE_CHANGE
+    add('rate_differs', differs, measured=rate, declared=declared)
+    add('frames_dropped', health.dropped_frames, count=health.dropped_frames, samples=c.other_frame)
     add('rate_assumed', base and rate, rate=rate, base=base)
     add('bursty_stamps', health.bursty and rate, rate=rate)
-    kept = 1.0 - counts.backward / max(counts.received, 1)
+    kept = 1.0 - c.backward / received
     mixed = health.bursty and kept < 1.0 - REPORTED_DROPPED_SHARE
     add('stamps_mixed', mixed, share=1.0 - kept, factor=max(kept, 0.01) ** -0.5)
-    add('saturated', counts.saturated, count=counts.saturated)
-    gaps = counts.splits['gap']
-    add('gaps', gaps, lost=counts.lost, splits=gaps)
-    interpolated = counts.interpolated / max(counts.received, 1)
-    add(
-        'interpolated',
-        interpolated > REPORTED_INTERPOLATED_SHARE,
-        interpolated=counts.interpolated,
-        share=interpolated,
-    )
-    many = counts.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * counts.used)
-    add('spikes', many, count=counts.spikes, share=counts.spikes / max(counts.used, 1))
+    add('saturated', c.saturated, count=c.saturated)
+    gaps = c.splits['gap']
+    add('gaps', gaps, lost=c.lost, splits=gaps)
+    share = c.interpolated / received
+    many = share > REPORTED_INTERPOLATED_SHARE
+    add('interpolated', many, interpolated=c.interpolated, share=share)
+    many = c.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * c.used)
+    add('spikes', many, count=c.spikes, share=c.spikes / used)
     heavy = tuple(health.outliers)
     add('outliers', heavy, heavy, share=max(health.outliers.values(), default=0.0))
     shocks = [event for event in health.events if event.kind == 'shock']
-    share = counts.replaced / max(counts.used, 1)
-    add('shocks', counts.shocks, count=counts.shocks, share=share, times=_times(shocks, health))
+    times = _times(shocks, health)
+    add('shocks', c.shocks, count=c.shocks, share=c.replaced / used, times=times)
     tilts = [event for event in health.events if any(map(_is_accel, event.changes))]
-    change = max((abs(c) for e in tilts for a, c in e.changes.items() if _is_accel(a)), default=0.0)
+    changes = [(a, abs(c)) for e in tilts for a, c in e.changes.items() if _is_accel(a)]
+    change = max((size for _, size in changes), default=0.0)
+    axes = tuple(axis for axis in AXES if axis in dict(changes))
     angle = math.degrees(change / STANDARD_GRAVITY)
-    axes = tuple(a for a in AXES if _is_accel(a) and any(a in event.changes for event in tilts))
     add('tilted', tilts, axes, change=change, angle=angle, times=_times(tilts, health))
     add('relearned', health.discarded, seconds=health.discarded_s)
-    if health.rate_hz and counts.noise_increased and health.largest_increase:
-        ratio = max(health.largest_increase.values())
-        axes = tuple(
-            axis for axis, r in health.largest_increase.items() if r > INCREASE_SHARE * ratio
-        )
-        add(
-            'noise_increased',
-            True,
-            axes,
-            ratio=ratio,
-            seconds=counts.noise_increased / health.rate_hz,
-        )
-    if counts.moving and not counts.used and health.rate_hz:
-        add('never_still', True, seconds=counts.moving / health.rate_hz)
-    elif counts.moving:
-        add(
-            'motion',
-            True,
-            share=counts.moving / (counts.moving + counts.noise_increased + counts.used),
-        )
+    rate = health.rate_hz or math.inf
+    ratios = health.largest_increase
+    ratio = max(ratios.values(), default=0.0)
+    axes = tuple(axis for axis, r in ratios.items() if r > INCREASE_SHARE * ratio)
+    increased = health.rate_hz and c.noise_increased and ratio
+    add('noise_increased', increased, axes, ratio=ratio, seconds=c.noise_increased / rate)
+    never = c.moving and not c.used and health.rate_hz
+    add('never_still', never, seconds=c.moving / rate)
+    classified = max(c.moving + c.noise_increased + c.used, 1)
+    add('motion', c.moving and not never, share=c.moving / classified)
     for each in sums:
         flat = tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
         add('no_noise', flat, flat)
         found += _unit_findings(each)
-    add('nothing_left', counts.received and not sums, received=counts.received)
+    add('nothing_left', c.received and not sums, received=c.received)
     return found
 
 

@@ -6,8 +6,11 @@ The stream is classified in windows of about half a second. A window is moving i
 largest deviation, the step of its mean or its mean rate exceeds a limit that is derived from the
 noise floor, the noise of the sensor at rest. A window of white noise is classified as moving with a
 probability below 1e-12, so N has no bias. Motion begins at higher limits than it ends (hysteresis).
-Some windows before and after a motion are dropped, too. The samples of a shock, a short motion
-that changes no mean, are replaced instead.
+Some windows before and after a motion are dropped, too.
+
+A shock is a short motion after which all means are as before. Its samples are replaced by a line
+between these means and flagged, so that the segment continues: the flagged samples are excluded
+from short averages and only contribute to long ones.
 
 First, isolated spikes are replaced by the mean of their neighbors. If the noise has heavy tails,
 they are noise: they stay in the data and are not regarded as motion. If the noise increases
@@ -20,18 +23,23 @@ stream or the last gap, so the decisions do not depend on how the samples are di
 
 from __future__ import annotations
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .health import Counts, Event, EventLog, State
-from .noise_floor import EXAMINED, LEAST_WINDOW, NoiseFloor, RestLimits, Windows
-from .shocks import LONGEST_SHOCK, LONGEST_SHOCK_S, Level, Motion
-from .timing import Block, Flags
-from .windows import SPIKE_NEIGHBORS, Saturation, WindowClass, classify_windows, without_spikes
-
-Floats = NDArray[np.float64]
+from ..settings import SegmenterSettings
+from .health import Counts, Event, Longest, State
+from .noise_floor import (
+    EXAMINED,
+    LEAST_WINDOW,
+    SPIKE_NEIGHBORS,
+    NoiseFloor,
+    WindowClass,
+    Windows,
+    without_spikes,
+)
+from .timing import Block, Flags, Floats
 
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short compared with a motion."""
@@ -56,6 +64,115 @@ MOST_FILLED = 0.1
 """Largest share of interpolated samples in a window that is searched for outliers."""
 
 
+LONGEST_SHOCK_S, LONGEST_SHOCK = 10.0, 20
+"""Longest shock, in s and in windows."""
+
+LEVEL_WINDOWS, LEAST_LEVEL = 4, 2
+"""Number of windows before and after a motion whose means are compared, and the smallest number."""
+
+LEVEL_SIGMAS = 5.0
+"""Smallest change of a mean, in standard deviations, that is not due to noise."""
+
+TURNED = 0.035
+"""Angle in rad (2 degrees) by which an IMU does not turn during a shock."""
+
+REPLACED_SHARE = 0.5
+"""Largest ratio of replaced samples to samples at rest in a segment."""
+
+
+MIN_PLATEAU, PLATEAU_STEP_LSB = 3, 4.0
+"""An axis may be saturated if this number of consecutive samples has its largest value, and the
+step to them is at least this many resolutions. (At a coarse resolution, a slow motion has equal
+samples at its peak, too.)"""
+
+LEAST_SATURATED = 10
+"""Smallest number of such samples at the same value, which is never exceeded."""
+
+
+class Level:
+    """Mean over the last windows at rest, and number of samples at rest, in a segment."""
+
+    def __init__(self) -> None:
+        self.rest = self.replaced = 0  # samples
+        # one more than needed: the last window before a motion is not used
+        self._means: deque[Floats] = deque(maxlen=LEVEL_WINDOWS + 1)
+
+    def add(self, means: Floats, size: int) -> None:
+        """Add the means, (axes, k), of windows of ``size`` samples at rest."""
+        self.rest += means.shape[1] * size
+        self._means.extend(means[:, -LEVEL_WINDOWS - 1 :].T)
+
+    def before(self) -> Floats:
+        """Return the means of the windows before a motion that begins now, (k, axes)."""
+        return np.array(list(self._means)[:-1])
+
+
+class Motion:
+    """A motion; its windows are kept in ``held`` while it may be a shock, else this is None.
+
+    ``level`` is that of the segment before it, or None if no shock is possible.
+    """
+
+    def __init__(self, kind: str, began_ns: int, level: Level | None, margin: list[Block]) -> None:
+        self.kind = kind  # 'motion', 'stuck' or 'noise_increased'
+        self.began_ns, self.ended_ns = began_ns, began_ns
+        self.level = level
+        self.held = None if level is None else margin
+        self.windows = self.quiet = 0  # number of windows, and of quiet ones at the end
+        # means of the last windows before it
+        self.before = level.before() if level is not None else np.empty((0, 0))
+        self._after: deque[Floats] = deque(maxlen=LEVEL_WINDOWS)
+        self._samples = 0
+        self._total: float | Floats = 0.0  # sum of the samples
+
+    def add(self, window: Block, mean: Floats, quiet: bool) -> None:
+        """Add the next window and its mean, (axes,)."""
+        if self.held is not None:
+            self.held.append(window)
+        self.quiet = self.quiet + 1 if quiet else 0
+        if not quiet:
+            self.ended_ns = int(window.stamps[-1])
+        self._after.append(mean)
+        self.windows += 1
+        self._samples += len(window)
+        self._total = self._total + len(window) * mean
+
+    def change(self, floor: NoiseFloor) -> Floats:
+        """Return the change of the mean of each axis, (axes,): 0 if noise explains it.
+
+        It is NaN if the mean before or after the motion is not known.
+        """
+        counts = len(self.before), min(self.quiet, len(self._after))
+        if min(counts) < LEAST_LEVEL:
+            return np.full(len(floor.mean), np.nan)
+        after = np.array(list(self._after)[-counts[1] :]).mean(axis=0)
+        step = np.maximum(np.sqrt(2.0 / floor.size * floor.scale), floor.step)
+        limit = LEVEL_SIGMAS * np.sqrt(0.5 / counts[0] + 0.5 / counts[1]) * step
+        limit += np.where(floor.variance < 0.25 * floor.lsb**2, floor.lsb, 0.0)
+        change = after - self.before.mean(axis=0)
+        return np.asarray(np.where(np.abs(change) > limit, change, 0.0))
+
+    def replaced(self, floor: NoiseFloor, period_s: float) -> list[Block]:
+        """Return the windows with the samples of the shock replaced; empty if it is no shock.
+
+        All windows are replaced except the last quiet ones.
+        """
+        if self.held is None or self.level is None or self.change(floor).any():
+            return []
+        first, last = self.before.mean(axis=0), np.mean(self._after, axis=0)
+        turned = (self._total - self._samples * first)[floor.gyro] * period_s
+        block = Block.joined(self.held[: 1 - self.quiet])
+        n = len(block)
+        allowed = REPLACED_SHARE * self.level.rest - self.level.replaced
+        if np.linalg.norm(turned) > TURNED or n > allowed:
+            return []
+        share = (np.arange(n) + 0.5) / n
+        rows = first[:, None] + (last - first)[:, None] * share
+        self.level.replaced += n
+        flagged = np.ones(rows.shape, bool)
+        return [Block(block.stamps, rows, block.cut, flagged), *self.held[1 - self.quiet :]]
+
+
 class _Part(NamedTuple):
     """Consecutive windows of the current block: samples, statistics and classification."""
 
@@ -69,11 +186,11 @@ class MotionGate:
     """Detects motion, and keeps only the samples at rest.
 
     ``period_ns`` is the sample period. A window is moving if its standard deviation is more than
-    ``motion_ratio`` times that of the noise floor, or if its mean rate differs from that at rest by
-    more than ``rate_limit`` in rad/s. ``counts`` and ``events`` are changed in place. The attribute
-    ``increase`` is the ratio of the current noise at rest to the noise floor, (axes,), or None if
-    the noise has not increased. ``largest_increase`` holds the largest ratios so far; 0 if it never
-    increased.
+    ``settings.motion_ratio`` times that of the noise floor, or if its mean rate differs from that
+    at rest by more than ``settings.rate_limit``. ``counts`` and ``events`` are changed in place.
+    The attribute ``increase`` is the ratio of the current noise at rest to the noise floor,
+    (axes,), or None if the noise has not increased. ``largest_increase`` holds the largest ratios
+    so far; 0 if it never increased.
     """
 
     def __init__(
@@ -81,9 +198,8 @@ class MotionGate:
         period_ns: float,
         axes: tuple[str, ...],
         counts: Counts,
-        events: EventLog,
-        motion_ratio: float,
-        rate_limit: float,
+        events: Longest[Event],
+        settings: SegmenterSettings,
     ) -> None:
         wanted = round(WINDOW_S * 1e9 / period_ns)
         self.size = int(np.clip(wanted, LEAST_WINDOW, MOST_WINDOW))
@@ -92,11 +208,11 @@ class MotionGate:
         self._counts = counts
         self._events = events
         self._axes = axes
+        self._settings = settings
         self._period_s = period_ns * 1e-9
         longest = int(LONGEST_SHOCK_S / (self.size * self._period_s))
         self._longest_shock = min(longest, LONGEST_SHOCK)
-        self._ratio = motion_ratio
-        self._limits = RestLimits.of(axes, rate_limit)
+        self._shocks_before = counts.shocks, counts.replaced
         self._floor: NoiseFloor | None = None
         self._learning: list[Block] = []  # buffered until the noise floor is known
         # buffered until they fill a window, with their look-ahead
@@ -106,18 +222,12 @@ class MotionGate:
         self._last_mean: Floats | None = None
         self._motion: Motion | None = None
         self._level = Level()
-        self._shocks = self._replaced = 0  # shocks and their replaced samples
         self._cut = ''  # reason for the gap before the next still block
         self._margin: list[Block] = []  # still windows, dropped if a motion begins after them
         self._pending_cut = ''  # reason for the gap before the pending samples
         self._block: list[_Part] = []
         self._in_block = 0  # number of windows in it
         self._noisy_blocks = 0
-
-    @property
-    def moving(self) -> bool:
-        """Whether the IMU moves, or an axis is stuck."""
-        return self._motion is not None
 
     @property
     def heavy_tails(self) -> dict[str, float]:
@@ -131,23 +241,23 @@ class MotionGate:
     @property
     def state(self) -> State:
         """Current state; 'learning' until the noise floor is known or a motion is found."""
-        if self._floor is None and not self.moving:
-            return 'learning'
         if self.increase is not None:
             return 'noise_increased'
-        return 'moving' if self.moving else 'at_rest'
+        if self._motion is not None:
+            return 'moving'
+        return 'learning' if self._floor is None else 'at_rest'
 
     def feed(self, blocks: list[Block]) -> list[Block]:
         """Add consecutive blocks, and return the samples that are confirmed to be at rest."""
         out: list[Block] = []
         for contiguous in _contiguous(blocks):
-            if self._floor is None:
-                self._learning += contiguous
-                needed = BLOCK_WINDOWS * self.size
-                while self._floor is None and sum(map(len, self._learning)) >= needed:
-                    out += self._learn()
-            else:
+            if self._floor is not None:
                 out += self._add(contiguous)
+                continue
+            self._learning += contiguous
+            needed = BLOCK_WINDOWS * self.size
+            while self._floor is None and sum(map(len, self._learning)) >= needed:
+                out += self._learn()
         return out
 
     def flush(self) -> list[Block]:
@@ -162,51 +272,37 @@ class MotionGate:
     def _learn(self) -> list[Block]:
         """Learn the noise floor from the first windows, or drop these if the IMU moved."""
         first, rest = _split(self._learning, BLOCK_WINDOWS * self.size)
-        parts = [np.concatenate([b.rows for b in blocks], axis=1) for blocks in _contiguous(first)]
-        floor = NoiseFloor.learned(parts, self.size, self._limits)
-        if floor.is_plausible():
-            for blocks in _contiguous(first):
-                joined = Block.joined(blocks)
-                joined = joined.part(slice(len(joined) // self.size * self.size))
-                windows = Windows.of(joined.rows, self.size)
-                found = classify_windows(windows, None, self.size, floor, self._ratio)
-                floor = floor.with_outliers(_usable(joined, self.size, ~found.moving))
-            self._floor = floor
-            blocks, self._learning = self._learning, []
-            self._log_motion()
-            self._motion = None
-            return self.feed(blocks)
-        self._learning = rest
-        self._counts.moving += sum(map(len, first))
-        if self._motion is None:
-            self._motion = Motion('motion', int(first[0].stamps[0]), None, [])
-            self._counts.splits['motion'] += 1
-        self._motion.ended_ns = int(first[-1].stamps[-1])
-        self._cut = 'motion'
-        return []
+        parts = [Block.joined(blocks) for blocks in _contiguous(first)]
+        gyro = np.array([axis.startswith('gyro') for axis in self._axes])
+        floor = NoiseFloor.learned([part.rows for part in parts], self.size, gyro, self._settings)
+        if not floor.is_plausible():
+            self._learning = rest
+            self._counts.moving += sum(map(len, first))
+            if self._motion is None:
+                self._motion = Motion('motion', int(first[0].stamps[0]), None, [])
+                self._counts.splits['motion'] += 1
+            self._motion.ended_ns = int(first[-1].stamps[-1])
+            self._cut = 'motion'
+            return []
+        for part in parts:
+            windows = Windows.of(part.rows, self.size)
+            found = floor.classify(windows, None, self.size)
+            floor = floor.with_outliers(_usable(part, self.size, ~found.moving))
+        self._floor = floor
+        blocks, self._learning = self._learning, []
+        self._log_motion()
+        return self.feed(blocks)
 
     # --- windows ----------------------------------------------------------------------------------
 
     def _add(self, blocks: list[Block]) -> list[Block]:
         """Classify blocks without a gap between them, and return the samples at rest."""
-        out: list[Block] = []
-        if blocks[0].cut:
-            out += self._flush_pending()
+        out = self._flush_pending() if blocks[0].cut else []
         self._pending_cut = self._pending_cut or blocks[0].cut
-        for block in blocks:
-            # only the window that begins in the buffer is copied, with its look-ahead
-            seam = -len(self._pending) % self.size + SPIKE_NEIGHBORS
-            out += self._append(block.part(slice(None, seam)))
-            if len(block) > seam:
-                self._pending = self._pending.part(slice(0))
-                out += self._append(block.part(slice(seam - SPIKE_NEIGHBORS, None)))
-        return out
-
-    def _append(self, block: Block) -> list[Block]:
-        """Classify all windows whose look-ahead is complete, and buffer the other samples."""
-        have = Block.joined([self._pending, block]) if len(self._pending) else block
+        have = Block.joined([self._pending, *blocks])
         ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
-        out = self._classify(have, ready, self.size) if ready else []
+        if ready:
+            out += self._classify(have, ready, self.size)
         self._pending = have.part(slice(ready, None)).copy()
         return out
 
@@ -227,18 +323,19 @@ class MotionGate:
     def _classify(self, have: Block, samples: int, size: int) -> list[Block]:
         """Classify the first ``samples`` samples, in windows of ``size``; return those at rest."""
         assert self._floor is not None
-        block, after = have.part(slice(samples)), have.rows[:, samples : samples + SPIKE_NEIGHBORS]
-        before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()
-        block, windows, spikes = without_spikes(block, size, before, after, self._floor)
-        self._counts.spikes += spikes
         out: list[Block] = []
-        at, number = 0, samples // size
-        while at < number:
-            k = min(number - at, BLOCK_WINDOWS - self._in_block)
-            part = block.part(slice(at * size, (at + k) * size), self._pending_cut)
-            self._pending_cut = ''
-            out += self._keep_still(part, size, windows[at : at + k])
-            at += k
+        at = 0
+        while at < samples:
+            # up to the end of a block, after which the noise floor is another one
+            k = min((samples - at) // size, BLOCK_WINDOWS - self._in_block)
+            end = at + k * size
+            block, self._pending_cut = have.part(slice(at, end), self._pending_cut), ''
+            after = have.rows[:, end : end + SPIKE_NEIGHBORS]
+            before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()
+            block, windows, spikes = without_spikes(block, size, before, after, self._floor)
+            self._counts.spikes += spikes
+            out += self._keep_still(block, size, windows)
+            at = end
             if size == self.size:
                 self._in_block += k
                 if self._in_block == BLOCK_WINDOWS:
@@ -249,6 +346,7 @@ class MotionGate:
 
     def _keep_still(self, block: Block, size: int, windows: Windows) -> list[Block]:
         """Return the samples of a block that are at rest; each window has ``size`` samples."""
+        assert self._floor is not None
         out: list[Block] = []
         if block.cut:
             out, self._margin = self._margin, []
@@ -256,17 +354,16 @@ class MotionGate:
             if self._motion is not None:
                 self._motion.before = self._motion.before[:0]
             self._cut = self._cut or block.cut
-        assert self._floor is not None
-        found = classify_windows(windows, self._last_mean, size, self._floor, self._ratio)
+        found = self._floor.classify(windows, self._last_mean, size)
         still = ~found.moving
-        if self.moving or found.moving.any():
+        if self._motion is None and still.all():
+            self._level.add(windows.mean, size)
+            out += self._release(block)
+        else:
             for i in range(len(still)):
                 window = block.part(slice(i * size, (i + 1) * size))
                 out += self._step(window, windows.mean[:, i], *(bool(v[i]) for v in found[:3]))
-                still[i] = not self.moving
-        else:
-            self._level.add(windows.mean, size)
-            out += self._release(block.part(slice(None)))
+                still[i] = self._motion is None
         self._last_mean = windows.mean[:, -1]
         if size == self.size:
             self._block.append(_Part(block, windows, still, found))
@@ -276,6 +373,7 @@ class MotionGate:
         self, window: Block, mean: Floats, moving: bool, quiet: bool, stuck: bool
     ) -> list[Block]:
         """Update the state from one window, and return samples confirmed to be at rest."""
+        assert self._floor is not None
         if self._motion is None and not moving:
             self._level.add(mean[:, None], len(window))
             return self._release(window)
@@ -289,56 +387,48 @@ class MotionGate:
             self._counts.stuck += len(window)
         else:
             self._counts.moving += len(window) if motion.held is None else 0
-            assert self._floor is not None
             before = self._saturation.count
             self._saturation.add(window.rows, self._floor.lsb)
             self._counts.saturated += self._saturation.count - before
         motion.add(window, mean, quiet)
-        if motion.is_longer(self._longest_shock):
+        if motion.windows - motion.quiet > self._longest_shock:
             self._no_shock()
         return self._end_motion() if motion.quiet >= MARGIN_AFTER else []
 
     def _end_motion(self) -> list[Block]:
         """Return the windows of the motion that just ended if it was a shock, else split."""
         assert self._floor is not None and self._motion is not None
-        out: list[Block] = []
         kept = self._motion.replaced(self._floor, self._period_s)
         if kept:
             self._motion.kind = 'shock'
-            self._count_shocks(1, len(kept[0]))
-            out.append(kept[0])
+            self._counts.shocks += 1
+            self._counts.replaced += len(kept[0])
         else:
             self._no_shock()
         self._log_motion()
-        self._motion = None
+        out = kept[:1]
         for window in kept[1:]:
             self._level.add(window.rows.mean(axis=1)[:, None], len(window))
             out += self._release(window)
         return out
 
-    def _count_shocks(self, shocks: int, samples: int) -> None:
-        self._shocks += shocks
-        self._replaced += samples
-        self._counts.shocks += shocks
-        self._counts.replaced += samples
-
     def _no_shock(self) -> None:
         """Drop the windows of the present motion, which is no shock."""
         motion = self._motion
         if motion is not None and motion.held is not None:
-            self._counts.moving += sum(map(len, motion.abandon()))
+            self._counts.moving += sum(map(len, motion.held))
             self._counts.splits[motion.kind] += 1
             self._cut = self._cut or motion.kind
+            motion.held = None
 
     def _log_motion(self) -> None:
-        """Add the motion that just ended to the list of events."""
-        motion, floor = self._motion, self._floor
-        if motion is None or floor is None:
-            return
-        change = motion.change(floor)
-        changed = {a: float(c) for a, c in zip(self._axes, change) if abs(c) > 0.0}
-        seconds = (motion.ended_ns - motion.began_ns) * 1e-9 + self._period_s
-        self._events.add(Event(motion.kind, motion.began_ns, seconds, changed))
+        """Add the motion that just ended, if any, to the list of events."""
+        motion, floor, self._motion = self._motion, self._floor, None
+        if motion is not None and floor is not None:
+            changes = zip(self._axes, motion.change(floor).tolist())
+            seconds = (motion.ended_ns - motion.began_ns) * 1e-9 + self._period_s
+            changed = {axis: change for axis, change in changes if abs(change) > 0.0}
+            self._events.add(seconds, Event(motion.kind, motion.began_ns, seconds, changed))
 
     def _release(self, block: Block) -> list[Block]:
         """Buffer the last still window, because a motion may follow; return the samples before."""
@@ -403,7 +493,7 @@ class MotionGate:
         """Discard all earlier data, and classify the block again with the new noise floor."""
         # `SensorStream` counts the samples that were already released
         self._no_shock()
-        self._count_shocks(-self._shocks, -self._replaced)
+        self._counts.shocks, self._counts.replaced = self._shocks_before
         self._counts.moving += sum(map(len, self._margin))
         samples = sum(len(part.samples) for part in block)
         stuck = self.size * sum(int(np.count_nonzero(part.found.stuck)) for part in block)
@@ -421,6 +511,38 @@ class MotionGate:
         return out
 
 
+class Saturation:
+    """Counts the samples in motion at the limit of the measurement range, ``count``.
+
+    These are consecutive samples with the largest absolute value of an axis so far that a large
+    step precedes or follows. A larger value later shows that this was not the limit.
+    """
+
+    def __init__(self, axes: int) -> None:
+        self._largest = np.zeros(axes)  # absolute value
+        self._at_limit = np.zeros(axes, np.int64)  # number of samples with this value
+
+    @property
+    def count(self) -> int:
+        """Number of saturated samples, counted per axis."""
+        return int(self._at_limit[self._at_limit >= LEAST_SATURATED].sum())
+
+    def add(self, rows: Floats, lsb: Floats) -> None:
+        """Add a moving window, (axes, n); ``lsb``, (axes,), are the resolutions."""
+        size = np.abs(rows)
+        largest = size.max(axis=1)
+        self._at_limit[largest > self._largest] = 0
+        self._largest = np.maximum(self._largest, largest)
+        top = size >= self._largest[:, None]
+        for axis in np.flatnonzero(np.count_nonzero(top, axis=1) >= MIN_PLATEAU):
+            edges = np.flatnonzero(np.diff(top[axis], prepend=False, append=False))
+            for a, b in edges.reshape(-1, 2):
+                outside = [rows[axis, i] for i in (a - 1, b) if 0 <= i < rows.shape[1]]
+                step = max((abs(rows[axis, a] - x) for x in outside), default=0.0)
+                if b - a >= MIN_PLATEAU and step >= PLATEAU_STEP_LSB * lsb[axis] > 0:
+                    self._at_limit[axis] += b - a
+
+
 def _contiguous(blocks: list[Block]) -> list[list[Block]]:
     """Group consecutive blocks that have no gap between them."""
     groups: list[list[Block]] = []
@@ -433,9 +555,10 @@ def _contiguous(blocks: list[Block]) -> list[list[Block]]:
 
 def _usable(block: Block, size: int, chosen: Flags) -> Floats:
     """Return the chosen windows without those that contain many interpolated samples."""
-    cube = block.rows.reshape(len(block.rows), -1, size)
+    samples = len(chosen) * size
+    cube = block.rows[:, :samples].reshape(len(block.rows), -1, size)
     if block.filled is not None:
-        share = block.filled.reshape(cube.shape).mean(axis=2).max(axis=0)
+        share = block.filled[:, :samples].reshape(cube.shape).mean(axis=2).max(axis=0)
         chosen = chosen & (share <= MOST_FILLED)
     return cube[:, chosen].reshape(len(cube), -1)
 

@@ -1,17 +1,20 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates the noise of a sensor at rest from the statistics of short windows."""
+"""The noise floor: the noise of a sensor at rest, and what short windows of samples tell about it.
+
+Windows are classified as at rest or moving, and isolated spikes are replaced.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from ..settings import SegmenterSettings
+from .timing import Block, Flags, Floats
 
 LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
@@ -72,25 +75,31 @@ SAME_DIRECTION = 0.035
 tilt (2 degrees)."""
 
 
-@dataclass(frozen=True)
-class RestLimits:
-    """Limits that a sensor at rest does not exceed, (axes,) arrays in rad/s and m/s^2.
+LEAVE_RATIO = 0.8
+"""A motion ends when the standard deviation is below this fraction of the limit for its start."""
 
-    White noise has no limit, because an implausibly high level is due to a wrong unit, not motion.
-    """
+KNOCK_SIGMAS = 20.0
+"""A sample that deviates from the mean of its window by this many standard deviations of the noise
+floor is a mechanical knock."""
 
-    deviation: Floats  # standard deviation within a window, if low frequencies dominate
-    # step between the means of neighboring windows, if larger than that of white noise
-    step: Floats
-    rate: Floats  # deviation of the mean angular rate from its value at rest; infinite for accel
-    gravity: Flags  # whether the axis measures gravity
+STEP_SIGMAS = 8.0
+"""Means of neighboring windows that differ by this many standard deviations of the difference
+indicate motion."""
 
-    @classmethod
-    def of(cls, axes: tuple[str, ...], rate_limit: float) -> RestLimits:
-        """Return limits above the values of any IMU at rest; ``rate_limit`` is in rad/s."""
-        gyro = np.array([axis.startswith('gyro') for axis in axes])
-        rate = np.where(gyro, rate_limit, np.inf)
-        return cls(np.where(gyro, 0.1, 1.5), np.where(gyro, 0.0087, 0.15), rate, ~gyro)
+SPIKE_SIGMAS = 7.0
+"""An isolated sample is a spike if it deviates from the mean of its window by more than this number
+of standard deviations of the noise floor. This holds for 1e-10 of the samples of white noise, so
+the variance of white noise changes by less than 1e-8."""
+
+SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
+"""Number of samples before and after a spike that are examined. The spike is isolated if its direct
+neighbors, and all others except one, deviate less than this fraction of the smallest possible
+spike. After a mechanical knock, in contrast, several samples deviate."""
+
+PLAUSIBLE_DEVIATION, PLAUSIBLE_STEP = (0.1, 1.5), (0.0087, 0.15)
+"""Limits at rest for a gyro (rad/s) and an accelerometer (m/s^2): standard deviation in a window if
+low frequencies dominate, and step between the means of neighboring windows if white noise does not
+explain it. White noise has no limit: a high level is due to a wrong unit, not motion."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +114,8 @@ class Windows:
 
     @classmethod
     def of(cls, rows: Floats, size: int) -> Windows:
-        """Compute the statistics of windows of ``size`` samples; rows is (axes, k * size)."""
-        cube = rows.reshape(len(rows), -1, size)
+        """Compute the statistics of the complete windows of ``size`` samples; rows is (axes, n)."""
+        cube = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
         mean = np.add.reduce(cube, axis=2) / size
         # the sample with the largest deviation is the largest or the smallest one
         peak = np.maximum(cube.max(axis=2) - mean, mean - cube.min(axis=2))
@@ -140,6 +149,15 @@ def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
         return np.asarray(0.5 * np.asarray(differences) / deviations)
 
 
+class WindowClass(NamedTuple):
+    """Classification of k windows: arrays of flags, (k,) each."""
+
+    moving: Flags  # in motion, or an axis is stuck
+    quiet: Flags  # below the limits at which a motion ends
+    stuck: Flags  # an axis repeats one value
+    rotating: Flags  # only the mean angular rate differs from the noise floor
+
+
 @dataclass(frozen=True)
 class NoiseFloor:
     """The noise of a sensor at rest, estimated from windows of ``size`` samples.
@@ -147,52 +165,45 @@ class NoiseFloor:
     The arrays are (axes,), in the unit of the samples.
     """
 
+    size: int
+    gyro: Flags  # whether the axis is one of the gyro
+    settings: SegmenterSettings
     variance: Floats  # about the mean of a still window, in the squared unit
     step: Floats  # standard deviation of the step between the means of neighboring windows
     mean: Floats
     lsb: Floats  # smallest change between two samples: at most the resolution of the sensor
     ratio: Floats  # von Neumann ratio of the samples
-    size: int
-    limits: RestLimits
     # outliers among the samples that were searched for them: number of each axis, and of samples
     outliers: Floats
-    examined: float
+    examined: float = 0.0
 
     @classmethod
-    def learned(cls, parts: Iterable[Floats], size: int, limits: RestLimits) -> NoiseFloor:
+    def learned(
+        cls, parts: list[Floats], size: int, gyro: Flags, settings: SegmenterSettings
+    ) -> NoiseFloor:
         """Return the noise floor of the first samples; a quarter of them should be at rest.
 
         Each part, (axes, n), is a sequence of samples without a gap.
         """
-        parts = list(parts)
-        measured: list[Windows] = []
-        steps: list[Floats] = []
-        axes = len(limits.rate)
-        lsb = np.full(axes, np.inf)
-        for rows in parts:
-            window = min(size, rows.shape[1])
-            if window < 2:
-                continue
-            measured.append(Windows.of(rows[:, : rows.shape[1] // window * window], window))
-            steps.append(np.abs(np.diff(measured[-1].mean, axis=1)))
-            change = np.abs(np.diff(rows, axis=1))
-            lsb = np.minimum(lsb, np.where(change > 0.0, change, np.inf).min(axis=1))
-        lsb[~np.isfinite(lsb)] = 0.0
-        zero = np.zeros(axes)
-        if not measured:
-            unknown = np.full(axes, np.nan)
-            return cls(zero, zero, zero, lsb, unknown, size, limits, zero, 0.0)
-        windows, step = Windows.joined(measured), np.concatenate(steps, axis=1)
+        parts = [rows for rows in parts if rows.shape[1] > 1]
+        zero = np.zeros(len(gyro))
+        if not parts:
+            return cls(size, gyro, settings, zero, zero, zero, zero, zero + np.nan, zero)
+        split = [Windows.of(rows, min(size, rows.shape[1])) for rows in parts]
+        windows = Windows.joined(split)
+        step = np.concatenate([np.abs(np.diff(each.mean, axis=1)) for each in split], axis=1)
+        change = np.concatenate([np.abs(np.diff(rows, axis=1)) for rows in parts], axis=1)
+        lsb = np.where(change > 0.0, change, np.inf).min(axis=1)
         return cls(
+            size,
+            gyro,
+            settings,
             _quantile(windows.variance, QUANTILE),
             MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
             _quantile(windows.mean, 0.5),
-            lsb,
+            np.where(np.isfinite(lsb), lsb, 0.0),
             von_neumann_ratio(parts),
-            size,
-            limits,
             zero,
-            0.0,
         )
 
     @property
@@ -221,12 +232,18 @@ class NoiseFloor:
         """Variance from which the thresholds are computed, (axes,): at least (lsb / 2)^2."""
         return np.maximum(self.variance, 0.25 * self.lsb**2)
 
+    @property
+    def rate_limit(self) -> Floats:
+        """Largest change of the mean at rest, (axes,): infinite for an accelerometer."""
+        return np.where(self.gyro, self.settings.rate_limit, np.inf)
+
     def is_plausible(self) -> bool:
         """Return whether a sensor at rest can have this noise; if not, it moved."""
         white = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
-        steps = (self.step > self.limits.step) & (self.step > COLORED_STEP * white)
-        slow = (self.variance > self.limits.deviation**2) & (self.ratio < LOW_FREQUENCY)
-        return not bool((steps | slow).any())
+        colored = self.step > COLORED_STEP * white
+        steps = (self.step > np.where(self.gyro, *PLAUSIBLE_STEP)) & colored
+        large = self.variance > np.where(self.gyro, *PLAUSIBLE_DEVIATION) ** 2
+        return not bool((steps | (large & (self.ratio < LOW_FREQUENCY))).any())
 
     def replacement(self, block: Windows) -> NoiseFloor | None:
         """Return the noise floor of a block if it is lower by `RELEARN_RATIO`, else None.
@@ -299,10 +316,94 @@ class NoiseFloor:
         if (MAD_TO_SIGMA * _quantile(steps, 0.5) > largest_step).any():
             return None
         change = np.abs(_quantile(block.mean, 0.5) - self.mean)
-        accel = self.limits.gravity
-        gravity = float(np.linalg.norm(self.mean[accel]))
-        allowed = np.where(accel, SAME_DIRECTION * gravity, self.limits.rate) + white
+        gravity = float(np.linalg.norm(self.mean[~self.gyro]))
+        allowed = np.where(self.gyro, self.rate_limit, SAME_DIRECTION * gravity) + white
         return None if (change > allowed).any() else ratio
+
+    def classify(self, windows: Windows, previous_mean: Floats | None, size: int) -> WindowClass:
+        """Classify windows of ``size`` samples by comparing them with the noise floor.
+
+        ``previous_mean``, (axes,), is the mean of the window before the first; None if there is
+        none.
+        """
+        # (axes, 1) each; the limits are infinite for an axis without noise
+        scale, lsb = self.scale[:, None], self.lsb[:, None]
+        unknown = np.where(scale > 0.0, 0.0, np.inf)
+        sigma = np.sqrt(scale)
+        step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, self.step[:, None])
+        # the variance of few samples is uncertain, so short windows are classified by their peak
+        uncertain = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
+        max_variance = self.settings.motion_ratio**2 * scale + uncertain
+        max_peak = np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown
+        max_step = STEP_SIGMAS * step_sigma + lsb + uncertain
+        max_rate = np.maximum(self.rate_limit[:, None], STEP_SIGMAS * step_sigma)
+        previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
+        means = np.concatenate([previous, windows.mean], axis=1)
+        step = np.abs(means[:, 1:] - means[:, :-1])
+        noisy = windows.variance > LEAVE_RATIO**2 * max_variance
+        knocked = (windows.peak > max_peak) | (step > max_step)
+        rotating = np.abs(windows.mean - self.mean[:, None]) > max_rate
+        none = np.zeros(windows.mean.shape[1], bool)
+        if windows.variance.all() and not (noisy | knocked | rotating).any():
+            return WindowClass(none, ~none, none, none)  # the common case: an IMU at rest
+        has_noise = (self.variance > self.lsb**2)[:, None] & (size >= LEAST_WINDOW)
+        stuck = ((windows.variance == 0.0) & has_noise).any(axis=0)
+        moving = ((windows.variance > max_variance) | knocked | rotating).any(axis=0) | stuck
+        disturbed = (noisy | knocked).any(axis=0) | stuck
+        return WindowClass(moving, ~(moving | disturbed), stuck, rotating.any(axis=0) & ~disturbed)
+
+
+def without_spikes(
+    block: Block, size: int, before: Floats, after: Floats, floor: NoiseFloor
+) -> tuple[Block, Windows, int]:
+    """Replace isolated spikes by the mean of the two samples next to them.
+
+    ``size`` is the number of samples in a window. ``before`` and ``after``, (axes, n), are up to
+    `SPIKE_NEIGHBORS` samples on either side of the block. Returns the block, the statistics of its
+    windows, and the number of replaced values. On axes with heavy tails, spikes are only removed
+    from the statistics, and the block keeps them.
+    """
+    rows = block.rows
+    windows = Windows.of(rows, size)
+    threshold = SPIKE_SIGMAS * np.sqrt(floor.scale)
+    flagged = (windows.peak > threshold[:, None]) & (threshold > 0.0)[:, None]
+    if not flagged.any() or size < LEAST_WINDOW:
+        return block, windows, 0
+    axes, at = np.nonzero(flagged)
+    cube = rows.reshape(len(rows), -1, size)[axes, at]
+    level = np.median(cube, axis=1)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
+    # a higher threshold if the noise exceeds its floor by more than the error of sigma
+    increased = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
+    height = np.where(increased, SPIKE_SIGMAS * sigma, threshold[axes])
+    far = np.abs(cube - level[:, None]) > height[:, None]
+    few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more than this are a motion
+    around = np.concatenate([before, rows, after], axis=1)
+    without = rows.copy()
+    found = np.zeros(rows.shape, bool)
+    for n, k in zip(*np.nonzero(far & few[:, None])):
+        axis, i = axes[n], at[n] * size + k
+        x, j = around[axis], i + before.shape[1]
+        first = max(0, j - SPIKE_NEIGHBORS)
+        near = np.abs(x[first : j + SPIKE_NEIGHBORS + 1] - level[n])
+        if _is_isolated(near > NEIGHBOR_RATIO * height[n], j - first):
+            without[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
+            found[axis, i] = True
+    changed = found.any(axis=0).reshape(-1, size).any(axis=1)
+    if not changed.any():
+        return block, windows, 0
+    some = without.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
+    windows.values[:, :, changed] = Windows.of(some, size).values
+    found[floor.heavy] = False
+    filled = found if block.filled is None else block.filled | found
+    replaced = np.where(found, without, rows)
+    return Block(block.stamps, replaced, block.cut, filled), windows, int(np.count_nonzero(found))
+
+
+def _is_isolated(far: Flags, at: int) -> bool:
+    """Return whether the neighbors of ``far[at]`` are not set, and at most one other flag is."""
+    inside = 0 < at < len(far) - 1
+    return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2
 
 
 def _quantile(values: Floats, share: float) -> Floats:

@@ -9,13 +9,12 @@ sensors if their rates differ, and `SensorStream` runs the stages from samples t
 from __future__ import annotations
 
 import copy
-from bisect import insort
 from contextlib import suppress
 from dataclasses import replace
+from heapq import nlargest
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
@@ -24,31 +23,31 @@ from ..findings import Finding
 from ..imu import AXES, ImuBatch, ImuIdentity, joined
 from ..settings import SegmenterSettings
 from .cleaning import StampChoice, StampFilter, StampSorter
-from .clock import LEARN, Clock, learn_clock
 from .health import (
+    LISTED_EVENTS,
     LISTED_SEGMENTS,
     Accumulation,
     Counts,
-    EventLog,
+    Event,
     FilledGaps,
+    Longest,
     Means,
     RunningMeans,
     Segment,
     State,
     StreamHealth,
-    StreamSums,
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
 from .sensors import RepeatFilter, SampleHoldFilter, SensorPlan, plan_sensors
-from .timing import Block, SampleClock
+from .timing import LEARN, Block, Clock, Flags, Floats, SampleClock, Stamps, learn_clock
 
 
-class StreamOptions(NamedTuple):
-    """Settings of the stages, and whether to compute one-second means."""
+class StreamSums(NamedTuple):
+    """Sums and longest segments of data at one sample rate."""
 
-    settings: SegmenterSettings
-    with_means: bool
+    sums: AllanSums
+    segments: tuple[Segment, ...]
 
 
 class ImuStream:
@@ -56,21 +55,17 @@ class ImuStream:
 
     The sums are the same, bit for bit, however the samples are divided into batches: all decisions
     depend only on the positions of samples counted from the start of the stream, with a fixed
-    look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``with_means``
-    also computes the one-second means of static data.
+    look-ahead. ``hardware_id`` identifies the IMU if the user states it.
     """
 
     def __init__(
-        self,
-        settings: SegmenterSettings = SegmenterSettings(),
-        hardware_id: str = '',
-        with_means: bool = False,
+        self, settings: SegmenterSettings = SegmenterSettings(), hardware_id: str = ''
     ) -> None:
         self._hardware_id = hardware_id
-        self._options = StreamOptions(settings, with_means)
+        self._settings = settings
         self._received = 0
         self._frames: dict[str, FrameStream] = {}
-        self._present = FrameStream(ImuIdentity('', hardware_id), self._options)
+        self._present = FrameStream(ImuIdentity('', hardware_id), settings)
         self._frame_changes = 0
         self._dropped = Counts()  # of frames whose sums were dropped
         self._dropped_frames = 0
@@ -92,8 +87,8 @@ class ImuStream:
             frame.flush()
 
     def means(self) -> tuple[Means, ...]:
-        """Return the latest one-second means of each sensor stream; empty unless requested."""
-        return tuple(stream.means for stream in self._present.sensors if stream.means is not None)
+        """Return the latest one-second means of static data of each sensor stream."""
+        return tuple(stream.means for stream in self._present.sensors)
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream is not changed."""
@@ -102,11 +97,8 @@ class ImuStream:
         now.end()
         longest = now._longest()
         sums = tuple(each.sums for each in longest)
-        return Accumulation(
-            sums,
-            *now._health(state, sums),
-            longest[0].segments if longest else (),
-        )
+        segments = longest[0].segments if longest else ()
+        return Accumulation(sums, *now._health(state, sums), segments)
 
     def present_health(
         self, sums: tuple[AllanSums, ...]
@@ -130,7 +122,7 @@ class ImuStream:
             del self._frames[least.identity.frame_id]
             self._dropped.other_frame += least.received
             self._dropped_frames += 1
-        frame = FrameStream(ImuIdentity(frame_id, self._hardware_id), self._options)
+        frame = FrameStream(ImuIdentity(frame_id, self._hardware_id), self._settings)
         self._frames[frame_id] = frame
         return frame
 
@@ -169,11 +161,11 @@ class ImuStream:
             {axis: ratio for s in frame.sensors for axis, ratio in s.largest_increase.items()},
             max((stream.discarded_s for stream in streams), default=0.0),
             {axis: share for s in frame.sensors for axis, share in s.outliers.items()},
-            tuple(event for s in frame.sensors for event in s.events.events),
+            tuple(event for s in frame.sensors for event in s.events.items),
             self._dropped_frames,
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
-        found = [*notes, *stream_findings(health, longest, self._options.settings)]
+        found = [*notes, *stream_findings(health, longest, self._settings)]
         return health, tuple(dict.fromkeys(found))
 
 
@@ -184,16 +176,15 @@ class FrameStream:
     until the first samples are evaluated. ``notes`` are the findings about these first samples.
     """
 
-    def __init__(self, identity: ImuIdentity, options: StreamOptions) -> None:
+    def __init__(self, identity: ImuIdentity, settings: SegmenterSettings) -> None:
         self.identity = identity
         self.sensors: tuple[SensorStream, ...] = ()
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.last_ns: int | None = None
         self.received = 0
-        settings = options.settings
         self.stamps = StampChoice(settings.stamps == 'record', settings.declared_rate)
-        self._options = options
+        self._settings = settings
         self._sorter = StampSorter()
         self._learning: list[ImuBatch] = []
         self._learned = 0
@@ -252,13 +243,13 @@ class FrameStream:
         self.notes += [note for note in findings if note not in self.notes]
         if not self.sensors:
             self._sorter = StampSorter(chosen)
-        self.sensors = tuple(SensorStream(p, self.identity, self._options) for p in plans)
+        self.sensors = tuple(SensorStream(p, self.identity, self._settings) for p in plans)
         self._feed(*self._sorter.feed(chosen, first.samples.T))
 
     def _sort(self, batch: ImuBatch) -> None:
         self._feed(*self._sorter.feed(self.stamps.of(batch), batch.samples.T))
 
-    def _feed(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+    def _feed(self, stamps: Stamps, rows: Floats) -> None:
         """Pass samples to the sensor streams: stamps (n,) in ns, values (6, n)."""
         if not len(stamps):
             return
@@ -285,38 +276,38 @@ class SensorStream:
     ``discarded_s`` is the time from the first sample at rest to the first one that was kept.
     """
 
-    def __init__(self, plan: SensorPlan, identity: ImuIdentity, options: StreamOptions) -> None:
+    def __init__(
+        self, plan: SensorPlan, identity: ImuIdentity, settings: SegmenterSettings
+    ) -> None:
         self.counts = Counts()
-        self.events = EventLog()
+        self.events: Longest[Event] = Longest(LISTED_EVENTS)
         self.relearned = 0
         self.discarded_s = 0.0
         self._first_ns: int | None = None
         self._restarted = False
-        self._axes = plan.axes
-        self._polled = bool(plan.drop)
-        self._repeated = [[plan.axes.index(a) for a in group] for group in plan.random_repeats]
+        self._plan = plan
         self._former: StreamSums | None = None  # at the earlier rate with the most data
         self._identity = identity
-        self._options = options
+        self._settings = settings
         self._hold_filter = SampleHoldFilter(plan)
         self._stamp_filter = StampFilter(len(plan.axes), self.counts)
         self._start(np.empty(0, np.int64), np.empty((len(plan.axes), 0)))
 
-    def _start(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+    def _start(self, stamps: Stamps, rows: Floats) -> None:
         """Begin to learn the sample period, from samples that are not processed yet."""
         self._learning = [(stamps, rows, np.zeros(len(stamps), bool))]
         self._clock: SampleClock | None = None
-        self._repeats = RepeatFilter(self._repeated, len(self._axes)) if self._repeated else None
         self._gate: MotionGate | None = None
+        self._stages: list[RepeatFilter | MotionGate] = []  # between the clock and the sums
         self._clear()
 
     def _clear(self) -> None:
         """Start with empty sums."""
-        axes = self._axes
+        axes = self._plan.axes
         self._engine = RunningSums(self._identity, axes)
-        self._means = RunningMeans(axes) if self._options.with_means else None
+        self._means = RunningMeans(axes)
         self._filled = FilledGaps(len(axes))
-        self._segments: list[tuple[int, Segment]] = []  # shortest first
+        self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
         self._start_ns = self._end_ns = 0
         self._cut = ''
 
@@ -338,7 +329,7 @@ class SensorStream:
         increased."""
         if self._gate is None or not self._gate.largest_increase.any():
             return {}
-        return dict(zip(self._axes, self._gate.largest_increase.tolist()))
+        return dict(zip(self._plan.axes, self._gate.largest_increase.tolist()))
 
     @property
     def outliers(self) -> dict[str, float]:
@@ -352,29 +343,31 @@ class SensorStream:
 
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at the present sample rate and at the earlier one with the most data."""
-        segments = tuple(sorted(segment for _, segment in self._segments))
-        sums = self._engine.sums
-        if len(self._filled.count):
-            sums = replace(sums, filled=self._filled.count.copy())
+        sums, filled, segments = self._engine.sums, self._filled.count, self._segments.items
+        if len(filled):
+            sums = replace(sums, filled=filled)
         former = [] if self._former is None else [self._former]
         if not sums.samples:
             return former
-        present = StreamSums(sums, segments)
         if former:
             with suppress(AllanError):  # another rate
-                return [former[0].joined(present)]
-        return [*former, present]
+                sums = former[0].sums + sums
+                longest = nlargest(
+                    LISTED_SEGMENTS, [*former[0].segments, *segments], key=lambda each: each.samples
+                )
+                return [StreamSums(sums, tuple(sorted(longest)))]
+        return [*former, StreamSums(sums, segments)]
 
     @property
-    def means(self) -> Means | None:
-        """The latest one-second means of static data; None if they were not requested."""
-        return None if self._means is None else self._means.means
+    def means(self) -> Means:
+        """The latest one-second means of static data."""
+        return self._means.means
 
-    def feed(self, stamps: NDArray[np.int64], rows: NDArray[np.float64]) -> None:
+    def feed(self, stamps: Stamps, rows: Floats) -> None:
         """Process samples of the six-axis stream: stamps (n,) in ns, values (6, n)."""
         kept = self._stamp_filter.feed(*self._hold_filter.select(stamps, rows))
         if self._clock is not None:
-            self._process(self._clock.feed(*kept))
+            self._process(*kept)
             return
         self._learning.append(kept)
         if self._buffered >= LEARN:
@@ -382,47 +375,43 @@ class SensorStream:
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
-        while True:
-            if self._clock is None:
-                self._learn()
-            if self._clock is None:
-                break
-            self._gate_blocks(self._clock.flush())
+        self._learn()
+        while self._clock is not None:
+            self._pass_on(self._clock.flush())
             if not self._clock.rate_changed:
                 break
             self._change_rate()
-        self._flush_gate()
+            self._learn()
+        self._end_segment()
 
     def _learn(self) -> None:
         """Learn the sample period from the first samples, then process these."""
-        if not self._buffered:
+        if self._clock is not None or not self._buffered:
             return
         parts, self._learning = self._learning, []
         stamps, jumped = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
         rows = np.concatenate([part[1] for part in parts], axis=1)
-        declared = self._options.settings.declared_rate
-        clock = learn_clock(stamps[:LEARN], self._polled, declared)
+        settings, axes, repeats = self._settings, self._plan.axes, self._plan.random_repeats
+        clock = learn_clock(stamps[:LEARN], bool(self._plan.drop), settings.declared_rate)
         if clock is None:
             # equal stamps contain no time, and buffering them would fill the memory
             self.counts.untimed += len(stamps)
             return
-        settings, axes = self._options.settings, self._axes
         self._clock = SampleClock(clock, len(axes), settings.max_bridge, self.counts)
+        if repeats:
+            groups = [[axes.index(axis) for axis in group] for group in repeats]
+            self._stages.append(RepeatFilter(groups, len(axes)))
         if settings.motion_gate:
-            self._gate = MotionGate(
-                clock.period_ns,
-                axes,
-                self.counts,
-                self.events,
-                settings.motion_ratio,
-                settings.rate_limit,
-            )
-        self._process(self._clock.feed(stamps, rows, jumped))
+            period = clock.period_ns
+            self._gate = MotionGate(period, axes, self.counts, self.events, settings)
+            self._stages.append(self._gate)
+        self._process(stamps, rows, jumped)
 
-    def _process(self, blocks: list[Block]) -> None:
-        """Process evenly spaced blocks; then learn the new rate if it changed."""
-        self._gate_blocks(blocks)
-        if self._clock is not None and self._clock.rate_changed:
+    def _process(self, stamps: Stamps, rows: Floats, jumped: Flags) -> None:
+        """Process samples; if their rate changed, learn the new one."""
+        assert self._clock is not None
+        self._pass_on(self._clock.feed(stamps, rows, jumped))
+        if self._clock.rate_changed:
             self._change_rate()
             if self._buffered >= LEARN:
                 self._learn()
@@ -430,27 +419,23 @@ class SensorStream:
     def _change_rate(self) -> None:
         """Store the sums at the previous rate, and start to learn the new rate."""
         assert self._clock is not None
-        self._flush_gate()
+        self._end_segment()
         self.counts.splits['rate change'] += 1
         known = self.by_rate()
         self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
-        stamps, rows = self._clock.pending
-        self._start(stamps.copy(), rows.copy())
+        self._start(*self._clock.pending)
 
-    def _flush_gate(self) -> None:
-        if self._repeats is not None:
-            self._feed_gate(self._repeats.flush())
-        if self._gate is not None:
-            for block in self._gate.flush():
-                self._accumulate(block)
-        self._close_segment()
-
-    def _gate_blocks(self, blocks: list[Block]) -> None:
-        self._feed_gate(blocks if self._repeats is None else self._repeats.feed(blocks))
-
-    def _feed_gate(self, blocks: list[Block]) -> None:
-        for block in blocks if self._gate is None else self._gate.feed(blocks):
+    def _pass_on(self, blocks: list[Block], at_end: bool = False) -> None:
+        """Pass evenly spaced blocks through the stages to the sums."""
+        for stage in self._stages:
+            blocks = stage.feed(blocks) + (stage.flush() if at_end else [])
+        for block in blocks:
             self._accumulate(block)
+
+    def _end_segment(self) -> None:
+        """Process the samples that the stages have buffered, and close the segment."""
+        self._pass_on([], at_end=True)
+        self._close_segment()
 
     def _accumulate(self, block: Block) -> None:
         """Add a block at rest to the sums."""
@@ -478,17 +463,14 @@ class SensorStream:
         self._filled.add(block.filled)
         interpolated = None if block.filled is None else np.asarray(block.filled.any(axis=0))
         self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns, interpolated)
-        if self._means is not None:
-            self._means.update(block.stamps, block.rows)
+        self._means.update(block.stamps, block.rows)
 
     def _close_segment(self) -> None:
         samples = self._engine.open_samples
         if not samples:
             return
         length = (self._end_ns - self._start_ns) * 1e-9
-        insort(self._segments, (samples, Segment(self._start_ns, samples, length, self._cut)))
-        del self._segments[:-LISTED_SEGMENTS]
+        self._segments.add(samples, Segment(self._start_ns, samples, length, self._cut))
         self._engine.end_segment()
-        self._filled.end()
-        if self._means is not None:
-            self._means.cut()
+        self._filled.add(None)
+        self._means.cut()

@@ -14,14 +14,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..findings import Finding, finding
 from ..imu import AXES, LARGEST, SENSORS
-from .clock import Floats, Stamps
-from .timing import Block
-
-Flags = NDArray[np.bool_]
+from .timing import Block, Flags, Floats, Stamps
 
 REPEATED_SHARE = 0.1
 """Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled

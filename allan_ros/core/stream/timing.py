@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Divides samples into evenly spaced blocks: detects gaps, and interpolates short ones.
+"""Divides samples into evenly spaced blocks: learns the period, detects gaps, fills short ones.
 
 An IMU samples evenly, but its stamps scatter. After a pause of several periods, the samples were
 either lost, or are late and follow in a burst. The delay of a sample is its stamp minus its index
@@ -20,11 +20,163 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .clock import CLOCK_BLOCK, LEARN, PERIOD_TRACKING, Clock, Floats, Stamps, rayleigh_period
 from .health import RATE_CHANGE, Counts
 
+Stamps = NDArray[np.int64]
+Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
+
+LEARN = 1024
+"""Number of samples from which the period of a stream is learned."""
+
+CLOCK_BLOCK = 256
+"""Number of samples that are processed together."""
+
+LOOK_AHEAD = 64
+"""Number of samples before and after a pause whose delays are compared, for regular stamps."""
+
+BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 4096
+"""The same for bursty stamps, as a time in s, and the largest number of samples used."""
+
+BURST_PAUSE_S = 0.25
+"""Shortest pause and smallest increase of the delay, in s, that can be a loss if stamps are bursty.
+In that case the smallest delay varies by several samples without a loss."""
+
+LATE = 1.5
+"""If stamps are regular, a step longer than this many periods is a pause."""
+
+REGULAR_SHARE = 0.6
+"""Stamps are regular if this share of the steps lies within 50 % of the median step, and if the
+mean of these steps is at least this share of the mean of all steps."""
+
+POLLED_SHARE = 0.95
+"""Polled samples are evenly spaced on average if this share of the steps between their stamps is
+between 0.4 and 2.2 mean steps."""
+
+MANY, EXACT = 0.2, 0.15
+"""Samples are missing regularly if at least the first share of the steps is one sample period and
+the same share is longer, with deviations of at most the second fraction of a period."""
+
+JITTER_SHARE = 0.01
+"""Stamps have jitter if more than this share of the steps is shorter than half the period."""
+
+PERIOD_RANGE, PERIOD_TRACKING = 0.05, 0.003
+"""Relative range of `rayleigh_period`: when the period is learned, and when it is updated."""
+
+PHASE_GAP = 16.0
+"""Longest pause, in periods, after which the phase of the samples is assumed to continue."""
+
+PHASE_STEP = 0.25
+"""Phase difference between two tried periods, in cycles over all stamps."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Sample period of a stream, and median step between its stamps.
+
+    If the stamps are ``bursty``, many samples have almost the same stamp. If they have ``jitter``,
+    the loss of a single sample may not be detected.
+    """
+
+    period_ns: float
+    step_ns: float
+    bursty: bool
+    jitter: bool = False
+    base_ns: float = 0.0  # if samples are missing regularly: step without a missing one
+
+    @property
+    def look_ahead(self) -> int:
+        """Number of samples before and after a pause whose delays are compared."""
+        if not self.bursty:
+            return LOOK_AHEAD
+        wanted = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
+        return int(min(max(wanted, LOOK_AHEAD), BURST_LOOK_AHEAD))
+
+    @property
+    def pause_ns(self) -> float:
+        """Step between two stamps, in ns, above which samples may have been lost."""
+        late = LATE * self.period_ns
+        return max(late, BURST_PAUSE_S * 1e9) if self.bursty else late
+
+    @property
+    def smallest_loss(self) -> float:
+        """Increase of the smallest delay after a pause, in periods, that indicates lost samples."""
+        return max(0.5, BURST_PAUSE_S * 1e9 / self.period_ns) if self.bursty else 0.5
+
+
+def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> Clock | None:
+    """Estimate the sample period of a stream from its first stamps, (n,), in ns.
+
+    Backward stamps are ignored. If ``polled`` is set, the stamps are those of the messages in which
+    a slower sensor had a new sample. The steps between them are multiples of the period of the
+    messages, and only their mean is the sample period. If samples are missing regularly, the period
+    is the mean step, unless the smallest step is that of the ``declared`` rate in Hz. Returns None
+    if all stamps are equal.
+    """
+    step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
+    if not step.any():
+        return None
+    clock = _clock_of(step, stamps, polled)
+    base = 0.0 if polled else _common_step(step)
+    if not base or abs(base / clock.period_ns - 1.0) < RATE_CHANGE:
+        return clock
+    if abs(declared * base * 1e-9 - 1.0) < RATE_CHANGE:
+        return Clock(base, 1.5 * base, bursty=False)
+    return replace(clock, base_ns=base)
+
+
+def _common_step(step: Floats) -> float:
+    """Return the shortest step, (n,), if all are multiples of it and many are longer, else 0."""
+    shortest = float(np.sort(step)[int(MANY * len(step))])
+    near = step[np.abs(step - shortest) <= EXACT * shortest]
+    base = float(near.mean())
+    number = np.rint(step / base) if base else step
+    exact = (np.abs(step - number * base) <= EXACT * base) & (number > 0)
+    many = min(np.mean(number == 1), np.mean(number > 1)) >= MANY if base else False
+    return base if many and exact.mean() >= POLLED_SHARE else 0.0
+
+
+def _clock_of(step: Floats, stamps: Stamps, polled: bool) -> Clock:
+    """Estimate the sample period from the ``step`` between the stamps in ns, (n - 1,)."""
+    size = max(1, min(CLOCK_BLOCK, len(step) // 4))
+    # one long gap does not change the median of block means
+    mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
+    mean = mean or float(step.mean())
+    median = float(np.median(step))
+    near = step[np.abs(step - median) <= 0.5 * median]
+    if polled and len(near) < POLLED_SHARE * len(step):
+        polls = np.count_nonzero((step > 0.4 * mean) & (step < 2.2 * mean))
+        if polls >= POLLED_SHARE * len(step):
+            return Clock(mean, mean, bursty=False)
+    if median > 0.0 and len(near) >= REGULAR_SHARE * len(step):
+        period = float(near.mean())
+        if period >= REGULAR_SHARE * mean:
+            # jitter makes steps longer and shorter, lost samples only longer
+            long_steps = np.count_nonzero(step > LATE * period)
+            short_steps = np.count_nonzero(step < period / 2)
+            if short_steps > JITTER_SHARE * len(step):
+                period = rayleigh_period(stamps, period, PERIOD_RANGE)
+                return Clock(period, median, bursty=False, jitter=True)
+            return Clock(mean if 2 * short_steps >= long_steps else period, median, bursty=False)
+    return Clock(mean, median, bursty=True)
+
+
+def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> float:
+    """Return the sample period in ns, near ``period``, that fits stamps with jitter best.
+
+    It maximizes the Rayleigh statistic of the phases of the stamps t, |sum exp(2 pi i t / p)|, over
+    periods p that differ from ``period`` by at most the fraction ``relative_range`` (K. V. Mardia,
+    P. E. Jupp, Directional Statistics, 2000, section 6.3). Lost samples do not move the maximum.
+    """
+    step = np.diff(stamps) / period
+    t = np.cumsum(np.where(step > PHASE_GAP, 1.0, step))
+    t -= t[len(t) // 2]
+    resolution = PHASE_STEP / max(float(t[-1] - t[0]), 1.0)
+    steps = int(relative_range / resolution)
+    rate = 1.0 + resolution * np.arange(-steps, steps + 1)
+    statistic = np.array([abs(np.exp(2j * np.pi * r * t).sum()) for r in rate])
+    return float(period / rate[np.argmax(statistic)])
 
 
 @dataclass(frozen=True)
@@ -105,12 +257,12 @@ class SampleClock:
         self._rows: Floats = np.empty((axes, 0))
         self._jumped: Flags = np.empty(0, bool)
         self._past = 0
-        # index of each sample in [0, _past), with lost samples counted; -1 before the first one
-        self._index = np.array([-1])
-        self._since_gap = 0  # processed samples since the last gap, at most `_reach`
+        self._steps: Ints = np.empty(0, np.int64)  # index steps of the processed samples
         self._blocks = 0
         self._other_period = False  # whether the period of the last block differed
-        self._track_start: tuple[int, int] | None = None  # stamp and index; None after a gap
+        # stamps and total of the index steps since the period was updated; None after a gap
+        self._tracked: list[Stamps] | None = None
+        self._tracked_steps = 0
 
     @property
     def pending(self) -> tuple[Stamps, Floats]:
@@ -123,108 +275,67 @@ class SampleClock:
         ``stamps``, (n,), are in ns, and ``rows`` are the values, (axes, n). ``jumped``, (n,), is
         True where the clock was set back before the sample.
         """
-        if rows.strides[1] != rows.itemsize:
-            rows = np.ascontiguousarray(rows)
-        # Only samples near the border between buffered and new samples are copied: up to the end of
-        # the first block before which `_reach` samples are new.
-        pending = len(self._stamps) - self._past
-        seam = -(-(pending + self._reach) // CLOCK_BLOCK) * CLOCK_BLOCK - pending + self._reach
-        self._append(stamps[:seam], rows[:, :seam], jumped[:seam])
-        done = self._process_ready()
-        if len(stamps) > seam:
-            if self.rate_changed:
-                self._append(stamps[seam:], rows[:, seam:], jumped[seam:])
-                return done
-            rest = slice(seam - len(self._stamps), None)
-            self._stamps, self._rows, self._jumped = stamps[rest], rows[:, rest], jumped[rest]
-            done += self._process_ready()
-            # copies the buffer, so that the batch can be released
-            self._append(stamps[:0], rows[:, :0], jumped[:0])
-        return done
-
-    def _append(self, stamps: Stamps, rows: Floats, jumped: Flags) -> None:
         self._stamps = np.concatenate([self._stamps, stamps])
-        self._rows = np.concatenate([self._rows, rows], axis=1)
+        # the order in memory determines the order of later sums, and so their rounding
+        self._rows = np.concatenate([self._rows, np.ascontiguousarray(rows)], axis=1)
         self._jumped = np.concatenate([self._jumped, jumped])
-
-    def _process_ready(self) -> list[Block]:
-        """Process the complete blocks whose look-ahead is available."""
-        done: list[Block] = []
-        first = self._past  # of consecutive samples without a gap, which become one block
-        while not self.rate_changed:
-            ready = (len(self._stamps) - self._past - self._reach) // CLOCK_BLOCK
-            count = min(ready, TRACK_BLOCKS - self._blocks % TRACK_BLOCKS)
-            if count < 1:
-                break
-            if self._are_even(count * CLOCK_BLOCK):
-                self._other_period = False
-                self._advance(np.ones(count * CLOCK_BLOCK, np.int64))
-                continue
-            done += self._view(first)
-            done += self._process(count * CLOCK_BLOCK)
-            first = self._past
-        done += self._view(first)
-        self._release()
-        return done
-
-    def _view(self, first: int) -> list[Block]:
-        """Return the processed samples from buffer position ``first`` on as a block."""
-        which = slice(first, self._past)
-        return [Block(self._stamps[which], self._rows[:, which])] if first < self._past else []
+        return self._process_ready(self._reach)
 
     def flush(self) -> list[Block]:
         """Return the blocks of all buffered samples at the end of the input."""
-        done: list[Block] = []
-        while not self.rate_changed and len(self._stamps) > self._past:
+        return self._process_ready(0)
+
+    def _process_ready(self, look_ahead: int) -> list[Block]:
+        """Process the samples before the look-ahead: complete blocks, or all if it is 0."""
+        begin, steps = self._past, [np.empty(0, np.int64)]
+        while not self.rate_changed:
+            ready = len(self._stamps) - self._past - look_ahead
             room = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
-            done += self._process(min(len(self._stamps) - self._past, room))
-            self._release()
-        return done
-
-    def _are_even(self, n: int) -> bool:
-        """Return whether the next n samples have no gap and no change of the rate."""
-        begin = self._past
-        if begin == 0 or self._jumped[begin : begin + n].any():
-            return False
-        stamps = self._stamps[begin - 1 : begin + n]
-        clock, longest = self.clock, int((stamps[1:] - stamps[:-1]).max())
-        if longest > clock.pause_ns:
-            return False
-        if clock.bursty:
-            return True
-        period = np.diff(stamps[::CLOCK_BLOCK]) / CLOCK_BLOCK
-        return longest <= RATE_CHANGE_STEP * clock.step_ns and bool(
-            np.all(np.abs(period / clock.period_ns - 1.0) <= RATE_CHANGE)
-        )
-
-    def _process(self, n: int) -> list[Block]:
-        """Detect gaps and a change of the rate in the next n samples; return these as blocks."""
-        begin = self._past
-        before = self._stamps[begin - 1] if begin else self._stamps[0] - round(self.clock.period_ns)
-        step = np.diff(self._stamps[begin : begin + n], prepend=before)
-        lost, split = self._find_gaps(step)
-        advance = np.where(split, 0, 1 + lost)
-        same = self._count_same_rate(step, advance)
-        self.rate_changed = same < n
-        if same == 0:
-            return []
-        lost, split, advance = lost[:same], split[:same], advance[:same]
-        jumps = int(np.count_nonzero(self._jumped[begin : begin + same]))
-        self._counts.lost += int(lost.sum())
-        self._counts.interpolated += int(lost[~split].sum())
-        gaps = int(np.count_nonzero(split)) - jumps
-        self._counts.splits += Counter({'clock jump': jumps, 'gap': gaps})
-        blocks = self._blocks_of(advance)
-        self._advance(advance)
+            n = min(ready - ready % CLOCK_BLOCK if look_ahead else ready, room)
+            if n < 1:
+                break
+            steps.append(self._process(n))
+        blocks = self._blocks_of(begin, np.concatenate(steps))
+        # processed samples that are not needed to detect a later gap
+        old = max(0, self._past - self._reach)
+        self._stamps, self._jumped = self._stamps[old:].copy(), self._jumped[old:].copy()
+        self._rows = self._rows[:, old:].copy()
+        self._past -= old
         return blocks
 
-    def _find_gaps(self, step: Stamps) -> tuple[Ints, Flags]:
+    def _process(self, n: int) -> Ints:
+        """Detect gaps and a change of the rate in the next n samples.
+
+        Returns the steps of the sample index up to a change: above 1 where samples are
+        interpolated, 0 where the data are split.
+        """
+        begin = self._past
+        before = self._stamps[begin - 1] if begin else self._stamps[0] - round(self.clock.period_ns)
+        stamps, jumped = self._stamps[begin : begin + n], self._jumped[begin : begin + n]
+        step = np.diff(stamps, prepend=before)
+        lost, split = self._find_gaps(step, jumped)
+        steps = np.where(split, 0, 1 + lost)
+        same = self._count_same_rate(step, steps)
+        self.rate_changed = same < n
+        lost, steps = lost[:same], steps[:same]
+        split, jumped = split[:same], jumped[:same]
+        if same:
+            jumps = int(np.count_nonzero(jumped))
+            gaps = int(np.count_nonzero(split)) - jumps
+            self._counts.lost += int(lost.sum())
+            self._counts.interpolated += int(lost[~split].sum())
+            self._counts.splits += Counter({'clock jump': jumps, 'gap': gaps})
+            self._track(stamps[:same], steps)
+            self._steps = np.concatenate([self._steps, steps])[-self._reach :]
+            self._past += same
+        return steps
+
+    def _find_gaps(self, step: Stamps, jumped: Flags) -> tuple[Ints, Flags]:
         """Return the number of samples lost before each of the next n, and where to split them.
 
         ``step``, (n,), are the steps of the stamps in ns. Short gaps are interpolated, not split.
         """
-        lost = np.zeros(len(step), np.int64)
-        split = self._jumped[self._past : self._past + len(step)].copy()
+        lost, split = np.zeros(len(step), np.int64), jumped.copy()
         interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block
         for j in np.flatnonzero((step > self.clock.pause_ns) & ~split).tolist():
             lost[j] = number = self._count_lost(np.where(split, 0, 1 + lost)[:j])
@@ -234,122 +345,96 @@ class SampleClock:
                 interpolated[j // CLOCK_BLOCK] = total
         return lost, split
 
-    def _count_same_rate(self, step: Stamps, advance: Ints) -> int:
+    def _count_same_rate(self, step: Stamps, steps: Ints) -> int:
         """Return the number of samples before a change of the rate; all if it does not change.
 
-        ``step``, (n,), are the steps of the stamps in ns, and ``advance``, (n,), those of the
-        sample index, which counts lost samples, too.
+        ``step``, (n,), are the steps of the stamps in ns, and ``steps``, (n,), those of the index.
         """
         if self.clock.bursty:
             return len(step)
-        usual = self.clock.step_ns
+        long = RATE_CHANGE_STEP * self.clock.step_ns
         # excludes the samples from which the period was learned, or learning could repeat forever
         for at in range(max(0, LEARN - self._blocks * CLOCK_BLOCK), len(step), CLOCK_BLOCK):
-            steps, indices = step[at : at + CLOCK_BLOCK], advance[at : at + CLOCK_BLOCK]
-            if len(steps) < CLOCK_BLOCK // 4:
+            here, indices = step[at : at + CLOCK_BLOCK], steps[at : at + CLOCK_BLOCK]
+            if len(here) < CLOCK_BLOCK // 4:
                 break
-            period = steps[indices > 0].sum() / max(1, indices.sum())
+            period = here[indices > 0].sum() / max(1, indices.sum())
             # with jitter, two blocks must differ: one may have several undetected losses
             differed = self._other_period
             self._other_period = abs(period / self.clock.period_ns - 1.0) > RATE_CHANGE
-            if float(np.median(steps)) > RATE_CHANGE_STEP * usual or (
+            if (here.max() > long and float(np.median(here)) > long) or (
                 self._other_period and (differed or not self.clock.jitter)
             ):
-                unusual = (steps > RATE_CHANGE_STEP * usual) | (RATE_CHANGE_STEP * steps < usual)
+                unusual = (here > long) | (RATE_CHANGE_STEP * here < self.clock.step_ns)
                 return at + int(np.argmax(unusual))
         return len(step)
 
-    def _count_lost(self, advance: Ints) -> int:
+    def _count_lost(self, steps: Ints) -> int:
         """Return how many samples were lost in a pause, from the delays before and after it.
 
-        ``advance``, (j,), are the index steps of the next j samples; the pause follows them.
+        ``steps``, (j,), are the index steps of the next j samples; the pause follows them.
         """
-        at = self._past + len(advance)  # the first sample after the pause
-        before = self._since_gap_after(advance)
-        if before == 0:
+        at = self._past + len(steps)  # the first sample after the pause
+        if at == 0:
             return 0
+        steps = np.concatenate([self._steps, steps])[-self._reach :]
+        index = np.cumsum(steps[int(np.argmax(np.cumsum(steps == 0))) :])  # since the last gap
         jumps = np.flatnonzero(self._jumped[at + 1 : at + self._reach])
         after = self._stamps[at : at + (int(jumps[0]) + 1 if len(jumps) else self._reach)]
-        index = self._index_after(advance)[-before:]
         period, origin = self.clock.period_ns, self._stamps[at - 1]
-        delay = (self._stamps[at - before : at] - origin) - period * (index - index[-1])
+        delay = (self._stamps[at - len(index) : at] - origin) - period * (index - index[-1])
         # as if no sample were lost
         delay_after = (after - origin) - period * np.arange(1, len(after) + 1)
         increase = (float(delay_after.min()) - float(delay.min())) / period
         pause = (self._stamps[at] - origin) / period - 1.0
         return round(increase) if increase > max(0.5 * pause, self.clock.smallest_loss) else 0
 
-    def _index_after(self, advance: Ints) -> Ints:
-        """Return `_index` continued by the next samples, whose index steps are ``advance``."""
-        return np.concatenate([self._index, self._index[-1] + np.cumsum(advance)])
+    def _blocks_of(self, begin: int, steps: Ints) -> list[Block]:
+        """Return the samples from buffer position ``begin`` on as blocks, with gaps interpolated.
 
-    def _since_gap_after(self, advance: Ints) -> int:
-        """Return `_since_gap` after the next samples, whose index steps are ``advance``."""
-        gaps = np.flatnonzero(advance == 0)
-        return min(self._reach, len(advance) + (-int(gaps[-1]) if len(gaps) else self._since_gap))
-
-    def _blocks_of(self, advance: Ints) -> list[Block]:
-        """Return the next n samples as blocks, with gaps interpolated.
-
-        ``advance``, (n,), are the index steps: above 1 where samples are interpolated, 0 where the
-        data are split.
+        ``steps``, (n,), are their index steps.
         """
-        begin, n = self._past, len(advance)
+        n = len(steps)
         samples = Block(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])
         groups: list[list[Block]] = []  # a list for each block, with the parts to be joined
-        edges = sorted({0, *np.flatnonzero(advance != 1).tolist(), n})
+        edges = sorted({0, *np.flatnonzero(steps != 1).tolist(), n})
         for first, last in itertools.pairwise(edges):
             cut = ''
-            if advance[first] == 0:
+            if steps[first] == 0:
                 cut = 'clock jump' if self._jumped[begin + first] else 'gap'
             if cut or not groups:
                 groups.append([])
-            if advance[first] > 1:
-                groups[-1].append(self._interpolated(begin + first, int(advance[first])))
+            if steps[first] > 1:
+                groups[-1].append(self._interpolated(begin + first, int(steps[first])))
             groups[-1].append(samples.part(slice(first, last), cut))
         return [Block.joined(parts) for parts in groups]
 
-    def _interpolated(self, at: int, advance: int) -> Block:
-        """Return the advance - 1 samples lost before the sample at buffer position ``at``."""
-        fraction = np.arange(1, advance) / advance
+    def _interpolated(self, at: int, step: int) -> Block:
+        """Return the step - 1 samples lost before the sample at buffer position ``at``."""
+        fraction = np.arange(1, step) / step
         gap_ns = self._stamps[at] - self._stamps[at - 1]
         stamps = self._stamps[at - 1] + np.rint(fraction * gap_ns).astype(np.int64)
         left, right = self._rows[:, at - 1, None], self._rows[:, at, None]
         rows = left + fraction * (right - left)
         return Block(stamps, rows, filled=np.ones(rows.shape, bool))
 
-    def _advance(self, advance: Ints) -> None:
-        """Mark n samples as processed; ``advance``, (n,), are their index steps."""
-        n = len(advance)
-        index = self._index_after(advance)
-        stamps = self._stamps[self._past : self._past + n]
-        self._track(stamps, index[-n:], bool((advance == 0).any()))
-        self._since_gap = self._since_gap_after(advance)
-        self._index = index[-self._reach :]
-        self._past += n
-
-    def _release(self) -> None:
-        """Drop processed samples that are not needed to detect a later gap."""
-        old = max(0, self._past - self._reach)
-        self._stamps = self._stamps[old:]
-        self._rows = self._rows[:, old:]
-        self._jumped = self._jumped[old:]
-        self._past -= old
-
-    def _track(self, stamps: Stamps, index: Ints, split: bool) -> None:
+    def _track(self, stamps: Stamps, steps: Ints) -> None:
         """Update the sample period after every `TRACK_BLOCKS` blocks unless the data were split."""
         if self._blocks % TRACK_BLOCKS == 0:
-            self._track_start = (int(stamps[0]), int(index[0]))
-        if split:
-            self._track_start = None
+            self._tracked, self._tracked_steps = [], -int(steps[0])
         self._blocks += -(-len(stamps) // CLOCK_BLOCK)
-        if self._blocks % TRACK_BLOCKS or self._track_start is None:
+        self._tracked_steps += int(steps.sum())
+        if self._tracked is None or not steps.all():
+            self._tracked = None
             return
-        start_ns, start = self._track_start
+        self._tracked.append(stamps.copy())
+        if self._blocks % TRACK_BLOCKS:
+            return
+        tracked = np.concatenate(self._tracked)
         if self.clock.jitter:
-            period = rayleigh_period(stamps, self.clock.period_ns, PERIOD_TRACKING)
+            period = rayleigh_period(tracked, self.clock.period_ns, PERIOD_TRACKING)
         else:
-            period = (int(stamps[-1]) - start_ns) / (int(index[-1]) - start)
+            period = float(tracked[-1] - tracked[0]) / self._tracked_steps
         off = abs(period / self.clock.period_ns - 1.0)
         if self.clock.bursty:
             self.rate_changed = off > RATE_CHANGE_BURSTY

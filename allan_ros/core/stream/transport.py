@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from ..findings import Finding, by_consequence, finding
 from ..imu import AXES, NANOSECONDS
 from .cleaning import BACKWARD_RUN
-from .clock import LEARN
-from .health import EVENTS, StreamHealth, event_findings, events
+from .health import StreamHealth, event_findings, events
+from .timing import LEARN
 
 LATELY_S = 60.0
 """Time in s for which an event is reported."""
@@ -200,18 +200,15 @@ class TransportMonitor:
 
     def __init__(self, topic: str, time_s: float) -> None:
         self._topic = topic
-        self._began = time_s
-        self._last_message = self._last_usable = time_s
+        self._began = self._last_message = self._last_usable = time_s
         self._messages = self._usable = self._samples = 0
-        # (time, counts at this time) of the last minute
+        # (time, counts at this time) of the last minute; most counts have the id of their finding
         self._history: deque[tuple[float, Counter[str]]] = deque()
-        self._causes: Counter[str] = Counter()  # counts at the previous call
         # number of samples that known causes explain, and that are not yet found to be missing, in
         # the order of the calls
         self._excused: deque[float] = deque([0.0], EXCUSED)
         # missing samples without a known cause; at this call and the previous one, and reported
         self._unexplained = self._unexplained_before = self._absent = 0.0
-        self._frame_changes = 0
 
     def set_received(self, time_s: float, messages: int) -> None:
         """Store the number of messages received since the start, and when it last increased."""
@@ -249,11 +246,10 @@ class TransportMonitor:
         if health.frame_id != health.sums_frame_id:
             shown = health.sums_frame_id
             present.append(finding('frame_waits', present=health.frame_id, shown=shown))
-        live = {
-            *LIVE_FINDINGS,
-            *(('noise_increased',) if health.state == 'noise_increased' else ()),
-        }
-        present += [f for f in stream if f.id in live]
+        noisy = health.state == 'noise_increased'
+        present += [
+            f for f in stream if f.id in LIVE_FINDINGS or (noisy and f.id == 'noise_increased')
+        ]
         events, past = self._recent_findings(health)
         # present ones first: a past event must not hide a fault
         return *by_consequence([*events, *present]), *by_consequence(past)
@@ -267,46 +263,36 @@ class TransportMonitor:
         progress = usable != self._usable
         if progress:
             self._last_usable, self._usable = time_s, usable
-        counts = events(health)
-        counts.update(received=transport.received, lost=transport.lost)
-        counts.update(interruptions=transport.interruptions)
-        counts.update(silent_s=transport.silent_s, leapt_s=transport.leapt_s)  # type: ignore
+        counts = Counter(received=transport.received, messages_lost=transport.lost)
+        counts.update(interrupted=transport.interruptions)
+        counts.update(silent_s=transport.silent_s, stamps_leapt=transport.leapt_s)  # type: ignore
         if c.received < self._samples:
             # a new pass: the counts of the stream start at 0, those of the transport continue
             self._unexplained = self._unexplained_before = self._absent = 0.0
-            begin = Counter({id: n for id, n in counts.items() if id not in EVENTS})
-            self._causes = begin.copy()
             self._excused.append(0.0)
-            self._history = deque([(time_s, begin)])
+            self._history = deque([(time_s, counts.copy())])
         self._samples = c.received
-        self._attribute_missing(counts, health, progress)
-        counts.update(absent=round(self._absent))
+        counts.update(events(health))
+        counts.update(missing=c.lost, dropped=c.not_finite + c.backward)
+        before = self._history[-1][1] if self._history else Counter()
+        self._attribute_missing(_more(counts, before), health.rate_hz or 0.0, progress)
+        counts.update(samples_missing=round(self._absent))
         self._history.append((time_s, counts))
         while len(self._history) > 2 and self._history[1][0] <= time_s - LATELY_S:
             self._history.popleft()
 
-    def _attribute_missing(
-        self, counts: Counter[str], health: StreamHealth, progress: bool
-    ) -> None:
+    def _attribute_missing(self, more: Counter[str], rate_hz: float, progress: bool) -> None:
         """Count the missing samples that no known cause explains.
 
-        A cause is known before the samples are found to be missing, because the samples after a gap
-        must be classified first. ``progress`` tells whether usable samples arrived.
+        ``more`` are the counts since the previous call. A cause is known before the samples are
+        found to be missing, because the samples after a gap must be classified first. ``progress``
+        tells whether usable samples arrived.
         """
-        c = health.counts
-        causes = counts.copy()
-        causes.update(missing=c.lost, dropped=c.not_finite + c.backward)
-        more = causes.copy()
-        more.subtract(self._causes)
-        self._causes = causes
         # a lost message is missing twice if there are two sensor streams
-        gone_s = more['silent_s'] + more['leapt_s']
-        excused = more['dropped'] + 2.0 * (more['lost'] + gone_s * (health.rate_hz or 0.0))
-        missing = float(more['missing'])
-        if health.frame_changes != self._frame_changes:  # samples with another frame_id arrived
-            self._frame_changes = health.frame_changes
-            excused = math.inf
+        gone = more['messages_lost'] + (more['silent_s'] + more['stamps_leapt']) * rate_hz
+        excused = math.inf if more['frame_changed'] else more['dropped'] + 2.0 * gone
         self._excused[-1] += max(0.0, excused)
+        missing = float(more['missing'])
         for i, amount in enumerate(self._excused):
             used = min(amount, max(0.0, missing))
             self._excused[i] -= used
@@ -315,8 +301,7 @@ class TransportMonitor:
             self._excused.append(0.0)
         # the decision on the latest samples may still change: use the smaller value of two calls
         self._unexplained_before, self._unexplained = self._unexplained, self._unexplained + missing
-        settled = min(self._unexplained, self._unexplained_before)
-        self._absent = max(self._absent, settled)
+        self._absent = max(self._absent, min(self._unexplained, self._unexplained_before))
 
     def _silence(
         self,
@@ -346,27 +331,30 @@ class TransportMonitor:
 
         Both are ordered from causes to effects.
         """
-        counts = self._history[-1][1]
-        start = self._history[-1][0] - PRESENT_S
-        former = [old for time_s, old in self._history if time_s <= start]
-        more, latest = counts.copy(), counts.copy()
-        more.subtract(self._history[0][1])
-        latest.subtract(former[-1] if former else self._history[0][1])
+        time_s, counts = self._history[-1]
+        oldest = self._history[0][1]
+        former = [old for then, old in self._history if then <= time_s - PRESENT_S] or [oldest]
+        more, latest = _more(counts, oldest), _more(counts, former[-1])
         # these samples were dropped because the clock was set back
         more['backward_stamps'] -= (BACKWARD_RUN - 1) * more['clock_jumps']
         found = event_findings(more, health, LATELY)
-        if more['leapt_s'] > 0:
-            found.insert(0, finding('stamps_leapt', seconds=more['leapt_s']))
-        if times := more['interruptions']:
+        if more['stamps_leapt'] > 0:
+            found.insert(0, finding('stamps_leapt', seconds=more['stamps_leapt']))
+        if times := more['interrupted']:
             found.append(finding('interrupted', times=times, seconds=more['silent_s']))
-        received, lost, absent = more['received'], more['lost'], more['absent']
+        received, lost, absent = more['received'], more['messages_lost'], more['samples_missing']
         if lost and lost >= REPORTED_LOST_SHARE * (received + lost):
             found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))
         # after a change to a lower rate, samples seem to be missing until the rate is learned
         if absent >= REPORTED_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
             share = absent / (received + absent)
             found.append(finding('samples_missing', count=absent, share=share))
-        count_of = {'stamps_leapt': 'leapt_s', 'interrupted': 'interruptions'}
-        count_of.update(messages_lost='lost', samples_missing='absent')
-        now = [f for f in found if latest[count_of.get(f.id, f.id)] > 0]
+        now = [f for f in found if latest[f.id] > 0]
         return now, [f for f in found if f not in now]
+
+
+def _more(counts: Counter[str], before: Counter[str]) -> Counter[str]:
+    """Return by how much each count has increased."""
+    more = counts.copy()
+    more.subtract(before)
+    return more

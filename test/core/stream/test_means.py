@@ -28,6 +28,9 @@ def test_the_means_do_not_depend_on_the_chunks(chunk: int) -> None:
     means = running.means
     expected = rows[:, :900].reshape(2, 9, 100).mean(axis=2).T
     np.testing.assert_allclose(means.values, expected)
+    whole = RunningMeans(('gyro_x', 'gyro_y'))
+    whole.update(stamps, rows)
+    assert np.array_equal(means.values, whole.means.values)
     assert means.end_ns.tolist() == [10**9 * (i + 1) for i in range(9)]
 
 
@@ -54,7 +57,7 @@ def test_a_stream_has_means_of_static_samples_only() -> None:
     count = 60_00
     values = rng.normal(0.5, 0.01, size=(count, 6))
     values[3000:3500, :3] += rng.normal(0.0, 1.0, size=(500, 3))  # 5 s of motion
-    stream = ImuStream(with_means=True)
+    stream = ImuStream()
     stream.update(ImuBatch(10**18 + STEP_NS * np.arange(count), values))
     (means,) = stream.means()
     assert means.axes[0] == 'gyro_x'

@@ -7,8 +7,9 @@ import pytest
 
 from allan_ros.core.imu import AXES
 from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_axis
-from allan_ros.core.stream.health import Counts, EventLog
+from allan_ros.core.stream.health import Counts, Longest
 from allan_ros.core.stream.motion import RELEARNED, MotionGate
 from allan_ros.core.stream.timing import Block
 
@@ -25,7 +26,7 @@ def white(seconds, seed=0):
 def gate(rows, cut_at=(), events=None):
     """Return the output of the stage, its counts, and whether each sample was passed on."""
     counts = Counts()
-    stage = MotionGate(1e9 / RATE, AXES, counts, events or EventLog(), 3.0, 0.0087)
+    stage = MotionGate(1e9 / RATE, AXES, counts, events or Longest(200), SegmenterSettings())
     index = np.arange(rows.shape[1])
     out = []
     for a, b in zip([0, *cut_at], [*cut_at, len(index)]):
@@ -164,12 +165,12 @@ def flagged(out, samples):
 @pytest.mark.parametrize('axis', [0, 3, 5])
 @pytest.mark.parametrize('times', [1, 4])
 def test_a_shock_is_replaced_and_does_not_end_the_segment(axis, times):
-    rows, events = white(120), EventLog()
+    rows, events = white(120), Longest(200)
     for at in range(7_000, 7_000 + 3_000 * times, 3_000):
         rows[axis, at : at + 40] += shock(axis)[axis]
     out, counts, passed = gate(rows, events=events)
     assert passed.all() and not counts.splits and counts.moving == 0
-    assert [e.kind for e in events.events] == ['shock'] * counts.shocks == ['shock'] * times
+    assert [e.kind for e in events.items] == ['shock'] * counts.shocks == ['shock'] * times
     flags = flagged(out, rows.shape[1])
     assert flags[7_000:7_040].all() and np.count_nonzero(flags) == counts.replaced
     # half a second before and after the window of the shock
@@ -189,12 +190,12 @@ def test_a_disturbance_of_a_few_seconds_is_a_shock(seconds, split):
 
 
 def test_a_shock_that_changes_a_mean_splits_the_data_and_the_change_is_listed():
-    rows, events = white(120), EventLog()
+    rows, events = white(120), Longest(200)
     rows[3, 7_000:7_040] += shock(3)[3]
     rows[3, 7_040:] += SIGMA[3, 0]
     _, counts, passed = gate(rows, events=events)
     assert counts.splits == {'motion': 1} and counts.shocks == 0 and not passed.all()
-    (event,) = events.events
+    (event,) = events.items
     assert event.kind == 'motion' and list(event.changes) == ['accel_x']
     # 5 sigma of the difference of two means over 2 s
     assert event.changes['accel_x'] == pytest.approx(SIGMA[3, 0], rel=5 * (2 / 400) ** 0.5)
@@ -250,18 +251,12 @@ def test_driving_never_counts_as_rest():
 
 def states(rows):
     """Return 'noise_increased' or 'moving' or 'at_rest' after each second."""
-    stage = MotionGate(1e9 / RATE, AXES, Counts(), EventLog(), 3.0, 0.0087)
+    stage = MotionGate(1e9 / RATE, AXES, Counts(), Longest(200), SegmenterSettings())
     out = []
     for at in range(0, rows.shape[1], RATE):
         part = slice(at, at + RATE)
         stage.feed([Block(np.arange(at, at + RATE), rows[:, part])])
-        out.append(
-            'noise_increased'
-            if stage.increase is not None
-            else 'moving'
-            if stage.moving
-            else 'at_rest'
-        )
+        out.append(stage.state)
     return out
 
 

@@ -86,6 +86,7 @@ FAULTS = {
     'many drops': lambda t, x, g: (lambda k: (t[k], x[k]))(g.random(len(t)) > 0.3),
     'gap': lambda t, x, g: (np.delete(t, slice(3000, 3500)), np.delete(x, slice(3000, 3500), 0)),
     'jitter': lambda t, x, g: (np.sort(t + g.integers(-1_000_000, 1_000_000, len(t))), x),
+    'scatter': lambda t, x, g: (t + g.normal(0.0, 0.2 * PERIOD, len(t)).astype(int), x),
     'disorder': lambda t, x, g: (t + g.integers(-6_000_000, 6_000_000, len(t)), x),
     'swapped': lambda t, x, g: (
         (lambda k: (t[k], x[k]))(np.arange(len(t)) // 8 * 8 + 7 - np.arange(len(t)) % 8)
@@ -143,6 +144,17 @@ def test_any_chunking_of_any_stream_gives_the_same(fault, n, chunks, seed, gated
     assert np.isfinite([v for s in whole.sums for v in s.sum_sq.ravel()]).all()
 
 
+@pytest.mark.parametrize('fault', ['scatter', 'quieter'])
+def test_what_is_learned_on_the_way_does_not_depend_on_the_chunks(fault):
+    t, x = still(40_000)
+    rng = np.random.default_rng(2)
+    if fault == 'scatter':  # the period is tracked
+        t, x = FAULTS['scatter'](t, x, rng)
+    else:  # the noise floor, and with it the limit for spikes
+        x = x * (1.0 - 2e-5 * np.arange(len(t))[:, None]) + 5e-3 * (rng.random(x.shape) < 0.002)
+    assert_same(accumulate(t, x, (len(t),)), accumulate(t, x, (500,)))
+
+
 def test_a_clean_stream_gives_the_same_sums_as_the_engine():
     t, x = still(20_000)
     engine = RunningSums(ImuIdentity(), AXES)
@@ -177,7 +189,7 @@ def test_reading_the_result_changes_nothing():
 @pytest.mark.parametrize('fault', FAULTS)
 def test_the_present_health_is_that_of_the_result_but_for_buffered_samples(fault):
     t, x = FAULTS[fault](*still(12_000), np.random.default_rng(0))
-    stream = ImuStream(with_means=True)
+    stream = ImuStream()
     for at in range(0, len(t), 1500):
         stream.update(ImuBatch(t[at : at + 1500], x[at : at + 1500]))
         known = stream.result()

@@ -5,9 +5,8 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.stream.clock import Clock, learn_clock
 from allan_ros.core.stream.health import Counts
-from allan_ros.core.stream.timing import Block, SampleClock
+from allan_ros.core.stream.timing import Block, Clock, SampleClock, learn_clock
 
 MS = 1_000_000
 
