@@ -137,7 +137,7 @@ class Watch:
             return
         if event in _FORBIDDEN:
             self._refuse(f'{event} {arguments!r:.200}')
-        if event == 'undecided' and arguments[0] is not None and not isinstance(arguments[0], int):
+        if event == 'open' and arguments[0] is not None and not isinstance(arguments[0], int):
             path, mode, flags = arguments
             writes = set(mode) & set('wax+') if isinstance(mode, str) else (flags or 0) & _WRITES
             if writes and not self._is_ours(path):

@@ -4,19 +4,19 @@
 
 The columns of a file are t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2), or some of them (`NAMES`), or
 those in the options. In a ``.npz`` file, the array ``stamps_ns`` (int64) replaces t, and
-``record_ns`` (int64) and ``frame_id`` (one string) are optional. Files are read in blocks of rows,
-so the memory does not depend on their size.
+``record_ns`` (int64) and ``frame_id`` (one string) are optional.
 """
 
 from __future__ import annotations
 
+import os
 import struct
 import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
 from io import BytesIO
+from math import prod
 from pathlib import Path
 from tokenize import TokenError
 from typing import IO, Any
@@ -31,8 +31,8 @@ from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, STAMP_UNITS, ImuBatch, even_stamps
 from ..files import open_regular
 from .columns import Columns, columns_of, listed
-from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
-from .storage import translated
+from .recording import ReadOptions, Recording, Report, SourceInfo, in_batches
+from .storage import MAX_CHUNK_BYTES, MAX_FILE_RATIO, first_bytes, translated
 
 COLUMNS = 't, gx, gy, gz, ax, ay, az'
 
@@ -41,100 +41,13 @@ NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: 't,
 
 SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 
+ZIP_MAGIC = b'PK\x03\x04'
+
 FIRST_ROWS = 200
 """Number of rows from which the unit of the stamps is recognized."""
 
-MAX_FRAME_BYTES = 4096
-"""Largest size of a frame_id in bytes."""
-
 MAX_HEADER_BYTES = 1 << 16
 """Number of bytes within which the header of an array ends."""
-
-
-class _Column:
-    """An array in a numpy file, which is read block by block.
-
-    ``name`` is its name in a .npz file, or '' for a .npy file. ``stack`` closes the files.
-    """
-
-    def __init__(self, path: Path, name: str, stack: ExitStack) -> None:
-        self.name = name
-        self.where = f'{path}: array {name!r}' if name else f'{path}'
-        self._file = stack.enter_context(_opened(path, name))
-        self.shape, fortran, self.dtype = _read_header(self._file, self.where)
-        if self.dtype.kind not in 'fiu':
-            raise AllanError(f'{self.where} is of type {self.dtype}: save it as float64 or int64')
-        self._by_column: list[IO[bytes]] = []
-        if fortran and len(self.shape) == 2:
-            # stored column by column: each is read with a separate file, so that memory is constant
-            start = self._file.tell()
-            for column in range(self.shape[1]):
-                file = stack.enter_context(_opened(path, name))
-                file.seek(start + column * self.shape[0] * self.dtype.itemsize)
-                self._by_column.append(file)
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return int(np.prod(self.shape[1:], dtype=np.int64))
-
-    def take(self, rows: int) -> NDArray[Any]:
-        """Return the next ``rows`` rows; raise AllanError if the file has fewer.
-
-        Samples are (rows, columns), and times (rows,).
-        """
-        if self._by_column:
-            return np.column_stack([self._block(file, rows) for file in self._by_column])
-        block = self._block(self._file, rows * self.width)
-        return block if self.name in (STAMPS, RECORD) else block.reshape(rows, self.width)
-
-    def _block(self, file: IO[bytes], count: int) -> NDArray[Any]:
-        data = file.read(count * self.dtype.itemsize)
-        if len(data) != count * self.dtype.itemsize:
-            raise AllanError(f'{self.where} ends early: the file is truncated; copy it again')
-        return np.frombuffer(data, self.dtype)
-
-
-def open_array(path: Path, options: ReadOptions) -> Recording:
-    """Open a ``.npz`` or ``.npy`` file as a recording.
-
-    Raises AllanError when it is not a numpy file, or the shapes of its arrays do not match.
-    """
-    with open_regular(path) as file:
-        zipped = file.read(4) == b'PK\x03\x04'
-    with translated(path, _LIBRARY_ERRORS, REMEDY):
-        members = _members(path) if zipped else ('',)
-        with ExitStack() as stack:
-            samples, stamps, _ = _open_arrays(path, members, stack)
-            n, width = samples.shape[0], samples.width
-            names = tuple(options.columns or NAMES.get(width, '').split(','))
-            if len(names) != width or any('=' in name for name in names):
-                raise AllanError(
-                    f'{samples.where} has shape {samples.shape}: name each of its columns, such '
-                    f'as --columns {",".join(["t", *AXES][:width])} (- leaves one out)'
-                )
-            columns = columns_of(path, names, options)
-            if len(columns.stamp) == 1 and stamps is None:
-                first = samples.take(min(n, FIRST_ROWS))[:, columns.stamp[0][0]].astype(float)
-                columns = columns.with_time_unit(samples.where, first, options.stamp_unit)
-    if not columns.axes:
-        raise AllanError(f'{path}: no column ({listed(names)}) is an axis: correct --columns')
-    if not columns.stamp and stamps is None and not options.rate_hz:
-        raise AllanError(
-            f'{samples.where} has {width} columns and no time: add {STAMPS!r}, put t first, '
-            'or state the sample rate with --rate'
-        )
-    info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', 'npz' if zipped else 'npy')
-
-    def read(report: Report) -> Iterator[ImuBatch]:
-        if unit := columns.time_unit:
-            name = names[columns.stamp[0][0]]
-            report(finding('stamp_unit_assumed', path=path, unit=unit, name=name))
-        yield from _read(path, members, columns, options)
-
-    known = options.with_units(columns.units)
-    return Recording(info, n, read, options=known, axes=columns.given)
-
 
 _LIBRARY_ERRORS = (
     *(zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, EOFError, OSError),
@@ -146,116 +59,117 @@ _LIBRARY_ERRORS = (
 REMEDY = 'save it again with numpy, or copy it again'
 
 
-def _members(path: Path) -> tuple[str, ...]:
-    with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-        members = tuple(name[:-4] for name in archive.namelist() if name.endswith('.npy'))
-    if SAMPLES not in members:
+def open_array(path: Path, options: ReadOptions) -> Recording:
+    """Open a ``.npz`` or ``.npy`` file as a recording.
+
+    Its arrays are in memory until they are read, or the recording is closed. Raises AllanError when
+    it is not a numpy file, or the shapes of its arrays do not match.
+    """
+    with translated(path, _LIBRARY_ERRORS, REMEDY):
+        batch, found, time = _load(path, options)
+    kept = [batch]
+
+    def read(report: Report) -> Iterator[ImuBatch]:
+        if unit := found.time_unit:
+            report(finding('stamp_unit_assumed', path=path, unit=unit, name=time))
+        with translated(path, _LIBRARY_ERRORS, REMEDY):
+            yield from in_batches(kept.pop() if kept else _load(path, options)[0])
+
+    zipped = first_bytes(path).startswith(ZIP_MAGIC)
+    info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', 'npz' if zipped else 'npy')
+    known = options.with_units(found.units)
+    return Recording(info, len(batch), read, options=known, axes=found.given, close=kept.clear)
+
+
+def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
+    """Return the samples of a file, the meaning of its columns, and the name of the first stamp."""
+    arrays = _arrays(path)
+    samples = arrays[SAMPLES]
+    if samples.ndim not in (1, 2):
         raise AllanError(
-            f'{path}: has no array {SAMPLES!r} (it has {", ".join(members[:10]) or "none"}): '
-            f'save the samples as {SAMPLES!r} with columns {COLUMNS}'
+            f'{path} has shape {samples.shape}: give one row per sample with columns {COLUMNS}'
         )
-    return members
+    n, width = len(samples), prod(samples.shape[1:])
+    if not n:
+        raise AllanError(f'{path} contains no sample: record or export it again')
+    for name in {STAMPS, RECORD} & arrays.keys():
+        times = arrays[name]
+        if times.shape != (n,) or times.dtype.kind not in 'iu':
+            raise AllanError(
+                f'{path}: array {name!r} is {times.dtype} of shape {times.shape}: it must be '
+                f'int64, one for each of the {n} samples'
+            )
+    frame_id = arrays.get(FRAME, np.array(''))
+    if frame_id.size != 1:
+        raise AllanError(f'{path}: array {FRAME!r} must be one string: save it as a string')
+    names = tuple(options.columns or NAMES.get(width, '').split(','))
+    if len(names) != width or any('=' in name for name in names):
+        raise AllanError(
+            f'{path} has shape {samples.shape}: name each of its columns, such '
+            f'as --columns {",".join(["t", *AXES][:width])} (- leaves one out)'
+        )
+    columns = samples.reshape(n, width).T
+    found = columns_of(path, names, options)
+    if not found.axes:
+        raise AllanError(f'{path}: no column ({listed(names)}) is an axis: correct --columns')
+    if STAMPS in arrays:
+        stamps = arrays[STAMPS].astype(np.int64)
+    elif found.stamp:
+        found = _with_time_unit(path, found, columns, options)
+        stamps = _stamps(path, found, columns)
+    elif options.rate_hz:
+        stamps = even_stamps(0, n, options.rate_hz)
+    else:
+        raise AllanError(
+            f'{path} has {width} columns and no time: add {STAMPS!r}, put t first, '
+            'or state the sample rate with --rate'
+        )
+    record = arrays[RECORD].astype(np.int64) if RECORD in arrays else None
+    batch = ImuBatch(stamps, _samples(columns, found.axes), record, str(frame_id.reshape(-1)[0]))
+    return batch, found, names[found.stamp[0][0]] if found.stamp else ''
 
 
-@contextmanager
-def _opened(path: Path, name: str) -> Iterator[IO[bytes]]:
-    """Open the array ``name`` of a zip archive, or the file itself if the name is ''."""
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a file by their names; the samples are `SAMPLES`."""
     with open_regular(path) as file:
-        if name:
-            with zipfile.ZipFile(file) as archive:
-                yield archive.open(f'{name}.npy')
-        else:
-            yield file
+        limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
+        if not first_bytes(path).startswith(ZIP_MAGIC):
+            return {SAMPLES: _array(file, f'{path}', 'fiu', limit)}
+        with zipfile.ZipFile(file) as archive:
+            members = [name[:-4] for name in archive.namelist() if name.endswith('.npy')]
+            if SAMPLES not in members:
+                raise AllanError(
+                    f'{path}: has no array {SAMPLES!r} (it has '
+                    f'{", ".join(members[:10]) or "none"}): save the samples as {SAMPLES!r} with '
+                    f'columns {COLUMNS}'
+                )
+            arrays = {}
+            for name in (name for name in (SAMPLES, STAMPS, RECORD, FRAME) if name in members):
+                with archive.open(f'{name}.npy') as member:
+                    kinds = 'U' if name == FRAME else 'fiu'
+                    arrays[name] = _array(member, f'{path}: array {name!r}', kinds, limit)
+            return arrays
 
 
-def _read_header(file: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
+    """Return the array in a file, of one of these kinds and at most ``limit`` bytes."""
     head = BytesIO(file.read(MAX_HEADER_BYTES))
     version = npy.read_magic(head)
-    if version == (1, 0):
-        header = npy.read_array_header_1_0(head)
-    elif version == (2, 0):
-        header = npy.read_array_header_2_0(head)
-    else:
+    if version not in ((1, 0), (2, 0)):
         raise AllanError(f'{where} has numpy format {version}: save plain numbers with numpy.save')
+    read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, fortran, dtype = read_header(head)
+    if dtype.kind not in kinds:
+        right = 'a string' if kinds == 'U' else 'float64 or int64'
+        raise AllanError(f'{where} is of type {dtype}: save it as {right}')
+    size = prod(shape) * dtype.itemsize
+    if not 0 <= size <= limit:
+        raise ValueError(f'an array of {size} bytes')
     file.seek(head.tell())
-    return header
-
-
-def _open_arrays(
-    path: Path, members: tuple[str, ...], stack: ExitStack
-) -> tuple[_Column, _Column | None, _Column | None]:
-    """Return the arrays of samples, stamps and record times, after checking their shapes.
-
-    ``members`` are the names of the arrays in the file. Missing times are None.
-    """
-    samples = _Column(path, SAMPLES if SAMPLES in members else '', stack)
-    stamps = _Column(path, STAMPS, stack) if STAMPS in members else None
-    record = _Column(path, RECORD, stack) if RECORD in members else None
-    if len(samples.shape) not in (1, 2):
-        raise AllanError(
-            f'{samples.where} has shape {samples.shape}: give one row per sample with columns '
-            f'{COLUMNS}'
-        )
-    if not samples.shape[0]:
-        raise AllanError(f'{samples.where} contains no sample: record or export it again')
-    for times in (stamps, record):
-        if times is None:
-            continue
-        if times.shape != samples.shape[:1] or times.dtype.kind not in 'iu':
-            raise AllanError(
-                f'{times.where} is {times.dtype} of shape {times.shape}: it must be int64, one '
-                f'for each of the {samples.shape[0]} samples'
-            )
-    return samples, stamps, record
-
-
-def _read(
-    path: Path, members: tuple[str, ...], columns: Columns, options: ReadOptions
-) -> Iterator[ImuBatch]:
-    with translated(path, _LIBRARY_ERRORS, REMEDY):
-        frame_id = _frame_id(path) if FRAME in members else ''
-        with ExitStack() as stack:
-            samples, stamps, record = _open_arrays(path, members, stack)
-            for first in range(0, samples.shape[0], BATCH):
-                rows = min(BATCH, samples.shape[0] - first)
-                block = samples.take(rows)
-                if stamps is not None:
-                    stamps_ns = stamps.take(rows).astype(np.int64)
-                elif columns.stamp:
-                    parts = (
-                        _to_nanoseconds(block[:, at], size, samples.where, first)
-                        for at, size in columns.stamp
-                    )
-                    stamps_ns = sum(parts, np.zeros(rows, np.int64))
-                else:
-                    stamps_ns = even_stamps(first, rows, options.rate_hz)
-                values = np.full((rows, len(AXES)), np.nan)
-                for axis, (at, scale) in columns.axes.items():
-                    values[:, axis] = block[:, at] * scale
-                record_ns = None if record is None else record.take(rows).astype(np.int64)
-                yield ImuBatch(stamps_ns, values, record_ns, frame_id)
-
-
-def _to_nanoseconds(times: NDArray[Any], unit: int, where: str, first: int) -> NDArray[np.int64]:
-    if times.dtype.kind in 'iu' and unit == 1:
-        return times.astype(np.int64)
-    with np.errstate(over='ignore'):  # checked below
-        stamps: NDArray[np.float64] = times.astype(np.float64) * unit
-    bad = ~(np.abs(stamps) < np.iinfo(np.int64).max)
-    if bad.any():
-        raise AllanError(
-            f'{where}: the time of row {first + int(np.argmax(bad))} is not a valid stamp: '
-            'correct it, or state the unit of t with --stamp-unit (s, ms, us, ns)'
-        )
-    return np.rint(stamps).astype(np.int64)
-
-
-def _frame_id(path: Path) -> str:
-    with _opened(path, FRAME) as file:
-        shape, _, dtype = _read_header(file, f'{path}: array {FRAME!r}')
-        if shape not in ((), (1,)) or dtype.kind != 'U' or dtype.itemsize > MAX_FRAME_BYTES:
-            raise AllanError(f'{path}: array {FRAME!r} must be one string: save it as a string')
-        return str(np.frombuffer(file.read(dtype.itemsize), dtype)[0]) if dtype.itemsize else ''
+    data = file.read(size)
+    if len(data) != size:
+        raise AllanError(f'{where} ends early: the file is truncated; copy it again')
+    return np.ndarray(shape, dtype, data, order='F' if fortran else 'C')
 
 
 def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False) -> int:
@@ -328,29 +242,23 @@ def recording_in_memory(
         columns = _numbers(samples).T
         names = wanted = _axis_names(axes, len(columns))
     found = columns_of('the samples', names, options)
-    scales = {axis: scale for axis, scale in found.axes.items() if AXES[axis] in wanted}
-    if not scales:
+    axes_given = {at: known for at, known in found.axes.items() if AXES[at] in wanted}
+    if not axes_given:
         raise AllanError(
             f'none of the columns {listed(names)} is an axis: name them {", ".join(AXES)}'
         )
-    values = {axis: _numbers(columns[at])[:, 0] * s for axis, (at, s) in scales.items()}
-    n = len(next(iter(values.values())))
-    if any(len(column) != n for column in values.values()):
-        raise AllanError('the columns have different lengths: give one row per sample')
-    rows = np.full((n, len(AXES)), np.nan)
-    for axis, column in values.items():
-        rows[:, axis] = column
+    rows = _samples(columns, axes_given)
     index = np.asarray(getattr(getattr(samples, 'index', None), 'values', ()))
     if rate:
-        stamps = even_stamps(0, n, rate)
+        stamps = even_stamps(0, len(rows), rate)
     elif found.stamp:
-        found = _with_times(found, columns, options)
-        stamps = np.sum([_stamps(columns[at], size) for at, size in found.stamp], axis=0)
+        found = _with_time_unit('the samples', found, columns, options)
+        stamps = _stamps('the samples', found, columns)
     elif index.dtype.kind in 'Mm':
-        stamps = _stamps(index, 1)
+        stamps = _nanoseconds('the samples', index, 1)
     else:
         raise AllanError('the samples have no times: give the sample rate, such as rate=200')
-    given = tuple(AXES[axis] for axis in values)
+    given = tuple(AXES[axis] for axis in axes_given)
     return _recording(ImuBatch(stamps, rows), options.with_units(found.units), given)
 
 
@@ -407,22 +315,49 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str
     return names
 
 
-def _with_times(found: Columns, columns: Any, options: ReadOptions) -> Columns:
+def _samples(columns: Any, axes: Mapping[int, tuple[int, float]]) -> NDArray[np.float64]:
+    """Return samples in SI, (n, 6), from columns; ``axes`` maps an axis to its column and factor.
+
+    Raises AllanError when a column is not numeric, or the columns have different lengths.
+    """
+    with np.errstate(all='ignore'):  # a damaged file may contain any value
+        values = {axis: _numbers(columns[at])[:, 0] * scale for axis, (at, scale) in axes.items()}
+    n = len(next(iter(values.values())))
+    if any(len(column) != n for column in values.values()):
+        raise AllanError('the columns have different lengths: give one row per sample')
+    rows = np.full((n, len(AXES)), np.nan)
+    for axis, column in values.items():
+        rows[:, axis] = column
+    return rows
+
+
+def _with_time_unit(where: object, found: Columns, columns: Any, options: ReadOptions) -> Columns:
     """Return the columns with the unit of the stamps, unless these are dates or durations."""
     first = np.asarray(columns[found.stamp[0][0]][:FIRST_ROWS])
     if first.dtype.kind in 'Mm' or len(found.stamp) > 1:
         return found
-    return found.with_time_unit('the samples', _numbers(first)[:, 0], options.stamp_unit)
+    return found.with_time_unit(where, _numbers(first)[:, 0], options.stamp_unit)
 
 
-def _stamps(times: Any, scale: int) -> NDArray[np.int64]:
+def _stamps(where: object, found: Columns, columns: Any) -> NDArray[np.int64]:
+    """Return the stamps in ns: the sum of the columns of times."""
+    parts = [_nanoseconds(where, columns[at], size) for at, size in found.stamp]
+    return np.asarray(np.sum(parts, axis=0), np.int64)
+
+
+def _nanoseconds(where: object, times: Any, scale: int) -> NDArray[np.int64]:
     """Convert times to int64 ns: dates, durations, or numbers in a unit of ``scale`` ns."""
     values = np.asarray(times)
     if values.dtype.kind in 'Mm':
         return values.astype(f'{values.dtype.kind}8[ns]').astype(np.int64)
+    with np.errstate(all='ignore'):
+        in_ns = _numbers(values)[:, 0] * scale
+    bad = ~(np.abs(in_ns) < np.iinfo(np.int64).max)  # also for NaN
+    if bad.any():
+        raise AllanError(
+            f'{where}: the time of row {int(np.argmax(bad))} is not a valid stamp: correct it, or '
+            'state the unit of the times (s, ms, us, ns)'
+        )
     if values.dtype.kind in 'iu':
         return values.astype(np.int64) * scale
-    values = _numbers(values)[:, 0]
-    if not np.isfinite(values).all():
-        raise AllanError('some times are NaN or infinite: drop these rows, or give the rate')
-    return np.rint(values * scale).astype(np.int64)
+    return np.rint(in_ns).astype(np.int64)

@@ -8,7 +8,7 @@ The bag must be closed and indexed. The package does not limit the memory for a 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from itertools import islice
 from pathlib import Path
@@ -21,7 +21,6 @@ from .storage import (
     Storage,
     Topic,
     Truncation,
-    among,
     damaged,
     optional_package,
     translated,
@@ -56,16 +55,14 @@ class Ros1Storage:
             stated.update(chunk.connection_counts)
         return sum(stated[number] for number in ids)
 
-    def blocks(self, groups: Sequence[set[int]]) -> Iterator[list[Messages]]:
-        """Yield the next messages of each group of topic ids, in the order of record time."""
-        ids = set().union(*groups)
+    def blocks(self, ids: set[int]) -> Iterator[Messages]:
+        """Yield the next messages of these topics, in the order of record time."""
         with translated(self._path, (Exception,), REMEDY):
             messages = self._reader.messages([c for c in self._reader.connections if c.id in ids])
             while batch := list(islice(messages, MESSAGES)):
                 connections, times, payloads = zip(*batch)
-                block = Messages(np.array(times, dtype=np.int64), list(payloads))
                 topics = np.array([connection.id for connection in connections])
-                yield [block.chosen(np.flatnonzero(among(topics, ids))) for ids in groups]
+                yield Messages(topics, np.array(times, np.int64), list(payloads))
 
 
 @contextmanager

@@ -14,6 +14,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch, joined
@@ -30,6 +32,7 @@ from .storage import (
     Storage,
     Topic,
     Truncation,
+    among,
     as_list,
     decompress,
     frame_compression,
@@ -236,14 +239,13 @@ class _Reader:
 
     def _blocks(self, storage: Storage) -> Iterator[Messages]:
         """Yield the messages of the topic in one file; keep some of the temperature topics."""
-        groups = [_ids(storage, topic) for topic in (self.topic, *self.thermometers)]
-        if not any(groups[1:]):
-            groups = groups[:1]
-        for imus, *others in storage.blocks(groups):
-            for kept, block in zip(self._temperatures, others):
-                for message in zip(block.record_ns.tolist(), as_list(block.payloads)):
-                    kept.add((message[0], bytes(message[1])))
-            yield imus
+        mine, *others = (_ids(storage, topic) for topic in (self.topic, *self.thermometers))
+        for block in storage.blocks(mine.union(*others)):
+            for numbers, kept in zip(others, self._temperatures):
+                for row in np.flatnonzero(among(block.topics, numbers)).tolist():
+                    kept.add((int(block.record_ns[row]), bytes(block.payloads[row])))
+            rows = np.flatnonzero(among(block.topics, mine))
+            yield block if len(rows) == len(block) else block.chosen(rows)
 
     def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
         done = 0  # number of messages of this file

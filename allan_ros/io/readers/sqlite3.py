@@ -9,7 +9,7 @@ import shutil
 import sqlite3
 import struct
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -18,7 +18,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ..files import open_regular
-from .storage import Messages, Topic, Truncation, among, damaged, normal_type, translated
+from .storage import Messages, Topic, Truncation, damaged, normal_type, translated
 
 ROWS = 512
 """Number of rows that are fetched from SQLite at a time: few enough for the processor cache."""
@@ -91,10 +91,10 @@ class Sqlite3Storage:
             )
         return read + abs(int(rows) - int(listed))
 
-    def blocks(self, groups: Sequence[set[int]]) -> Iterator[list[Messages]]:
-        """Yield the next messages of each group of topic ids, in the order of record time."""
-        ids = sorted(set().union(*groups))
-        columns = 'timestamp, data' + ', topic_id' * (len(groups) > 1)
+    def blocks(self, ids: set[int]) -> Iterator[Messages]:
+        """Yield the next messages of these topics, in the order of record time."""
+        # the ids are selected only if they differ: a column costs a tenth of the time
+        columns = 'timestamp, data' + ', topic_id' * (len(ids) > 1)
         wanted = ', '.join(str(int(number)) for number in ids)
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             rows = self._query(
@@ -113,12 +113,8 @@ class Sqlite3Storage:
                     batch = rows.fetchmany(ROWS) if len(times) < BLOCK else []
                 if set(map(type, payloads)) != {bytes}:
                     raise ValueError('a message is not a BLOB')
-                block = Messages(np.array(times, dtype=np.int64), payloads)
-                if not topics:
-                    yield [block]
-                    continue
-                numbers = np.array(topics)
-                yield [block.chosen(np.flatnonzero(among(numbers, ids))) for ids in groups]
+                numbers = np.array(topics or [*ids] * len(times))
+                yield Messages(numbers, np.array(times, np.int64), payloads)
 
     def _query(self, sql: str, *values: int) -> sqlite3.Cursor:
         return self._connection.execute(sql, values)

@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-import bz2
 import importlib
 import os
 import threading
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
@@ -62,16 +61,36 @@ Payloads = list[bytes | memoryview] | NDArray[np.void]
 
 @dataclass
 class Messages:
-    """Consecutive messages of a bag: record times in ns, (n,), and serialized content."""
+    """Consecutive messages of a bag: topic ids and record times in ns, (n,), and their content."""
 
+    topics: NDArray[np.integer[Any]]
     record_ns: NDArray[np.int64]
     payloads: Payloads
 
+    @staticmethod
+    def none() -> Messages:
+        """Return no messages."""
+        return Messages(np.empty(0, np.int64), np.empty(0, np.int64), [])
+
+    def __len__(self) -> int:
+        return len(self.record_ns)
+
     def chosen(self, rows: NDArray[np.intp]) -> Messages:
         """Return the messages at these positions as copies."""
+        payloads: Payloads
         if isinstance(self.payloads, np.ndarray):
-            return Messages(self.record_ns[rows], self.payloads[rows])
-        return Messages(self.record_ns[rows], [bytes(self.payloads[i]) for i in rows.tolist()])
+            payloads = self.payloads[rows]
+        else:
+            payloads = [bytes(self.payloads[i]) for i in rows.tolist()]
+        return Messages(self.topics[rows], self.record_ns[rows], payloads)
+
+    def followed_by(self, other: Messages) -> Messages:
+        """Return these messages and the others."""
+        return Messages(
+            np.concatenate([self.topics, other.topics]),
+            np.concatenate([self.record_ns, other.record_ns]),
+            [*as_list(self.payloads), *as_list(other.payloads)],
+        )
 
 
 @dataclass(frozen=True)
@@ -91,8 +110,8 @@ class Storage(Protocol):
     def counts(self) -> dict[int, int]:
         """Return topic id -> number of messages."""
 
-    def blocks(self, groups: Sequence[set[int]]) -> Iterator[list[Messages]]:
-        """Yield the next messages of each group of topic ids, in the order of record time."""
+    def blocks(self, ids: set[int]) -> Iterator[Messages]:
+        """Yield the next messages of these topics, in the order of record time."""
 
     def stated(self, ids: set[int], read: int) -> int:
         """Return how many messages of these topics the file contains, according to its index.
@@ -194,7 +213,7 @@ def frame_compression(head: bytes | memoryview) -> str:
 def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     """Return the decompressed content of a chunk or message.
 
-    ``compression`` is 'zstd', 'lz4', 'bz2', 'none' or ''. Raises ValueError when it is another one,
+    ``compression`` is 'zstd', 'lz4', 'none' or ''. Raises ValueError when it is another one,
     when the data are damaged, or when the content is longer than ``limit`` bytes.
     """
     if compression in ('', 'none'):
@@ -226,8 +245,6 @@ def _expanding(file: BinaryIO, compression: str) -> Any:
         return _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
     if compression == 'lz4':
         return optional_package('lz4.frame', 'reading lz4 data').open(file)
-    if compression == 'bz2':
-        return bz2.open(file)
     raise ValueError(f'compression {compression!r} is unknown')
 
 

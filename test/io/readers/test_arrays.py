@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,8 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.imu import AXES, STANDARD_GRAVITY
-from allan_ros.io.readers import arrays, open_recordings
+from allan_ros.core.imu import AXES, STANDARD_GRAVITY, joined
+from allan_ros.io.readers import arrays, recording
 from allan_ros.io.readers.recording import ReadOptions
 
 RNG = np.random.default_rng(3)
@@ -25,7 +24,7 @@ STAMPS = 1_700_000_000_000_000_001 + np.arange(N) * 5_000_000
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read every file in several blocks, of which the last is shorter."""
-    monkeypatch.setattr(arrays, 'BATCH', 300)
+    monkeypatch.setattr(recording, 'BATCH', 300)
 
 
 @pytest.mark.parametrize('order', ['C', 'F'])
@@ -66,18 +65,6 @@ def test_rate_and_units_are_stated(tmp_path: Path, read: Any) -> None:
     np.testing.assert_array_equal(back.stamps_ns, np.arange(N) * 10_000_000)
     scale = np.repeat([np.pi / 180, STANDARD_GRAVITY], 3)
     np.testing.assert_array_equal(back.samples, IMU[:, 1:] * scale)
-
-
-def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
-    path = tmp_path / 'long.npz'
-    np.savez(path, imu=np.zeros((200_000, 7)), stamps_ns=np.arange(200_000))  # 12.8 MB
-    [recording] = open_recordings([path])
-    tracemalloc.start()
-    count = sum(map(len, recording.batches()))
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert count == 200_000
-    assert peak < 2e6
 
 
 @pytest.mark.parametrize(
@@ -126,6 +113,8 @@ def with_time(value: float) -> np.ndarray:
         ({'imu': IMU[:, 1:]}, 'state the sample rate with --rate'),
         ({'imu': IMU.astype(str)}, 'save it as float64'),
         ({'imu': np.array([[None] * 7])}, 'is of type object'),
+        ({'imu': IMU, 'frame_id': 7}, 'save it as a string'),
+        ({'imu': IMU, 'frame_id': ['a', 'b']}, 'must be one string'),
         ({'imu': IMU, 'stamps_ns': STAMPS[:-1]}, 'one for each of the 1000 samples'),
         ({'imu': IMU, 'stamps_ns': STAMPS.astype(float)}, 'must be int64'),
         ({'imu': with_time(np.nan)}, 'the time of row 700 is not a valid stamp'),
@@ -170,8 +159,8 @@ def test_damaged_files_are_reported(name: str, tmp_path: Path, refused: Any, out
 )
 def test_named_columns_are_understood_as_in_a_table(times: dict[str, np.ndarray]) -> None:
     columns = {f'gyro_{axis} [deg/s]': IMU[:, i] for i, axis in enumerate('xyz', 1)}
-    recording = arrays.recording_in_memory({**times, **columns}, ReadOptions())
-    [batch] = recording.batches()
+    found = arrays.recording_in_memory({**times, **columns}, ReadOptions())
+    batch = joined(list(found.batches()))
     np.testing.assert_allclose(batch.stamps_ns, STAMPS, atol=200)  # of a float in us
     np.testing.assert_array_equal(batch.samples[:, :3], IMU[:, 1:4] * (np.pi / 180))
-    assert recording.options.gyro_unit == 'deg/s'
+    assert found.options.gyro_unit == 'deg/s'

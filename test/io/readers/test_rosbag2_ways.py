@@ -15,7 +15,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from allan_ros.core.imu import ImuBatch
-from allan_ros.io.readers import mcap as bag_mcap
 from allan_ros.io.readers import open_recordings
 from allan_ros.io.readers import sqlite3 as bag_sqlite3
 from allan_ros.io.readers.cdr import IMU_TYPE, decode_imus, encode_imus
@@ -134,14 +133,3 @@ def test_the_fast_paths_give_the_messages_of_the_plain_one(
         write_bag(path, stretches, *way, seed)
         with mock.patch.object(bag_sqlite3, 'ROWS', rows):
             assert our_way(path) == one_by_one(path)
-
-
-def test_usual_bags_are_read_on_the_fast_path(tmp_path: Path) -> None:
-    """With alternating topics and one frame_id, no message of an mcap is decoded separately."""
-    stretches = [Stretch('/imu', 500, 'imu', '<', 0, 0), Stretch('/text', 40, '', '<', 0, 0)]
-    write_bag(tmp_path / 'bag', stretches, 'mcap', 'none', seed=1)
-    with bag_mcap.open_mcap(tmp_path / 'bag/bag.mcap', tmp_path) as storage:
-        ids = {topic.id for topic in storage.topics if topic.name == '/imu'}
-        blocks = [block for (block,) in storage.blocks([ids])]
-    assert sum(len(block.record_ns) for block in blocks) == 500
-    assert all(isinstance(b.payloads, np.ndarray) for b in blocks if len(b.record_ns))
