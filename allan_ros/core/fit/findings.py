@@ -120,8 +120,9 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
     return step
 
 
-HARMONIC = 0.01
-"""Largest relative distance of a frequency from a multiple of another one, its harmonic."""
+HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
+"""Largest relative distance of a frequency from a multiple of another one, its harmonic, and the
+largest multiple: near a high one lies every frequency."""
 
 
 def axis_findings(
@@ -132,7 +133,7 @@ def axis_findings(
     found = []
     if fit.filtered:
         found.append(finding('low_pass', name, frequency=result.top / tau0))
-    for lines in _with_harmonics(fit.processes.sinusoid):
+    for lines in with_harmonics(fit.processes.sinusoid):
         found.append(line_finding(name, lines, tau0))
     for hump in fit.processes.resonance:
         width = 1.0 / (math.pi * hump.correlation_time)
@@ -189,13 +190,13 @@ def _drift_findings(name: tuple[str], fit: AxisFit) -> list[Finding]:
     return found
 
 
-def _with_harmonics(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
-    """Group sinusoids (sorted by frequency) with their harmonics."""
+def with_harmonics(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
+    """Return groups of sinusoids, sorted by frequency: each with its harmonics."""
     groups: list[list[Sinusoid]] = []
     for line in lines:
         for group in groups:
             ratio = line.frequency / group[0].frequency
-            if abs(ratio - round(ratio)) < HARMONIC * ratio:
+            if abs(ratio - round(ratio)) < HARMONIC * ratio and ratio < HIGHEST_HARMONIC:
                 group.append(line)
                 break
         else:

@@ -7,7 +7,7 @@ import pytest
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.findings import duration_text, finding
 from allan_ros.core.fit import fit_noise
-from allan_ros.core.fit.findings import line_finding, merge_equal
+from allan_ros.core.fit.findings import line_finding, merge_equal, with_harmonics
 from allan_ros.core.fit.model import Sinusoid
 
 
@@ -54,6 +54,12 @@ def test_a_sinusoid_and_its_harmonics_are_one_finding():
     found = line_finding(('accel_x',), lines, 0.01)
     assert found.values['amplitude'].value == pytest.approx(0.5)
     assert found.message.startswith('Vibration at 15 Hz') and '30' in found.message
+
+
+def test_a_fast_sinusoid_is_no_harmonic_of_a_slow_one():
+    lines = [Sinusoid(a, (a, a), f, (f, f)) for a, f in ((0.1, 0.224), (20.0, 47.0), (5.0, 94.2))]
+    groups = with_harmonics(lines)
+    assert [len(group) for group in groups] == [1, 2]
 
 
 def sums_of(*segments):
