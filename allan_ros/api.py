@@ -407,7 +407,7 @@ def inflate(
     >>> import allan_ros as ar
     >>> off = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=1, gyro={'N': 0.25}))
     >>> on = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
-    >>> round(ar.inflate(off, on).axes['gyro_x'].white.factor, 1)
+    >>> round(ar.inflate(off, on).axes['gyro_x']['N'].factor, 1)
     2.0
     """
     check_range(1e-3, 1e9, 's', horizon=horizon)

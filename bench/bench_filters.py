@@ -36,7 +36,7 @@ import allan_ros as ar
 from allan_ros.core.filters import growth as growth_of
 from allan_ros.core.filters.bias import BiasFilter, BiasModel
 from allan_ros.core.filters.growth import predicted_growth
-from allan_ros.core.filters.reductions import Horizons, reduce_model
+from allan_ros.core.filters.reductions import reduce_model
 from allan_ros.core.imu import AXES
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.io.exporters import ExportOptions, make_export
@@ -409,7 +409,7 @@ def figure() -> None:
     path = ROOT / 'docs' / 'images' / 'filter_growth.png'
     chart.savefig(path, dpi=120)
     print(path.relative_to(ROOT))
-    reduction = reduce_model(replace(results['gyro_x'].fit.model), 'walk', Horizons(1.0, 30.0))
+    reduction = reduce_model(replace(results['gyro_x'].fit.model))
     print(f'predicted over model growth {reduction.ratio[0]:.2f} to {reduction.ratio[1]:.2f}')
 
 

@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             'the targets'
         )
     from ..io.exporters import make_export, target_of
-    from ..io.exporters.against import against, verdicts
+    from ..io.exporters.text import against, verdicts
     from ..io.files import write_atomic
 
     target = target_of(args.to)

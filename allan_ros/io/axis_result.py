@@ -215,8 +215,8 @@ class AxisResult:
         >>> space.transition(0.02).shape == space.noise(0.02).shape == (space.size, space.size)
         True
         """
-        reduced = reduce_axis(self.name, self.fit, 'processes')
-        return StateSpace(reduced.white, reduced.walk, reduced.gauss_markov)
+        model = reduce_axis(self.name, self.fit, 'processes').model
+        return StateSpace(model.terms.N, model.terms.K, model.gauss_markov)
 
     @property
     def growth(self) -> tuple[Growth, ...]:

@@ -16,8 +16,8 @@ from typing import Any
 from ..core.compare import FAMILY_ERROR, MARGIN, Difference, differences
 from ..core.errors import AllanError, one_line
 from ..core.fields import plain
-from ..core.filters.noise_parameters import AxisInflation, measure_inflation
-from ..core.filters.reductions import Horizons
+from ..core.filters.noise_parameters import TermInflation, measure_inflation
+from ..core.filters.reductions import horizon_text, shortest_horizon
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
 from .datasheets import (
@@ -451,13 +451,13 @@ class Inflation:
     """Ratio of the noise of an IMU at rest with motors on to its noise with motors off.
 
     ``axes`` has N and K for a filter with motors off and on, and their ratios. These N and K bound
-    the growth of the integrated error over ``horizons`` (s). ``comparison`` has the ratios of the
+    the growth of the integrated error up to ``horizon`` (s). ``comparison`` has the ratios of the
     Allan deviations with intervals.
     """
 
-    axes: dict[str, AxisInflation]
+    axes: dict[str, dict[str, TermInflation]]
     comparison: RunComparison
-    horizons: Horizons
+    horizon: float
 
     def __repr__(self) -> str:
         return '\n'.join(inflation_lines(self))
@@ -465,7 +465,7 @@ class Inflation:
     @property
     def factor(self) -> float:
         """Largest factor for N of all axes, the value for ``allan export --inflate``."""
-        return max(axis.white.factor for axis in self.axes.values())
+        return max(axis['N'].factor for axis in self.axes.values())
 
     def ratios(self, axis: str) -> list[Difference]:
         """Return the ratios of the Allan deviations of an axis, one for each averaging time."""
@@ -479,24 +479,23 @@ def inflate(rest: Results, running: Results, horizon: float = 30.0) -> Inflation
     ``rest`` are the results with motors off, ``running`` those with motors on. ``horizon`` is the
     longest time in s that the filter integrates without correction.
     """
-    horizons = Horizons.up_to(horizon)
     fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (rest, running)]
-    axes = measure_inflation(fits[0], fits[1], horizons)
+    axes = measure_inflation(fits[0], fits[1], horizon)
     comparison = compare_runs([Subject(REST, rest), Subject(RUNNING, running)])
-    return Inflation(axes, comparison, horizons)
+    return Inflation(axes, comparison, horizon)
 
 
 def inflation_document(inflation: Inflation) -> dict[str, Any]:
     """Return the result as a JSON object of the schema ``allan_ros/inflation/1``, in SI."""
     return {
         'schema': INFLATION_SCHEMA,
-        'horizon_s': list(inflation.horizons),
+        'horizon_s': [shortest_horizon(inflation.horizon), inflation.horizon],
         'factor': inflation.factor,
         'axes': {
             name: {
                 **{
                     term: {'rest': t.rest, 'running': t.running, 'factor': t.factor, 'use': t.use}
-                    for term, t in (('N', axis.white), ('K', axis.walk))
+                    for term, t in axis.items()
                 },
                 'deviation': [
                     {'tau_s': d.tau, 'ratio': d.ratio, 'ci95': d.ci95 and list(d.ci95)}
@@ -512,18 +511,18 @@ def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
     """Yield (heading, text) for each axis: N and K to use in a filter, and their factors."""
     for name, axis in inflation.axes.items():
         (n, n_unit), (k, k_unit) = _filter_values(name, axis)
-        factors = axis.white.factor, axis.walk.factor
+        factors = axis['N'].factor, axis['K'].factor
         text = f'N {n} {n_unit} (x{factors[0]:.2f}); K {k} {k_unit} (x{factors[1]:.2f})'
-        yield f'{name}, motors on', f'{text} over {inflation.horizons}'
+        yield f'{name}, motors on', f'{text} over {horizon_text(inflation.horizon)}'
 
 
 def inflation_lines(inflation: Inflation) -> Iterator[str]:
     """Yield the lines of two tables: N and K for a filter, and ratios of Allan deviations."""
-    yield f'N and K for a filter, over {inflation.horizons}'
+    yield f'N and K for a filter, over {horizon_text(inflation.horizon)}'
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():
         n, k = (f'{value} {unit:16}' for value, unit in _filter_values(name, axis))
-        factors = axis.white.factor, axis.walk.factor
+        factors = axis['N'].factor, axis['K'].factor
         yield f'{name:9}{n:>34}  {factors[0]:6.2f}{k:>36}  {factors[1]:6.2f}'.rstrip()
     yield ''
     yield 'Allan deviation with motors on over motors off, 95 % interval'
@@ -534,9 +533,9 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
         yield f'{name:9}{"  ".join(cells)}'
 
 
-def _filter_values(name: str, axis: AxisInflation) -> list[tuple[str, str]]:
+def _filter_values(name: str, axis: dict[str, TermInflation]) -> list[tuple[str, str]]:
     units = SI_UNITS[sensor_of(name)]
-    return [(significant(t.use, 4), units[k]) for k, t in (('N', axis.white), ('K', axis.walk))]
+    return [(significant(t.use, 4), units[term]) for term, t in axis.items()]
 
 
 def _nearest(ratios: list[Difference], tau: float) -> Difference | None:

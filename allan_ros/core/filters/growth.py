@@ -11,7 +11,7 @@ A constant or linear theta does not change this linear combination, sum c_i thet
 is therefore sum c_i c_j G(t_i - t_j) with the generalized covariances G of theta (G. Matheron, The
 intrinsic random functions and their applications, 1973), one per process:
 
-    Q: Q^2 delta(t)    N: -N^2 |t|/2    B: B^2 t^2 ln|t|/(2 pi)    K: K^2 |t|^3/12
+    N: -N^2 |t|/2    B: B^2 t^2 ln|t|/(2 pi)    K: K^2 |t|^3/12
     Gauss-Markov (sigma, T): -sigma^2 T^2 (x - 1 + exp(-x) - x^2/2), x = |t|/T
     sinusoid (a, f): a^2 cos(w t)/(2 w^2), w = 2 pi f
 
@@ -55,7 +55,7 @@ _SERIES_TERMS = 20
 def predicted_growth(
     model: ProcessModel, horizon: ArrayLike, window: ArrayLike, integrals: int = 1
 ) -> Floats:
-    """Return the standard deviation of the error of the integrated samples.
+    """Return the standard deviation of the error of the integrated samples, without quantization.
 
     Parameters
     ----------
@@ -88,37 +88,6 @@ def predicted_growth(
     """
     variances = [variance for _, variance in growth_parts(model, horizon, window, integrals)]
     return np.asarray(np.sqrt(np.maximum(sum(variances, np.zeros(np.shape(horizon))), 0.0)))
-
-
-def growth_interval(
-    model: ProcessModel,
-    low: ProcessModel,
-    high: ProcessModel,
-    horizon: ArrayLike,
-    window: ArrayLike,
-    integrals: int = 1,
-) -> tuple[Floats, Floats]:
-    """Return the 95 % interval of `predicted_growth` from the intervals of the model's terms.
-
-    The distances of the ends from the estimates are added in quadrature over the terms (method of
-    variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine 2008). This assumes
-    uncorrelated estimates. Estimates of neighboring terms are negatively correlated, which makes
-    the interval too wide rather than too narrow.
-
-    ``model``, ``low`` and ``high`` contain the estimates, the lower ends and the upper ends of the
-    95 % intervals, with the same processes in the same order. A term that is not resolved is 0 in
-    ``low`` and at its upper limit in ``high``. The other parameters and the unit are those of
-    `predicted_growth`.
-    """
-    parts = [dict(growth_parts(one, horizon, window, integrals)) for one in (model, low, high)]
-    zero = np.zeros(np.shape(horizon))
-    total, below, above = zero.copy(), zero.copy(), zero.copy()
-    for name in {**parts[0], **parts[2]}:
-        middle, bottom, top = (part.get(name, zero) for part in parts)
-        total = total + middle
-        below = np.hypot(below, np.maximum(middle - bottom, 0.0))
-        above = np.hypot(above, np.maximum(top - middle, 0.0))
-    return np.sqrt(np.maximum(total - below, 0.0)), np.sqrt(total + above)
 
 
 def drift_model(model: ProcessModel) -> ProcessModel:
@@ -171,21 +140,35 @@ def growth_table(
 
     ``horizons`` are these times and ``window`` the time over which the bias was averaged before, in
     s. ``integrals`` is 1 for the angle of a gyro or the velocity of an accelerometer, 2 for its
-    position. Terms that are not resolved are included with their estimates. For
-    the upper end of the interval, all terms have their 95 % upper limits.
+    position. Terms that are not resolved are included with their estimates. For the upper end of
+    the interval, all terms have their 95 % upper limits.
+
+    The distances of the ends of the interval from the estimate are added in quadrature over the
+    terms (method of variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine
+    2008). This assumes uncorrelated estimates. Estimates of neighboring terms are negatively
+    correlated, which makes the interval too wide rather than too narrow.
     """
     h = np.array(horizons)
     model = drift_model(fit.model)
     std = predicted_growth(model, h, window, integrals)
-    ends: list[tuple[float, float] | None] = [None] * len(h)
-    if has_intervals(fit):
-        low, high = (drift_model(one) for one in interval_models(fit))
+    intervals: list[tuple[float, float] | None] = [None] * len(h)
+    if ends := interval_models(fit):
+        low, high = map(drift_model, ends)
         limits = {t: getattr(high.terms, t) or _limit(fit, t) for t in 'NBKR'}
         high = replace(high, terms=NoiseTerms(**limits))
-        bounds = growth_interval(model, low, high, h, window, integrals)
-        ends = [(float(bottom), float(top)) for bottom, top in zip(*bounds)]
+        parts = [dict(growth_parts(one, h, window, integrals)) for one in (model, low, high)]
+        zero = np.zeros(len(h))
+        total, below, above = zero, zero, zero
+        for name in {**parts[0], **parts[2]}:
+            middle, bottom, top = (part.get(name, zero) for part in parts)
+            total = total + middle
+            below = np.hypot(below, np.maximum(middle - bottom, 0.0))
+            above = np.hypot(above, np.maximum(top - middle, 0.0))
+        bounds = np.sqrt(np.maximum(total - below, 0.0)), np.sqrt(total + above)
+        intervals = [(float(bottom), float(top)) for bottom, top in zip(*bounds)]
     return tuple(
-        Growth(float(one), window, float(value), ci95) for one, value, ci95 in zip(h, std, ends)
+        Growth(float(one), window, float(value), ci95)
+        for one, value, ci95 in zip(h, std, intervals)
     )
 
 
@@ -195,32 +178,24 @@ def _limit(fit: AxisFit, term: str) -> float:
     return value if value is not None and math.isfinite(value) else 0.0
 
 
-def has_intervals(fit: AxisFit) -> bool:
-    """Return whether N, B, K and R of the model all have a 95 % interval."""
-    return all(_interval(fit, term) is not None for term in 'NBKR')
-
-
-def _interval(fit: AxisFit, term: str) -> tuple[float, float] | None:
-    """Return the 95 % interval of a term of the model, or None if it is unknown.
-
-    It is (0, 0) for a term that is not in the model, and begins at 0 for a term with only a limit.
-    """
-    if not getattr(fit.model.terms, term):
-        return 0.0, 0.0
-    ci95, limit = fit.noise[term].ci95, _limit(fit, term)
-    if ci95 is not None:
-        return max(ci95[0], 0.0), ci95[1]
-    return (0.0, limit) if limit else None
-
-
-def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel]:
+def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel] | None:
     """Return the model at the lower and at the upper ends of all 95 % intervals.
 
-    A coefficient without an interval keeps its value. Q is 0, and the ramp R is replaced by its
-    magnitude. Correlation times and sinusoids are unchanged.
+    The interval of a term with only a limit begins at 0. Q is 0, and the ramp R is replaced by its
+    magnitude. Correlation times and sinusoids are unchanged. The result is None if N, B, K or R of
+    the model has neither an interval nor a limit.
     """
-    terms = fit.model.terms
-    intervals = {t: _interval(fit, t) or (abs(getattr(terms, t)),) * 2 for t in 'NBKR'}
+    intervals: dict[str, tuple[float, float]] = {}
+    for term in 'NBKR':
+        ci95, limit = fit.noise[term].ci95, _limit(fit, term)
+        if not getattr(fit.model.terms, term):
+            intervals[term] = 0.0, 0.0
+        elif ci95 is not None:
+            intervals[term] = max(ci95[0], 0.0), ci95[1]
+        elif limit:
+            intervals[term] = 0.0, limit
+        else:
+            return None
     low, high = (
         ProcessModel(
             NoiseTerms(**{term: ends[end] for term, ends in intervals.items()}),
@@ -247,8 +222,6 @@ def growth_parts(
     if not (np.all(h > 0.0) and np.all(w > 0.0)):
         raise AllanError('horizon and window must be above 0 s: give positive times')
     terms = model.terms
-    if terms.Q and integrals == 1:
-        yield 'Q', terms.Q**2 * (1.0 + (1.0 + h / w) ** 2 + (h / w) ** 2)
     if terms.N:
         yield 'N', terms.N**2 * _unit_error(_white, h, w, integrals)
     if terms.B:

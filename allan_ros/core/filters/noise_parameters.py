@@ -2,14 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise parameters of a filter from the noise of the axes of a sensor.
 
-N and K are continuous-time noise densities: roots of two-sided power spectral densities. A filter
-with the rate f needs discrete-time noise. In one step of 1/f seconds, white noise must add N^2/f to
-the variance of the integral of the samples, and a random walk must add K^2/f to the variance of the
-bias (N. Trawny, S. I. Roumeliotis, Indirect Kalman Filter for 3D Attitude Estimation, University of
-Minnesota, 2005, eqs. 129, 130). `NOTATIONS` lists the scalings that filters use.
-
-N and K are either the fitted coefficients (`axis_level`) or those of a reduced model
-(`reduce_axis`).
+N and K are continuous-time noise densities: roots of two-sided power spectral densities. They are
+either the fitted coefficients (`axis_level`) or those of a reduced model (`reduce_axis`).
 """
 
 from __future__ import annotations
@@ -25,15 +19,8 @@ from ..errors import AllanError
 from ..fit.model import AxisFit
 from ..imu import AXES, SENSORS
 from ..noise import ProcessModel
-from .growth import drift_model, has_drift, has_intervals, interval_models
-from .reductions import Horizons, Level, Reduction, States, reduce_model
-
-RULES = ('worst', 'mean', 'each')
-"""How the values of three axes are combined: the largest, the root mean square, or three values."""
-
-MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
-"""Ratio of the filter gain to the gyro error (S. O. H. Madgwick, An efficient orientation filter
-for inertial and inertial/magnetic sensor arrays, 2010, section on filter gains)."""
+from .growth import has_drift, interval_models
+from .reductions import HORIZON_S, Level, Reduction, States, horizon_text, reduce_model
 
 
 def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Level:
@@ -79,17 +66,17 @@ def reduce_axis(
     axis: str,
     fit: AxisFit,
     states: States = 'walk',
-    horizons: Horizons = Horizons(1.0, 30.0),
+    horizon: float = HORIZON_S,
     strict: bool = False,
 ) -> Reduction:
     """Return the noise model of one axis, reduced to the states of a filter.
 
     N is replaced by its upper limit if it is not resolved, and so is K if the model has no drift.
 
-    ``states`` are the states with which the filter models the bias, and ``horizons`` the range of
-    times that it integrates without a correction. ``strict`` rejects upper limits, values without a
-    95 % interval, and poor reductions (see `Reduction.poor`), but accepts values that the reduction
-    increased. ``axis`` is the name of the axis in messages.
+    ``states`` are the states with which the filter models the bias, and ``horizon`` the longest
+    time in s that it integrates without a correction. ``strict`` rejects upper limits, values
+    without a 95 % interval, and poor reductions (see `Reduction.poor`), but accepts values that the
+    reduction increased. ``axis`` is the name of the axis in messages.
 
     The ``levels`` of the result are N and, if it has a random walk, K. The interval of an increased
     value ranges over the reductions of the models at the lower and at the upper ends of the 95 %
@@ -100,54 +87,45 @@ def reduce_axis(
     AllanError
         If a required coefficient has neither a value nor a limit, or ``strict`` rejects the result.
     """
-    white = axis_level(axis, fit, 'N', strict)
-    model = drift_model(fit.model)
-    model = replace(model, terms=replace(model.terms, N=white.value))
-    walk = None
-    if not has_drift(model):
-        walk = axis_level(axis, fit, 'K', strict)
-        model = _with_walk(model, walk.value)
+    white, walk = axis_level(axis, fit, 'N', strict), None
+    model = replace(fit.model, terms=replace(fit.model.terms, N=white.value))
     resolved_walk = model.terms.K
-    reduction = reduce_model(model, states, horizons)
-    if states == 'walk' and not reduction.walk:  # all drift is fast and became white noise
+    reduction = reduce_model(model, states, horizon)
+    # without drift, or if all drift is fast and became white noise
+    if not has_drift(model) or (states == 'walk' and not reduction.model.terms.K):
         walk = axis_level(axis, fit, 'K', strict)
-        reduction = reduce_model(_with_walk(model, walk.value), states, horizons)
+        with_walk = replace(model, terms=replace(model.terms, K=walk.value))
+        reduction = reduce_model(with_walk, states, horizon)
     if strict and reduction.poor:
         raise AllanError(
             f'{axis}: the error growth of {_NAMES[states]} is wrong by a factor of '
-            f'{max(reduction.ratio[1], 1.0 / reduction.ratio[0]):.1f} over {horizons}: choose '
-            'another --horizon, write state_space, or omit --strict'
+            f'{max(reduction.ratio[1], 1.0 / reduction.ratio[0]):.1f} over '
+            f'{horizon_text(horizon)}: choose another --horizon, write state_space, or omit '
+            '--strict'
         )
-    increased: list[Reduction] = []
-    if has_intervals(fit) and states in ('none', 'walk'):
-        increased = [reduce_model(one, states, horizons) for one in interval_models(fit)]
-    if walk is None and reduction.walk > 0.0:
-        walk = Level(axis, 'K', reduction.walk, fit.noise['K'].ci95)
-        if reduction.walk > 1.001 * resolved_walk:
-            walks = [one.walk for one in increased]
-            walk = _raised(walk, reduction.walk, resolved_walk, walks)
+    n, k = reduction.model.terms.N, reduction.model.terms.K
+    ends = interval_models(fit) if states in ('none', 'walk') else None
+    of_ends = [reduce_model(one, states, horizon).model.terms for one in ends or ()]
+    if walk is None and k > 0.0:
+        walk = Level(axis, 'K', k, fit.noise['K'].ci95)
+        if k > 1.001 * resolved_walk:
+            walk = _raised(walk, k, resolved_walk, [one.K for one in of_ends])
         walk = _accepted(walk, strict)
-    if reduction.white > 1.001 * white.value:
-        whites = [one.white for one in increased]
-        white = _raised(white, reduction.white, white.value, whites)
-    return replace(reduction, levels={'N': white, **({'K': walk} if walk else {})})
+    if n > 1.001 * white.value:
+        white = _raised(white, n, white.value, [one.N for one in of_ends])
+    return reduction._replace(levels={'N': white, **({'K': walk} if walk else {})})
 
 
 def _raised(level: Level, value: float, fitted: float, ends: Sequence[float]) -> Level:
     ci95 = (min(*ends, value), max(*ends, value)) if ends else None
-    return replace(level, value=value, ci95=ci95, raised_from=fitted)
+    return level._replace(value=value, ci95=ci95, raised_from=fitted)
 
 
 _NAMES = {
     'none': 'white noise alone',
     'walk': 'a random walk',
-    'gauss_markov': 'one Gauss-Markov process',
     'processes': 'the process model',
 }
-
-
-def _with_walk(model: ProcessModel, walk: float) -> ProcessModel:
-    return replace(model, terms=replace(model.terms, K=walk))
 
 
 def sensor_levels(levels: Sequence[Level], rule: str) -> tuple[Level, ...]:
@@ -169,59 +147,6 @@ def sensor_levels(levels: Sequence[Level], rule: str) -> tuple[Level, ...]:
 
 def _root_mean_square(values: Sequence[float]) -> float:
     return math.sqrt(sum(value * value for value in values) / len(values))
-
-
-@dataclass(frozen=True)
-class Notation:
-    """A notation of N or K in the file of a filter: (level / factor)^power f^rate_power.
-
-    A filter step of 1/f s with the standard deviation s = N sqrt(f) adds (s / f)^2 = N^2/f to the
-    variance of the integral. With K instead of N, it adds K^2/f to the variance of the bias.
-
-    Attributes
-    ----------
-    formula, unit : str
-        Templates for the header of a file: ``{term}`` is N or K; ``{density}``, ``{std}`` and
-        ``{bias}`` are the units of the term, of its standard deviation per sample, and of the bias.
-    power, rate_power, factor : float
-        Numbers of the formula above; ``factor`` is the unit of the number in SI.
-    """
-
-    formula: str
-    unit: str
-    power: float = 1.0
-    rate_power: float = 0.0
-    factor: float = 1.0
-
-    def number(self, level: float, rate: float) -> float:
-        """Return the number in the file for a level in SI and a rate in Hz."""
-        return float((level / self.factor) ** self.power * rate**self.rate_power)
-
-    def level(self, number: float, rate: float) -> float:
-        """Return the level in SI for a number in the file and a rate in Hz."""
-        return float((number / rate**self.rate_power) ** (1.0 / self.power) * self.factor)
-
-
-NOTATIONS = {
-    'density': Notation('', '{density}'),
-    'std': Notation('{term} sqrt(f)', '{std}', 1.0, 0.5),
-    'variance': Notation('{term}^2 f', '({std})^2', 2.0, 1.0),
-    'step_std': Notation('{term} / sqrt(f)', '{bias}', 1.0, -0.5),
-    'step_variance': Notation('{term}^2 / f', '({bias})^2', 2.0, -1.0),
-    'covariance': Notation('{term}^2', '({density})^2', 2.0),
-}
-"""Notations in which filters expect N and K."""
-
-
-def deviation_at(model: ProcessModel, white: float, horizon: float) -> float:
-    """Return the Allan deviation at ``horizon`` s, without quantization and vibration.
-
-    The density of the white noise is ``white`` instead of that of the model; it may be infinite.
-    """
-    if math.isinf(white):
-        return white
-    terms = replace(model.terms, N=white)
-    return math.sqrt(float(drift_model(replace(model, terms=terms)).avar([horizon])[0]))
 
 
 SAMPLE_WINDOW_S = 1.0
@@ -261,18 +186,17 @@ def white_variances(
     nor a limit. If ``horizon`` (in s) is not 0, N is increased until white noise alone covers the
     predicted error growth up to this time, for filters without a state for the bias.
     """
-    densities: dict[str, float | None] = {}
-    std = NOTATIONS['std']
+    stds: dict[str, float | None] = {}
     for name, fit in axes.items():
         try:
             if horizon:
-                reduced = reduce_axis(name, fit, 'none', Horizons.up_to(horizon))
-                densities[name] = std.number(reduced.white, rate)
+                white = reduce_axis(name, fit, 'none', horizon).model.terms.N
             else:
-                densities[name] = std.number(axis_level(name, fit, 'N').value, rate)
+                white = axis_level(name, fit, 'N').value
         except AllanError:
-            densities[name] = None
-    return measured_variances(densities, inflation)
+            continue
+        stds[name] = white * rate**0.5
+    return measured_variances(stds, inflation)
 
 
 def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
@@ -283,10 +207,9 @@ def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
     """
     ratios = [1.0]
     for fit in axes.values():
-        low, high = (
-            reduce_model(one, 'none', Horizons.up_to(horizon)).white for one in interval_models(fit)
-        )
-        ratios.append(high / low if has_intervals(fit) and low > 0.0 else math.inf)
+        ends = interval_models(fit) or (ProcessModel(),) * 2
+        low, high = (reduce_model(one, 'none', horizon).model.terms.N for one in ends)
+        ratios.append(high / low if low > 0.0 else math.inf)
     return max(ratios)
 
 
@@ -325,23 +248,13 @@ class TermInflation:
         return self.use / self.rest
 
 
-@dataclass(frozen=True)
-class AxisInflation:
-    """Inflation of N (``white``) and K (``walk``) of one axis due to running motors."""
-
-    white: TermInflation
-    walk: TermInflation
-
-
 def measure_inflation(
-    rest: Mapping[str, AxisFit],
-    running: Mapping[str, AxisFit],
-    horizons: Horizons = Horizons(1.0, 30.0),
-) -> dict[str, AxisInflation]:
-    """Return the increase of N and K due to running motors for each axis that is in both fits.
+    rest: Mapping[str, AxisFit], running: Mapping[str, AxisFit], horizon: float = HORIZON_S
+) -> dict[str, dict[str, TermInflation]]:
+    """Return the increase of N and K due to running motors: axis -> term -> increase.
 
     ``rest`` and ``running`` are the fits of a robot at rest, with motors off and with motors on. N
-    and K are those of the models reduced to a random walk over ``horizons``, the range of times
+    and K are those of the models reduced to a random walk. ``horizon`` is the longest time in s
     that the filter integrates without a correction.
 
     Raises
@@ -355,9 +268,7 @@ def measure_inflation(
     inflation = {}
     for axis in common:
         quiet, loud = (
-            reduce_axis(axis, fits[axis], 'walk', horizons).levels for fits in (rest, running)
+            reduce_axis(axis, fits[axis], 'walk', horizon).levels for fits in (rest, running)
         )
-        inflation[axis] = AxisInflation(
-            *(TermInflation(quiet[term].value, loud[term].value) for term in 'NK')
-        )
+        inflation[axis] = {t: TermInflation(quiet[t].value, loud[t].value) for t in 'NK'}
     return inflation

@@ -16,15 +16,15 @@ within 5 % from about 3 s to 3000 s.
 A filter with the parameters N and K models only white noise and a random walk. If the sensor also
 has bias instability, such a filter underestimates its error with the fitted N and K. A `Reduction`
 contains parameters with which the error growth that the filter predicts is at least that of the
-complete model, over a given range of horizons. The bias is assumed to be averaged over the longest
-of these horizons.
+complete model, over a range of prediction horizons: times that a filter integrates without a
+correction. The bias is assumed to be averaged over the longest of these horizons.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
@@ -79,10 +79,6 @@ class StateSpace:
     def size(self) -> int:
         """Number of states."""
         return 2 + len(self.gauss_markov) + self.slope
-
-    def model(self) -> ProcessModel:
-        """Return the noise as a `ProcessModel`, without the slope, which has no noise."""
-        return ProcessModel(NoiseTerms(N=self.white, K=self.walk), self.gauss_markov)
 
     def transition(self, dt: float) -> Floats:
         """Return the state transition matrix Phi, (size, size), for a step of ``dt`` s."""
@@ -171,14 +167,14 @@ def _check_step(dt: float) -> None:
 
 # --- reductions -----------------------------------------------------------------------------------
 
-States = Literal['none', 'walk', 'gauss_markov', 'processes']
+States = Literal['none', 'walk', 'processes']
 
-STATES: tuple[States, ...] = ('none', 'walk', 'gauss_markov', 'processes')
-"""Bias models of a filter: no state, a random walk, one Gauss-Markov process, or a random walk with
-several Gauss-Markov processes."""
+STATES: tuple[States, ...] = ('none', 'walk', 'processes')
+"""Bias models of a filter: no state, a random walk, or a random walk with several Gauss-Markov
+processes."""
 
-SHORTEST_HORIZON_S = 1.0
-"""Default of the shortest horizon."""
+HORIZON_S = 30.0
+"""Default of the longest horizon."""
 
 HORIZONS_PER_RANGE = 30
 """Number of horizons at which the error growth of two models is compared."""
@@ -187,35 +183,29 @@ POOR_RATIO = 2.0
 """Largest accepted ratio between the error growth of a reduction and of the complete model."""
 
 
-class Horizons(NamedTuple):
-    """Range of prediction horizons: times that a filter integrates without a correction, in s."""
+def shortest_horizon(longest: float) -> float:
+    """Return the shortest horizon in s of the range up to ``longest``: 1 s, or a tenth of it.
 
-    low: float
-    high: float
-
-    @classmethod
-    def up_to(cls, high: float) -> Horizons:
-        """Return the range from 1 s (or ``high``/10, if this is shorter) to ``high``.
-
-        Raises
-        ------
-        AllanError
-            If ``high`` is not above 0 and finite.
-        """
-        if not 0.0 < high < math.inf:
-            raise AllanError(f'the horizon is {high:g} s: give a time above 0 s')
-        return cls(min(SHORTEST_HORIZON_S, high / 10.0), high)
-
-    def times(self) -> Floats:
-        """Return 30 logarithmically spaced horizons over the range, in s."""
-        return np.geomspace(self.low, self.high, HORIZONS_PER_RANGE)
-
-    def __str__(self) -> str:
-        return f'{self.low:g} to {self.high:g} s'
+    Raises
+    ------
+    AllanError
+        If ``longest`` is not above 0 and finite.
+    """
+    if not 0.0 < longest < math.inf:
+        raise AllanError(f'the horizon is {longest:g} s: give a time above 0 s')
+    return min(1.0, longest / 10.0)
 
 
-@dataclass(frozen=True)
-class Level:
+def horizon_text(longest: float) -> str:
+    """Return the range of horizons up to ``longest`` as text.
+
+    >>> horizon_text(30.0)
+    '1 to 30 s'
+    """
+    return f'{shortest_horizon(longest):g} to {longest:g} s'
+
+
+class Level(NamedTuple):
     """Value of one noise coefficient of one axis for a filter, in SI."""
 
     axis: str  # name of the axis
@@ -239,131 +229,111 @@ class Level:
         return max(low, 0.0), high
 
 
-@dataclass(frozen=True)
-class Reduction:
+class Reduction(NamedTuple):
     """Noise model of one axis, reduced to the states of a filter."""
 
-    states: States  # bias model of the filter, one of `STATES`
-    white: float  # N
-    walk: float  # K; 0 if the filter has no random walk or the sensor no drift
-    gauss_markov: Processes  # tuple of (sigma, tau)
-    horizons: Horizons  # range in which the error growth is not underestimated
-    # smallest and largest ratio over this range of the error growth (standard deviation) that the
+    model: ProcessModel  # N, K and Gauss-Markov processes that the filter assumes
+    # smallest and largest ratio over the horizons of the error growth (standard deviation) that the
     # filter predicts to that of the complete model
     ratio: tuple[float, float]
-    # N and K with their intervals, if the model of an axis was reduced
-    levels: Mapping[str, Level] = field(default_factory=dict)
+    levels: Mapping[str, Level]  # N and K with their intervals, if the model of an axis was reduced
 
     @property
     def poor(self) -> bool:
         """Whether the error growth is wrong by more than a factor of 2 at some horizon."""
         return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
 
-    def model(self) -> ProcessModel:
-        """Return the noise that the filter assumes, as a `ProcessModel`."""
-        return ProcessModel(NoiseTerms(N=self.white, K=self.walk), self.gauss_markov)
-
 
 def reduce_model(
-    model: ProcessModel, states: States = 'walk', horizons: Horizons = Horizons(1.0, 30.0)
+    model: ProcessModel, states: States = 'walk', horizon: float = HORIZON_S
 ) -> Reduction:
     """Return a noise model reduced to the states of a filter.
 
-    The error growth of the reduced model is at least that of ``model`` at all ``horizons``. The
-    ``states`` determine what is adjusted:
+    The error growth of the reduced model is at least that of ``model`` at all horizons from 1 s to
+    ``horizon`` s. The ``states`` determine what is adjusted:
 
     ============  ================================================================================
     none          N is increased, because white noise represents all drift.
     walk          K is increased, N is kept.
-    gauss_markov  One Gauss-Markov process, the closest one, represents all drift; N is kept.
     processes     B becomes four Gauss-Markov processes and all others are kept. K is increased only
                   for a ramp and slow sinusoids, which have no states.
     ============  ================================================================================
 
-    If the result with 'walk' or 'gauss_markov' would be poor (see `Reduction.poor`), the
-    Gauss-Markov processes with the shortest correlation times are treated as white noise and
-    increase N. Quantization and sinusoids above 0.1 Hz are left out, because their integrals are
-    bounded.
+    If the result with 'walk' would be poor (see `Reduction.poor`), the Gauss-Markov processes with
+    the shortest correlation times are treated as white noise and increase N. Quantization and
+    sinusoids above 0.1 Hz are left out, because their integrals are bounded.
 
     Raises
     ------
     AllanError
-        If the states are not one of `STATES`.
+        If the horizon is not above 0 and finite.
 
     Examples
     --------
     A model with N and K only is not changed:
 
     >>> reduction = reduce_model(ProcessModel(NoiseTerms(N=1e-3, K=1e-5)))
-    >>> round(reduction.walk, 9), [round(ratio, 3) for ratio in reduction.ratio]
+    >>> round(reduction.model.terms.K, 9), [round(ratio, 3) for ratio in reduction.ratio]
     (1e-05, [1.0, 1.0])
     """
-    if states not in STATES:
-        raise AllanError(f'states {states!r} are unknown: choose one of {", ".join(STATES)}')
     complete = drift_model(model)
-    reductions = [_reduced(complete, 0, states, horizons)]
-    if states in ('walk', 'gauss_markov'):
-        while reductions[-1].poor and len(reductions) <= len(complete.gauss_markov):
-            reductions.append(_reduced(complete, len(reductions), states, horizons))
+    reductions = [_reduced(complete, 0, states, horizon)]
+    while states == 'walk' and reductions[-1].poor and len(reductions) <= len(model.gauss_markov):
+        reductions.append(_reduced(complete, len(reductions), states, horizon))
     return min(reductions, key=lambda reduction: reduction.poor * reduction.ratio[1])
 
 
-def _reduced(complete: ProcessModel, fast: int, states: States, horizons: Horizons) -> Reduction:
+def _reduced(complete: ProcessModel, fast: int, states: States, horizon: float) -> Reduction:
     """Return a reduction that treats the ``fast`` fastest Gauss-Markov processes as white noise."""
     by_time = sorted(complete.gauss_markov, key=lambda pair: pair[1])
     added = sum(2.0 * sigma**2 * tau for sigma, tau in by_time[:fast])
-    white = math.sqrt(complete.terms.N**2 + added)
-    terms = replace(complete.terms, N=0.0)
-    drift = replace(complete, terms=terms, gauss_markov=tuple(by_time[fast:]))
-    with_white = replace(drift, terms=replace(terms, N=white))
-    walk = 0.0
+    white, walk = math.sqrt(complete.terms.N**2 + added), 0.0
+    drift = replace(
+        complete, terms=replace(complete.terms, N=0.0), gauss_markov=tuple(by_time[fast:])
+    )
     processes: Processes = ()
     if states == 'none':
-        squared = _variance(drift, horizons) / _unit_variance('N', 0.0, horizons)
+        squared = _growth(drift, horizon) ** 2 / _unit_variance('N', 0.0, horizon)
         white = math.sqrt(white**2 + float(np.max(squared)))
-    elif states == 'gauss_markov':
-        closest = closest_process(with_white, horizons)
-        processes = (closest,) if closest else ()
     else:
         if states == 'processes':  # only the ramp and sinusoids have no states
-            space = state_space(with_white)
+            space = state_space(replace(drift, terms=replace(drift.terms, N=white)))
             processes = space.gauss_markov
-            terms = NoiseTerms(K=space.walk, R=terms.R)
+            terms = NoiseTerms(K=space.walk, R=drift.terms.R)
             drift = ProcessModel(terms, sinusoids=drift.sinusoids)
-        squared = _variance(drift, horizons) / _unit_variance('K', 0.0, horizons)
+        squared = _growth(drift, horizon) ** 2 / _unit_variance('K', 0.0, horizon)
         walk = math.sqrt(float(np.max(squared)))
-    reduction = Reduction(states, white, walk, processes, horizons, (1.0, 1.0))
-    times = horizons.times()
-    reduced, actual = (
-        predicted_growth(one, times, horizons.high) for one in (reduction.model(), complete)
-    )
+    model = ProcessModel(NoiseTerms(N=white, K=walk), processes)
+    reduced, actual = (_growth(one, horizon) for one in (model, complete))
     if np.any(actual > 0.0):
         ratio = reduced / actual
-        return replace(reduction, ratio=(float(ratio.min()), float(ratio.max())))
-    return replace(reduction, ratio=(math.inf, math.inf)) if np.any(reduced > 0.0) else reduction
+        return Reduction(model, (float(ratio.min()), float(ratio.max())), {})
+    unknown = math.inf if np.any(reduced > 0.0) else 1.0
+    return Reduction(model, (unknown, unknown), {})
 
 
-def _variance(model: ProcessModel, horizons: Horizons) -> Floats:
-    """Return the variance of the integrated error at each of ``horizons.times()``."""
-    return predicted_growth(model, horizons.times(), horizons.high) ** 2
+def _growth(model: ProcessModel, horizon: float) -> Floats:
+    """Return the predicted growth at 30 horizons up to the given one."""
+    times = np.geomspace(shortest_horizon(horizon), horizon, HORIZONS_PER_RANGE)
+    return predicted_growth(model, times, horizon)
 
 
 @lru_cache(maxsize=512)
-def _unit_variance(term: str, tau: float, horizons: Horizons) -> Floats:
+def _unit_variance(term: str, tau: float, horizon: float) -> Floats:
     """Return the variance for N = 1, K = 1 or, if ``term`` is '', a Gauss-Markov process."""
     terms = NoiseTerms(**{term: 1.0}) if term else NoiseTerms()
-    variance = _variance(ProcessModel(terms, () if term else ((1.0, tau),)), horizons)
+    variance = _growth(ProcessModel(terms, () if term else ((1.0, tau),)), horizon) ** 2
     variance.setflags(write=False)
     return variance
 
 
 def closest_process(
-    model: ProcessModel, horizons: Horizons, tau: float | None = None, bound: bool = True
+    model: ProcessModel, horizon: float, tau: float | None = None, bound: bool = True
 ) -> tuple[float, float] | None:
     """Return the Gauss-Markov process (sigma, tau) closest to the drift of a model, or None.
 
-    It replaces all drift of the model and minimizes the largest relative difference of the
-    error growth over the horizons. The result is None if the model has no drift.
+    It replaces all drift of the model and minimizes the largest relative difference of the error
+    growth over the horizons up to ``horizon`` s. The result is None if the model has no drift.
 
     ``tau`` is the correlation time in s; with None, it is selected. If ``bound`` is set, the growth
     is at least that of the model, as a filter requires. Otherwise it may also be smaller.
@@ -371,14 +341,14 @@ def closest_process(
     complete = drift_model(model)
     if not has_drift(complete):
         return None
-    white = complete.terms.N**2 * _unit_variance('N', 0.0, horizons)
+    white = complete.terms.N**2 * _unit_variance('N', 0.0, horizon)
     # the minimum applies only if the drift is below the rounding error of the white noise
-    drift = np.maximum(_variance(complete, horizons) - white, np.finfo(float).tiny)
-    grid = np.geomspace(horizons.low / 3.0, 100.0 * horizons.high, 60).tolist()
+    drift = np.maximum(_growth(complete, horizon) ** 2 - white, np.finfo(float).tiny)
+    grid = np.geomspace(shortest_horizon(horizon) / 3.0, 100.0 * horizon, 60).tolist()
     own = [pair[1] for pair in complete.gauss_markov]
     best, least = (0.0, 1.0), math.inf
     for one in [*own, *grid] if tau is None else [tau]:
-        unit = _unit_variance('', one, horizons)
+        unit = _unit_variance('', one, horizon)
         ratio = drift / unit
         variances = [float(ratio.max())] if bound else np.geomspace(ratio.min(), ratio.max(), 9)
         for variance in variances:
@@ -387,13 +357,3 @@ def closest_process(
             if error < least - 1e-9:
                 best, least = (math.sqrt(variance), one), error
     return best
-
-
-def common_correlation_time(models: Sequence[ProcessModel], horizons: Horizons) -> float:
-    """Return one correlation time in s for the Gauss-Markov processes of several axes.
-
-    It is the geometric mean of the correlation times of `closest_process`. At least one of the
-    models must have drift.
-    """
-    taus = [one[1] for model in models if (one := closest_process(model, horizons))]
-    return math.exp(sum(math.log(tau) for tau in taus) / len(taus))

@@ -3,7 +3,7 @@
 """Files that filters, calibration tools and simulators read.
 
 A `Target` describes one file: a table of its keys (`Key`) with the convention and its source, and
-the `Form` of its text. `model` computes the `Row` of each key from the noise model. Targets are in
+the form of its text. `model` computes the `Row` of each key from the noise model. Targets are in
 `targets` and `simulators`; a new one also needs a line in `TARGETS`.
 """
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import difflib
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -139,7 +138,7 @@ class Key(NamedTuple):
     # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
     # 'common_tau': correlation time of all axes; 'rate'; 'topic'
     what: str
-    unit: str = ''  # one of `noise_parameters.NOTATIONS`, or a unit
+    unit: str = ''  # one of `model.NOTATIONS`, or a unit
     limits: tuple[float, float] | None = None  # range that the filter accepts
 
 
@@ -155,7 +154,6 @@ class Row:
     # if it is unknown; of three numbers the widest
     interval: tuple[float, float] = (0.0, math.inf)
     levels: tuple[Level, ...] = ()  # the measured noise levels from which it is computed
-    clamped: bool = False  # whether the number is a limit of the range that the filter accepts
     findings: tuple[Finding, ...] = ()  # information for the user of the file
 
     @property
@@ -211,12 +209,8 @@ def noise_keys(names: str, unit: str = 'density') -> tuple[Key, ...]:
     return keys_of('\n'.join(f'{name} {what} {unit}' for name, what in zip(names.split(), whats)))
 
 
-class Form(ABC):
-    """A text format for the rows of a file."""
-
-    @abstractmethod
-    def render(self, rows: Sequence[Row], header: Sequence[str]) -> str:
-        """Return the text of a file with the header and these rows."""
+Form = Callable[[Sequence[Row], Sequence[str]], str]
+"""Text format: (rows, lines of the header) -> text of a file."""
 
 
 @dataclass(frozen=True)
@@ -241,8 +235,7 @@ class Target:
     bound: bool = True
 
 
-@dataclass(frozen=True)
-class Export:
+class Export(NamedTuple):
     """The text of a file for a filter, and findings about its numbers."""
 
     text: str
@@ -294,14 +287,14 @@ def make_export(results: Results, name: str, options: ExportOptions = ExportOpti
     ``name`` is one of `TARGETS`. Raises AllanError when the target is unknown, an option does not
     apply to it, the results lack a required number, or their units are wrong.
     """
-    from .model import FilterNoise, header_lines
+    from .model import FilterNoise
+    from .text import header_lines
 
     target = target_of(name)
     noise = FilterNoise(results, options, target)
     rows = noise.rows()
-    text = target.form.render(rows, header_lines(name, noise, rows))
-    findings = [note for row in rows for note in row.findings]
-    findings += noise.reduction_findings()
+    text = target.form(rows, header_lines(name, noise, rows))
+    findings = [note for row in rows for note in row.findings] + noise.findings()
     for id, keys in (
         ('export_limits', [row.key for row in rows if row.is_limit]),
         ('export_no_interval', [row.key for row in rows if row.no_interval]),

@@ -1,36 +1,34 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of one IMU in the convention of one target, and the header comment of the file."""
+"""The noise of one IMU in the convention of one target: the rows of its file.
+
+N and K are continuous-time noise densities. A filter with the rate f needs discrete-time noise. In
+one step of 1/f seconds, white noise must add N^2/f to the variance of the integral of the samples,
+and a random walk must add K^2/f to the variance of the bias (N. Trawny, S. I. Roumeliotis, Indirect
+Kalman Filter for 3D Attitude Estimation, University of Minnesota, 2005, eqs. 129, 130). `NOTATIONS`
+lists the scalings that filters use.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ... import __version__
-from ...core.errors import AllanError, one_line
-from ...core.filters.noise_parameters import (
-    NOTATIONS,
-    Notation,
-    axis_level,
-    reduce_axis,
-    sensor_levels,
-)
+from ...core.errors import AllanError
+from ...core.filters.noise_parameters import axis_level, reduce_axis, sensor_levels
 from ...core.filters.reductions import (
-    Horizons,
     Level,
     Reduction,
     States,
     closest_process,
-    common_correlation_time,
+    horizon_text,
+    shortest_horizon,
 )
-from ...core.findings import Finding, duration_text, finding
+from ...core.findings import Finding, finding
 from ...core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
-from ...core.noise import ProcessModel
 from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
 from . import AXIS_RULE, FROM_DATASHEET, ExportOptions, Key, Row, Target
 
@@ -50,20 +48,44 @@ DEFAULT_TOPIC = '/imu0'
 """Topic in files of recordings without a topic, as in the examples of Kalibr."""
 
 
-class SensorProcess(NamedTuple):
-    """First-order Gauss-Markov processes that model the bias of the axes x, y, z."""
+class Notation(NamedTuple):
+    """A notation of N or K in the file of a filter: (level / factor)^power f^rate_power.
 
-    sigma: tuple[float, ...]  # standard deviations in SI, with the inflation
-    tau: tuple[float, ...]  # correlation times in s
-    words: str  # their origin, for the header comment
-    findings: tuple[Finding, ...]
-    # K of the axes without a fitted process, from which the process is computed
-    levels: tuple[Level, ...]
+    A filter step of 1/f s with the standard deviation s = N sqrt(f) adds (s / f)^2 = N^2/f to the
+    variance of the integral. With K instead of N, it adds K^2/f to the variance of the bias.
+    """
 
-    @property
-    def driving(self) -> tuple[float, ...]:
-        """Density sigma sqrt(2/tau) of the white noise that drives each process, in SI."""
-        return tuple(sigma * math.sqrt(2.0 / tau) for sigma, tau in zip(self.sigma, self.tau))
+    # templates for the header of a file: {term} is N or K; {density}, {std} and {bias} are the
+    # units of the term, of its standard deviation per sample, and of the bias
+    formula: str
+    unit: str
+    power: float = 1.0
+    rate_power: float = 0.0
+    factor: float = 1.0  # unit of the number in SI
+
+    def number(self, level: float, rate: float) -> float:
+        """Return the number in the file for a level in SI and a rate in Hz."""
+        return float((level / self.factor) ** self.power * rate**self.rate_power)
+
+    def level(self, number: float, rate: float) -> float:
+        """Return the level in SI for a number in the file and a rate in Hz."""
+        return float((number / rate**self.rate_power) ** (1.0 / self.power) * self.factor)
+
+
+NOTATIONS = {
+    'density': Notation('', '{density}'),
+    'std': Notation('{term} sqrt(f)', '{std}', 1.0, 0.5),
+    'variance': Notation('{term}^2 f', '({std})^2', 2.0, 1.0),
+    'step_std': Notation('{term} / sqrt(f)', '{bias}', 1.0, -0.5),
+    'step_variance': Notation('{term}^2 / f', '({bias})^2', 2.0, -1.0),
+    'covariance': Notation('{term}^2', '({density})^2', 2.0),
+}
+"""Notations in which filters expect N and K."""
+
+
+def notation_of(key: Key) -> Notation:
+    """Return the notation of a key for N or K."""
+    return NOTATIONS.get(key.unit) or Notation('', key.unit, factor=UNITS[key.unit].factor)
 
 
 def rounded(value: Any, digits: int = DIGITS) -> Any:
@@ -85,8 +107,8 @@ class FilterNoise:
         How the axes of a sensor are combined: 'worst', 'mean' or 'each'.
     rate : float
         Rate of the filter in Hz.
-    horizons : Horizons
-        Integration times in s over which N and K describe the error growth.
+    horizon : float
+        Longest integration time in s over which N and K describe the error growth.
     bias : mapping of axis name to float
         Bias at rest in SI, of axes of which it is known.
     """
@@ -119,7 +141,8 @@ class FilterNoise:
             self.rate, self.rate_words = options.filter_rate, 'given as the rate of the filter'
         elif target.rate_hz:
             self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
-        self.horizons = Horizons.up_to(options.horizon or target.horizon_s)
+        self.horizon = options.horizon or target.horizon_s
+        shortest_horizon(self.horizon)
         self._reductions: dict[tuple[str, States], Reduction] = {}
 
     def rows(self) -> list[Row]:
@@ -161,11 +184,13 @@ class FilterNoise:
             f'[{unit}]{f" = {formula}" if formula else ""}: {"; ".join(map(level_words, named))}'
         )
         values = [rounded(notation.number(inflate * one.value, self.rate)) for one in levels]
-        values *= 3 // len(values) if self.target.three else 1
         widest = max((one.interval for one in levels), key=_width)
         low, high = (notation.number(inflate * end, self.rate) for end in widest)
-        value = values if self.target.three else values[0]
-        return Row(path, value, words, unit, (low, high), tuple(named))
+        return Row(path, self._value(values), words, unit, (low, high), tuple(named))
+
+    def _value(self, values: list[float]) -> float | list[float]:
+        """Return the value of a key from one number, or three of x, y, z."""
+        return values * (3 // len(values)) if self.target.three else values[0]
 
     def level(self, axis: str, term: str) -> Level:
         """Return the noise level of a term of one axis.
@@ -179,17 +204,52 @@ class FilterNoise:
         return self.reduction(axis).levels[term]
 
     def _process_row(self, path: tuple[str, ...], key: Key) -> Row:
-        """Return the row of sigma, tau or the driving density of the Gauss-Markov bias."""
-        bias = self.process(key.sensor)
-        words, values = '[s]', bias.tau
-        if key.what != 'tau':
-            equals = ' = sigma sqrt(2 / tau)' if key.what == 'driving' else ''
-            words = f'[{key.unit}]{equals}: {bias.words}'
-            sigmas = bias.driving if equals else bias.sigma
-            values = tuple(sigma / UNITS[key.unit].factor for sigma in sigmas)
-        value = rounded(values if self.target.three else values[0])
-        levels = () if key.what == 'tau' else bias.levels
-        return Row(path, value, words, key.unit, levels=levels, findings=bias.findings)
+        """Return the row of sigma, tau or the driving density of the Gauss-Markov bias.
+
+        It is the process whose growth is closest to the growth of the drift of each axis.
+        """
+        axes = self.axes_of(key.sensor)
+        common = any(each.what == 'common_tau' for each in self.target.keys)
+        tau = self.common_tau if common or self.rule != 'each' else None
+        # the axes without a fitted process, and K from which their process is computed
+        walks, pairs = {}, []
+        for name, axis in axes.items():
+            model = axis.fit.model
+            if not model.gauss_markov:
+                reduction = self.reduction(name, 'processes')
+                model, walks[name] = reduction.model, reduction.levels['K']
+            pair = closest_process(model, self.horizon, tau, self.target.bound)
+            assert pair is not None  # both sensors drift
+            pairs.append(pair)
+        taus = [pair[1] for pair in pairs]
+        if key.what == 'tau':
+            return Row(path, rounded(self._value(taus)), '[s]', key.unit)
+        sigmas = [Level(name, 'sigma', sigma) for name, (sigma, _) in zip(axes, pairs)]
+        values = [one.value for one in sensor_levels(sigmas, self.rule)]
+        values = [self.options.inflate * value / UNITS[key.unit].factor for value in values]
+        equals = ''
+        if key.what == 'driving':
+            equals = ' = sigma sqrt(2 / tau)'
+            values *= 3 // len(values)
+            values = [value * math.sqrt(2.0 / one) for value, one in zip(values, taus)]
+        si = SI_UNITS[key.sensor]['B']
+        described = '; '.join(
+            f'{name} {significant(s, VALUE_DIGITS)} {si}, {t:.4g} s{_origin(walks.get(name))}'
+            for name, (s, t) in zip(axes, pairs)
+        )
+        words = (
+            f'[{key.unit}]{equals}: sigma and correlation time whose growth '
+            f'{"bounds" if self.target.bound else "follows"} the growth of the model: {described}'
+        )
+        note = finding('export_no_gauss_markov', tuple(walks), horizons=horizon_text(self.horizon))
+        return Row(
+            path,
+            rounded(self._value(values)),
+            words,
+            key.unit,
+            levels=tuple(walks.values()),
+            findings=(note,) if walks else (),
+        )
 
     def axes_of(self, sensor: str) -> Mapping[str, AxisResult]:
         """Return axis -> result of a sensor; raise AllanError if one of the three is missing."""
@@ -201,94 +261,36 @@ class FilterNoise:
         return {name: self.results.axes[name] for name in names}
 
     def reduction(self, axis: str, states: States = 'walk') -> Reduction:
-        """Return the noise model of one axis, reduced to the states of a filter.
-
-        ``states`` is the model of the bias in the filter: 'none', 'walk', 'gauss_markov' or
-        'processes'.
-        """
-        key, fit = (axis, states), self.results.axes[axis].fit
-        if key not in self._reductions:
-            self._reductions[key] = reduce_axis(
-                axis, fit, states, self.horizons, self.options.strict
+        """Return the noise model of one axis, reduced to the states of a filter."""
+        if (axis, states) not in self._reductions:
+            self._reductions[axis, states] = reduce_axis(
+                axis, self.results.axes[axis].fit, states, self.horizon, self.options.strict
             )
-        return self._reductions[key]
+        return self._reductions[axis, states]
 
     @property
-    def _used(self) -> dict[str, Reduction]:
+    def used(self) -> dict[str, Reduction]:
         """Axis -> reduction whose N and K are written to the file."""
         return {axis: r for (axis, states), r in self._reductions.items() if states == 'walk'}
 
-    def process(self, sensor: str) -> SensorProcess:
-        """Return the Gauss-Markov processes that approximate the drift of a sensor."""
-        names = list(self.axes_of(sensor))
-        common = any(key.what == 'common_tau' for key in self.target.keys)
-        tau = self.common_tau if common or self.rule != 'each' else None
-        pairs = [self._closest(name, tau) for name in names]
-        levels = [Level(name, 'sigma', sigma) for name, (sigma, _) in zip(names, pairs)]
-        sigma = [self.options.inflate * one.value for one in sensor_levels(levels, self.rule)]
-        sigma *= 3 // len(sigma)
-        unit = SI_UNITS[sensor]['B']
-        axes = self.results.axes
-        others = tuple(name for name in names if not axes[name].fit.model.gauss_markov)
-        walks = {name: self.reduction(name, 'processes').levels['K'] for name in others}
-        described = '; '.join(
-            f'{name} {significant(s, VALUE_DIGITS)} {unit}, {t:.4g} s{_origin(walks.get(name))}'
-            for name, (s, t) in zip(names, pairs)
-        )
-        bounds = 'bounds' if self.target.bound else 'follows'
-        words = (
-            f'sigma and correlation time whose growth {bounds} the growth of the model: {described}'
-        )
-        note = finding('export_no_gauss_markov', others, horizons=self.horizons)
-        taus = tuple(tau for _, tau in pairs)
-        return SensorProcess(
-            tuple(sigma), taus, words, (note,) if others else (), tuple(walks.values())
-        )
+    def findings(self) -> list[Finding]:
+        """Return a warning that names the axes whose error growth N and K cannot describe."""
+        poor = {
+            axis: one.ratio[1]
+            for axis, one in self.used.items()
+            if one.poor or self.results.axes[axis].fit.model.gauss_markov
+        }
+        if not poor:
+            return []
+        horizons, worst = horizon_text(self.horizon), max(poor.values())
+        return [finding('export_two_numbers', tuple(poor), horizons=horizons, ratio=worst)]
 
     @cached_property
     def common_tau(self) -> float:
         """Geometric mean in s of the correlation times that describe the drift of all axes."""
-        models = [self._drifting(name) for name in self.results.axes]
-        return common_correlation_time(models, self.horizons)
-
-    def _drifting(self, axis: str) -> ProcessModel:
-        return self.reduction(axis, 'processes').model()
-
-    def _closest(self, axis: str, tau: float | None) -> tuple[float, float]:
-        model = self.results.axes[axis].fit.model
-        model = model if model.gauss_markov else self._drifting(axis)
-        pair = closest_process(model, self.horizons, tau, self.target.bound)
-        assert pair is not None  # both sensors drift
-        return pair
-
-    def reduction_lines(self) -> list[str]:
-        """Return the lines of the header comment on how N and K were computed."""
-        if self.options.fidelity == 'coefficients':
-            return ['fidelity: bare coefficients; N and K alone underestimate flicker and drift']
-        if not self._used:
-            return []
-        ratios = [one.ratio for one in self._used.values()]
-        low, high = min(r[0] for r in ratios), max(r[1] for r in ratios)
-        return [
-            f'reduction: N and K bound the error growth of the complete model over '
-            f'{self.horizons}; predicted over model growth {low:.2f} to {high:.2f}'
-        ]
-
-    def reduction_findings(self) -> list[Finding]:
-        """Return a warning that names the axes whose error growth N and K cannot describe."""
-        poor = {
-            axis: one.ratio[1]
-            for axis, one in self._used.items()
-            if one.poor or self.results.axes[axis].fit.model.gauss_markov
-        }
-        worst = max(poor.values(), default=0.0)
-        note = finding('export_two_numbers', tuple(poor), horizons=self.horizons, ratio=worst)
-        return [note] if poor else []
-
-
-def notation_of(key: Key) -> Notation:
-    """Return the notation of a key for N or K."""
-    return NOTATIONS.get(key.unit) or Notation('', key.unit, factor=UNITS[key.unit].factor)
+        models = [self.reduction(name, 'processes').model for name in self.results.axes]
+        taus = [pair[1] for one in models if (pair := closest_process(one, self.horizon))]
+        return math.exp(sum(math.log(tau) for tau in taus) / len(taus))
 
 
 def level_words(level: Level) -> str:
@@ -332,90 +334,4 @@ def clamped(row: Row, low: float, high: float) -> Row:
     numbers = {'value': row.value, 'low': low, 'high': high, 'written': value}
     note = finding('export_clamped', key=row.key, **numbers)
     words = f'{row.words}; {row.value:g} lies outside [{low:g}, {high:g}]'
-    return replace(row, value=value, words=words, clamped=True, findings=(*row.findings, note))
-
-
-NAMED_SOURCES = 3
-"""Largest number of recordings that the header comment names; others are counted."""
-
-EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
-FIRST_DATE = datetime(2000, 1, 1, tzinfo=timezone.utc)
-"""Earlier stamps are not dates, but count from the start of a machine or a simulation."""
-
-RULE_WORDS = {
-    'worst': 'worst (the largest of x, y, z)',
-    'mean': 'mean (root mean square of x, y, z)',
-    'each': 'each (x, y, z)',
-}
-
-
-def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str]:
-    """Return the lines of the header comment, without comment marks.
-
-    They state source, date, convention, units, rate, axes, intervals and warnings. ``name`` is the
-    target, ``rows`` are the keys of the file.
-    """
-    results, target, inflate = noise.results, noise.target, noise.options.inflate
-    limits = dict.fromkeys(row.key for row in rows if row.is_limit)
-    unsure = dict.fromkeys(row.key for row in rows if row.no_interval)
-    first = (*WRONG_UNITS, 'from_datasheet')
-    wrong = [f'warning: {note}' for note in results.findings if note.id in first]
-    others = [
-        f'warning: {", ".join(note.axes)}{": " if note.axes else ""}{note.message}'
-        for note in results.findings
-        if note.severity != 'info' and note.id not in first
-    ]
-    title = [
-        f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
-        f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '
-        f'{significant(results.rate_hz, 5)} Hz',
-        f'date: {_recorded(results)}',
-    ]
-    if results.method == FROM_DATASHEET:
-        title = [
-            f'IMU noise for {name}, from the datasheet of {results.identity.frame_id} and not '
-            f'measured (allan_ros {__version__})',
-            *(f'source: {source.path}' for source in results.provenance.sources),
-        ]
-    lines = [
-        *wrong,
-        *title,
-        f'convention: {target.convention}',
-        f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
-        f'axis rule: {RULE_WORDS[noise.rule]}; inflation: {_inflation(inflate)}',
-        *noise.reduction_lines(),
-        *(f'{row.key} {row.words}' for row in rows if row.words),
-        f'upper limits instead of measurements: {", ".join(limits) or "none"}',
-        *([f'values without a 95 % interval: {", ".join(unsure)}'] if unsure else []),
-        *(f'note: {note}' for note in target.notes),
-        *dict.fromkeys(f'note: {note}' for row in rows for note in row.findings),
-        *(f'warning: {note}' for note in noise.reduction_findings()),
-        *others,
-    ]
-    return [one_line(line) for line in lines]
-
-
-def _inflation(factor: float) -> str:
-    if factor == 1.0:
-        return 'none'
-    return f'x{factor:g} on every N, K and bias; the levels below are without it'
-
-
-def _sources(results: Results) -> str:
-    sources = [f'{s.path} {s.topic}'.strip() for s in results.provenance.sources]
-    more = len(sources) - NAMED_SOURCES
-    named = ', '.join(sources[:NAMED_SOURCES]) + (f' and {more} more' if more > 0 else '')
-    return named or 'sums without a recording'
-
-
-def _recorded(results: Results) -> str:
-    starts = [s.start_ns for s in results.provenance.segments]
-    if not starts:
-        return 'not known'
-    try:
-        start = EPOCH + timedelta(microseconds=min(starts) // 1000)
-    except OverflowError:
-        return 'unknown: the stamps are not dates'
-    if start < FIRST_DATE:
-        return 'unknown: the stamps do not count from 1970'
-    return f'recorded from {start:%Y-%m-%d %H:%M:%S} UTC on'
+    return replace(row, value=value, words=words, findings=(*row.findings, note))

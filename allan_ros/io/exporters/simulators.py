@@ -14,12 +14,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 
-from ...core.filters.reductions import Level, StateSpace
+from ...core.filters.reductions import StateSpace
 from ...core.imu import SI_UNITS, sensor_of
-from . import INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
-from .forms import JsonForm, LineForm, XmlForm
+from . import INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target, Value
 from .model import FilterNoise, rounded
+from .text import json_form, line_form, xml_form
 
 SCHEMA = 'allan_ros/state_space/2'
 
@@ -29,28 +30,27 @@ MATRIX_DIGITS = 12
 """Significant digits of the matrices: diagonal elements of Phi are close to 1."""
 
 
-def _spaces(noise: FilterNoise) -> Iterator[tuple[str, StateSpace, tuple[Level, ...]]]:
-    """Yield each axis, its state space, and the levels of N and K from which it is computed."""
-    inflate = noise.options.inflate
+def _axes(noise: FilterNoise) -> dict[str, tuple[StateSpace, dict[str, Value]]]:
+    """Return the state space of each axis, and its levels as they are written."""
+    found = {}
     for axis in noise.results.axes:
-        reduced = noise.reduction(axis, 'processes')
-        processes = tuple((rounded(inflate * s), rounded(tau)) for s, tau in reduced.gauss_markov)
-        space = StateSpace(
-            rounded(inflate * reduced.white), rounded(inflate * reduced.walk), processes
-        )
-        yield axis, space, tuple(reduced.levels.values())
+        model, inflate = noise.reduction(axis, 'processes').model, noise.options.inflate
+        processes = [[rounded(inflate * sigma), rounded(tau)] for sigma, tau in model.gauss_markov]
+        white, walk = (rounded(inflate * level) for level in (model.terms.N, model.terms.K))
+        space = StateSpace(white, walk, tuple((sigma, tau) for sigma, tau in processes))
+        found[axis] = space, {'white': white, 'walk': walk, 'gauss_markov': processes}
+    return found
 
 
 def _document(noise: FilterNoise) -> Iterator[Row]:
     yield Row(('schema',), SCHEMA)
     yield Row(('rate_hz',), noise.rate)
     step = 1.0 / noise.rate
-    for axis, space, levels in _spaces(noise):
+    for axis, (space, written) in _axes(noise).items():
+        levels = tuple(noise.reduction(axis, 'processes').levels.values())
         document = {
             'unit': SI_UNITS[sensor_of(axis)]['B'],
-            'white': space.white,
-            'walk': space.walk,
-            'gauss_markov': rounded(space.gauss_markov),
+            **written,
             'ramp': rounded(noise.results.axes[axis].fit.model.terms.R),
             'limits': [level.term for level in levels if level.is_limit],
             'Phi': rounded(space.transition(step).tolist(), MATRIX_DIGITS),
@@ -61,16 +61,9 @@ def _document(noise: FilterNoise) -> Iterator[Row]:
 
 
 def _module(noise: FilterNoise) -> Iterator[Row]:
-    spaces = list(_spaces(noise))
-    axes = {
-        axis: {
-            'white': space.white,
-            'walk': space.walk,
-            'gauss_markov': rounded(space.gauss_markov),
-        }
-        for axis, space, _ in spaces
-    }
-    yield Row(('AXES',), axes, levels=tuple(level for *_, levels in spaces for level in levels))
+    axes = {axis: written for axis, (_, written) in _axes(noise).items()}
+    levels = (noise.reduction(axis, 'processes').levels.values() for axis in axes)
+    yield Row(('AXES',), axes, levels=tuple(chain(*levels)))
 
 
 _CODE = '''
@@ -117,11 +110,16 @@ def _gazebo(noise: FilterNoise) -> Iterator[Row]:
     """
     for element, sensor in (('angular_velocity', 'gyro'), ('linear_acceleration', 'accel')):
         unit = SI_UNITS[sensor]['B']
-        white = noise.row(Key('stddev', sensor, 'N', 'std'))
-        bias = noise.process(sensor)
+        white, bias, time = (
+            noise.row(Key(name, sensor, what, of))
+            for name, what, of in (
+                ('stddev', 'N', 'std'),
+                ('dynamic_bias_stddev', 'driving', f'{unit}/sqrt(s)'),
+                ('dynamic_bias_correlation_time', 'tau', 's'),
+            )
+        )
         # these texts refer to all three axes
-        white_words = f'of {sensor} {white.words}'
-        driving_words = f'of {sensor} [{unit}/sqrt(s)] = sigma sqrt(2 / tau): {bias.words}'
+        white_words, bias_words = (f'of {sensor} {row.words}' for row in (white, bias))
         for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
             path = ('imu', element, name[-1], 'noise')
             step, turn_on = axis.rounding, axis.turn_on
@@ -130,32 +128,32 @@ def _gazebo(noise: FilterNoise) -> Iterator[Row]:
             # at least half of the variance, so that rounding does not suppress the noise completely
             variance = white.value[i] ** 2
             stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
-            yield Row((*path, 'stddev'), rounded(stddev), white_words, levels=white.levels)
+            yield Row((*path, white.key), rounded(stddev), white_words, levels=white.levels)
             if turn_on and turn_on.std:
                 words = (
                     f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
                 )
                 sigma = rounded(noise.options.inflate * turn_on.std)
                 yield Row((*path, 'bias_stddev'), sigma, words)
-            driving = Row((*path, 'dynamic_bias_stddev'), rounded(bias.driving[i]), driving_words)
-            yield replace(driving, levels=bias.levels, findings=bias.findings)
-            yield Row((*path, 'dynamic_bias_correlation_time'), rounded(bias.tau[i]))
+            yield replace(
+                bias, path=(*path, bias.key), value=bias.value[i], words=bias_words, unit=''
+            )
+            yield Row((*path, time.key), time.value[i])
             if step:
                 words = f'of {name} [{unit}]: step of the samples; stddev is without its rounding'
                 yield Row((*path, 'precision'), rounded(step), words)
-            white_words = driving_words = ''
-
-
-_simulator = partial(Target, horizon_s=SIMULATOR_HORIZON_S, walk=False, bound=False)
-
-_FORM = LineForm('{key} = {value}', before='\nimport math\n\nimport numpy as np\n\n', after=_CODE)
+            white_words = bias_words = ''
 
 
 _complete = partial(Target, three=True, horizon_s=INS_HORIZON_S, walk=False)
 
-
-def _python(file_name: str, convention: str, *notes: str) -> Target:
-    return _complete(file_name, convention, _FORM, rows=_module, notes=notes)
+_python = partial(
+    _complete,
+    form=line_form(
+        '{key} = {value}', before='\nimport math\n\nimport numpy as np\n\n', after=_CODE
+    ),
+    rows=_module,
+)
 
 
 SIMULATORS = {
@@ -163,7 +161,7 @@ SIMULATORS = {
         'state_space.json',
         f'{CONTENT}; Phi, Qd: a step of 1/rate_hz of (integral, walk, Gauss-Markov ...); '
         'R = N^2 f: variance of a sample',
-        JsonForm(),
+        json_form,
         rows=_document,
         notes=(
             'walk is a state even if it is 0: it represents the turn-on bias',
@@ -174,21 +172,25 @@ SIMULATORS = {
     'isaac_sim': _python(
         'isaac_sim_imu_noise.py',
         f'{CONTENT}; the IMU sensor of Isaac Sim adds no noise, so a script adds it to its reading',
-        'noise = ImuNoise(); frame = imu.get_current_frame(); gyro, accel = '
-        "noise.add(frame['ang_vel'], frame['lin_acc'], physics_dt)",
+        notes=(
+            'noise = ImuNoise(); frame = imu.get_current_frame(); gyro, accel = '
+            "noise.add(frame['ang_vel'], frame['lin_acc'], physics_dt)",
+        ),
     ),
     'webots': _python(
         'webots_imu_noise.py',
         f'{CONTENT}; the lookupTable of the Gyro and Accelerometer nodes scales noise with the '
         'value (no noise at rest), so the controller adds it',
-        'noise = ImuNoise(); gyro, accel = noise.add(gyro.getValues(), accelerometer.getValues(), '
-        'timestep / 1000)',
+        notes=(
+            'noise = ImuNoise(); gyro, accel = noise.add(gyro.getValues(), '
+            'accelerometer.getValues(), timestep / 1000)',
+        ),
     ),
-    'gazebo': _simulator(
+    'gazebo': Target(
         'gazebo_imu.sdf',
         'standard deviation per sample, and a Gauss-Markov bias of the driving density '
         'dynamic_bias_stddev (gz-sensors, src/GaussianNoiseModel.cc)',
-        XmlForm(),
+        xml_form,
         rows=_gazebo,
         notes=(
             'put it into <sensor type="imu">; f must be its update_rate',
@@ -196,6 +198,9 @@ SIMULATORS = {
             'where rounding causes more than a tenth of the white noise',
         ),
         three=True,
+        horizon_s=SIMULATOR_HORIZON_S,
+        walk=False,
+        bound=False,
     ),
 }
 """Name -> target."""

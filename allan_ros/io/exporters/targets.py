@@ -10,21 +10,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from ...core.filters.growth import interval_models
-from ...core.filters.noise_parameters import MADGWICK_FACTOR, Notation, deviation_at, sensor_levels
+from ...core.filters.growth import drift_model, interval_models
+from ...core.filters.noise_parameters import sensor_levels
 from ...core.filters.reductions import Level
+from ...core.noise import ProcessModel
 from . import INS_HORIZON_S, Key, Row, Target, Value, keys_of, noise_keys
-from .forms import JsonForm, LineForm, YamlForm, matlab_literal
-from .model import FilterNoise, clamped, rounded
+from .model import FilterNoise, Notation, clamped, rounded
+from .text import json_form, line_form, matlab_literal, opencv_form, yaml_form
 
 ANY_NODE = ('/**', 'ros__parameters')
 """Top-level keys of ROS 2 parameters for any node that loads the file by --params-file."""
-
-OPENCV = YamlForm(opencv=True)
 
 KALIBR_KEYS = keys_of("""
 accelerometer_noise_density  accel  N
@@ -98,32 +98,38 @@ corrtime  -      common_tau  h
 """Keys of KF-GINS and OB_GINS."""
 
 
+MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
+"""Ratio of the filter gain to the gyro error (S. O. H. Madgwick, An efficient orientation filter
+for inertial and inertial/magnetic sensor arrays, 2010, section on filter gains)."""
+
+
 def _madgwick(noise: FilterNoise) -> Iterator[Row]:
     """Yield the parameters gain and zeta of the Madgwick filter at the horizon h.
 
-    The gain is sqrt(3/4) times the error of the gyro: its Allan deviation at h, and its bias if
-    this is known, because the filter estimates no bias without a magnetometer. zeta is sqrt(3/4)
-    times the drift per second: R if every axis has a ramp, else K / sqrt(h), because a random walk
-    moves by K sqrt(h) within h.
+    The gain is sqrt(3/4) times the error of the gyro: its Allan deviation at h without quantization
+    and vibration, and its bias if this is known, because the filter estimates no bias without a
+    magnetometer. zeta is sqrt(3/4) times the drift per second: R if every axis has a ramp, else
+    K / sqrt(h), because a random walk moves by K sqrt(h) within h.
     """
-    horizon, axes = noise.horizons.high, noise.axes_of('gyro')
+    horizon, axes = noise.horizon, noise.axes_of('gyro')
     factor = MADGWICK_FACTOR * noise.options.inflate
     gains = []
     for axis, result in axes.items():
-        white = noise.level(axis, 'N')
-        whites = white.interval[0], white.value, white.interval[1]
-        models = interval_models(result.fit)
-        low, value, high = (
-            factor * math.hypot(deviation_at(model, n, horizon), noise.bias.get(axis, 0.0))
-            for n, model in zip(whites, (models[0], result.fit.model, models[1]))
-        )
+        bias, white = noise.bias.get(axis, 0.0), noise.level(axis, 'N')
+
+        def gain(model: ProcessModel, n: float, bias: float = bias) -> float:
+            drift = drift_model(replace(model, terms=replace(model.terms, N=n)))
+            return factor * math.hypot(math.sqrt(float(drift.avar([horizon])[0])), bias)
+
+        ends = interval_models(result.fit)
+        low, high = map(gain, ends, white.interval) if ends else (0.0, math.inf)
+        value = gain(result.fit.model, white.value)
         gains.append(Level(axis, 'gain', value, (low, high), white.is_limit))
-    (gain,) = sensor_levels(gains, noise.rule)
+    (worst,) = sensor_levels(gains, noise.rule)
     words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s'
     words += f'{" and the bias" if noise.bias else ""}: '
     words += ', '.join(f'{level.axis} {level.value:.3g}' for level in gains)
-    path = (*ANY_NODE, 'gain')
-    row = Row(path, rounded(gain.value), words, 'rad/s', gain.interval)
+    row = Row((*ANY_NODE, 'gain'), rounded(worst.value), words, 'rad/s', worst.interval)
     yield clamped(row, 0.0, 1.0)
     term, formula, scale = 'R', 'sqrt(3/4) |R|', MADGWICK_FACTOR
     if not all(result.fit.noise['R'].status == 'estimated' for result in axes.values()):
@@ -142,14 +148,14 @@ FILTERS = {
         'imu.yaml',
         'continuous time; Kalibr divides by sqrt(1/update_rate) itself and refuses values <= 0 '
         '(kalibr_common/ConfigReader.py)',
-        YamlForm(),
+        yaml_form,
         KALIBR_KEYS,
     ),
     'openvins': Target(
         'kalibr_imu_chain.yaml',
         'continuous time; OpenVINS makes them discrete with its time steps '
         '(ov_msckf/src/state/Propagator.cpp)',
-        OPENCV,
+        opencv_form,
         KALIBR_KEYS,
         parent=('imu0',),
         fixed=OPENVINS_NOT_MEASURED,
@@ -165,7 +171,7 @@ FILTERS = {
     'vins_fusion': Target(
         'vins_fusion_imu.yaml',
         'standard deviation per sample (vins_estimator/src/factor/integration_base.h)',
-        OPENCV,
+        opencv_form,
         keys_of("""
         acc_n  accel  N  std
         gyr_n  gyro   N  std
@@ -181,7 +187,7 @@ FILTERS = {
         'orb_slam3_imu.yaml',
         'continuous time; ORB-SLAM3 multiplies the noises by sqrt(IMU.Frequency) and divides '
         'the walks by it (src/Tracking.cc); it reads real numbers (src/Settings.cc)',
-        OPENCV,
+        opencv_form,
         (
             *noise_keys('IMU.NoiseGyro IMU.NoiseAcc IMU.GyroWalk IMU.AccWalk'),
             Key('IMU.Frequency', '-', 'rate'),
@@ -191,7 +197,7 @@ FILTERS = {
         'lio_sam_imu.yaml',
         'continuous time, squared for GTSAM; the walks become the noise of the factor between '
         'two biases, times the root of the time between (src/imuPreintegration.cpp)',
-        YamlForm(),
+        yaml_form,
         noise_keys('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
         parent=ANY_NODE,
     ),
@@ -199,7 +205,7 @@ FILTERS = {
         'fast_lio_imu.yaml',
         "variance per sample; the filter adds (dt F) Q (dt F)' (src/IMU_Processing.hpp, "
         'IKFoM_toolkit/esekfom/esekfom.hpp)',
-        YamlForm(),
+        yaml_form,
         noise_keys('gyr_cov acc_cov b_gyr_cov b_acc_cov', 'variance'),
         parent=(*ANY_NODE, 'mapping'),
         notes=(
@@ -210,7 +216,7 @@ FILTERS = {
     'fast_livo2': Target(
         'fast_livo2_imu.yaml',
         'variance per sample; the filter adds cov dt^2 (src/LIVMapper.cpp, src/IMU_Processing.cpp)',
-        YamlForm(),
+        yaml_form,
         keys_of("""
         gyr_cov  gyro   N  variance
         acc_cov  accel  N  variance
@@ -226,7 +232,7 @@ FILTERS = {
         'point_lio_imu.yaml',
         'variance per sample: imu_meas_*_cov is R of the IMU as a measurement; Q dt^2 has *_input '
         'and b_*_cov (src/Estimator.cpp, include/IKFoM/IKFoM_toolkit/esekfom/esekfom.hpp)',
-        YamlForm(),
+        yaml_form,
         (
             *keys_of("""
             imu_meas_omg_cov  gyro   N  variance
@@ -245,7 +251,7 @@ FILTERS = {
         'continuous densities, squared for GTSAM (src/glim/common/imu_integration.cpp); '
         'imu_bias_noise is the standard deviation of the change of each bias between two scans '
         '(src/glim/odometry/odometry_estimation_imu.cpp)',
-        JsonForm(),
+        json_form,
         keys_of("""
         imu_acc_noise   accel  N
         imu_gyro_noise  gyro   N
@@ -263,7 +269,7 @@ FILTERS = {
         'lvi_sam_imu.yaml',
         'continuous time, squared for GTSAM; the walks are multiplied by the root of the time '
         'between two biases (src/lidar_odometry/imuPreintegration.cpp)',
-        YamlForm(),
+        yaml_form,
         noise_keys('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
         parent=('lvi_sam',),
         notes=('params_camera.yaml has the convention of VINS: write it with --to vins_fusion',),
@@ -272,7 +278,7 @@ FILTERS = {
         'gtsam_imu.py',
         'continuous covariances, divided or multiplied by the time step '
         '(gtsam/navigation/PreintegrationParams.h, CombinedImuFactor.cpp)',
-        LineForm('{key} = {value}', before='\nimport numpy as np\n\n', after=GTSAM_CODE),
+        line_form('{key} = {value}', before='\nimport numpy as np\n\n', after=GTSAM_CODE),
         noise_keys(
             'gyroscopeCovariance accelerometerCovariance biasOmegaCovariance biasAccCovariance',
             'covariance',
@@ -284,7 +290,7 @@ FILTERS = {
         'basalt_imu.json',
         'continuous time; Basalt multiplies by sqrt(imu_update_rate) itself '
         '(basalt/calibration/calibration.hpp, dicrete_time_gyro_noise_std)',
-        JsonForm(),
+        json_form,
         keys_of("""
         imu_update_rate  -      rate
         accel_noise_std  accel  N
@@ -299,7 +305,7 @@ FILTERS = {
     'msckf_vio': Target(
         'msckf_vio_imu.yaml',
         "continuous time; Q = Phi G Qc G' Phi' dt (src/msckf_vio.cpp, processModel)",
-        YamlForm(),
+        yaml_form,
         noise_keys('gyro acc gyro_bias acc_bias'),
         parent=('noise',),
         notes=(
@@ -310,7 +316,7 @@ FILTERS = {
         'fusioncore_imu.yaml',
         'R is the square of a standard deviation per sample (sensors/imu.hpp); q is the '
         'variance that each prediction adds, one per sample (src/ukf.cpp)',
-        YamlForm(),
+        yaml_form,
         keys_of("""
         imu.gyro_noise    gyro   N  std
         imu.accel_noise   accel  N  std
@@ -332,7 +338,9 @@ FILTERS = {
         'px4_imu.params',
         'standard deviation per EKF2 step of 10 ms (src/modules/ekf2/EKF/covariance.cpp, '
         'EKF2_PREDICT_US)',
-        LineForm('1\t1\t{key}\t{value}\t9'),  # vehicle, component (the autopilot), 9: a real number
+        line_form(
+            '1\t1\t{key}\t{value}\t9'
+        ),  # vehicle, component (the autopilot), 9: a real number
         keys_of("""
         EKF2_GYR_NOISE    gyro   N  std  1e-4..0.1
         EKF2_ACC_NOISE    accel  N  std  0.01..1
@@ -347,7 +355,7 @@ FILTERS = {
         'ardupilot_imu.parm',
         'standard deviation per EK3 step of 12 ms '
         '(libraries/AP_NavEKF3/AP_NavEKF3_core.cpp, EKF_TARGET_DT)',
-        LineForm('{key},{value}'),
+        line_form('{key},{value}'),
         keys_of("""
         EK3_GYRO_P_NSE   gyro   N  std  1e-4..0.1
         EK3_ACC_P_NSE    accel  N  std  0.01..1
@@ -362,7 +370,7 @@ FILTERS = {
         'kf_gins_imu.yaml',
         'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
         '2 sigma^2 / corrtime (src/kf_gins.cpp, src/kf-gins/gi_engine.cpp)',
-        YamlForm(),
+        yaml_form,
         GAUSS_MARKOV_INS,
         parent=('imunoise',),
         notes=(
@@ -377,7 +385,7 @@ FILTERS = {
         'ob_gins_imu.yaml',
         'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
         '2 sigma^2 / corrtime (src/ob_gins.cc, src/preintegration/preintegration_normal.cc)',
-        YamlForm(),
+        yaml_form,
         GAUSS_MARKOV_INS,
         parent=('imumodel',),
         notes=('IC-GVINS reads the same keys (config/gvins.yaml)',),
@@ -387,7 +395,7 @@ FILTERS = {
         'navego_imu.m',
         'SI fields of the structure that ins_gnss.m takes: Q of arw, vrw, gb_psd, ab_psd '
         'squared, bias -1/corr (ins-gnss/ins_gnss.m, F_update.m)',
-        LineForm('imu.{key} = {value};', comment='%', literal=matlab_literal),
+        line_form('imu.{key} = {value};', comment='%', literal=matlab_literal),
         keys_of("""
         arw      gyro   N
         vrw      accel  N
@@ -405,7 +413,7 @@ FILTERS = {
         'pyins_imu.py',
         'continuous time: Q of noise and bias_walk squared, made discrete by van Loan '
         '(pyins/inertial_sensor.py, pyins/filters.py)',
-        LineForm('{key} = {value}', before='\n', after=PYINS_CODE),
+        line_form('{key} = {value}', before='\n', after=PYINS_CODE),
         noise_keys('gyro_noise accel_noise gyro_bias_walk accel_bias_walk'),
         three=True,
         horizon_s=INS_HORIZON_S,
@@ -414,7 +422,7 @@ FILTERS = {
         'imu_filter_madgwick.yaml',
         "Madgwick's beta (rad/s) and zeta (rad/s^2): sqrt(3/4) times the error and the drift "
         'of the gyro (imu_filter_madgwick/src/imu_filter.cpp; ranges of imu_filter_ros.cpp)',
-        YamlForm(),
+        yaml_form,
         rows=_madgwick,
         notes=(
             'the gain covers noise, not the bias of the gyro: it must exceed 0.87 times the bias '

@@ -1,81 +1,26 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Filter parameters of each convention add the variance of the continuous-time noise."""
+"""N and K of the axes of a sensor for a filter: as fitted, reduced, as variances, inflated."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.filters.growth import (
-    growth_table,
-    predicted_growth,
-)
+from allan_ros.core.filters.growth import growth_table, predicted_growth
 from allan_ros.core.filters.noise_parameters import (
-    NOTATIONS,
     axis_level,
-    deviation_at,
     measure_inflation,
     reduce_axis,
     sensor_levels,
     white_variances,
 )
-from allan_ros.core.filters.reductions import Horizons, Level
+from allan_ros.core.filters.reductions import Level
 from allan_ros.core.fit import AxisFit, Coefficient, GaussMarkov, Processes
 from allan_ros.core.fit.model import model_of_terms
-from allan_ros.core.noise import NoiseTerms, ProcessModel, term_avar
-from allan_ros.core.simulate import simulate_axis
-
-STD = NOTATIONS['std']
-
-levels = st.floats(1e-9, 1e3)
-rates = st.floats(0.1, 1e5)
-SECONDS = 7.0
-
-
-@given(n=levels, rate=rates)
-def test_steps_of_white_noise_add_up_to_n_squared_t(n: float, rate: float) -> None:
-    steps, dt = SECONDS * rate, 1.0 / rate
-    # (dt F) Q (dt F)' of FAST-LIO and of autopilots: dt^2 times the variance per step
-    assert steps * dt**2 * STD.number(n, rate) ** 2 == pytest.approx(n**2 * SECONDS)
-
-
-@given(k=levels, rate=rates)
-def test_steps_of_a_walk_add_up_to_k_squared_t(k: float, rate: float) -> None:
-    steps, dt = SECONDS * rate, 1.0 / rate
-    assert steps * (dt * STD.number(k, rate)) ** 2 == pytest.approx(k**2 * SECONDS)
-
-
-def test_white_std_is_the_std_of_a_simulated_sample() -> None:
-    # 4e5 samples: the standard deviation of this estimate is 0.11 %.
-    rate, n = 200.0, 1e-3
-    samples = simulate_axis(400_000, 1.0 / rate, NoiseTerms(N=n), np.random.default_rng(3))
-    assert samples.std() == pytest.approx(STD.number(n, rate), rel=0.005)
-
-
-def test_white_std_of_k_is_the_rate_of_a_simulated_walk() -> None:
-    rate, k = 200.0, 1e-3
-    bias = simulate_axis(400_000, 1.0 / rate, NoiseTerms(K=k), np.random.default_rng(4))
-    assert (np.diff(bias) * rate).std() == pytest.approx(STD.number(k, rate), rel=0.005)
-
-
-@given(level=levels, rate=rates, name=st.sampled_from(sorted(NOTATIONS)))
-def test_the_level_is_read_back_from_its_number(level: float, rate: float, name: str) -> None:
-    one = replace(NOTATIONS[name], factor=3.0)
-    assert one.level(one.number(level, rate), rate) == pytest.approx(level, rel=1e-9)
-
-
-def test_the_deviation_is_that_of_the_model_with_another_n() -> None:
-    n, b, tau0, m = 1e-3, 2e-4, 0.01, 1000
-    avar = term_avar(np.array([m]), tau0, NoiseTerms(N=n, B=b)).sum()
-    found = deviation_at(ProcessModel(NoiseTerms(Q=1.0, N=7.0, B=b)), n, m * tau0)
-    assert found == pytest.approx(math.sqrt(avar), rel=1e-9)
 
 
 def three(*values: float) -> list[Level]:
@@ -86,7 +31,7 @@ def test_rules_for_three_axes_give_values_computed_by_hand() -> None:
     axes = three(1.0, 5.0, 7.0)
     assert sensor_levels(axes, 'worst') == (axes[2],)
     assert sensor_levels(axes, 'each') == tuple(axes)
-    (mean,) = sensor_levels([replace(a, ci95=(0.9 * a.value, 2.0 * a.value)) for a in axes], 'mean')
+    (mean,) = sensor_levels([a._replace(ci95=(0.9 * a.value, 2.0 * a.value)) for a in axes], 'mean')
     assert (mean.value, mean.interval) == (5.0, (pytest.approx(4.5), 10.0))  # sqrt(75 / 3)
     assert sensor_levels(axes, 'mean')[0].interval == (0.0, math.inf)
 
@@ -138,7 +83,7 @@ def test_the_limit_of_k_is_used_if_no_drift_is_resolved() -> None:
     fit = fit_with(N=resolved(1e-3), B=hidden(1e-4), K=hidden(1e-5), R=hidden(1e-7))
     reduced = reduce_axis('gyro_x', fit)
     assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
-    assert reduced.walk == pytest.approx(1e-5)
+    assert reduced.model.terms.K == pytest.approx(1e-5)
     with pytest.raises(AllanError, match='K of gyro_x is not observable'):
         reduce_axis('gyro_x', fit, strict=True)
 
@@ -189,12 +134,12 @@ def test_a_term_that_is_not_resolved_is_included_with_its_estimate() -> None:
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=likely)
     last = growth_table(fit)[-1]
     assert last.std == pytest.approx(float(predicted_growth(fit.model, last.horizon, last.window)))
-    assert reduce_axis('gyro_x', fit, 'processes').walk == pytest.approx(1e-5, rel=1e-2)
+    assert reduce_axis('gyro_x', fit, 'processes').model.terms.K == pytest.approx(1e-5, rel=1e-2)
 
 
 def test_the_interval_of_the_reduction_contains_it() -> None:
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-6))
-    levels = reduce_axis('gyro_x', fit, 'walk', Horizons.up_to(30.0)).levels
+    levels = reduce_axis('gyro_x', fit, 'walk', 30.0).levels
     assert levels['N'].interval == pytest.approx((0.9e-3, 1.2e-3))
     low, high = levels['K'].interval
     assert (low, high) == pytest.approx((0.9 * levels['K'].value, 1.2 * levels['K'].value))
@@ -212,24 +157,15 @@ def test_white_noise_alone_can_bound_the_growth() -> None:
     assert wide[0] == pytest.approx(100.0 * (1e-6 + drift), rel=0.02)
 
 
-def fit_of_n_and_k(n: float, k: float) -> AxisFit:
-    noise = {term: Coefficient(None, None, 1e-9, 'not_observable') for term in 'QBR'}
-    noise |= {'N': Coefficient(n), 'K': Coefficient(k)}
-    return AxisFit(noise, model_of_terms(noise))
-
-
 def test_the_larger_value_is_used_and_divided_by_the_value_at_rest() -> None:
-    rest = {'gyro_x': fit_of_n_and_k(1e-3, 2e-5), 'gyro_y': fit_of_n_and_k(1e-3, 1e-5)}
-    running = {'gyro_x': fit_of_n_and_k(3e-3, 1e-5)}
-    ((axis, one),) = measure_inflation(rest, running).items()
+    def fit(n: float, k: float) -> AxisFit:
+        return fit_with(N=Coefficient(n), K=Coefficient(k))
+
+    rest = {'gyro_x': fit(1e-3, 2e-5), 'gyro_y': fit(1e-3, 1e-5)}
+    ((axis, one),) = measure_inflation(rest, {'gyro_x': fit(3e-3, 1e-5)}).items()
     assert axis == 'gyro_x'
-    assert (one.white.use, one.white.factor) == pytest.approx((3e-3, 3.0))
+    assert (one['N'].use, one['N'].factor) == pytest.approx((3e-3, 3.0))
     # a smaller K with motors on is due to chance: the value at rest is used
-    assert (one.walk.use, one.walk.factor) == pytest.approx((2e-5, 1.0))
-
-
-def test_fits_without_a_common_axis_are_rejected() -> None:
+    assert (one['K'].use, one['K'].factor) == pytest.approx((2e-5, 1.0))
     with pytest.raises(AllanError, match='no axis in common'):
-        measure_inflation(
-            {'gyro_x': fit_of_n_and_k(1.0, 1.0)}, {'accel_x': fit_of_n_and_k(1.0, 1.0)}
-        )
+        measure_inflation(rest, {'accel_x': fit(1.0, 1.0)})

@@ -11,7 +11,7 @@ from support.exports import with_process
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.exporters import TARGETS, ExportOptions, make_export, target_of
-from allan_ros.io.exporters.against import against, file_models, verdicts
+from allan_ros.io.exporters.text import against, file_models, verdicts
 from allan_ros.io.results import Results
 
 COMPARED = [n for n in TARGETS if {'K', 'sigma'} & {key.what for key in target_of(n).keys}]

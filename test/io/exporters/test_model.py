@@ -206,7 +206,7 @@ def test_rows_have_names_units_and_intervals(results: Results) -> None:
     gyro = rows['mapping.gyr_cov']
     assert gyro.values == (pytest.approx(3e-4**2 * 50.0),)
     assert gyro.interval == pytest.approx((0.81 * gyro.value, 1.21 * gyro.value))
-    assert (gyro.unit, gyro.clamped) == ('(rad/s)^2', False)
+    assert gyro.unit == '(rad/s)^2'
     raised = {row.name: row for row in target_rows(results, 'fast_lio')}['mapping.b_gyr_cov']
     assert raised.interval[0] < raised.value < raised.interval[1]
 
@@ -214,8 +214,9 @@ def test_rows_have_names_units_and_intervals(results: Results) -> None:
 @pytest.mark.parametrize('target', TARGETS)
 def test_every_row_is_within_its_interval(results: Results, target: str) -> None:
     for row in target_rows(results, target):
-        assert row.clamped or row.interval[0] <= max(row.values) * 1.00001
-        assert row.clamped or min(row.values) <= row.interval[1] * 1.00001
+        clamped = 'lies outside' in row.words
+        assert clamped or row.interval[0] <= max(row.values) * 1.00001
+        assert clamped or min(row.values) <= row.interval[1] * 1.00001
 
 
 def test_a_gain_without_an_interval_has_none(results: Results) -> None:
