@@ -145,23 +145,16 @@ HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Print one datasheet, or a list of all, or the values of results for a datasheet."""
-    from ..io.from_datasheet import measured_entry, measured_lines, measured_values
+    """Print one datasheet, or a list of all."""
+    from ..io.from_datasheet import measured_lines
 
     console = Console.of(args)
-    given = vars(args)['from']
-    own = _load(given) if given else None
     if args.name:
         sheet = load_sensor(args.name)
         if console.json:
             console.document(sensor_document(args.name, sheet))
             return 0
-        lines = [*sensor_lines(sheet, width())]
-        lines += measured_lines(sheet, measured_values(own) if own else {})
-        print('\n'.join(lines))
-        return 0
-    if own:
-        print(measured_entry(own))
+        print('\n'.join([*sensor_lines(sheet, width()), *measured_lines(sheet)]))
         return 0
     sheets = {name: load_sensor(name) for name in sensor_names()}
     if console.json:
@@ -253,8 +246,6 @@ that ends in .yaml is a path.
 
   allan sensors
   allan sensors icm-42688-p
-  allan sensors icm-42688-p --from results    (compare your unit)
-  allan sensors --from results                (an entry for the catalogue)
   allan analyze my_bag --sensor icm-42688-p
 """
 
@@ -270,8 +261,6 @@ results RESULTS?  results.json, or its folder
 
 SENSOR_OPTIONS = """
 name NAME?  sensor to show with its sources and measured values (default: list all)
---from RESULTS  results.json or its folder: compare them with NAME; without NAME, print them as an
-    entry "measured" for the file of a sensor
 """
 
 COMMANDS = {

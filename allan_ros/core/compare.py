@@ -106,30 +106,6 @@ class Comparison:
     tau: float | None = None
 
 
-def compare_with_limits(
-    reference: str,
-    limits: Mapping[str, Mapping[str, float]],
-    noise: Mapping[str, Mapping[str, Coefficient]],
-    margin: float,
-) -> tuple[Comparison, ...]:
-    """Compare the coefficients of each axis with the upper limits of a datasheet.
-
-    ``limits`` (axis -> term -> limit) and ``noise`` (axis -> term -> coefficient) are in SI;
-    coefficients without a limit are skipped. ``reference`` is the name of the datasheet. A
-    coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
-    fraction ``margin``.
-    """
-    found = []
-    for axis, terms in noise.items():
-        for term, limit in ((t, limits.get(axis, {}).get(t)) for t in TERMS):
-            if limit is not None:
-                low = (terms[term].ci95 or (terms[term].value or 0.0,))[0]
-                at_least = low / limit if limit > 0.0 else 0.0
-                judged = verdict(terms[term], limit, margin)
-                found.append(Comparison(reference, axis, term, limit, judged, at_least))
-    return tuple(found)
-
-
 def verdict(coefficient: Coefficient, limit: float, margin: float) -> LimitVerdict:
     """Compare a coefficient with an upper limit, and return the verdict.
 

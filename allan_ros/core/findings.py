@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from .errors import one_line
-from .imu import SI_UNITS, UNITS, ShownUnit, sensor_of, shown_unit
+from .imu import SI_UNITS, ShownUnit, sensor_of, shown_unit
 
 Severity = Literal['info', 'warning', 'error']
 
@@ -156,18 +156,15 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
 
     ``axes`` are the affected axes; empty for all. ``values`` must contain every field of the
     templates that is not in an optional part. Only ``when``, a text such as ' in the last minute',
-    is '' by default. A quantity is a `Quantity`, or a number for the sensor of the axes: in SI, or
-    in the unit named by ``unit`` or, for the value NAME, by ``NAME_unit``.
+    is '' by default. A quantity is a `Quantity`, or a number in SI for the sensor of the axes.
     """
     values = {'when': '', **values}
     known, used = CATALOG[id], {}
     for name, spec in _fields(known):
         value = values.get(name)
         if spec.rstrip('0123456789') in QUANTITIES and isinstance(value, (int, float)):
-            unit = values.get(f'{name}_unit', values.get('unit'))
             sensor = str(values['sensor'] if 'sensor' in values else sensor_of(axes[0]))
-            factor = UNITS[str(unit)].factor if unit else 1.0
-            value = Quantity(value * factor, sensor, spec.rstrip('0123456789'))
+            value = Quantity(value, sensor, spec.rstrip('0123456789'))
         used[name] = _value(value)
     if missing := [name for name in required(known) if used[name] is None]:
         raise KeyError(f'{id}: {", ".join(missing)}')

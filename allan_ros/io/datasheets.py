@@ -19,7 +19,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
-from ..core.compare import Comparison, LimitVerdict, compare_with_limits
+from ..core.compare import Comparison, LimitVerdict, verdict
 from ..core.errors import AllanError
 from ..core.fields import Fields, located, plain
 from ..core.findings import Finding, Quantity, finding
@@ -175,8 +175,8 @@ class DatasheetComparison:
     @property
     def verdict(self) -> LimitVerdict | None:
         """The worst verdict; None if nothing could be compared."""
-        verdicts = {c.verdict for c in self.comparisons}
-        return next((verdict for verdict in VERDICTS if verdict in verdicts), None)
+        found = {c.verdict for c in self.comparisons}
+        return next((one for one in VERDICTS if one in found), None)
 
     def of(self, axis: str, term: str) -> Comparison | None:
         """Return the comparison of a coefficient; None if it has no limit."""
@@ -195,8 +195,14 @@ def against_datasheet(
     A coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
     fraction ``margin``.
     """
-    found = compare_with_limits(datasheet.name, datasheet.values(), noise, margin)
-    return DatasheetComparison(datasheet, margin, found)
+    found = []
+    for axis, terms in noise.items():
+        for term in (term for term in TERMS if term in datasheet.limits.get(axis, {})):
+            limit, c = datasheet.limits[axis][term].value, terms[term]
+            at_least = (c.ci95 or (c.value or 0.0,))[0] / limit if limit > 0.0 else 0.0
+            judged = verdict(c, limit, margin)
+            found.append(Comparison(datasheet.name, axis, term, limit, judged, at_least))
+    return DatasheetComparison(datasheet, margin, tuple(found))
 
 
 def exceeds_limit(
@@ -281,30 +287,20 @@ def load_sensor(name: str) -> Datasheet:
 
     Raises AllanError if the name is unknown or the file is invalid.
     """
-    path = config_file('sensors', name, 'datasheet')
-    fields = Fields(read_yaml(path), str(path))
-    return _product(fields) if 'carries' in fields else _datasheet(fields)
-
-
-def _product(fields: Fields) -> Datasheet:
-    """Read the file of a product: the figures of its sensor, with the sources of both files."""
+    fields = _file(name)
+    if 'carries' not in fields:
+        return _datasheet(fields)
+    # a product: the figures of its sensor, with the sources of both files
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
-    name = fields.text('carries')
+    carried, own = fields.text('carries'), _sources(fields)
     with located(f'{fields.where}.carries'):
-        path = config_file('sensors', name, 'datasheet')
-    carried = Fields(read_yaml(path), str(path))
-    # This also rejects a file that names itself.
-    if 'carries' in carried:
-        raise AllanError(
-            f'{fields.where}.carries: {name!r} is a product, not a sensor: name the sensor that '
-            'it contains'
-        )
-    sensor, own = _datasheet(carried), _sources(fields)
+        sensor = _datasheet(_file(carried))  # rejects the file of a product, and so itself
     for key in own:
         if key in sensor.sources:
             raise AllanError(
-                f'{fields.where}.sources: {key!r} is also a source of {name!r}: choose another key'
+                f'{fields.where}.sources: {key!r} is also a source of {carried!r}: choose another '
+                'key'
             )
     return replace(
         sensor,
@@ -314,6 +310,11 @@ def _product(fields: Fields) -> Datasheet:
         remark=fields.text('remark', ''),
         carries=sensor.name,
     )
+
+
+def _file(name: str) -> Fields:
+    path = config_file('sensors', name, 'datasheet')
+    return Fields(read_yaml(path), str(path))
 
 
 def _datasheet(fields: Fields) -> Datasheet:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, UNITS, ImuIdentity
 from ..core.noise import FLICKER_FLOOR
 from ..core.settings import expect
 from .axis_result import AxisResult
-from .datasheets import Datasheet, Measured, MeasuredValue, load_sensor, sensor_names
+from .datasheets import Datasheet, MeasuredValue, load_sensor, sensor_names
 from .exporters import FROM_DATASHEET
 from .files import PATH
 from .format import significant
@@ -95,11 +95,10 @@ class Sensor:
         if assumed:
             found.append(finding('bias_not_stated', tuple(assumed), time=CROSSING_S))
         stated = [f'{one} {one.url}'.strip() for one in sheet.sources.values()]
-        limits = {(kind, one): sheet.limits.get(f'{kind}_x', {}).get(one) for kind, one in STATED}
         stated += [
             f'{kind} {term} stated {limit.stated}{f" ({limit.note})" if limit.note else ""}'
-            for (kind, term), limit in limits.items()
-            if limit
+            for kind, term in STATED
+            if (limit := sheet.limits.get(f'{kind}_x', {}).get(term))
         ]
         return Results(
             ImuIdentity(sheet.name),
@@ -157,39 +156,24 @@ def known_factors() -> tuple[float, float]:
     return min(ratios, default=1.0), max(ratios, default=1.0)
 
 
-def measured_values(results: Results) -> dict[str, dict[str, MeasuredValue]]:
-    """Return sensor -> term -> measured value in SI of the terms N and B that are resolved."""
-    found: dict[str, dict[str, MeasuredValue]] = {}
-    for kind, place in SENSORS.items():
-        for term in 'NB':
-            known = [
-                results.axes[axis].fit.noise[term] for axis in AXES[place] if axis in results.axes
-            ]
-            ends = [one.ci95 for one in known if one.status == 'estimated' and one.ci95]
-            if ends and len(ends) == len(known):
-                mean = math.sqrt(sum((one.value or 0.0) ** 2 for one in known) / len(known))
-                low, high = min(e[0] for e in ends), max(e[1] for e in ends)
-                found.setdefault(kind, {})[term] = MeasuredValue(mean, low, high)
+def measured_values(results: Results) -> dict[tuple[str, str], MeasuredValue]:
+    """Return (sensor, term) -> measured value in SI of N and B, if all axes resolve it."""
+    found = {}
+    for kind, term in STATED:
+        names = [axis for axis in AXES[SENSORS[kind]] if axis in results.axes]
+        known = [results.axes[axis].fit.noise[term] for axis in names]
+        ends = [one.ci95 for one in known if one.status == 'estimated' and one.ci95]
+        if ends and len(ends) == len(known):
+            mean = math.sqrt(sum((one.value or 0.0) ** 2 for one in known) / len(known))
+            low, high = min(e[0] for e in ends), max(e[1] for e in ends)
+            found[kind, term] = MeasuredValue(mean, low, high)
     return found
 
 
-def measured_entry(results: Results) -> str:
-    """Return the YAML text of results for the list ``measured`` in the file of a sensor."""
-    lines = [
-        'measured:',
-        '  - by: your name or organization',
-        '    url: where the recording or the results can be found',
-        f'    hours: {results.duration_s / 3600.0:.3g}',
-        f'    condition: {results.rate_hz:.4g} Hz, temperature, unit',
-    ]
-    for kind, terms in measured_values(results).items():
-        lines.append(f'    {kind}:')
-        for term, value in terms.items():
-            unit = SHOWN.get((kind, term), DATASHEET_UNITS[kind][term])
-            numbers = (f'{number / UNITS[unit].factor:.4g}' for number in value)
-            text = ', '.join(f'{k}: {n}' for k, n in zip(('value', 'low', 'high'), numbers))
-            lines.append(f'      {term}: {{{text}, unit: {unit}}}')
-    return '\n'.join(lines)
+def _text(kind: str, term: str, *values: float) -> tuple[str, ...]:
+    """Return values of a term in the unit of the catalogue as text, then this unit."""
+    unit = SHOWN.get((kind, term), DATASHEET_UNITS[kind][term])
+    return *(significant(value / UNITS[unit].factor, 3) for value in values), unit
 
 
 class AgainstMeasured(NamedTuple):
@@ -210,9 +194,8 @@ class AgainstMeasured(NamedTuple):
         return 'lower' if self.value.high < self.low else 'alike'
 
     def __str__(self) -> str:
-        unit = SHOWN.get((self.sensor, self.term), DATASHEET_UNITS[self.sensor][self.term])
         ends = (*self.value, self.low, self.high)
-        value, low, high, least, most = (significant(x / UNITS[unit].factor, 3) for x in ends)
+        value, low, high, least, most, unit = _text(self.sensor, self.term, *ends)
         number = '1 unit has' if self.units == 1 else f'{self.units} units have'
         word = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}[self.verdict]
         return (
@@ -224,37 +207,25 @@ class AgainstMeasured(NamedTuple):
 def against_measured(sheet: Datasheet, results: Results) -> list[AgainstMeasured]:
     """Compare each resolved N and B with the values that were measured with units of a sensor."""
     found = []
-    for kind, terms in measured_values(results).items():
-        for term, value in terms.items():
-            known = [e.values[kind][term] for e in sheet.measured if term in e.values.get(kind, {})]
-            if known:
-                low, high = min(k.low for k in known), max(k.high for k in known)
-                found.append(AgainstMeasured(kind, term, value, low, high, len(known)))
+    for (kind, term), value in measured_values(results).items():
+        known = [e.values[kind][term] for e in sheet.measured if term in e.values.get(kind, {})]
+        if known:
+            low, high = min(k.low for k in known), max(k.high for k in known)
+            found.append(AgainstMeasured(kind, term, value, low, high, len(known)))
     return found
 
 
-def measured_lines(sheet: Datasheet, own: Mapping[str, Mapping[str, MeasuredValue]]) -> list[str]:
-    """Return a line for each measured value of a sensor, with its ratio to the datasheet.
-
-    ``own`` are the values of the user's unit, which come last.
-    """
-    limits, lines = sheet.values(), []
-    for one in (*sheet.measured, *([Measured('', values=own)] if own else [])):
-        lines.append(f'measured by {one.by}' if one.by else 'your unit')
+def measured_lines(sheet: Datasheet) -> Iterator[str]:
+    """Yield a line for each measured value of a sensor, with its ratio to the datasheet."""
+    limits = sheet.values()
+    for one in sheet.measured:
+        yield f'measured by {one.by}'
         more = (f'{one.hours:g} h' if one.hours else '', one.condition, one.url)
-        lines += [f'  {text}' for text in more if text]
+        yield from (f'  {text}' for text in more if text)
         for kind, terms in one.values.items():
             for term, value in terms.items():
-                unit = SHOWN.get((kind, term), DATASHEET_UNITS[kind][term])
-                mean, low, high = (significant(x / UNITS[unit].factor, 3) for x in value)
+                mean, low, high, unit = _text(kind, term, *value)
                 text = f'  {kind} {term} {mean} ({low}..{high}) {unit}'
                 if limit := limits.get(f'{kind}_x', {}).get(term):
                     text += f', {significant(value.value / limit, 2)} of the datasheet'
-                others = [e.values.get(kind, {}).get(term) for e in sheet.measured]
-                known = [other.value for other in others if other]
-                if known and not one.by:
-                    ratios = sorted(value.value / other for other in known)
-                    ends = dict.fromkeys(significant(r, 2) for r in (ratios[0], ratios[-1]))
-                    text += f', {"..".join(ends)} of the measured'
-                lines.append(text)
-    return lines
+                yield text

@@ -20,7 +20,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..core.errors import AllanError
 from ..core.fields import Fields, located
@@ -36,7 +36,9 @@ TRUTH_SCHEMA = 'allan_ros/truth/1'
 TRUTH_SUFFIX = '.truth.json'
 """Suffix of the truth file: the truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
 
-AxesNoise = dict[str, NoiseTerms]
+AxesNoise = Mapping[str, NoiseTerms]
+
+NO_NOISE: AxesNoise = {axis: NoiseTerms() for axis in AXES}
 
 
 def truth_path(recording: str | os.PathLike[str]) -> Path:
@@ -45,17 +47,11 @@ def truth_path(recording: str | os.PathLike[str]) -> Path:
     return path.with_name(path.name + TRUTH_SUFFIX)
 
 
-class Specification(NamedTuple):
-    """What to simulate: noise as stated in a file (None if it states none), and faults."""
-
-    noise: Fields | None = None
-    faults: Faults = Faults()
-
-
-def read_specification(path: str | os.PathLike[str]) -> Specification:
+def read_specification(path: str | os.PathLike[str]) -> tuple[Fields | None, Faults]:
     """Read what to simulate from a YAML or JSON file, such as a truth file.
 
-    Raises AllanError with the position of an invalid entry.
+    Returns the stated noise, None if there is none, and the faults. Raises AllanError with the
+    position of an invalid entry.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
     if 'schema' in fields:
@@ -65,7 +61,7 @@ def read_specification(path: str | os.PathLike[str]) -> Specification:
     with located(f'{path}.faults'):
         given = {} if stated is None else {name: stated.value(name) for name in stated}
         faults = settings_from(Faults, given)
-    return Specification(fields.optional_fields('noise'), faults)
+    return fields.optional_fields('noise'), faults
 
 
 def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
@@ -73,11 +69,11 @@ def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
 
     Axes that are not named have no noise.
     """
-    none = {axis: NoiseTerms() for axis in AXES}
-    return with_noise(none, read_specification(path).noise or Fields({}, str(path)))
+    stated, _ = read_specification(path)
+    return with_noise(NO_NOISE, stated or Fields({}, str(path)))
 
 
-def with_noise(noise: Mapping[str, NoiseTerms], stated: Fields) -> AxesNoise:
+def with_noise(noise: AxesNoise, stated: Fields) -> AxesNoise:
     """Replace coefficients of the noise (axis -> coefficients in SI) by those in ``stated``."""
     stated.only(*SI_UNITS, *AXES)
     return {
@@ -106,7 +102,7 @@ def stated_noise(
     of a specification (``spec``) and ``changes`` (axis or sensor -> term -> value in datasheet
     units) replace single coefficients. Raises AllanError if nothing is given or a name is unknown.
     """
-    noise = {axis: NoiseTerms() for axis in AXES}
+    noise = NO_NOISE
     if preset:
         if preset not in PRESETS:
             raise AllanError(f'preset {preset!r} is unknown: choose one of {", ".join(PRESETS)}')
@@ -137,7 +133,7 @@ def _terms(stated: Fields, sensor: str) -> dict[str, float]:
 
 def write_truth(
     recording: str | os.PathLike[str],
-    noise: Mapping[str, NoiseTerms],
+    noise: AxesNoise,
     *,
     seconds: float,
     rate: float,

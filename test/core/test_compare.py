@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from allan_ros.core.compare import Difference, compare_with_limits, verdict
-from allan_ros.core.fit.model import TERMS, Coefficient
+from allan_ros.core.compare import Difference, verdict
+from allan_ros.core.fit.model import Coefficient
 
 NOT_OBSERVABLE = Coefficient(None, None, 0.5, 'not_observable')
 
@@ -29,16 +29,6 @@ NOT_OBSERVABLE = Coefficient(None, None, 0.5, 'not_observable')
 )
 def test_verdicts_at_a_limit_of_one_and_a_margin_of_a_fifth(coefficient, expected):
     assert verdict(coefficient, 1.0, 0.2) == expected
-
-
-def test_only_what_has_a_limit_is_compared():
-    noise = {term: Coefficient(1.0, (0.9, 1.1)) for term in TERMS}
-    limits = {'gyro_x': {'N': 0.5, 'B': 2.0}}
-    found = compare_with_limits('sheet', limits, {'gyro_x': noise}, 0.2)
-    assert [(c.term, c.verdict, c.at_least) for c in found] == [
-        ('N', 'exceeds', 1.8), ('B', 'within', 0.45),
-    ]  # fmt: skip
-    assert compare_with_limits('sheet', limits, {'accel_x': noise}, 0.2) == ()
 
 
 @pytest.mark.parametrize(

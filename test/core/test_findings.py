@@ -58,12 +58,6 @@ def test_a_quantity_is_shown_in_the_units_of_the_output():
         assert '1.00e-05 ' + SI_UNITS[axis[:-2]]['B'] in found.texts('SI').message
 
 
-def test_numbers_in_a_stated_unit_are_converted():
-    stated = finding('bias_steps', ('gyro_x',), size=5, size_unit='deg/h', before=3, after=2,
-                     unit='deg/h^1.5')  # fmt: skip
-    assert 'up to 5.00 deg/h: K is 3.00 deg/h^1.5 with the steps, 2.00' in stated.message
-
-
 @pytest.mark.parametrize(
     ('quantity', 'text'),
     [

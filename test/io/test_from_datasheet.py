@@ -22,10 +22,7 @@ from allan_ros.io.exporters import TARGETS
 from allan_ros.io.from_datasheet import (
     CROSSING_S,
     Sensor,
-    against_measured,
     known_factors,
-    measured_entry,
-    measured_lines,
     measured_values,
 )
 from allan_ros.io.results import Results
@@ -98,44 +95,22 @@ def test_a_datasheet_without_n_is_rejected(tmp_path: Path) -> None:
         ar.sensor(7)  # type: ignore[arg-type]
 
 
-def test_a_measured_entry_is_read_back(small_results: Results, tmp_path: Path) -> None:
-    entry = yaml.safe_load(measured_entry(small_results))
-    path = tmp_path / 'x1.yaml'
-    path.write_text(yaml.safe_dump({**SHEET, **entry}))
-    sheet = load_sensor(str(path))
-    (read,) = sheet.measured
-    assert read.hours == pytest.approx(small_results.duration_s / 3600.0, rel=1e-2)
-    own = measured_values(small_results)
-    for kind, terms in own.items():
-        for term, value in terms.items():
-            assert read.values[kind][term] == pytest.approx(value, rel=1e-3)
-            assert value.low <= value.value <= value.high
-    lines = measured_lines(sheet, own)
-    assert lines[0] == 'measured by your name or organization' and 'your unit' in lines
-    assert lines[-1].endswith(' 1.0 of the measured')
-    assert {known.verdict for known in against_measured(sheet, small_results)} == {'alike'}
-    assert len(against_measured(sheet, small_results)) == sum(map(len, own.values()))
-
-
 def test_a_unit_is_compared_with_the_measured_units(
     small_results: Results, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    of_small = measured_values(small_results)['gyro']['N']
-    sheets = {}
-    for name, factor in (('typical', 1.0), ('noisier', 0.5), ('quieter', 2.0)):
-        entry = yaml.safe_load(measured_entry(small_results))
-        ends = {k: v * factor for k, v in zip(('value', 'low', 'high'), of_small)}
-        entry['measured'][0] |= {'gyro': {'N': {**ends, 'unit': 'rad/s/sqrt(Hz)'}}}
-        sheets[name] = tmp_path / f'{name}.yaml'
-        sheets[name].write_text(yaml.safe_dump({**SHEET, **entry}))
+    own = measured_values(small_results)
+    assert all(value.low <= value.value <= value.high for value in own.values())
     small_results.save(tmp_path / 'results')
-    for name, path in sheets.items():
-        assert main(['compare', str(tmp_path / 'results'), '--sensor', str(path)]) == 0
+    for name, factor in (('typical', 1.0), ('quieter', 2.0), ('noisier', 0.5)):
+        ends = [number * factor for number in own['gyro', 'N']]
+        entry = dict(zip(('value', 'low', 'high'), ends), unit='rad/s/sqrt(Hz)')
+        sheet = tmp_path / f'{name}.yaml'
+        sheet.write_text(yaml.safe_dump({**SHEET, 'measured': [{'by': 'Y', 'gyro': {'N': entry}}]}))
+        assert main(['compare', str(tmp_path / 'results'), '--sensor', str(sheet)]) == 0
         assert f'against measured units of X1: gyro N {name}: ' in capsys.readouterr().out
-    arguments = ['compare', str(tmp_path / 'results'), f'sensor:{sheets["noisier"]}', '--json']
-    assert main(arguments) == 0
+    assert main(['compare', str(tmp_path / 'results'), f'sensor:{sheet}', '--json']) == 0
     document = json.loads(capsys.readouterr().out)
-    (known,) = (k for k in document['datasheets'][0]['measured'] if k['sensor'] == 'gyro')
+    (known,) = document['datasheets'][0]['measured']
     assert (known['term'], known['units'], known['verdict']) == ('N', 1, 'higher')
 
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from allan_ros.core.compare import Comparison, compare_with_limits
+from allan_ros.core.compare import Comparison
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import AxisFit, Coefficient
 from allan_ros.core.imu import AXES
 from allan_ros.io.comparison import Subject, compare_runs, comparison_headline
-from allan_ros.io.datasheets import Datasheet, Limit
+from allan_ros.io.datasheets import Datasheet, Limit, against_datasheet
 from allan_ros.io.documents import results_to_document
 from allan_ros.io.results import Results
 from allan_ros.io.verdict import verdict_of
@@ -23,10 +23,11 @@ from allan_ros.io.verdict import verdict_of
 def against_itself(results: Results, factor: float) -> list[Comparison]:
     """Return the comparison with limits of ``factor`` times the upper ends of its own N and B."""
     limits = {
-        axis: {t: factor * (terms[t].ci95 or (0.0, terms[t].upper95))[1] for t in 'NB'}
+        axis: {t: Limit(factor * (terms[t].ci95 or (0.0, terms[t].upper95))[1], '') for t in 'NB'}
         for axis, terms in results.noise.items()
     }
-    return list(compare_with_limits('May', limits, results.noise, 0.0))
+    sheet = Datasheet('May', '', {}, limits, {})
+    return list(against_datasheet(results.noise, sheet, 0.0).comparisons)
 
 
 def calm(results: Results) -> Results:

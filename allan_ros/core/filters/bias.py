@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -157,17 +157,13 @@ class BiasFilter:
         self._slope_std = model.slope_std
         self.period = period
         self._phi, self._noise = self._space.transition(period), self._space.noise(period)
-        self.reset()
-
-    def reset(self) -> None:
-        """Return to the initial state, as if no mean had been added."""
-        self.count = 0
+        self._known = False  # whether a mean was added
         self._state = np.zeros(self._space.size)
         self._covariance = np.zeros((self._space.size, self._space.size))
 
     def update(self, mean: float) -> None:
         """Predict the state over one period, and update it with the mean of the samples over it."""
-        if self.count == 0:  # the prior of the constant part of the bias is vague
+        if not self._known:  # the prior of the constant part of the bias is vague
             spread = [sigma for sigma, _ in self._space.gauss_markov]
             vague = 1e3 * (sum(spread) + self._space.white + self._space.walk + self._slope_std)
             self._state[1] = mean
@@ -177,31 +173,31 @@ class BiasFilter:
         gain = self._covariance[:, 0] / variance
         self._state = self._state + gain * (mean * self.period - self._state[0])
         self._covariance = self._covariance - np.outer(gain, self._covariance[0])
-        self.count += 1
+        self._known = True
 
     def pause(self, seconds: float) -> None:
         """Predict the state over a time without means at rest."""
-        if self.count and seconds > 0.0:
+        if self._known and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
 
-    def estimate(self, after: float = 0.0, over: float = AHEAD_S) -> BiasEstimate:
-        """Return the predicted mean bias over ``over`` s, starting ``after`` s after the last mean.
+    def estimate(self, after: float = 0.0) -> BiasEstimate:
+        """Return the predicted mean bias over 10 s, starting ``after`` s after the last mean.
 
         Raises
         ------
         AllanError
             If no mean has been added.
         """
-        if not self.count:
+        if not self._known:
             raise AllanError('the bias is not known: keep the sensor at rest for a second')
         state, covariance = self._state, self._covariance
         if after > 0.0:
             phi = self._space.transition(after)
             state = phi @ state
             covariance = phi @ covariance @ phi.T + self._space.noise(after)
-        mean = self._space.transition(over)[0, 1:] / over
-        added = self._space.noise(over)[0, 0] - self._space.white**2 * over
-        variance = mean @ covariance[1:, 1:] @ mean + added / over**2
+        mean = self._space.transition(AHEAD_S)[0, 1:] / AHEAD_S
+        added = self._space.noise(AHEAD_S)[0, 0] - self._space.white**2 * AHEAD_S
+        variance = mean @ covariance[1:, 1:] @ mean + added / AHEAD_S**2
         return BiasEstimate(float(mean @ state[1:]), math.sqrt(max(float(variance), 0.0)))
 
     def _predict(self, phi: Floats, noise: Floats) -> None:
@@ -253,14 +249,13 @@ class BiasTracker:
         if kept and len(end_ns) and end_ns[-1] < kept[-1][0]:
             kept.clear()
             self._filters.pop(axis, None)
-        for end, value in zip(end_ns, values):
-            if kept and end <= kept[-1][0]:
-                continue
-            if axis in self._filters:
-                _advance(self._filters[axis], kept[-1][0] if kept else None, end, value)
-            kept.append((end, value))
+        last = kept[-1][0] if kept else None
+        new = [(end, mean) for end, mean in zip(end_ns, values) if last is None or end > last]
+        kept.extend(new)
         if axis not in self._filters:
             self._restart(axis)
+        else:
+            _add(self._filters[axis], new, last)
 
     def set_models(self, models: Mapping[str, BiasModel]) -> None:
         """Replace the models of all axes, given by axis name."""
@@ -272,9 +267,9 @@ class BiasTracker:
 
     def bias(self, axis: str) -> AxisBias | None:
         """Return the bias of an axis, or None without a model or a mean."""
-        bias, kept = self._filters.get(axis), self._kept.get(axis)
-        if bias is None or not kept:
+        if axis not in self._filters:
             return None
+        bias, end_ns = self._filters[axis], self._kept[axis][-1][0]
         if axis not in self._windows:
             model = self._models[axis]
             tolerance = self._tolerance.get(axis.split('_', 1)[0], 0.0)
@@ -282,26 +277,23 @@ class BiasTracker:
                 tolerance = 2.0 * Z_95 * _converged_filter(model).estimate().std
             within = time_within(model, tolerance)
             self._windows[axis] = (optimal_window(model.processes), within, tolerance)
-        return AxisBias(bias.estimate(), kept[-1][0], *self._windows[axis])
+        return AxisBias(bias.estimate(), end_ns, *self._windows[axis])
 
     def _restart(self, axis: str) -> None:
         """Run a new filter of an axis over the stored means."""
-        kept = self._kept.get(axis)
-        if axis not in self._models or not kept:
-            return
-        self._filters[axis] = BiasFilter(self._models[axis])
-        last = None
-        for end, value in kept:
-            _advance(self._filters[axis], last, end, value)
-            last = end
+        if axis in self._models and (kept := self._kept.get(axis)):
+            self._filters[axis] = BiasFilter(self._models[axis])
+            _add(self._filters[axis], kept)
 
 
-def _advance(bias: BiasFilter, last: int | None, end: int, value: float) -> None:
-    """Add a mean with the end time ``end`` in ns; ``last`` is the end time of the previous mean."""
-    pause = 0.0 if last is None else (end - last) * 1e-9 - MEAN_S
-    if pause > 0.1 * MEAN_S:
-        bias.pause(pause)
-    bias.update(value)
+def _add(bias: BiasFilter, means: Iterable[tuple[int, float]], last: int | None = None) -> None:
+    """Add means (end time in ns, value); ``last`` is the end time of the mean before them."""
+    for end, mean in means:
+        pause = 0.0 if last is None else (end - last) * 1e-9 - MEAN_S
+        if pause > 0.1 * MEAN_S:
+            bias.pause(pause)
+        bias.update(mean)
+        last = end
 
 
 def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:

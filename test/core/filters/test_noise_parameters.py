@@ -83,7 +83,7 @@ def test_the_limit_of_k_is_used_if_no_drift_is_resolved() -> None:
     fit = fit_with(N=resolved(1e-3), B=hidden(1e-4), K=hidden(1e-5), R=hidden(1e-7))
     reduced = reduce_axis('gyro_x', fit)
     assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
-    assert reduced.model.terms.K == pytest.approx(1e-5)
+    assert pytest.approx(1e-5) == reduced.model.terms.K
     with pytest.raises(AllanError, match='K of gyro_x is not observable'):
         reduce_axis('gyro_x', fit, strict=True)
 
@@ -134,7 +134,7 @@ def test_a_term_that_is_not_resolved_is_included_with_its_estimate() -> None:
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=likely)
     last = growth_table(fit)[-1]
     assert last.std == pytest.approx(float(predicted_growth(fit.model, last.horizon, last.window)))
-    assert reduce_axis('gyro_x', fit, 'processes').model.terms.K == pytest.approx(1e-5, rel=1e-2)
+    assert pytest.approx(1e-5, rel=1e-2) == reduce_axis('gyro_x', fit, 'processes').model.terms.K
 
 
 def test_the_interval_of_the_reduction_contains_it() -> None:

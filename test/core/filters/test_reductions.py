@@ -57,7 +57,7 @@ def test_a_model_of_n_and_k_is_not_changed():
     model = ProcessModel(NoiseTerms(N=2e-4, K=3e-6))
     reduction = reduce_model(model)
     assert reduction.model.terms.N == 2e-4
-    assert reduction.model.terms.K == pytest.approx(3e-6)
+    assert pytest.approx(3e-6) == reduction.model.terms.K
     assert reduction.ratio == pytest.approx((1.0, 1.0))
     assert not reduction.poor
 
@@ -72,7 +72,7 @@ def test_flicker_increases_k_but_not_n():
 def test_fast_processes_become_white_noise_if_a_walk_is_a_poor_model():
     reduction = reduce_model(QUICK)
     assert not reduction.poor
-    assert reduction.model.terms.N == pytest.approx(math.hypot(1e-5, 1e-4 * math.sqrt(2 * 0.05)))
+    assert pytest.approx(math.hypot(1e-5, 1e-4 * math.sqrt(2 * 0.05))) == reduction.model.terms.N
 
 
 def test_a_reduction_to_all_processes_is_exact():

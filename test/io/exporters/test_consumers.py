@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.exports import refitted
+from support.exports import EXPECTED, refitted
 
 from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.fit import Coefficient
@@ -34,31 +34,8 @@ N, K = 1e-3, 3e-3
 
 BARE = ExportOptions(fidelity='coefficients')
 
-OPENCV = {
-    'vins_fusion': {
-        'acc_n': 0.0282843,
-        'gyr_n': 0.0141421,
-        'acc_w': 4.24264e-4,
-        'gyr_w': 1.41421e-4,
-    },
-    'orb_slam3': {
-        'IMU.NoiseGyro': 1e-3,
-        'IMU.NoiseAcc': 2e-3,
-        'IMU.GyroWalk': 1e-5,
-        'IMU.AccWalk': 3e-5,
-        'IMU.Frequency': 200.0,
-    },
-    'openvins': {
-        'accelerometer_noise_density': 2e-3,
-        'accelerometer_random_walk': 3e-5,
-        'gyroscope_noise_density': 1e-3,
-        'gyroscope_random_walk': 1e-5,
-        'update_rate': 200.0,
-        'time_offset': 0.0,
-    },
-    # Kalibr itself reads YAML with PyYAML; OpenVINS reads the same keys with OpenCV.
-    'kalibr': {'accelerometer_noise_density': 2e-3, 'gyroscope_random_walk': 1e-5},
-}
+OPENCV = ('vins_fusion', 'orb_slam3', 'openvins', 'kalibr')
+"""Targets whose file OpenCV reads. Kalibr itself reads the keys of OpenVINS with PyYAML."""
 
 
 @pytest.fixture
@@ -82,7 +59,7 @@ def test_opencv_reads_every_number_as_real(
     known_results: Results, name: str, opencv_node: Callable[[str, str], Any]
 ) -> None:
     node = opencv_node(make_export(known_results, name, BARE).text, name)
-    for key, value in OPENCV[name].items():
+    for key, value in EXPECTED[name].items():
         assert node.getNode(key).isReal(), key
         assert node.getNode(key).real() == pytest.approx(value, rel=2e-6)
 
