@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
 from .core.compare import MARGIN
 from .core.errors import AllanError, one_line
+from .core.filters.noise_parameters import measure_inflation
 from .core.fit import METHODS
 from .core.imu import ImuBatch, joined
 from .core.settings import (
@@ -32,12 +33,11 @@ from .core.settings import (
     settings_from,
 )
 from .core.simulate import Faults, simulate_imu
-from .io.comparison import Inflation, RunComparison, Subject, compare_runs
-from .io.comparison import inflate as inflation_of
+from .io.comparison import REST, RUNNING, Inflation, RunComparison, Subject, compare_runs
 from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH, public
-from .io.plot_style import check_plots
+from .io.format import check_plots
 from .io.readers.arrays import recording_in_memory
 from .io.readers.recording import ReadOptions
 from .io.recorded import (
@@ -50,7 +50,7 @@ from .io.recorded import (
     read_in_turn,
     read_recording,
 )
-from .io.results import Results, analyze_recorded, with_earlier_datasheet
+from .io.results import Results, analyze_recorded
 from .io.user_files import stated_noise
 
 NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]
@@ -106,21 +106,6 @@ class ResultSettings(CheckedSettings):
     def stated_margin(self) -> float | None:
         """The margin; None if it is the default, so that an earlier comparison keeps its margin."""
         return None if self.margin == MARGIN else self.margin
-
-
-def fit_recorded(recorded: RecordingSums, settings: ResultSettings = ResultSettings()) -> Results:
-    """Fit the Allan variance sums of one IMU, and compare the results as the settings request.
-
-    The settings name a datasheet (``sensor``) and an earlier run (``baseline``). If they name no
-    datasheet, the datasheet of the comparison that is stored with the sums is used.
-
-    Raises AllanError when there are too few data, or the datasheet or the earlier run cannot be
-    read.
-    """
-    results = analyze_recorded(recorded, settings.method)
-    if not settings.sensor:
-        results = with_earlier_datasheet(results)
-    return results.compared(settings.sensor, settings.baseline, settings.stated_margin)
 
 
 def results_of(
@@ -260,8 +245,8 @@ def analyze(
 def merge(*sources: Results | str | os.PathLike[str], method: str = 'likelihood') -> Results:
     """Combine several recordings of one IMU into one result, without reading them again.
 
-    The stored sums of second differences are added and fitted together. If the sources were
-    compared with the same datasheet, the result is compared with it, too.
+    The stored sums of second differences are added and fitted together. The result is not compared
+    with the datasheets of its sources; `Results.compared` does this.
 
     Parameters
     ----------
@@ -288,8 +273,8 @@ def merge(*sources: Results | str | os.PathLike[str], method: str = 'likelihood'
     """
     if not sources:
         raise AllanError('nothing to merge: give results or paths')
-    settings = ResultSettings(method=method)
-    return fit_recorded(add_recordings(map(_recorded, sources)), settings)
+    ResultSettings(method=method)  # checks it
+    return analyze_recorded(add_recordings(map(_recorded, sources)), method)
 
 
 @public
@@ -413,7 +398,10 @@ def inflate(
     check_range(1e-3, 1e9, 's', horizon=horizon)
     quiet = results_of(rest, observer=observer)
     still = SegmenterSettings(motion_gate=False)
-    return inflation_of(quiet, results_of(running, 'likelihood', observer, still), horizon)
+    loud = results_of(running, 'likelihood', observer, still)
+    fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (quiet, loud)]
+    axes = measure_inflation(fits[0], fits[1], horizon)
+    return Inflation(axes, compare_runs([Subject(REST, quiet), Subject(RUNNING, loud)]), horizon)
 
 
 @public
@@ -520,5 +508,4 @@ def _recorded(source: Results | str | os.PathLike[str]) -> RecordingSums:
         return load_sums(source)
     if source.recorded is None:
         raise AllanError('these results were read without their sums: give the folder or sums.json')
-    judged = () if source.datasheet is None else (source.datasheet,)
-    return replace(source.recorded, judged=judged)
+    return source.recorded

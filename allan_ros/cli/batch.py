@@ -19,7 +19,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from ..api import ResultSettings, fit_recorded, is_document
+from ..api import ResultSettings, is_document
 from ..core.errors import AllanError, one_line
 from ..core.findings import SEVERITIES, Finding, finding
 from ..core.fit.interpretation import ADVISED_TERMS
@@ -29,7 +29,7 @@ from ..io.files import write_atomic
 from ..io.format import known_numbers, shown_unit, value_text
 from ..io.readers import topics_of
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
-from ..io.results import Results
+from ..io.results import Results, analyze_recorded
 from ..io.verdict import WORDS, Verdict, verdict_of
 from .console import Console, colored, painted
 from .main import RECORDINGS
@@ -300,7 +300,9 @@ def fit_and_write(
     """Fit the sums; write the files if ``folder`` is given. Return results and file names."""
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     with console.timed(f'fitted by {settings.method}'):
-        results = fit_recorded(recorded, settings)
+        results = analyze_recorded(recorded, settings.method).compared(
+            settings.sensor, settings.baseline, settings.margin
+        )
     if not folder:
         return results, []
     from ..io.result_files import write_result_files

@@ -22,12 +22,10 @@ from ..core.errors import AllanError
 from ..io.comparison import (
     comparison_document,
     inflation_document,
-    inflation_facts,
     write_comparison,
-    write_overlay,
 )
 from ..io.files import to_json, write_atomic
-from ..io.plot_style import check_plots
+from ..io.format import check_plots
 from .console import Console, width
 from .options import Command, Settings
 from .tables import comparison_lines
@@ -42,7 +40,7 @@ EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, o
 def run(args: argparse.Namespace) -> int:
     """Compare the inputs, print the comparison, and write the files; return the exit code."""
     console = Console.of(args)
-    _check_folder(args, 'report', 'plots')
+    _check_folder(args)
     given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
     comparison = api.compare(
         *(text for text in args.inputs if text not in given),
@@ -59,18 +57,15 @@ def run(args: argparse.Namespace) -> int:
         print('\n'.join(comparison_lines(comparison, args.units, width())))
     if args.output:
         written = write_comparison(args.output, comparison, args.units, args.plots)
-        if args.report:
-            written.append(write_overlay(args.output, comparison.runs, args.margin, args.units))
         console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
 
 
-def _check_folder(args: argparse.Namespace, *names: str) -> None:
-    """Raise AllanError if an option for files is invalid, or given without a folder."""
+def _check_folder(args: argparse.Namespace) -> None:
+    """Raise AllanError if a format of figures is unknown, or no folder is given for figures."""
     check_plots(args.plots)
-    for name in names:
-        if getattr(args, name) and not args.output:
-            raise AllanError(f'--{name} needs a folder: give one with -o')
+    if args.plots and not args.output:
+        raise AllanError('--plots needs a folder: give one with -o')
 
 
 def inflate(args: argparse.Namespace) -> int:
@@ -78,17 +73,14 @@ def inflate(args: argparse.Namespace) -> int:
     console = Console.of(args)
     if not 0.0 < args.horizon < float('inf'):
         raise AllanError(f'--horizon {args.horizon:g}: give a time above 0 s')
-    _check_folder(args, 'plots')
+    _check_folder(args)
     inflation = api.inflate(args.rest, args.running, horizon=args.horizon, observer=console)
     if console.json:
         console.document(inflation_document(inflation))
     elif not (console.quiet and args.output):
         print(inflation)
     if args.output:
-        comparison = inflation.comparison
-        written = write_comparison(args.output, comparison, args.units, args.plots)
-        facts = dict(inflation_facts(inflation))
-        written.append(write_overlay(args.output, comparison.runs, units=args.units, facts=facts))
+        written = write_comparison(args.output, inflation.comparison, args.units, args.plots)
         path = written[0].parent / 'inflation.json'
         write_atomic(path, to_json(inflation_document(inflation)))
         names = ', '.join(one.name for one in (path, *written))
@@ -110,7 +102,6 @@ increase as a factor, and the ratio of the Allan deviations.
 COMPARE_OPTIONS = f"""
 inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
 -o --output DIR  folder for tables and plots (default: none)
---report  also write report.html of the first input, with the curves of the others
 --label TEXT...  name of an input, such as a temperature or a serial number; give one per input, in
     the same order (default: name of folder or file)
 --sensor NAME...  also compare with this datasheet, like sensor:NAME; `allan sensors` lists the
@@ -124,7 +115,7 @@ INFLATE_OPTIONS = """
 rest REST  the robot at rest, motors off
 running RUNNING  the robot at rest, motors on
 --horizon SECONDS [30]  longest time that the filter integrates without correction
--o --output DIR  folder for inflation.json, report.html with both curves, and tables
+-o --output DIR  folder for inflation.json, tables and plots
 """
 
 UNITS = Settings('result', ResultSettings, ['method', 'sensor', 'baseline', 'margin', 'export'])

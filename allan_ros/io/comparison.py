@@ -4,19 +4,17 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..core.compare import FAMILY_ERROR, MARGIN, Difference, differences
+from ..core.compare import FAMILY_ERROR, Difference, differences
 from ..core.errors import AllanError, one_line
 from ..core.fields import plain
-from ..core.filters.noise_parameters import TermInflation, measure_inflation
+from ..core.filters.noise_parameters import TermInflation
 from ..core.filters.reductions import horizon_text, shortest_horizon
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
@@ -26,7 +24,7 @@ from .datasheets import (
     comparison_to_document,
 )
 from .documents import results_to_document
-from .files import to_json, write_atomic, write_together
+from .files import to_json, write_together
 from .format import interval_text, markdown_rows, shown_unit, significant, value_text
 from .from_datasheet import against_measured
 from .results import Results
@@ -303,22 +301,13 @@ def _datasheet_sentence(label: str, comparison: DatasheetComparison) -> str:
     return f'{label} is within the datasheet of {name}{note}'
 
 
-CSV_COLUMNS = (
-    *('second', 'axis', 'quantity', 'tau_s', 'unit'),
-    *(f'{run}_{part}' for run in ('first', 'second') for part in ('value', 'low', 'high', 'upper')),
-    *('ratio', 'ratio_low', 'ratio_high', 'p', 'verdict'),
-)
-"""Columns of comparison.csv, in SI. ``low`` and ``high`` are 95 % intervals, ``upper`` is the 95 %
-upper limit of a term that is not resolved."""
-
-
 def write_comparison(
     folder: str | os.PathLike[str],
     comparison: RunComparison,
     units: str = 'deg/h',
     plots: Sequence[str] = (),
 ) -> list[Path]:
-    """Write comparison.json, .md and .csv, and the requested figures; return the paths.
+    """Write comparison.json and .md, and the requested figures; return the paths.
 
     ``units`` is 'deg/h' or 'SI', for the Markdown and the figures. ``plots`` are file formats.
     """
@@ -328,7 +317,6 @@ def write_comparison(
     contents: dict[str, str | bytes] = {
         'comparison.json': to_json(comparison_document(comparison)),
         'comparison.md': markdown(comparison, units),
-        'comparison.csv': csv_table(comparison),
     }
     if plots:
         from .plots import comparison_figure, rendered  # imports matplotlib
@@ -377,64 +365,12 @@ def _section(title: str, rows: list[list[str]]) -> list[str]:
     return [f'## {heading}\n', markdown_rows(rows)]
 
 
-def csv_table(comparison: RunComparison) -> str:
-    """Return every difference of two recordings as CSV with the columns `CSV_COLUMNS`, in SI."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator='\n')
-    writer.writerow(CSV_COLUMNS)
-    for pair in comparison.pairs:
-        for d in pair.differences:
-            term = 'B' if d.tau is not None else d.quantity
-            numbers: list[float | None] = []
-            for c in _coefficients(comparison, pair, d) if d.tau is None else ():
-                known = c.status == 'estimated'
-                low, high = c.ci95 or (None, None)
-                numbers += [c.value if known else None, low, high, None if known else c.upper95]
-            numbers = numbers or [None] * 8
-            low, high = d.ci95 or (None, None)
-            unit = SI_UNITS[sensor_of(d.axis)][term]
-            writer.writerow(
-                [pair.second, d.axis, d.quantity, _cell(d.tau), unit]
-                + [_cell(number) for number in (*numbers, d.ratio, low, high, d.p)]
-                + [d.verdict]
-            )
-    return text.getvalue()
-
-
 def _coefficients(comparison: RunComparison, pair: Pair, d: Difference) -> tuple[Coefficient, ...]:
     runs = {run.label: run.results for run in comparison.runs}
     assert d.quantity in TERMS
     return tuple(
         runs[label].axes[d.axis].fit.noise[d.quantity] for label in (pair.first, pair.second)
     )
-
-
-def _cell(number: float | None) -> str:
-    return '' if number is None or not math.isfinite(number) else repr(float(number))
-
-
-def write_overlay(
-    folder: str | os.PathLike[str],
-    runs: Sequence[Subject],
-    margin: float = MARGIN,
-    units: str = 'deg/h',
-    facts: Mapping[str, str] | None = None,
-) -> Path:
-    """Write report.html of the first recording with the curves of the others; return its path.
-
-    The report treats the other recordings as earlier runs. It marks coefficients that exceed
-    theirs significantly by more than the fraction ``margin``. ``facts`` (name -> text) adds rows to
-    the table of the method.
-    """
-    from .report import ReportContext, render_report
-
-    first, *others = runs
-    baselines = {run.label: run.results for run in others}
-    results = replace(first.results, baselines=baselines, margin=margin)
-    context = ReportContext(method={'runs': ', '.join(run.label for run in runs), **(facts or {})})
-    path = Path(folder) / 'report.html'
-    write_atomic(path, render_report(results, context, units))
-    return path
 
 
 INFLATION_SCHEMA = 'allan_ros/inflation/1'
@@ -473,18 +409,6 @@ class Inflation:
         return [d for d in pair.differences if d.axis == axis and d.tau is not None]
 
 
-def inflate(rest: Results, running: Results, horizon: float = 30.0) -> Inflation:
-    """Return how much running motors increase the noise of an IMU at rest.
-
-    ``rest`` are the results with motors off, ``running`` those with motors on. ``horizon`` is the
-    longest time in s that the filter integrates without correction.
-    """
-    fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (rest, running)]
-    axes = measure_inflation(fits[0], fits[1], horizon)
-    comparison = compare_runs([Subject(REST, rest), Subject(RUNNING, running)])
-    return Inflation(axes, comparison, horizon)
-
-
 def inflation_document(inflation: Inflation) -> dict[str, Any]:
     """Return the result as a JSON object of the schema ``allan_ros/inflation/1``, in SI."""
     return {
@@ -505,15 +429,6 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
             for name, axis in inflation.axes.items()
         },
     }
-
-
-def inflation_facts(inflation: Inflation) -> Iterator[tuple[str, str]]:
-    """Yield (heading, text) for each axis: N and K to use in a filter, and their factors."""
-    for name, axis in inflation.axes.items():
-        (n, n_unit), (k, k_unit) = _filter_values(name, axis)
-        factors = axis['N'].factor, axis['K'].factor
-        text = f'N {n} {n_unit} (x{factors[0]:.2f}); K {k} {k_unit} (x{factors[1]:.2f})'
-        yield f'{name}, motors on', f'{text} over {horizon_text(inflation.horizon)}'
 
 
 def inflation_lines(inflation: Inflation) -> Iterator[str]:

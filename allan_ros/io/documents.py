@@ -23,6 +23,7 @@ from .. import __version__
 from ..core.allan.curve import CI_LEVEL, AxisCurve
 from ..core.allan.document import sums_from_document, sums_to_document
 from ..core.allan.sums import AllanSums
+from ..core.compare import MARGIN
 from ..core.errors import AllanError, one_line
 from ..core.fields import Fields, plain
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, Quantity, required
@@ -115,8 +116,9 @@ def results_from_document(document: object, where: str = 'results') -> Results:
     provenance = _provenance_from_document(fields)
     stated = fields.fields('axes')
     axes = {name: _axis_from_document(name, stated.fields(name)) for name in _axes_of(stated)}
-    datasheet = fields.optional_fields('datasheet')
+    stated_sheet = fields.optional_fields('datasheet')
     noise = {name: axis.fit.noise for name, axis in axes.items()}
+    datasheet = comparison_from_document(stated_sheet, noise) if stated_sheet else None
     return Results(
         ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
         fields.text('method'),
@@ -127,7 +129,8 @@ def results_from_document(document: object, where: str = 'results') -> Results:
         axes,
         provenance,
         provenance.findings,
-        None if datasheet is None else comparison_from_document(datasheet, noise),
+        datasheet,
+        margin=MARGIN if datasheet is None else datasheet.margin,
     )
 
 
@@ -200,35 +203,28 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     if place.is_dir():
         has_results = (place / RESULTS).is_file() or not (place / SUMS).is_file()
         place = Path(file_in(path, RESULTS if has_results else SUMS))
-    document = read_json(place)
+    document: Any = read_json(place)
     if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
         recorded = RecordingSums(str(place), *sums_file_from_document(document, str(place)))
         return analyze_recorded(recorded, method)
     results = results_from_document(document, str(place))
-    if Path(path).is_dir() and (place.parent / SUMS).is_file():
-        return replace(results, recorded=load_sums(path))
-    return results
-
-
-def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
-    """Read the sums of a sums.json, a checkpoint, or the folder of an analysis.
-
-    From a folder, the comparison of the analysis with a datasheet is read, too.
-    """
-    place = file_in(path, SUMS)
-    document: Any = read_json(place)
-    recorded = RecordingSums(place, *sums_file_from_document(document, place))
-    file = Path(path) / RESULTS
-    if not file.is_file():
-        return recorded
-    results: Any = read_json(file)
-    datasheet = results_from_document(results, str(file)).datasheet
-    if results.get('fingerprint') != fingerprint(document):  # killed between the two files
+    file = place.parent / SUMS
+    if not Path(path).is_dir() or not file.is_file():
+        return results
+    sums: Any = read_json(file)
+    if document.get('fingerprint') != fingerprint(sums):  # killed between the two files
         raise AllanError(
             f'{path}: {RESULTS} and {SUMS} are of different analyses: analyze the recording again, '
             'or give one of the two files'
         )
-    return replace(recorded, judged=() if datasheet is None else (datasheet,))
+    recorded = RecordingSums(str(file), *sums_file_from_document(sums, str(file)))
+    return replace(results, recorded=recorded)
+
+
+def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
+    """Read the sums of a sums.json, a checkpoint, or the folder of an analysis."""
+    place = file_in(path, SUMS)
+    return RecordingSums(place, *sums_file_from_document(read_json(place), place))
 
 
 def file_in(path: str | os.PathLike[str], name: str) -> str:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +13,20 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from ..core.fit import TERMS
 from ..core.imu import AXES, SENSORS
 from .axis_result import AxisResult
-from .format import SENSOR_NAMES, interval_text, pretty_unit, shown_unit, value_text
-from .plot_style import TERM_STYLES, drawn_curve
+from .format import (
+    SENSOR_NAMES,
+    TERM_STYLES,
+    drawn_curve,
+    interval_text,
+    pretty_unit,
+    shown_unit,
+    value_text,
+)
 
 if TYPE_CHECKING:
     from .comparison import RunComparison
@@ -118,8 +127,8 @@ def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure
         return None
     of = f' of {results.identity.label}' if results.identity.label else ''
     title = (
-        f'{SENSOR_NAMES[sensor]}{of}: {results.samples:,} samples at {results.rate_hz:.4g} Hz, '
-        f'{results.duration_s / 3600.0:.3g} h'
+        f'{SENSOR_NAMES[sensor]}{of}: Allan deviation, {results.samples:,} samples at '
+        f'{results.rate_hz:.4g} Hz, {results.duration_s / 3600.0:.3g} h'
     )
     with rc_context(RC):
         figure, panels = _new_figure(len(axes), 1, title)
@@ -147,9 +156,9 @@ def comparison_figure(
     if not names:
         return None
     ratios = bool(comparison.pairs)
-    title = SENSOR_NAMES[sensor]
+    title = f'{SENSOR_NAMES[sensor]}: Allan deviation'
     if ratios:
-        title += f'; right: ratio to {runs[0].label}, filled where significant'
+        title += f', and its ratio to {runs[0].label} (filled: significant)'
     with rc_context(RC):
         figure, panels = _new_figure(len(names), 1 + ratios, title)
         for row, name in zip(panels, names):
@@ -215,7 +224,10 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
         dashes = dashes if part in curve.parts else LIMIT_STYLE
         text = _part_text(part, name, axis, units)
         panel.plot(curve.tau, adev, color=color, ls=dashes, lw=1.1, label=text)
-    panel.fill_between(curve.tau, curve.model, curve.upper, color='k', alpha=LIMIT_ALPHA, lw=0)
+    label = 'unresolved terms,\nup to 95 % limits' if curve.limits else ''
+    panel.fill_between(
+        curve.tau, curve.model, curve.upper, color='k', alpha=LIMIT_ALPHA, lw=0, label=label
+    )
     for term, (tau, value) in curve.read.items():  # as in IEEE Std 952: N at 1 s, K at 3 s
         panel.plot([tau], [value], '+', color=TERM_STYLES[term][0], ms=7.0, mew=1.2)
     panel.set_ylim(0.45 * np.nanmin(curve.adev), 1.8 * np.nanmax(curve.adev))
@@ -247,7 +259,7 @@ def _draw_run(panel: Axes, run: int, label: str, name: str, axis: AxisResult, un
 
 def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
     """Draw the ratios of the deviations to the first recording, with 95 % intervals."""
-    panel.set(xscale='log', yscale='log')
+    panel.set(xscale='log', yscale='log', ylabel='ratio')
     panel.axhline(1.0, color='k', lw=0.8)
     for run, pair in enumerate(comparison.pairs, 1):
         color, marker, _ = RUN_STYLES[run % len(RUN_STYLES)]
@@ -259,3 +271,10 @@ def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
                     color=color, marker=marker, ms=4.0, lw=0.9, capsize=1.5,
                     mfc=color if d.significant else 'none',
                 )  # fmt: skip
+    # round numbers instead of powers of ten: most ratios are between 0.1 and 10
+    low, high = panel.get_ylim()
+    few = math.log10(high / low) > 1.5
+    panel.yaxis.set_major_locator(LogLocator(subs=(1.0,) if few else (1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter('{x:g}')
+    panel.yaxis.set_minor_formatter('')
+    panel.set_ylim(low, high)

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import reduce
 from itertools import product
 from operator import add
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -29,9 +29,6 @@ from ..core.stream.pipeline import ImuStream
 from .readers import open_recordings
 from .readers.recording import ReadOptions, Recording, SourceInfo
 from .signal import SignalEnvelope, TemperatureTrace
-
-if TYPE_CHECKING:
-    from .datasheets import DatasheetComparison
 
 
 @dataclass(frozen=True)
@@ -78,7 +75,6 @@ class RecordingSums:
     signals: tuple[SignalEnvelope, ...] = ()  # one per recording
     temperatures: tuple[TemperatureTrace | None, ...] = ()  # one per recording
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
-    judged: tuple[DatasheetComparison, ...] = ()  # comparisons with datasheets that were read
 
     def __add__(self, other: RecordingSums) -> RecordingSums:
         """Return the sums of both recordings.
@@ -101,7 +97,6 @@ class RecordingSums:
             self.signals + other.signals,
             self.temperatures + other.temperatures,
             self.events + other.events,
-            self.judged + other.judged,
         )
 
     def with_findings(self, findings: Iterable[Finding]) -> RecordingSums:

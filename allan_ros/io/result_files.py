@@ -25,7 +25,7 @@ from .documents import (
 )
 from .exporters import TARGETS, make_export, target_of
 from .files import PathLock, read_json, to_json, write_together
-from .plot_style import FORMATS
+from .format import FORMATS
 from .report import ReportContext, render_report
 from .signal import summarize_signal
 

@@ -15,7 +15,7 @@ from ..core.allan.curve import allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN, Comparison, Measured, Run, differences
 from ..core.errors import AllanError
-from ..core.findings import Finding, finding
+from ..core.findings import Finding
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
@@ -299,7 +299,7 @@ class Results:
             When the sums are not known, an argument is invalid, the folder has results of another
             recording, or a file cannot be written.
         """
-        from .plot_style import check_plots
+        from .format import check_plots
         from .result_files import write_result_files
 
         expect(PATH, 'a path', folder=folder)
@@ -382,7 +382,7 @@ class Results:
 
         expect((Results, *PATH), 'results or a path', baseline=baseline)
         expect((Datasheet, *PATH), 'a datasheet or its name', sensor=sensor)
-        stated = MARGIN if margin is None else margin
+        stated = self.margin if margin is None else margin
         expect(Real, margin=stated)
         if not stated >= 0.0:
             raise AllanError(f'margin is {stated:g}: give 0 or more')
@@ -395,9 +395,8 @@ class Results:
         if sensor:
             sheet = sensor if isinstance(sensor, Datasheet) else load_sensor(str(sensor))
             return results.against_datasheet(sheet, stated)
-        if self.datasheet is not None and margin is not None:
-            return results.against_datasheet(self.datasheet.datasheet, margin)
-        return results
+        known = self.datasheet
+        return results if known is None else results.against_datasheet(known.datasheet, stated)
 
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
         """Return a copy that is compared with this datasheet instead of any earlier one.
@@ -447,21 +446,6 @@ def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Res
         tuple(dict.fromkeys(findings)),
         recorded=recorded,
     )
-
-
-def with_earlier_datasheet(results: Results) -> Results:
-    """Compare the results with the datasheet that is stored with their sums, if there is one.
-
-    If several different datasheets are stored, a finding states this instead.
-    """
-    known = results.recorded.judged if results.recorded is not None else ()
-    judged = {comparison.datasheet.name: comparison for comparison in known}
-    if len(judged) > 1:
-        differ = finding('datasheets_differ', names=', '.join(judged))
-        return replace(results, findings=(*results.findings, differ))
-    for comparison in judged.values():
-        return results.against_datasheet(comparison.datasheet, comparison.margin)
-    return results
 
 
 def analyze_sums(

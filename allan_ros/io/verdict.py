@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any, Literal
@@ -85,16 +85,20 @@ class Verdict:
 
 
 def verdict_of(
-    results: Results, comparisons: Sequence[Comparison] | None = None, units: str = 'deg/h'
+    results: Results,
+    comparisons: Sequence[Comparison] | None = None,
+    units: str = 'deg/h',
+    spelled: Callable[[str], str] = str,
 ) -> Verdict:
     """Return the verdict on the IMU of the results.
 
     ``comparisons`` are those with a datasheet and with earlier runs, by default those in the
-    results. ``units`` of the texts is 'deg/h' or 'SI'.
+    results. ``units`` of the texts is 'deg/h' or 'SI', and ``spelled`` returns the spelling of a
+    unit.
     """
     comparisons = results.comparisons if comparisons is None else comparisons
     level = _level(results, comparisons)
-    summary = _summary(level, results, comparisons, units)
+    summary = _summary(results, comparisons, units, spelled)
     warnings = _warnings(results, units)
     reasons = (*_axis_differences(results), *_resolved_terms(results), *warnings)
     steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
@@ -137,11 +141,14 @@ def _within_limits(comparisons: Sequence[Comparison]) -> bool:
     return bool(required) and all(c.verdict == 'within' for c in required)
 
 
-def _summary(level: Level, results: Results, comparisons: Sequence[Comparison], units: str) -> str:
+def _summary(
+    results: Results, comparisons: Sequence[Comparison], units: str, spelled: Callable[[str], str]
+) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
     beyond = [c for c in comparisons if c.verdict == 'exceeds']
     if beyond and not too_short(results):
-        return f'Above {_references(beyond)}: {_joined(list(_excesses(results, beyond, units)))}.'
+        excesses = _excesses(results, beyond, units, spelled)
+        return f'Above {_references(beyond)}: {_joined(list(excesses))}.'
     if faults:
         return finding_text(faults[0], results, units)
     if not measured(results):
@@ -202,7 +209,9 @@ def _references(comparisons: Sequence[Comparison]) -> str:
     return _joined(list(dict.fromkeys(c.reference for c in comparisons)))
 
 
-def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
+def _excesses(
+    results: Results, beyond: Sequence[Comparison], units: str, spelled: Callable[[str], str]
+) -> Iterator[str]:
     """Yield a phrase for each exceeded limit of a sensor, with its axes and the excess factors."""
     groups: dict[tuple[str, str, float | None], list[Comparison]] = {}
     for c in beyond:
@@ -213,14 +222,14 @@ def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Ite
         ratios = [c.at_least for c in group]
         times = dict.fromkeys(f'{ratio:.2g}' for ratio in (min(ratios), max(ratios)))
         limit = significant(max(c.limit for c in group) * unit.factor, 3)
-        shown = f'{limit} {unit.name}'
+        shown = f'{limit} {spelled(unit.name)}'
         what = f'deviation at {significant(tau, 2)} s' if tau else term
         yield f'{what} of {where} (at least {" to ".join(times)} times {shown})'
 
 
 def _axis_differences(results: Results) -> Iterator[str]:
     """Yield a sentence for each sensor whose axes differ in white noise."""
-    for sensor, where in SENSORS.items():
+    for where in SENSORS.values():
         known = {
             axis: c.value
             for axis in AXES[where]
@@ -232,15 +241,11 @@ def _axis_differences(results: Results) -> Iterator[str]:
             continue
         noisy, quiet = max(known, key=known.__getitem__), min(known, key=known.__getitem__)
         ratio = known[noisy] / known[quiet]
-        if ratio > ODD_AXIS:
+        if ratio > ALIKE:
+            check = ': check that axis' if ratio > ODD_AXIS else ''
             yield (
-                f'{_axis(noisy).capitalize()} has {ratio:.1f} times the white noise of '
-                f'{_axis(quiet)}: check that axis.'
-            )
-        elif ratio > ALIKE:
-            yield (
-                f'The {sensor} axes differ in white noise: {_axis(noisy)} has '
-                f'{100.0 * (ratio - 1.0):.0f}\u00a0% more than {_axis(quiet)}.'
+                f'{_axis(noisy).capitalize()} has {ratio:.2g} times the white noise of '
+                f'{_axis(quiet)}{check}.'
             )
 
 

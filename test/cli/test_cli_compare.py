@@ -114,18 +114,6 @@ def test_one_datasheet_is_shown_with_its_sources(capsys) -> None:
     assert main(['sensors', 'adis16475']) == 1
 
 
-def test_a_report_draws_the_others_over_the_first(
-    analyzed: Path, recording: Path, tmp_path: Path, capsys
-) -> None:
-    words = ['compare', str(analyzed), str(recording), '--label', 'kept', '--label', 'again']
-    assert main([*words, '--report']) == 1
-    assert '--report needs a folder' in capsys.readouterr().err
-    assert main([*words, '--report', '-o', str(tmp_path)]) == 0
-    page = (tmp_path / 'report.html').read_text()
-    assert '"name":"again","axis":"gyro_x"' in page
-    assert 'Compared with again' in page
-
-
 def test_a_measured_ratio_precedes_a_bound(analyzed: Path, tmp_path: Path, capsys) -> None:
     document = json.loads((analyzed / 'results.json').read_text())
     noise = document['axes']['gyro_z']['noise']

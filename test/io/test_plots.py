@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.plot_style import check_plots
+from allan_ros.io.format import check_plots
 from allan_ros.io.plots import figure_files, render_figure, sensor_figure
 from allan_ros.io.results import Results
 

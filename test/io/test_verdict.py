@@ -151,7 +151,7 @@ def test_no_file_calls_a_record_that_is_too_short_beyond_a_limit(small_results: 
 
 def test_different_axes_are_not_reported_as_equal(small_results: Results) -> None:
     axis = small_results.axes['gyro_y']
-    for factor, words in ((1.46, 'differ in white noise: gyro y has 4'), (3.0, 'Gyro y has 3')):
+    for factor, words in ((1.46, 'Gyro y has 1.5 times the'), (3.0, 'check that axis')):
         value = factor * small_results.axes['gyro_x'].fit.noise['N'].value
         loud = {**axis.fit.noise, 'N': Coefficient(value, (0.9 * value, 1.1 * value))}
         axes = {**small_results.axes, 'gyro_y': replace(axis, fit=replace(axis.fit, noise=loud))}

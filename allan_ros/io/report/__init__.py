@@ -17,7 +17,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy
@@ -210,7 +209,9 @@ def _header(results: Results, name: str, units: str) -> Iterator[str]:
 
 def _verdict_section(results: Results, verdict: Verdict) -> str:
     """Return the verdict in one line, with the number of warnings."""
-    summary = in_units(lambda system: escape(verdict_of(results, units=system).summary))
+    summary = in_units(
+        lambda system: escape(verdict_of(results, units=system, spelled=pretty_unit).summary)
+    )
     found = findings_and_notes(results)
     counts = [
         f'{n} {word}{"" if n == 1 else "s"}'
@@ -234,10 +235,10 @@ def _next_steps(results: Results, verdict: Verdict, units: str) -> Iterator[str]
     steps = [step for step in verdict.next_steps if not step.startswith(remedies)]
     reasons = [reason for reason in verdict.reasons if reason not in listed]
     if steps or reasons:
-        yield '<section id="next"><h2>What to do next</h2>'
-        yield f'<ol>{_items(steps)}</ol>' if steps else ''
-        title = '<h3>What the recording shows</h3>'
-        yield f'{title}<ul>{_items(reasons)}</ul></section>' if reasons else '</section>'
+        yield '<section id="next">'
+        yield f'<h2>What to do next</h2><ol>{_items(steps)}</ol>' if steps else ''
+        yield f'<h2>What the recording shows</h2><ul>{_items(reasons)}</ul>' if reasons else ''
+        yield '</section>'
 
 
 def _comparisons(
@@ -264,10 +265,7 @@ def _items(texts: Iterable[str]) -> str:
 def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
     """Yield HTML tables of inputs, sample counts, ``method``, software versions and settings."""
     known, counts = results.provenance, results.provenance.counts
-    inputs = {
-        s.path: ', '.join(filter(None, (s.topic, s.type, s.storage, _size(Path(s.path)))))
-        for s in known.sources
-    }
+    inputs = {s.path: ', '.join(filter(None, (s.topic, s.type, s.storage))) for s in known.sources}
     samples = {
         'used': f'{results.samples:,} samples at {significant(results.rate_hz, 5)} Hz, '
         f'{duration_text(results.duration_s, 3)} in {_segments(results)}',
@@ -288,15 +286,6 @@ def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
     if known.settings:
         rows = {key: _value(value) for key, value in known.settings.items()}
         yield f'<details><summary>All settings ({len(rows)})</summary>{_table(rows)}</details>'
-
-
-def _size(path: Path) -> str:
-    """Return the size of a file or folder as text, or '' if it no longer exists."""
-    try:
-        files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
-        return f'{sum(file.stat().st_size for file in files):,} bytes' if files else ''
-    except OSError:
-        return ''
 
 
 def _segments(results: Results) -> str:

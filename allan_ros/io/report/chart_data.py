@@ -18,14 +18,9 @@ from ...core.imu import AXES, SENSORS
 from ...core.noise import NoiseTerms, term_avar
 from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
-from ..format import (
-    SENSOR_NAMES,
-    pretty_unit,
-    shown_unit,
-)
-from ..plot_style import drawn_curve
+from ..format import SENSOR_NAMES, drawn_curve, pretty_unit, shown_unit
 from ..signal import SignalSummary
-from .tables import copies
+from .tables import coefficients_tsv
 
 if TYPE_CHECKING:
     from ..results import Results
@@ -43,9 +38,6 @@ LEAST_POINTS = 4
 
 PASS_BAND = 4.0
 """Product of the highest frequency and the shortest averaging time that a model describes."""
-
-SAME_LINE = 1.05
-"""Ratio of frequencies below which the sinusoids of two axes share a mark."""
 
 LEAST_RANGE_C = 0.5
 """Temperature range in degC above which the bias is shown against the temperature."""
@@ -69,7 +61,7 @@ def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) 
         'density': _density(axes, results),
         'signal': None if summary is None else _signal(axes, summary),
         'trends': trends(results, sensor, summary),
-        'copy': {units: copies(results, list(axes), units) for units in UNIT_SYSTEMS},
+        'copy': {units: coefficients_tsv(results, list(axes), units) for units in UNIT_SYSTEMS},
     }
 
 
@@ -178,21 +170,15 @@ def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any]
 
 def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
     """Return the frequencies of sinusoids and resonances, each with the letters of its axes."""
-    found: list[tuple[float, str]] = []
+    groups: dict[str, list[tuple[float, str]]] = {}  # frequencies with equal shown digits
     for name, axis in axes.items():
-        found += [(sine.frequency, name[-1]) for sine in axis.processes.sinusoid]
-        found += [(resonance.frequency, name[-1]) for resonance in axis.processes.resonance]
-    found.sort()
-    groups: list[list[tuple[float, str]]] = []
-    for each in found:
-        if groups and each[0] < SAME_LINE * groups[-1][0][0]:
-            groups[-1].append(each)
-        else:
-            groups.append([each])
-    return [
+        sines = [sine.frequency for sine in axis.processes.sinusoid]
+        for frequency in (*sines, *(r.frequency for r in axis.processes.resonance)):
+            groups.setdefault(f'{frequency:.2g}', []).append((frequency, name[-1]))
+    return sorted(
         (float(f'{np.mean([f for f, _ in group]):.3g}'), ' '.join(sorted({a for _, a in group})))
-        for group in groups
-    ]
+        for group in groups.values()
+    )
 
 
 def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> list[dict[str, Any]]:
@@ -233,9 +219,10 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
 
     It is twice the two-sided density of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C. For
     samples of period tau0 and w = 2 pi f, this is 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w and
-    K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) for a Gauss-Markov process. The
-    ramp is omitted because the mean of a block is subtracted, a sinusoid because its density is
-    infinite at one frequency and 0 elsewhere. It is NaN above the pass band of a filter.
+    K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) for a Gauss-Markov process. A
+    resonance is such a process at half its power around w0 and around -w0. The ramp is omitted
+    because the mean of a block is subtracted, a sinusoid because its density is infinite at one
+    frequency and 0 elsewhere. It is NaN above the pass band of a filter.
     """
     terms = axis.fit.model.terms
     omega = 2.0 * np.pi * frequency
@@ -246,8 +233,10 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
         + terms.B**2 / omega
         + (terms.K * axis.tau0 / step) ** 2
     )
-    for sigma, time in axis.fit.model.gauss_markov:
-        density = density + 2.0 * sigma**2 * time / (1.0 + (omega * time) ** 2)
+    processes = [(sigma, 0.0, time) for sigma, time in axis.fit.model.gauss_markov]
+    for sigma, center, time in (*processes, *axis.fit.model.resonances):
+        for offset in (omega - 2.0 * np.pi * center, omega + 2.0 * np.pi * center):
+            density = density + sigma**2 * time / (1.0 + (offset * time) ** 2)
     band = PASS_BAND / (axis.fit.m_min * axis.tau0) if axis.fit.m_min > 1 else math.inf
     return np.where(frequency <= band, 2.0 * density, np.nan)
 

@@ -8,7 +8,7 @@
 const Charts = (() => {
   const { create, element, number, saving, toggles } = Chart;
   const DASHES = { Q: '1 3', N: '8 3', B: '9 3 2 3', K: '14 4', R: '4 3 1 3 1 3' };
-  const [PROCESS, LIMIT, REFERENCE] = ['2 4', '1 5', '6 2'];
+  const [PROCESS, LIMIT, REFERENCE] = ['5 2', '1 5', '6 2'];
   const LINES = 9;  // largest number of sinusoids with a text
   const ink = (label) => `var(--${label})`;
   const letter = (name) => name.split('_').pop();
@@ -130,7 +130,7 @@ const Charts = (() => {
     const text = element('p', { class: 'note' });
     host.append(text);
     function note() {
-      text.textContent = `Points: measured, with 68\u00a0% limits. Line: model; dashed: its parts for ${near.label}. Crosses: where N is read (1 s) and K (3 s).`
+      text.textContent = `Points: measured, with 68\u00a0% limits. Line: model; dashed: its parts for ${near.label} (point at a curve for its parts). Crosses: where N is read (1 s) and K (3 s).`
         + (Object.keys(near.upper).length ? ' Shaded: unresolved terms, up to their 95\u00a0% limits (dotted).' : '')
         + (near.likely.length ? ' "?": likely, not resolved.' : '');
     }
@@ -169,18 +169,19 @@ const Charts = (() => {
       ],
     });
     below(host, chart, axes, shown);
-    host.append(element('p', { class: 'note' }, `Dashed: the model, within the pass band; its flat part is √2 N, the noise density of datasheets.${lines.length ? ' Vertical lines: sinusoids with their frequency and axes, such as vibration.' : ''}`));
+    host.append(element('p', { class: 'note' }, `Dashed: the model, within the pass band; its flat part is √2 N, the noise density of datasheets.${lines.length ? ' Vertical lines: vibrations and resonances, with their axes.' : ''}`));
     chart.render();
     return [chart];
   }
 
+  // Kind of a marked time: color, drawing, text at the cursor, and explanation below the chart.
   const KINDS = {
-    motion: ['moved', 'up', 'excluded: the IMU moved'],
-    stuck: ['bad', 'down', 'excluded: an axis repeated one value'],
-    other: ['excluded', 'down', 'excluded'],
-    gap: ['gap', '', 'no samples'],
-    shock: ['bad', 'mark', 'shock'],
-    noise_increased: ['moved', 'down', 'excluded: noise increased'],
+    motion: ['moved', 'up', 'excluded: the IMU moved', 'Hatched to the upper right: the IMU moved.'],
+    stuck: ['bad', 'down', 'excluded: an axis repeated one value', 'Hatched red: an axis repeated one value.'],
+    other: ['excluded', 'down', 'excluded', 'Hatched gray: excluded (warm-up, or another rate).'],
+    gap: ['gap', '', 'no samples', 'Gray: no samples.'],
+    shock: ['bad', 'mark', 'shock', 'Dashed lines: shocks.'],
+    noise_increased: ['moved', 'down', 'excluded: noise increased', 'Hatched to the lower right: noise increased.'],
   };
 
   // Time in the unit of the charts: seconds, minutes or hours.
@@ -208,8 +209,7 @@ const Charts = (() => {
   // The text that explains the marks.
   function explained(page) {
     const kinds = new Set(page.times.bands.map(([, , kind]) => kind));
-    const words = { motion: 'Hatched to the upper right: the IMU moved.', stuck: 'Hatched red: an axis repeated one value.', other: 'Hatched gray: excluded (warm-up, or another rate).', gap: 'Gray: no samples.', shock: 'Dashed lines: shocks.', louder: 'Hatched to the lower right: noise increased.' };
-    return [...Object.entries(words).filter(([kind]) => kinds.has(kind)).map(([, text]) => text), ...(page.times.starts.length ? ['Vertical lines: start of the next recording.'] : [])].join(' ');
+    return [...Object.keys(KINDS).filter((kind) => kinds.has(kind)).map((kind) => KINDS[kind][3]), ...(page.times.starts.length ? ['Vertical lines: start of the next recording.'] : [])].join(' ');
   }
 
   // The bias or the noise of all axes over time, or the bias over temperature as single points.
@@ -261,7 +261,7 @@ const Charts = (() => {
       chart.note = () => {
         const parts = [data.kind === 'noise' ? `Averages over ${number(data.span, 3)} s of the differences of successive samples; constant if the noise does not change.` : `Averages over ${number(data.span, 3)} s at rest.`];
         if (points) parts.push(`Slope of a straight line, per °C: ${listed(data.slopes)}.`);
-        if (data.white && data.white.some((v) => v !== null)) parts.push(`With white noise alone, 95 % would lie within ± ${listed(data.white)}.`);
+        if (data.white && data.white.some((v) => v !== null)) parts.push(`With white noise alone, 95 % would lie within these distances of 0: ${listed(data.white)}.`);
         text.textContent = [...parts, points ? '' : explained(page)].join(' ');
       };
       chart.note();
@@ -282,7 +282,7 @@ const Charts = (() => {
         title: `${sensor.title}: raw signal ${label}`, name: `signal_${a.name}`, height: 150, xs: x,
         x: { full: () => [0, x[x.length - 1]], label: () => `time [${name}]` },
         // The used samples fill the picture; an excluded shock may exceed it.
-        y: { full: () => [-1.15 * a.reach * unit()[1], 1.15 * a.reach * unit()[1]], label: () => `${label} minus ${number(a.middle * unit()[1])} ${unit()[0]}` },
+        y: { full: () => [-1.15 * a.reach * unit()[1], 1.15 * a.reach * unit()[1]], label: () => `${label} [${unit()[0]}], 0 = median ${number(a.middle * unit()[1])}` },
         draw(pen) {
           pen.area(x, times(a.low, unit()[1]), times(a.high, unit()[1]), ink(label));
           events(pen, page);

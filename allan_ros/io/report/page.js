@@ -23,19 +23,16 @@
 
   function copyButtons(host, sensor) {
     const status = element('span', { role: 'status' });
-    const forms = Object.keys(sensor.copy[data.units]);
-    const offers = { ...Object.fromEntries(forms.map((form) => [form, () => sensor.copy[page.units()][form]])), 'curve (TSV)': () => curve(sensor) };
-    host.append('copy the coefficients as');
-    for (const [form, text] of Object.entries(offers)) {
-      const button = element('button', { type: 'button' }, form);
+    const offers = { coefficients: () => sensor.copy[page.units()], curve: () => curve(sensor) };
+    host.append('copy as table');
+    for (const [what, text] of Object.entries(offers)) {
+      const button = element('button', { type: 'button' }, what);
       button.addEventListener('click', async () => {
-        status.textContent = (await copy(text())) ? `${form} copied` : 'the browser does not allow it';
+        status.textContent = (await copy(text())) ? `${what} copied` : 'the browser does not allow it';
       });
       host.append(button);
     }
-    const file = element('button', { type: 'button', 'data-form': 'CSV' }, 'CSV');
-    file.addEventListener('click', () => Chart.download(new Blob([sensor.copy[page.units()].TSV.replaceAll('\t', ',')], { type: 'text/csv' }), `coefficients_${sensor.sensor}.csv`));
-    host.append('save', file, status);
+    host.append(status);
     host.hidden = false;
   }
 

@@ -10,7 +10,6 @@ from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
-import yaml
 
 from ...core.compare import Comparison
 from ...core.errors import AllanError
@@ -27,7 +26,6 @@ from ..format import (
     deviation_text,
     interval_text,
     known_numbers,
-    markdown_rows,
     part_text,
     pretty_unit,
     shown_unit,
@@ -343,32 +341,12 @@ def _note(text: str) -> str:
     return f'<p class="note">{escape(text, quote=False).replace(" %", "&nbsp;%")}</p>'
 
 
-def copies(results: Results, axes: Sequence[str], units: str) -> dict[str, str]:
-    """Return the coefficients of some axes as text in three formats: TSV, Markdown and YAML.
-
-    The keys are the names of the formats. Names of units are ASCII.
-    """
-    lines, table = ['\t'.join(COLUMNS)], []
-    tree: dict[str, dict[str, dict[str, object]]] = {}
+def coefficients_tsv(results: Results, axes: Sequence[str], units: str) -> str:
+    """Return the coefficients of some axes as tab-separated values, with ASCII names of units."""
+    lines = ['\t'.join(COLUMNS)]
     for axis in axes:
-        tree[axis] = {}
         for term, c in results.axes[axis].fit.noise.items():
             unit = shown_unit(axis, term, units)
-            value, low, high, upper = numbers = known_numbers(c, unit)
-            shown = ('' if number is None else f'{number:g}' for number in numbers)
+            shown = ('' if n is None else f'{n:g}' for n in known_numbers(c, unit))
             lines.append('\t'.join([axis, term, *shown, unit.name]))
-            ci95 = None if low is None else [low, high]
-            known = {'value': value, 'ci95': ci95, 'upper95': upper}
-            given = {key: number for key, number in known.items() if number is not None}
-            tree[axis][term] = {'unit': unit.name, **given}
-    for term in TERMS:
-        unit = shown_unit(axes[0], term, units)
-        noise = [results.axes[axis].fit.noise[term] for axis in axes]
-        intervals = [f' ({i})' if (i := interval_text(c, unit)) else '' for c in noise]
-        cells = [value_text(c, unit) + interval for c, interval in zip(noise, intervals)]
-        table.append([term, unit.name, *cells])
-    return {
-        'TSV': '\n'.join(lines) + '\n',
-        'Markdown': markdown_rows([['term', 'unit', *axes], *table]),
-        'YAML': yaml.safe_dump(tree, sort_keys=False, default_flow_style=None),
-    }
+    return '\n'.join(lines) + '\n'

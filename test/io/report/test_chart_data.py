@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
-from allan_ros.io.report.chart_data import sensor_charts, trends
+from allan_ros.core.fit import AxisFit
+from allan_ros.core.noise import ProcessModel
+from allan_ros.io.axis_result import AxisResult
+from allan_ros.io.report.chart_data import model_density, sensor_charts, trends
 from allan_ros.io.results import Results
 from allan_ros.io.signal import SignalSummary, SignalTemperature, summarize_signal
 
@@ -88,3 +91,15 @@ def test_a_sinusoid_is_marked_with_its_frequency_and_axes() -> None:
     chart = sensor_charts(results, 'gyro', None)
     [(frequency, axes)] = chart['density']['lines']
     assert frequency == pytest.approx(3.0, rel=0.01) and axes == 'x y'
+
+
+def test_the_density_of_the_model_contains_the_variance_of_its_processes() -> None:
+    model = ProcessModel(gauss_markov=((2.0, 5.0),), resonances=((3.0, 4.0, 0.5),))
+    axis = AxisResult(0.01, AxisFit({}, model), name='gyro_x')
+    frequency = np.geomspace(1e-5, 1e3, 100_000)
+    density = model_density(axis, frequency)
+    # the trapezoids omit 2e-4 of the variance
+    assert np.sum(np.diff(frequency) * (density[1:] + density[:-1]) / 2.0) == pytest.approx(
+        2.0**2 + 3.0**2, rel=1e-3
+    )
+    assert frequency[np.argmax(np.where(frequency > 1.0, density, 0.0))] == pytest.approx(4.0, 1e-2)

@@ -14,6 +14,7 @@ import pytest
 from support.chromium import Chromium
 
 import allan_ros as ar
+from allan_ros.core.fit import Coefficient
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.io.datasheets import load_sensor
@@ -64,7 +65,12 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     stamps = 10**18 + np.arange(n, dtype=np.int64) * period
     envelope = SignalEnvelope()
     envelope.update(ImuBatch(stamps, np.random.default_rng(1).normal(size=(n, 6))))
-    results = replace(small_results, identity=ImuIdentity(HOSTILE, ''))
+    long = Coefficient(2e-6, (1.234e-6, 3.456e-6))  # the longest name of a term is next to it
+    axes = {
+        name: replace(axis, fit=replace(axis.fit, noise={**axis.fit.noise, 'K': long}))
+        for name, axis in small_results.axes.items()
+    }
+    results = replace(small_results, axes=axes, identity=ImuIdentity(HOSTILE, ''))
     results = results.against_datasheet(load_sensor('adis16475-3'), 0.1)
     temperature = TemperatureTrace(
         '/imu/temp', stamps[::50], stamps[::50], np.linspace(20.0, 31.0, 400)
@@ -203,7 +209,8 @@ def test_units_are_switched_everywhere_and_copied(browser: Chromium, page: Path)
     browser.evaluate('document.querySelector("[name=units][value=SI]").click()')
     assert 'rad/s' in browser.evaluate(shown) and '°' not in browser.evaluate(shown)
     browser.evaluate('document.querySelector(".copy button").click()')
-    browser.wait_for('document.querySelector(".copy [role=status]").textContent === "TSV copied"')
+    said = 'document.querySelector(".copy [role=status]").textContent'
+    browser.wait_for(f'{said} === "coefficients copied"')
 
 
 def test_charts_are_saved_in_light_colors(browser: Chromium, page: Path) -> None:
@@ -221,7 +228,6 @@ def test_charts_are_saved_in_light_colors(browser: Chromium, page: Path) -> None
     for selector, name in (
         ('#gyro [data-form=SVG]', 'allan_gyro.svg'),
         ('#gyro [data-form=PNG]', 'allan_gyro.png'),
-        ('.copy [data-form=CSV]', 'coefficients_gyro.csv'),
     ):
         answer = browser.call(
             'Runtime.evaluate',
