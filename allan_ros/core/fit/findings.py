@@ -46,12 +46,12 @@ def common_step(phase: Floats, deviation: float) -> float | None:
         return None
     step, values = 0.0, moved.tolist()
     for i, value in enumerate(values):
-        step = _common_divisor(value, step, least)
+        former, step = step, _common_divisor(value, step, least)
         if step < least:
             return None
         # Euclid's algorithm accumulates rounding errors; dividing by the multiples so far, smallest
         # first, removes them.
-        for known in values[: i + 1]:
+        for known in [value] if step == former else values[: i + 1]:
             multiple = round(known / step)
             if multiple < 1:
                 return None  # the divisor exceeds a number that it should divide: there is no step
