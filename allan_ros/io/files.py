@@ -107,15 +107,6 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
     raise AllanError(f'{os.fspath(path)}: cannot be read ({why}): check the path')
 
 
-def is_number(text: str) -> bool:
-    """Return whether a text is a number, including NaN and infinity."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _not_regular(path: str | os.PathLike[str]) -> AllanError:
     return AllanError(
         f'{os.fspath(path)}: is a folder, FIFO, device or socket: give a regular file'
@@ -403,9 +394,6 @@ def _simplified(name: str) -> str:
 OWNER_BYTES = 20
 """Number of bytes that are read from a lock file, which contains a process number."""
 
-LOCKED_BYTE = 2**30
-"""Offset of the byte that is locked on Windows: after the text, which stays readable."""
-
 
 class PathLock:
     """A lock that lets only one process write a path, which need not exist.
@@ -466,30 +454,18 @@ class PathLock:
 
 
 def _try_to_lock(handle: int) -> bool:
-    """Lock an open file; return False if another process has locked it."""
+    """Lock an open file; return False if another process has locked it.
+
+    Without locks, as on Windows and some file systems, other owners cannot be detected.
+    """
     try:
         import fcntl
-    except ImportError:
-        return _try_to_lock_on_windows(handle)
-    try:
+
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:
-        pass  # a file system without locks: other owners cannot be detected
-    return True
-
-
-def _try_to_lock_on_windows(handle: int) -> bool:
-    try:
-        import msvcrt
-    except ImportError:
-        return True  # no locks on this system: other owners cannot be detected
-    os.lseek(handle, LOCKED_BYTE, os.SEEK_SET)
-    try:
-        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-    except OSError:
-        return False
+    except (ImportError, OSError):
+        pass
     return True
 
 

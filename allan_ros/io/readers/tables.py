@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from decimal import Decimal, DecimalException
 from io import TextIOWrapper
-from itertools import chain, islice
+from itertools import chain, islice, takewhile
 from pathlib import Path
 from typing import TextIO
 
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, SAMPLE_SI, ImuBatch, even_stamps
-from ..files import is_number, open_regular
+from ..files import open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .columns import DATES, LEFT_OUT, Columns, columns_of, listed, picked_names
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
@@ -46,7 +46,7 @@ MAX_LINE = 1 << 20
 EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
 FIRST_ROWS = 200
-"""Number of rows from which the unit of the stamps and the decimal mark are recognized."""
+"""Number of rows from which the unit of the stamps is recognized."""
 
 DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
 """Start of a date with a time (ISO 8601)."""
@@ -71,7 +71,6 @@ class _Table:
     header_line: int  # number of the line with the names; 0 without a header
     columns: Columns
     rate_hz: float  # sample rate if there are no stamps
-    comma: bool  # whether decimals are written with a comma
 
 
 def open_table(path: Path, options: ReadOptions) -> Recording:
@@ -126,16 +125,11 @@ def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         empty = not next_rows
     if empty:
         raise AllanError(f'{path}: has no line after its header: record or export it again')
-    comma = any(
-        not is_number(cell) and is_number(cell.replace(',', '.')) and ',' in cell
-        for row in next_rows[:1]
-        for cell in row
-    )
     columns = columns_of(path, names, options)
     _check_complete(path, names, columns, options)
     if len(columns.stamp) == 1:
-        columns = _with_times(path, columns, next_rows, comma, options.stamp_unit)
-    return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz, comma)
+        columns = _with_times(path, columns, next_rows, options.stamp_unit)
+    return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz)
 
 
 def _names(
@@ -171,23 +165,26 @@ def _names(
     return (picked_names(path, names, given) if picked else names), line
 
 
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def _is_value(cell: str) -> bool:
-    """Return whether a cell is a number, also with a decimal comma, or a date."""
-    return is_number(cell.replace(',', '.', 1)) or bool(DATE.match(cell))
+    """Return whether a cell is a number or a date."""
+    return _is_number(cell) or bool(DATE.match(cell))
 
 
-def _with_times(
-    path: Path, columns: Columns, rows: list[list[str]], comma: bool, stated: str
-) -> Columns:
+def _with_times(path: Path, columns: Columns, rows: list[list[str]], stated: str) -> Columns:
     """Return the columns with the unit of the stamps, which is recognized from the first rows."""
     ((column, _),) = columns.stamp
     cells = [row[column] for row in rows if len(row) > column]
     if cells and DATE.match(cells[0]):
         return replace(columns, stamp=((column, DATES),))
-    times = []
-    with suppress(ValueError):
-        for cell in cells:
-            times.append(float(cell.replace(',', '.') if comma else cell))
+    times = list(map(float, takewhile(_is_number, cells)))
     return columns.with_time_unit(path, np.array(times or [0.0]), stated)
 
 
@@ -196,14 +193,9 @@ def _check_complete(
 ) -> None:
     """Raise AllanError if there is no axis, or if the times are missing."""
     if not columns.axes:
-        bases = [name.strip().lower() for name in names]
-        example = f'--columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out) or gx=NAME,...'
-        if {'x', 'y', 'z'} <= set(bases):  # the sensor is stated by the name of the file
-            time = next((f't={name},' for name in names if 'time' in name.lower()), '')
-            example = f'--columns {time}gx=x,gy=y,gz=z for a gyro, or ax=x,ay=y,az=z'
         raise AllanError(
-            f'{path}: no column ({listed(names)}) is a gyro or accel axis: name them, '
-            f'such as {example}'
+            f'{path}: no column ({listed(names)}) is a gyro or accel axis: name them, such as '
+            f'--columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out), or t=NAME,gx=NAME,...'
         )
     if not columns.stamp and not options.rate_hz:
         raise AllanError(
@@ -220,18 +212,17 @@ def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
     """
     delimiter = '\t' if path.suffix.lower() == '.tsv' else ','
     written = 0
-    frame_id = ''
+    frame_id: str | None = None
     with_record: bool | None = None
     with path.open('w', encoding='utf-8', newline='\n') as file:
         for batch in batches:
+            if batch.frame_id != frame_id:
+                frame_id = batch.frame_id
+                file.write(f'{FRAME_COMMENT} {" ".join(frame_id.split())}\n')
             if with_record is None:
                 with_record = batch.record_ns is not None
                 names = ['stamp_ns', *AXES] + ['record_ns'] * with_record
-                _write_frame(file, batch.frame_id)
                 file.write(delimiter.join(names) + '\n')
-            elif batch.frame_id != frame_id:
-                _write_frame(file, batch.frame_id)
-            frame_id = batch.frame_id
             if with_record != (batch.record_ns is not None):
                 raise AllanError(
                     f'{path}: some batches have record times and some do not: write a bag'
@@ -243,10 +234,6 @@ def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
             file.writelines(delimiter.join(row) + '\n' for row in zip(*columns))
             written += len(batch)
     return written
-
-
-def _write_frame(file: TextIO, frame_id: str) -> None:
-    file.write(f'{FRAME_COMMENT} {" ".join(frame_id.split())}\n')
 
 
 def _text(path: Path) -> TextIO:
@@ -270,9 +257,11 @@ def _bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
 def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
     """Yield the cells of each row; a quoted cell may contain line breaks.
 
-    Without a delimiter, cells are separated by white space. Raises csv.Error when a quote is not
-    closed, or a cell is longer than 128 kB.
+    Without a delimiter, cells are separated by white space. A comma that is no delimiter is a
+    decimal mark. Raises csv.Error when a quote is not closed, or a cell is longer than 128 kB.
     """
+    if delimiter != ',':
+        lines = (line.replace(',', '.') for line in lines)
     if not delimiter:
         return map(str.split, lines)
     return csv.reader(lines, delimiter=delimiter, strict=True)
@@ -338,21 +327,18 @@ class _Rows:
 
     def _floats(self, cells: tuple[str, ...], column: int) -> NDArray[np.float64]:
         """Convert a column to numbers; an empty cell becomes NaN."""
-        if self.table.comma:
-            cells = tuple(cell.replace(',', '.') for cell in cells)
         with suppress(ValueError):
             return np.array(list(map(float, cells)))
-        for row, cell in enumerate(cells):
-            if cell.strip() and not is_number(cell):
+        known = [cell if cell.strip() else 'nan' for cell in cells]
+        for row, cell in enumerate(known):
+            if not _is_number(cell):
                 raise self._not_a_number(row, column)
-        return np.array([float(cell) if cell.strip() else np.nan for cell in cells])
+        return np.array(list(map(float, known)))
 
     def _nanoseconds(self, cells: tuple[str, ...], column: int, scale: int) -> NDArray[np.int64]:
         """Convert a column of times exactly to ns; ``scale`` is the size of its unit in ns."""
         if scale == DATES:
             return self._dates(cells, column)
-        if self.table.comma:
-            cells = tuple(cell.replace(',', '.') for cell in cells)
         if scale == 1:
             with suppress(ValueError, OverflowError):
                 return np.array(list(map(int, cells)), dtype=np.int64)
@@ -374,7 +360,7 @@ class _Rows:
     def _dates(self, cells: tuple[str, ...], column: int) -> NDArray[np.int64]:
         """Convert dates with a time (ISO 8601) to ns since 1970."""
         zone = TIME_ZONE.search(cells[0].strip())
-        texts = [TIME_ZONE.sub('', cell.strip().replace(',', '.')) for cell in cells]
+        texts = [TIME_ZONE.sub('', cell.strip()) for cell in cells]
         try:
             stamps = np.array(texts, 'datetime64[ns]').astype(np.int64)
         except ValueError:
@@ -389,11 +375,9 @@ class _Rows:
     def _not_a_number(self, row: int, column: int) -> AllanError:
         cell = self.cells[row][column].strip()[:40]
         name = f' ({self.table.names[column]})' if self.table.names else ''
-        comma = ',' in cell and is_number(cell.replace(',', '.'))
-        remedy = 'use one decimal mark' if comma else 'correct or remove the line'
         return AllanError(
             f'{self.table.path}: line {self.numbers[row]}, column {column + 1}{name}: {cell!r} is '
-            f'not a number: {remedy}'
+            'not a number: correct or remove the line'
         )
 
 
@@ -421,8 +405,7 @@ class _Reader:
                 if column is not None:
                     celsius = (row[column] for row in rows.cells)
                     for stamp, cell in zip(batch.stamps_ns.tolist(), celsius):
-                        text = cell.replace(',', '.') if table.comma else cell
-                        self._kept.add((stamp, float(text) if is_number(text) else np.nan))
+                        self._kept.add((stamp, float(cell) if _is_number(cell) else np.nan))
                 yield batch
 
     def temperature(self) -> TemperatureTrace | None:
