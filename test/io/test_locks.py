@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -95,27 +94,6 @@ def test_a_lock_file_that_is_not_a_regular_file_is_rejected(
     make(tmp_path / '.imu.json.lock')
     with pytest.raises(AllanError, match=r'regular file|directory'):
         PathLock(tmp_path / 'imu.json').acquire()
-
-
-def test_without_posix_locks_the_fallback_is_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    held: set[tuple[int, int]] = set()
-
-    def locking(handle: int, _mode: int, _bytes: int) -> None:
-        stat = os.fstat(handle)
-        key = stat.st_dev, stat.st_ino
-        if key in held:
-            raise OSError(36, 'locked')
-        held.add(key)
-
-    monkeypatch.setitem(sys.modules, 'fcntl', None)
-    monkeypatch.setitem(sys.modules, 'msvcrt', SimpleNamespace(locking=locking, LK_NBLCK=2))
-    first, second = (PathLock(tmp_path / 'imu.json') for _ in range(2))
-    assert first.acquire() == ''
-    assert second.acquire() == f'process {os.getpid()}'
-    monkeypatch.setitem(sys.modules, 'msvcrt', None)
-    assert PathLock(tmp_path / 'other.json').acquire() == ''
 
 
 def test_the_offline_part_imports_without_posix() -> None:

@@ -21,12 +21,14 @@ import pytest
 from allan_ros.io.readers import topics_of
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.io.writing import write_recording
+from fuzz.mcap_target import Plan, build
+from fuzz.reading import small_batch
 
 zstandard = pytest.importorskip('zstandard')
 yaml = pytest.importorskip('yaml')
 
 MAGIC = b'\x89MCAP0\r\n'
-MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS = 0x05, 0x06, 0x07, 0x08, 0x0B
+CHUNK, CHUNK_INDEX, STATISTICS = 0x06, 0x08, 0x0B
 DATA_END, FOOTER = 0x0F, 0x02
 
 
@@ -57,27 +59,27 @@ def test_chunks_the_summary_does_not_list_are_read(
     tmp_path: Path, imu_batches: Any, read: Any
 ) -> None:
     data = bytearray(mcap_file(tmp_path, imu_batches(12_000)))
-    listed = [r for r in records(bytes(data)) if r[0] == CHUNK_INDEX]
-    assert len(listed) > 2
-    for _, start, _ in listed[1:]:
+    for _, start, _ in [r for r in records(bytes(data)) if r[0] == CHUNK_INDEX][1:]:
         data[start] = 0x0D  # a metadata index, which no reader uses
     path = tmp_path / 'bad.mcap'
     path.write_bytes(data)
     back = read(path)
-    assert len(back.stamps_ns) == 12_000
-    assert ids(back) == []
+    assert len(back.stamps_ns) == 12_000 and ids(back) == []
 
 
-def test_a_count_that_differs_is_a_warning(tmp_path: Path, imu_batches: Any, read: Any) -> None:
-    data = bytearray(mcap_file(tmp_path, imu_batches(3_000)))
-    [end] = [r[2] for r in records(bytes(data)) if r[0] == STATISTICS]
-    data[end - 8 : end] = struct.pack('<Q', 6_000)
-    path = tmp_path / 'bad.mcap'
-    path.write_bytes(data)
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'statistics'])
+def test_a_count_that_differs_is_a_warning(storage: str, tmp_path: Path, read: Any) -> None:
+    path = tmp_path / 'bag.mcap'
+    path.write_bytes(build(Plan(counted=3600)))
+    if storage != 'statistics':
+        path = tmp_path / 'run'
+        write_recording(path, [small_batch()], storage=storage)
+        metadata = path / 'metadata.yaml'
+        text = metadata.read_text()
+        metadata.write_text(text.replace('message_count: 40', 'message_count: 3600'))
     back = read(path)
-    assert ids(back) == ['count_differs']
-    assert back.findings[0].severity == 'warning'
-    assert 'states 6000 messages, but 3000 were read' in str(back.findings[0])
+    assert [(f.id, f.severity) for f in back.findings] == [('count_differs', 'warning')]
+    assert 'states 3600 messages, but 40 were read' in str(back.findings[0])
 
 
 def two_channels(folder: Path, batch: Any, checksum: bool) -> bytes:
@@ -169,57 +171,19 @@ def test_many_topics_take_linear_time(tmp_path: Path, imu_batches: Any, refused:
     assert time.process_time() - began < 5.0
 
 
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_metadata_that_states_more_is_a_warning(
-    storage: str, tmp_path: Path, imu_batches: Any, read: Any
+@pytest.mark.parametrize('summary', [True, False])
+@pytest.mark.parametrize('loose', [(), (1, 3), (0, 1, 2, 3)])
+@pytest.mark.parametrize('ended', [True, False])
+def test_the_summary_the_chunks_and_the_end_are_optional(
+    summary: bool, loose: tuple[int, ...], ended: bool, tmp_path: Path, read: Any
 ) -> None:
-    write_recording(tmp_path / 'run', imu_batches(900), storage=storage)
-    path = tmp_path / 'run/metadata.yaml'
-    path.write_text(path.read_text().replace('message_count: 900', 'message_count: 3600'))
-    back = read(tmp_path / 'run')
-    assert ids(back) == ['count_differs']
-    assert 'metadata.yaml states 3600 messages, but 900 were read' in str(back.findings[0])
-
-
-def test_messages_outside_chunks_are_read_too(
-    tmp_path: Path, imu_batches: Any, joined: Any, read: Any
-) -> None:
-    """A valid file: every second chunk is replaced by its messages, the summary is adapted."""
-    batches = imu_batches(12_000)
-    data = mcap_file(tmp_path, batches)
-    out, moved, number = bytearray(MAGIC), {}, 0
-    listed = []
-    for opcode, start, end in records(data):
-        record = data[start:end]
-        if opcode == CHUNK:
-            number += 1
-            if number % 2:
-                moved[start] = len(out)
-                out += record
-            else:
-                (named,) = struct.unpack_from('<I', record, 9 + 28)
-                out += record[9 + 28 + 4 + named + 8 :]
-        elif opcode == CHUNK_INDEX:
-            (at,) = struct.unpack_from('<Q', record, 9 + 16)
-            if at in moved:
-                listed.append(record[: 9 + 16] + struct.pack('<Q', moved[at]) + record[9 + 24 :])
-        elif opcode == DATA_END:
-            out += record
-            summary_at = len(out)
-        elif opcode == STATISTICS:
-            out += b''.join(listed) + record
-        elif opcode == FOOTER:
-            out += struct.pack('<BQQQI', FOOTER, 20, summary_at, 0, 0) + MAGIC
-            break
-        elif opcode == MESSAGE_INDEX and number % 2 == 0:
-            pass
-        elif opcode != 0x0E:  # summary offsets
-            out += record
-    path = tmp_path / 'mixed.mcap'
-    path.write_bytes(out)
+    data = build(Plan(chunks=4, loose=loose, summary=summary))
+    path = tmp_path / 'bag.mcap'
+    path.write_bytes(data if ended else data[: -len(MAGIC) - 29])
     back = read(path)
-    np.testing.assert_array_equal(back.stamps_ns, joined(batches).stamps_ns)
-    assert ids(back) == []
+    np.testing.assert_array_equal(back.stamps_ns, small_batch().stamps_ns)
+    np.testing.assert_array_equal(back.samples, small_batch().samples)
+    assert ids(back) == [] if ended else ids(back) == ['bag_cut']
 
 
 @pytest.mark.parametrize('opcode, length', [(DATA_END, 4), (FOOTER, 20), (DATA_END, 7)])
@@ -291,9 +255,11 @@ def test_a_damaged_pointer_to_the_last_page_is_reported(
     assert not silent
 
 
-def test_reading_a_database_with_a_log_creates_no_file(
-    tmp_path: Path, imu_batches: Any, read: Any
+@pytest.mark.parametrize('suffixes', [('', '-wal'), ('', '-wal', '-shm')])
+def test_the_log_of_a_database_is_read_and_no_file_created(
+    suffixes: tuple[str, ...], tmp_path: Path, imu_batches: Any, read: Any
 ) -> None:
+    """A killed recorder leaves its last messages in a write-ahead log."""
     source = database(tmp_path, imu_batches(40))
     writer = sqlite3.connect(source)
     writer.execute('PRAGMA journal_mode=WAL')
@@ -304,31 +270,32 @@ def test_reading_a_database_with_a_log_creates_no_file(
     writer.commit()
     folder = tmp_path / 'copied'
     folder.mkdir()
-    for suffix in ('', '-wal'):
+    for suffix in suffixes:
         (folder / f'run.db3{suffix}').write_bytes(Path(f'{source}{suffix}').read_bytes())
     writer.close()
     assert len(read(folder / 'run.db3').stamps_ns) == 80
-    assert sorted(child.name for child in folder.iterdir()) == ['run.db3', 'run.db3-wal']
+    assert {child.name for child in folder.iterdir()} == {f'run.db3{end}' for end in suffixes}
 
 
-@pytest.mark.parametrize('count', ['.inf', '.nan', '-1', 'true', '1e3', '"12"', '9' * 400])
-def test_an_invalid_number_of_messages_is_rejected(
-    count: str, tmp_path: Path, imu_batches: Any, refused: Any
+@pytest.mark.parametrize(
+    'right, wrong, says',
+    [
+        *(
+            ('message_count: 9', f'message_count: {count}', 'remove it to read')
+            for count in ('.inf', '.nan', '-1', 'true', '1e3', '"12"', '9' * 400)
+        ),
+        (': cdr', ': "\\x1b[2J"', 'not a printable text'),
+        (': sensor_msgs/msg/Imu', ': "\\x1b[2J"', 'not a printable text'),
+    ],
+)
+def test_invalid_metadata_is_rejected(
+    right: str, wrong: str, says: str, tmp_path: Path, imu_batches: Any, refused: Any
 ) -> None:
     write_recording(tmp_path / 'run', imu_batches(9))
     path = tmp_path / 'run/metadata.yaml'
-    path.write_text(path.read_text().replace('message_count: 9', f'message_count: {count}'))
+    path.write_text(path.read_text().replace(right, wrong))
     said = refused(tmp_path / 'run')
-    assert 'metadata.yaml: cannot be read' in said and 'remove it to read' in said
-
-
-def test_escapes_in_metadata_are_rejected(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
-    write_recording(tmp_path / 'run', imu_batches(9))
-    path = tmp_path / 'run/metadata.yaml'
-    text = path.read_text()
-    for name in ('cdr', 'sensor_msgs/msg/Imu'):
-        path.write_text(text.replace(f': {name}', ': "\\x1b[2J"'))
-        assert 'not a printable text' in refused(tmp_path / 'run')
+    assert 'metadata.yaml: cannot be read' in said and says in said
 
 
 # --- input is limited ----------------------------------------------------------------------------

@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
-import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -79,14 +78,9 @@ def test_several_inputs_are_several_recordings(tmp_path: Path, imu_batches: Any)
     write_recording(tmp_path / 'a', imu_batches(10))
     write_recording(tmp_path / 'b.csv', imu_batches(20))
     recordings = open_recordings([tmp_path / 'a', str(tmp_path / 'b.csv')])
-    assert [sum(map(len, one.batches())) for one in recordings] == [10, 20]
+    for _ in range(2):  # a recording can be read twice
+        assert [sum(map(len, one.batches())) for one in recordings] == [10, 20]
     assert [one.info.path for one in recordings] == [str(tmp_path / 'a'), str(tmp_path / 'b.csv')]
-
-
-def test_a_recording_can_be_read_twice(tmp_path: Path, imu_batches: Any) -> None:
-    write_recording(tmp_path / 'a', imu_batches(10))
-    [recording] = open_recordings([tmp_path / 'a'])
-    assert [sum(map(len, recording.batches())) for _ in range(2)] == [10, 10]
 
 
 @pytest.mark.parametrize('compression', ['none', 'chunk'])
@@ -109,38 +103,21 @@ def test_a_truncated_file_yields_its_complete_chunks(
     assert str(int(0.7 * len(data))) in str(back.findings[0])
 
 
-@pytest.mark.parametrize('storage, suffix', [('mcap', ''), ('ros1', '.bag')])
-def test_a_file_truncated_anywhere_is_read_or_reported_in_one_line(
-    storage: str, suffix: str, tmp_path: Path, imu_batches: Any, outcome: Any
+def test_a_damaged_ros1_bag_is_read_or_reported_in_one_line(
+    tmp_path: Path, imu_batches: Any, outcome: Any
 ) -> None:
-    write_recording(tmp_path / f'run{suffix}', imu_batches(40), storage=storage)
-    source = tmp_path / ('run/run.mcap' if storage == 'mcap' else 'run.bag')
-    data = source.read_bytes()
-    cut = tmp_path / f'cut{source.suffix}'
+    write_recording(tmp_path / 'run.bag', imu_batches(40))
+    data = np.frombuffer((tmp_path / 'run.bag').read_bytes(), np.uint8)
     rng = np.random.default_rng(4)
+    spoiled = tmp_path / 'spoiled.bag'
     for length in rng.integers(1, len(data), size=60):
-        cut.write_bytes(data[:length])
-        count, said = outcome(cut)
-        assert '\n' not in said
-        assert said.startswith(str(cut)) if said else count == 40
-
-
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
-def test_flipped_bytes_never_end_in_a_traceback(
-    storage: str, tmp_path: Path, imu_batches: Any, outcome: Any
-) -> None:
-    path = tmp_path / ('run.bag' if storage == 'ros1' else 'run')
-    write_recording(path, imu_batches(40), storage=storage)
-    source = path if storage == 'ros1' else path / f'run{SUFFIX[storage]}'
-    data = np.frombuffer(source.read_bytes(), np.uint8)
-    rng = np.random.default_rng(5)
-    spoiled = tmp_path / f'spoiled{source.suffix}'
-    for _ in range(80):
+        spoiled.write_bytes(data[:length].tobytes())
+        count, said = outcome(spoiled)
+        assert said.startswith(str(spoiled)) if said else count == 40
         flipped = data.copy()
         flipped[rng.integers(0, len(data), size=20)] = rng.integers(0, 256, size=20)
         spoiled.write_bytes(flipped.tobytes())
-        _, said = outcome(spoiled)
-        assert '\n' not in said
+        assert '\n' not in said + outcome(spoiled)[1]
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
@@ -160,70 +137,6 @@ def test_messages_come_in_the_order_of_their_record_time(
     with highlevel.AnyReader([path]) as reader:
         times = [time for _, time, _ in reader.messages()]
     np.testing.assert_array_equal(back.record_ns, times)
-
-
-def mcap_records(data: bytes) -> list[tuple[int, bytes]]:
-    """Return opcode and content of each record."""
-    records, at = [], 0
-    while at + 9 <= len(data):
-        opcode, length = struct.unpack_from('<BQ', data, at)
-        records.append((opcode, data[at + 9 : at + 9 + length]))
-        at += 9 + length
-    return records
-
-
-@pytest.mark.parametrize('chunked', [True, False])
-@pytest.mark.parametrize('ended', [True, False])
-def test_an_mcap_without_summary_is_complete(
-    chunked: bool, ended: bool, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
-) -> None:
-    """The summary and the chunks are optional in the format; the end record is not."""
-    batches = imu_batches(9000)
-    write_recording(tmp_path / 'run', batches)
-    magic, data = b'\x89MCAP0\r\n', (tmp_path / 'run/run.mcap').read_bytes()
-    kept = magic
-    for opcode, content in mcap_records(data[len(magic) : -len(magic)]):
-        if opcode == 0x06:
-            inner = content[32 + struct.unpack_from('<I', content, 28)[0] + 8 :]
-            kept += struct.pack('<BQ', opcode, len(content)) + content if chunked else inner
-        elif opcode == 0x01:
-            kept += struct.pack('<BQ', opcode, len(content)) + content
-    footer = struct.pack('<BQI', 0x0F, 4, 0) + struct.pack('<BQQQI', 0x02, 20, 0, 0, 0) + magic
-    path = tmp_path / 'bare.mcap'
-    path.write_bytes(kept + footer * ended)
-    back = read(path)
-    truth = joined(batches)
-    np.testing.assert_array_equal(back.stamps_ns, truth.stamps_ns)
-    np.testing.assert_array_equal(back.samples, truth.samples)
-    assert [finding.id for finding in back.findings] == ([] if ended else ['bag_cut'])
-
-
-def test_the_write_ahead_log_of_an_unclosed_database_is_read(
-    tmp_path: Path, imu_batches: Any, read: Any
-) -> None:
-    """A killed recorder leaves its last messages in a write-ahead log."""
-    write_recording(tmp_path / 'run', imu_batches(40), storage='sqlite3')
-    path = tmp_path / 'killed.db3'
-    shutil.copy(tmp_path / 'run/run.db3', path)
-    writer = sqlite3.connect(path)
-    writer.execute('PRAGMA journal_mode=WAL')
-    writer.execute(
-        'INSERT INTO messages (topic_id, timestamp, data) '
-        'SELECT topic_id, timestamp + 1000000000000, data FROM messages'
-    )
-    writer.commit()  # not closed, so the write-ahead log remains
-    assert len(read(path).stamps_ns) == 80
-    writer.close()
-
-
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_no_character_of_a_path_is_special(
-    storage: str, tmp_path: Path, imu_batches: Any, read: Any
-) -> None:
-    write_recording(tmp_path / 'run', imu_batches(10), storage=storage)
-    path = tmp_path / 'été 50%?a=1#[x] & {0}'
-    (tmp_path / 'run').rename(path)
-    assert len(read(path).stamps_ns) == 10
 
 
 def test_an_mcap_can_hold_ros1_messages(
@@ -298,7 +211,7 @@ def test_payloads_that_are_not_an_imu_are_named(
 def test_a_name_of_any_bytes_is_shown_in_a_printable_line(
     name: str, tmp_path: Path, imu_batches: Any, read: Any, refused: Any
 ) -> None:
-    path = Path(os.fsdecode(os.fsencode(tmp_path) + b'/\xff\x1b[31m\n'))
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b'/\xff\x1b[31m\n 50%?a=1#[x]'))
     frame_id = 'f' * 1000
     write_recording(tmp_path / name, imu_batches(20, frame_id=frame_id))
     path.mkdir()
@@ -306,7 +219,7 @@ def test_a_name_of_any_bytes_is_shown_in_a_printable_line(
     back = read(path / name)
     assert back.recording.info.path.isprintable() and set(back.frame_ids) == {frame_id}
     (path / name).write_bytes(b'')
-    with pytest.raises(AllanError, match=r'x1b\[31m\\n/a.*: is empty') as caught:
+    with pytest.raises(AllanError, match=r'x1b\[31m\\n.*/a.*: is empty') as caught:
         open_recordings([path / name])
     assert str(caught.value).isprintable()
 
