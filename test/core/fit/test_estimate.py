@@ -99,6 +99,18 @@ def test_a_weak_sinusoid_is_found_beside_a_strong_one():
         assert fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.015)
 
 
+def test_three_sinusoids_are_not_taken_for_a_filter():
+    """Each axis has the three sinusoids and the right N."""
+    rng = np.random.default_rng(6)
+    y = simulated(300_000, 3, 6, FLAT)
+    for size, frequency in ((5.0, 14.73), (2.0, 4.71), (0.5, 9.42)):
+        y += size * WHITE * sine(300_000, frequency, rng, 3)
+    for fit in fits(y):
+        found = [line.frequency for line in fit.processes.sinusoid]
+        np.testing.assert_allclose(found, [4.71, 9.42, 14.73], atol=0.05)
+        assert not fit.filtered and fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.015)
+
+
 @pytest.mark.parametrize(('order', 'corner'), [(1, 10.0), (4, 20.0), (4, 10.0), (4, 5.0)])
 def test_a_low_pass_filter_is_recognized(order, corner):
     """The mean N of 4 axes within 1.5 %: four standard errors and the known bias of .4 %."""
