@@ -17,6 +17,10 @@ PACKAGE = 'allan_ros'
 
 ARGUMENTS = {
     'imu': ('imu/data', 'Imu topic, or several separated by commas'),
+    'accel': (
+        '',
+        'topic of the accelerometer of each IMU, separated by commas, if it has its own topic',
+    ),
     'labels': ('', 'short name of each IMU, separated by commas; default: from the topics'),
     'namespace': ('', 'namespace of the nodes'),
     'sensor': ('', 'datasheet to compare with: a name in config/sensors, or a file'),
@@ -39,6 +43,12 @@ PARAMETERS = {
 }
 """Launch argument -> parameter that it overrides if it is given."""
 
+LISTS = {
+    'accel': 'input.accel_topics',
+    'labels': 'input.labels',
+    'hardware_id': 'input.hardware_ids',
+}
+"""The same for arguments that are lists."""
 
 BOOLEANS = {'true': True, 'yes': True, 'on': True, '1': True}
 BOOLEANS |= {'false': False, 'no': False, 'off': False, '0': False}
@@ -66,7 +76,7 @@ def nodes(context):
     several = len(topics) > 1
     if several:
         overrides['input.topics'] = topics
-    for name, parameter in (('labels', 'input.labels'), ('hardware_id', 'input.hardware_ids')):
+    for name, parameter in LISTS.items():
         if given[name]:
             overrides[parameter] = items(given[name])
     overrides['use_sim_time'] = boolean(given, 'use_sim_time')

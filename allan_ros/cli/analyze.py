@@ -178,8 +178,9 @@ def _settings_text(*settings: Any) -> str:
 
 def _recording_text(recorded: RecordingSums) -> str:
     """Return one line with path, sample counts, format and topic of a recording."""
-    (source,) = recorded.provenance.sources
-    what = ' '.join(word for word in (source.topic, source.type) if word)
+    source, *accel = recorded.provenance.sources
+    topics = ' and '.join(one.topic for one in (source, *accel) if one.topic)
+    what = ' '.join(word for word in (topics, source.type) if word)
     # one entry for sensors with the same number of samples
     used = {f'{s.samples:,}': sensor_of(s.axes[0]) for s in recorded.sums}
     each = (f'{number} of {sensor}' if len(used) > 1 else number for number, sensor in used.items())

@@ -127,6 +127,9 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
         write_atomic(Path(args.output) / SUMMARY, _csv(outcomes, args.units))
     if not console.json:
         print('\n'.join(_table([_head(args.units), *_rows(outcomes, args.units)])))
+    found = [f for outcome in outcomes if outcome.results for f in outcome.results.findings]
+    for elsewhere in [f for f in found if f.id == 'sensor_elsewhere'][:1]:
+        console.say(str(elsewhere))
     if args.output:
         console.say(f'written to {args.output}: one folder each, {SUMMARY}')
     return _worst(
@@ -324,7 +327,8 @@ def split_by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
     """Replace each job for a bag without a selected topic by one job for each Imu topic."""
     separate = []
     for job in jobs:
-        topics = [] if job.reading.topic else topics_of(job.path)
+        chosen = job.reading.topic or job.reading.accel_topic
+        topics = [] if chosen else topics_of(job.path)
         each = [replace(job, reading=replace(job.reading, topic=topic)) for topic in topics]
         separate += each if len(each) > 1 else [job]
     return separate

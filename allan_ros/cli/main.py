@@ -213,6 +213,9 @@ def _exits_text(exits: dict[int, str]) -> str:
 RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
 """Suffixes of the recordings that `analyze` reads."""
 
+NAMED = ('sensor', 'name', 'to', 'export', 'topic', 'accel_topic')
+"""Arguments whose values are completed by `_names`."""
+
 DOCUMENTS = ('.json',)
 """Suffix of results and sums."""
 
@@ -260,7 +263,7 @@ def _attach(parser: argparse.ArgumentParser) -> None:
                 _attach(sub)
         elif action.dest in files:
             action.completer = FilesCompleter(files[action.dest])  # type: ignore[attr-defined]
-        elif action.dest in ('sensor', 'name', 'to', 'export', 'topic') and not action.choices:
+        elif action.dest in NAMED and not action.choices:
             action.completer = partial(_names, action.dest)  # type: ignore[attr-defined]
 
 
@@ -270,7 +273,7 @@ def _names(what: str, prefix: str, parsed_args: argparse.Namespace, **_: Any) ->
     ``what`` is the name of the argument, ``prefix`` the word to complete.
     """
     try:
-        if what == 'topic':
+        if what.endswith('topic'):
             return _topics(parsed_args)
         if what in ('sensor', 'name'):
             from ..io.datasheets import sensor_names

@@ -22,7 +22,8 @@ import numpy as np
 
 from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
-from ..core.findings import SEVERITIES, Finding
+from ..core.findings import SEVERITIES, Finding, finding
+from ..core.imu import ImuIdentity, sensor_of
 from ..core.settings import SegmenterSettings
 from ..core.stream.health import Counts, Event, Segment
 from ..core.stream.pipeline import ImuStream
@@ -60,6 +61,10 @@ class Provenance:
             self.settings,
             max(stamps, default=None),
         )
+
+    def with_accel(self, accel: Provenance) -> Provenance:
+        """Return the combined provenance of two topics; the segments are those of the gyro."""
+        return replace(self + accel, segments=self.segments)
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,17 @@ def read_recording(
     with the number of samples of each batch. Raises AllanError when there is no static data.
     """
     recording = job.open() if recording is None else recording
-    stream = ImuStream(job.segmenter, job.hardware_id)
+    recorded = _read_topic(job, recording, advance)
+    if recording.accel is None:
+        return recorded
+    return _joined(recorded, _read_topic(job, recording.accel, advance))
+
+
+def _read_topic(
+    job: ReadJob, recording: Recording, advance: Callable[[int], None]
+) -> RecordingSums:
+    only, *others = dict.fromkeys(map(sensor_of, recording.axes))
+    stream = ImuStream(job.segmenter, job.hardware_id, sensor='' if others else only)
     signal = SignalEnvelope()
     for batch in recording.batches():
         stream.update(batch)
@@ -148,9 +163,10 @@ def read_recording(
         for f in (*recording.findings, *known.findings)
         if not f.axes or not {*f.axes}.isdisjoint(recording.axes)
     )
+    findings += _other_topic(recording, findings)
     counts = known.health.counts
     if not known.sums:
-        raise AllanError(_no_data(job, counts, findings))
+        raise AllanError(_no_data(job, recording.info.topic, counts, findings))
     settings = {
         **asdict(job.segmenter),
         **asdict(recording.options),
@@ -164,7 +180,38 @@ def read_recording(
     return RecordingSums(job.path, known.sums, provenance, (signal,), (temperature,), events)
 
 
-def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
+def with_accel(
+    gyro: Sequence[AllanSums], accel: Sequence[AllanSums], identity: ImuIdentity
+) -> tuple[AllanSums, ...]:
+    """Return the sums of two topics of one IMU; those of ``accel`` get the identity."""
+    return (*gyro, *(replace(sums, identity=identity) for sums in accel))
+
+
+def _joined(gyro: RecordingSums, accel: RecordingSums) -> RecordingSums:
+    """Return the sums and the data of two topics; the segments are those of the gyro."""
+    events = sorted((*gyro.events, *accel.events), key=lambda event: event.start_ns)
+    return replace(
+        gyro,
+        sums=with_accel(gyro.sums, accel.sums, gyro.sums[0].identity),
+        provenance=gyro.provenance.with_accel(accel.provenance),
+        signals=tuple(a.with_accel(b) for a, b in zip(gyro.signals, accel.signals)),
+        temperatures=tuple(a or b for a, b in zip(gyro.temperatures, accel.temperatures)),
+        events=tuple(events),
+    )
+
+
+def _other_topic(recording: Recording, findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return a finding if a sensor is absent, and another topic of the bag may contain it."""
+    absent = [f for f in findings if f.id in ('sensor_absent', 'sensor_all_zero')]
+    if not (absent and recording.other_topics):
+        return ()
+    axes, here, there = absent[0].axes, recording.info.topic, recording.other_topics[0]
+    sensor = sensor_of(axes[0])
+    gyro, accel = (there, here) if sensor == 'gyro' else (here, there)
+    return (finding('sensor_elsewhere', axes, sensor=sensor, other=there, gyro=gyro, accel=accel),)
+
+
+def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Finding]) -> str:
     causes = [f for f in findings if f.id not in ('nothing_left', 'unit_assumed')]
     worst = min((SEVERITIES.index(f.severity) for f in causes), default=0)
     why = ' '.join(str(f) for f in causes if SEVERITIES.index(f.severity) == worst)
@@ -172,7 +219,8 @@ def _no_data(job: ReadJob, counts: Counts, findings: Sequence[Finding]) -> str:
         why = f'--skip {job.segmenter.skip:g} (s) excludes the complete recording: reduce it'
     why = why or ('it is too short' if counts.received else 'it has no samples')
     samples = f'{counts.received:,} sample' + 's' * (counts.received != 1)
-    return f'{job.path}: no static data in {samples}: {why}'
+    where = f'{job.path}: topic {topic}' if job.reading.accel_topic else job.path
+    return f'{where}: no static data in {samples}: {why}'
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:

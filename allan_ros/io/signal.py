@@ -10,6 +10,7 @@ times that are excluded and the reasons.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -60,6 +61,18 @@ class SignalEnvelope:
                 continue
             self._add_to_bins(batch[:room])
             batch = batch[room:]
+
+    def with_accel(self, other: SignalEnvelope) -> SignalEnvelope:
+        """Return a copy with the accelerometer of another topic, in bins at about its times."""
+        joined = deepcopy(self)
+        accel = slice(len(AXES) // 2, None)
+        # a bin contains all bins of the other topic that begin in it, or else the next one
+        starts = np.searchsorted(other.start_ns[1:], self.start_ns).clip(max=other.bins - 1)
+        starts[:1] = 0
+        for name, join in STATISTICS.items():
+            values = other._bins[name][: other.bins, accel]
+            joined._bins[name][: self.bins, accel] = join.reduceat(values, starts)
+        return joined
 
     @property
     def bins(self) -> int:

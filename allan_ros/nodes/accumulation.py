@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from ..core.allan.sums import AllanSums
 from ..core.errors import one_line
 from ..core.findings import Finding, finding
-from ..core.imu import AXES, ImuBatch
+from ..core.imu import AXES, SENSORS, ImuBatch
 from ..core.settings import SegmenterSettings
 from ..core.stream.cleaning import PassSplitter
 from ..core.stream.health import StreamHealth
@@ -55,7 +55,9 @@ class ImuWatch(Part):
     """Accumulates the sums of one IMU, and continues them from its checkpoint after a restart.
 
     ``listener`` is called with every snapshot of the sums: periodically, for a new subscriber, and
-    when sums are reset or replaced.
+    when sums are reset or replaced. ``sensor`` is the only sensor that is used, '' for both.
+    ``accel`` receives the accelerometer on its own topic; then snapshots contain both, and the
+    services apply to both.
     """
 
     def __init__(
@@ -64,8 +66,15 @@ class ImuWatch(Part):
         imu: WatchedImu,
         settings: AccumulatorParameters,
         listener: Callable[[Snapshot], None] | None = None,
+        sensor: str = '',
+        accel: ImuWatch | None = None,
     ) -> None:
         self._node, self._imu, self._settings, self._listener = node, imu, settings, listener
+        self._sensor, self._accel = sensor, accel
+        self._usable_axes = AXES[SENSORS[sensor]] if sensor else AXES
+        self._latest: Snapshot | None = None
+        if accel is not None:
+            accel._listener = lambda _: self._publish(self._total())
         self._log = node.get_logger()
         self._input = ImuInput(node, imu.topic, settings.input.value)
         self._checkpoint = Checkpoint(imu.checkpoint, self._log)
@@ -122,7 +131,8 @@ class ImuWatch(Part):
         health, stream_findings = self._health_and_findings()
         statistics, (publishers, graph) = self._input.statistics(), self._input.publishers()
         stale_after = self._settings.input.value.stale_after
-        if stuck := self._input.constant.stuck(health.rate_hz) if health.rate_hz else ():
+        stuck = self._input.constant.stuck(health.rate_hz) if health.rate_hz else ()
+        if stuck := tuple(axis for axis in stuck if axis in self._usable_axes):
             stream_findings = (finding('stuck_now', stuck), *stream_findings)
         found = self._monitor.observe(
             now, statistics, health, publishers, stale_after, stream_findings, graph
@@ -201,7 +211,7 @@ class ImuWatch(Part):
         earlier stamps mean that the recording is played again.
         """
         segmenter, hardware_id = self._settings.segmenter.value, self._imu.hardware_id
-        self._stream = ImuStream(segmenter, hardware_id)
+        self._stream = ImuStream(segmenter, hardware_id, self._sensor)
         self._splitter = PassSplitter(latest_ns)
         self._first_ns: int | None = None  # first and latest stamp of this pass
         self._latest_ns: int | None = None
@@ -239,9 +249,10 @@ class ImuWatch(Part):
     def _accumulate(self, batch: ImuBatch) -> None:
         self._stream.update(batch)
         self._outdated = True
-        if len(self._axes) < len(AXES):
+        if len(self._axes) < len(self._usable_axes):
             finite = np.array(AXES)[np.isfinite(batch.samples).any(axis=0)].tolist()
-            self._axes = tuple(axis for axis in AXES if axis in self._axes or axis in finite)
+            known = {*self._axes, *finite}
+            self._axes = tuple(axis for axis in self._usable_axes if axis in known)
         self.frame_id = batch.frame_id
         self._last_stamp_ns = int(batch.stamps_ns[-1])
         if self._first_ns is None:
@@ -293,6 +304,9 @@ class ImuWatch(Part):
             self._stream.means(),
             self._faults,
         )
+        self._latest = snapshot
+        if self._accel is not None and self._accel._latest is not None:
+            snapshot = snapshot.with_accel(self._accel._latest)
         if self._listener is not None:
             self._listener(snapshot)
         if self._publisher.get_subscription_count():
@@ -310,6 +324,8 @@ class ImuWatch(Part):
             response.message = 'nothing was saved: set checkpoint.path'
             return response
         response.success = self._checkpoint.save(total)
+        if self._accel is not None:
+            response.success &= self._accel._on_save(_request, Trigger.Response()).success
         samples = max((s.samples for s in total[0]), default=0)
         saved = f'{self._checkpoint.path}: {samples} samples'
         response.message = '; '.join([saved, *map(str, self._checkpoint.findings)])
@@ -320,11 +336,26 @@ class ImuWatch(Part):
         self._update()
         where = self._checkpoint.start_over(self._total())
         self._begin()
+        if self._accel is not None:
+            self._accel._on_reset(_request, Trigger.Response())
         self._publish(self._total())
         kept = [f'the previous sums are in {where}'] if where else []
         lines = ['the sums start from zero', *kept, *map(str, self._checkpoint.findings)]
         response.success, response.message = True, '; '.join(lines)
         return response
+
+
+def watches(
+    node: AllanNode,
+    imu: WatchedImu,
+    settings: AccumulatorParameters,
+    listener: Callable[[Snapshot], None] | None = None,
+) -> list[ImuWatch]:
+    """Return the inputs of one IMU: one, or those of its gyro and its accelerometer."""
+    if not imu.accel_topic:
+        return [ImuWatch(node, imu, settings, listener)]
+    accel = ImuWatch(node, imu.accel, settings, sensor='accel')
+    return [ImuWatch(node, imu, settings, listener, 'gyro', accel), accel]
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:

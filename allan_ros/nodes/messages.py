@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -22,11 +22,12 @@ from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
 from ..core.findings import Finding
-from ..core.imu import AXES, SENSORS
+from ..core.imu import AXES, SENSORS, ImuIdentity
 from ..core.stream.health import Means
 from ..io.checkpoint import Total
 from ..io.documents import finding_from_document, sums_file_from_document, sums_file_to_document
 from ..io.files import parse_json
+from ..io.recorded import with_accel
 from ..io.results import Results
 from .settings import EstimatorSettings
 from .shell import LATCHED, Worker
@@ -66,6 +67,21 @@ class Snapshot:
     def sums(self) -> tuple[AllanSums, ...]:
         """One `AllanSums` with all axes, or one per sensor if the sensors have different rates."""
         return self.total[0]
+
+    def with_accel(self, accel: Snapshot) -> Snapshot:
+        """Return a snapshot with the accelerometer of another topic."""
+        sums, provenance = self.total
+        identity = sums[0].identity if sums else ImuIdentity(self.frame_id, self.hardware_id)
+        return replace(
+            self,
+            total=(
+                with_accel(sums, accel.sums, identity),
+                provenance.with_accel(accel.total[1]),
+            ),
+            axes=self.axes + accel.axes,
+            means=self.means + accel.means,
+            faults=self.faults + accel.faults,
+        )
 
     def to_document(self) -> dict[str, Any]:
         """Return the document of ``~/sums``: a sums file with the connected IMU and the means."""

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from ..core.errors import AllanError
-from .accumulation import AccumulatorParameters, ImuWatch
+from .accumulation import AccumulatorParameters, watches
 from .estimation import ImuEstimate, SumsInput, load_references
 from .node import AllanNode, Part
 from .parameter_push import ParameterPush
@@ -33,8 +33,9 @@ class Accumulator(AllanNode):
                 f'input.topics contains {len(imus)} topics, but allan_accumulator handles one: '
                 'use allan_monitor for several IMUs'
             )
-        watch = ImuWatch(self, imus[0], settings)
-        self.begin([watch], f'accumulates {watch.description}', settings.input.value.drain_period)
+        inputs = watches(self, imus[0], settings)
+        described = ' and '.join(watch.description for watch in inputs)
+        self.begin(inputs, f'accumulates {described}', settings.input.value.drain_period)
 
 
 class Estimator(AllanNode):
@@ -83,13 +84,18 @@ class Monitor(AllanNode):
                 'relay.enabled excludes input.gyro_unit and input.accel_unit, because filters '
                 'expect rad/s and m/s^2: convert the units in the driver'
             )
+        if relay.value.enabled and any(units.accel_topics):
+            raise AllanError(
+                'relay.enabled excludes input.accel_topics, because filters expect both sensors in '
+                'each message: unite them in the driver'
+            )
         parts: list[Part] = []
         described: list[str] = []
         for imu in imus:
             estimate = ImuEstimate(self, imu.label, estimator, references, worker, push.offer)
-            watch = ImuWatch(self, imu, settings, estimate.process)
-            parts += [watch, estimate]
-            described.append(watch.description)
+            inputs = watches(self, imu, settings, estimate.process)
+            parts += [*inputs, estimate]
+            described += [watch.description for watch in inputs]
             if relay.value.enabled:
                 home = f'~/{imu.label}' if imu.label else '~'
                 model, bias = f'{home}/noise_model', f'{home}/bias'

@@ -18,12 +18,24 @@ from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter,
 
 
 class WatchedImu(NamedTuple):
-    """One IMU of a node. ``label`` is '' for a single IMU; ``checkpoint`` is a path, or ''."""
+    """One IMU of a node. ``label`` is '' for a single IMU; ``checkpoint`` is a path, or ''.
+
+    ``accel_topic`` is '' unless the accelerometer has its own topic.
+    """
 
     topic: str
     label: str
     hardware_id: str
     checkpoint: str
+    accel_topic: str = ''
+
+    @property
+    def accel(self) -> WatchedImu:
+        """The accelerometer as an IMU with its own topics and checkpoint."""
+        file = Path(self.checkpoint)
+        path = str(file.with_name(f'{file.stem}_accel{file.suffix}')) if self.checkpoint else ''
+        label = f'{self.label}_accel' if self.label else 'accel'
+        return WatchedImu(self.accel_topic, label, self.hardware_id, path)
 
 
 @dataclass(frozen=True)
@@ -31,6 +43,11 @@ class InputSettings(CheckedSettings):
     """How Imu messages are received (group ``input``)."""
 
     topics: tuple[str, ...] = fixed_parameter(('imu/data',), 'Imu topics to watch.')
+    accel_topics: tuple[str, ...] = fixed_parameter(
+        ('',),
+        'One topic per IMU with its accelerometer, if topics has only the gyro; it may have '
+        'another rate; empty: topics have both.',
+    )
     labels: tuple[str, ...] = fixed_parameter(
         ('',),
         'One short name per IMU, used in topics, files and diagnostics; empty: made from the '
@@ -71,7 +88,7 @@ class InputSettings(CheckedSettings):
         super().__post_init__()
         if not self.topics or not all(self.topics):
             raise AllanError('input.topics contains no topic: give at least one, such as imu/data')
-        for name in ('labels', 'hardware_ids'):
+        for name in ('accel_topics', 'labels', 'hardware_ids'):
             given = getattr(self, name)
             if given != ('',) and len(given) != len(self.topics):
                 raise AllanError(
@@ -100,10 +117,11 @@ class InputSettings(CheckedSettings):
         made = [t.strip('~/').replace('/', '_') if count > 1 else '' for t in self.topics]
         labels = self.labels if any(self.labels) else made
         hardware_ids = self.hardware_ids * (count if len(self.hardware_ids) == 1 else 1)
+        accels = self.accel_topics if any(self.accel_topics) else [''] * count
         path = Path(checkpoint).expanduser()
         files = [path if count == 1 else path / f'{label}.json' for label in labels]
         files_or_none = [str(file) if checkpoint else '' for file in files]
-        return list(map(WatchedImu, self.topics, labels, hardware_ids, files_or_none))
+        return list(map(WatchedImu, self.topics, labels, hardware_ids, files_or_none, accels))
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,11 @@ CASES = {
         },
         {'/left/imu', '/right/imu', '/allan_monitor/port/sums'},
     ),
+    'accel': (
+        {'imu': '/gyro', 'accel': '/accel'},
+        {'/allan_monitor': {'input.accel_topics': ['/accel']}},
+        {'/gyro', '/accel', '/allan_monitor/sums', '/allan_monitor/accel/sums'},
+    ),
     'apart': (
         {'imu': '/camera/imu', 'apart': 'true', 'relay': 'true'},
         {

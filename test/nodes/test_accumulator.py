@@ -17,7 +17,7 @@ from support.node_server import PATIENCE_S
 pytest.importorskip('rclpy')
 
 from allan_ros.core.allan.document import sums_to_document
-from allan_ros.core.imu import ImuBatch
+from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.readers import open_recordings
 from allan_ros.io.writing import write_recording
@@ -316,6 +316,35 @@ def test_two_publishers_on_one_topic_are_reported(graph, still_imu):
     graph.send(graph.publisher(), still_imu(100))
     status = graph.until(lambda: (s := graph.status('input')) and s.level == b'\x01' and s)
     assert '2 publishers on /imu/data (/test_client, /test_client)' in status.message
+
+
+def test_gyro_and_accelerometer_on_two_topics(graph, still_imu, tmp_path: Path):
+    checkpoint = tmp_path / 'imu.json'
+    parameters = {k.replace('imu/data', t): v for t in ('gyro', 'accel') for k, v in FAST.items()}
+    topics = {'input.topics': ('gyro',), 'input.accel_topics': ('accel',)}
+    node = graph.start('monitor', **parameters, **topics, **{'checkpoint.path': str(checkpoint)})
+    gyro = still_imu(6000, frame_id='gyro_frame')
+    accel = still_imu(2500, rate=80.0, start_ns=10**18 + 12_345, seed=2, frame_id='accel_frame')
+    gyro.samples[:, 3:] = 0.0
+    accel.samples[:, :3] = np.nan
+    documents = graph.latched('/allan_monitor/sums')
+    models = graph.latched('/allan_monitor/noise_model')
+    for topic, batch in (('gyro', gyro), ('accel', accel)):
+        graph.send(graph.publisher(topic), batch)
+    graph.until(lambda: graph.value('gyro input', 'used') == '6000')
+    graph.until(lambda: graph.value('accel input', 'used') == '2500')
+    expected = offline(gyro) + [{**s, 'frame_id': 'gyro_frame'} for s in offline(accel)]
+    graph.until(lambda: documents and documents[-1]['sums'] == expected)
+    assert documents[-1]['imu']['axes'] == [*AXES]
+    assert [one['axes'] for one in documents[-1]['means']] == [[*AXES[:3]], [*AXES[3:]]]
+    graph.until(lambda: models and [*models[-1]['axes']] == [*AXES])
+    assert not graph.value('gyro input', 'finding: sensor_all_zero')
+    assert graph.call('/allan_monitor/save').success
+    saved = [json.loads(p.read_text())['sums'] for p in (checkpoint, tmp_path / 'imu_accel.json')]
+    assert saved == [offline(gyro), offline(accel)]
+    assert graph.call('/allan_monitor/reset').success
+    graph.until(lambda: documents[-1]['sums'] == [])
+    assert node.stop() == 0, node.output
 
 
 def test_several_topics_are_rejected(graph):

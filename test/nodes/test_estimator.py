@@ -211,6 +211,7 @@ def test_bad_references_are_rejected(graph, tmp_path: Path):
             ('estimator.sensor', 'no-such-imu', 'no datasheet'),
             ('estimator.baseline', str(tmp_path / 'missing.json'), 'no such file'),
             ('input.labels', ('a b',), 'letters, digits and underscores'),
+            ('input.accel_topics', ('a', 'b'), 'input.accel_topics has 2 entries for 1 topics'),
         )
     ]
     for node, reason in started:

@@ -55,17 +55,22 @@ class ImuStream:
 
     The sums are the same, bit for bit, however the samples are divided into batches: all decisions
     depend only on the positions of samples counted from the start of the stream, with a fixed
-    look-ahead. ``hardware_id`` identifies the IMU if the user states it.
+    look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
+    'accel' if the other sensor is in another stream; its values in this one are ignored.
     """
 
     def __init__(
-        self, settings: SegmenterSettings = SegmenterSettings(), hardware_id: str = ''
+        self,
+        settings: SegmenterSettings = SegmenterSettings(),
+        hardware_id: str = '',
+        sensor: str = '',
     ) -> None:
         self._hardware_id = hardware_id
         self._settings = settings
+        self._sensor = sensor
         self._received = 0
         self._frames: dict[str, FrameStream] = {}
-        self._present = FrameStream(ImuIdentity('', hardware_id), settings)
+        self._present = FrameStream(ImuIdentity('', hardware_id), settings, sensor)
         self._frame_changes = 0
         self._dropped = Counts()  # of frames whose sums were dropped
         self._dropped_frames = 0
@@ -122,7 +127,8 @@ class ImuStream:
             del self._frames[least.identity.frame_id]
             self._dropped.other_frame += least.received
             self._dropped_frames += 1
-        frame = FrameStream(ImuIdentity(frame_id, self._hardware_id), self._settings)
+        identity = ImuIdentity(frame_id, self._hardware_id)
+        frame = FrameStream(identity, self._settings, self._sensor)
         self._frames[frame_id] = frame
         return frame
 
@@ -176,7 +182,7 @@ class FrameStream:
     until the first samples are evaluated. ``notes`` are the findings about these first samples.
     """
 
-    def __init__(self, identity: ImuIdentity, settings: SegmenterSettings) -> None:
+    def __init__(self, identity: ImuIdentity, settings: SegmenterSettings, sensor: str) -> None:
         self.identity = identity
         self.sensors: tuple[SensorStream, ...] = ()
         self.notes: list[Finding] = []
@@ -185,6 +191,7 @@ class FrameStream:
         self.received = 0
         self.stamps = StampChoice(settings.stamps == 'record', settings.declared_rate)
         self._settings = settings
+        self._sensor = sensor  # the only one that is used; '' for both
         self._sorter = StampSorter()
         self._learning: list[ImuBatch] = []
         self._learned = 0
@@ -239,7 +246,8 @@ class FrameStream:
         first, self._learning, self._learned = joined(self._learning), [], 0
         self.notes += self.stamps.learn(first)
         chosen = self.stamps.of(first)
-        plans, findings = plan_sensors(*StampSorter.all_sorted(chosen, first.samples.T))
+        ordered = StampSorter.all_sorted(chosen, first.samples.T)
+        plans, findings = plan_sensors(*ordered, self._sensor)
         self.notes += [note for note in findings if note not in self.notes]
         if not self.sensors:
             self._sorter = StampSorter(chosen)

@@ -152,12 +152,12 @@ def are_interleaved(rows: Floats) -> bool:
 
 
 def plan_sensors(
-    stamps: Stamps, rows: Floats
+    stamps: Stamps, rows: Floats, only: str = ''
 ) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
     """Decide from the first samples whether gyro and accelerometer need separate streams.
 
     Returns a plan for each stream, and the findings about the sensors. ``stamps``, (n,), are in ns.
-    ``rows``, (6, n), are NaN where a sensor is absent.
+    ``rows``, (6, n), are NaN where a sensor is absent. ``only`` is the sensor to use; '' for both.
     """
     # without duplicate messages, which are dropped later
     duplicate = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
@@ -166,6 +166,8 @@ def plan_sensors(
     plans: list[SensorPlan] = []
     findings: list[Finding] = []
     for sensor, place in SENSORS.items():
+        if only not in ('', sensor):
+            continue
         present = np.arange(place.start, place.stop)
         present = present[(np.abs(rows[place]) <= LARGEST).any(axis=1)]
         if not len(present):

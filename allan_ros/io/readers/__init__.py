@@ -73,7 +73,10 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
 def _open(path: Path, options: ReadOptions) -> Recording:
     if path.name == METADATA:
         path = path.parent
-    module, opener = _OPENERS[family_of(path)]
+    family = family_of(path)
+    if options.accel_topic and family != 'bag':
+        raise AllanError(f'{path}: is not a bag: omit --accel-topic')
+    module, opener = _OPENERS[family]
     return cast(Recording, getattr(import_module(module, __package__), opener)(path, options))
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ...core.errors import one_line
@@ -27,6 +27,11 @@ class ReadOptions(CheckedSettings):
 
     topic: str = parameter(
         '', 'Imu topic of a bag, or instance of a log; needed only if there are several'
+    )
+    accel_topic: str = parameter(
+        '',
+        'Imu topic of a bag with the accelerometer, if the topic has only the gyro; it may have '
+        'another rate',
     )
     columns: tuple[str, ...] = parameter(
         (),
@@ -98,7 +103,8 @@ class Recording:
     ``read`` yields the samples and reports findings. ``temperature`` returns the temperature for a
     frame_id, once the samples are read. ``options`` hold the units that were found or assumed.
     ``axes`` are the axes that the recording can contain. ``close`` closes its file until it is
-    read again.
+    read again. ``accel`` is the recording of the accelerometer if it has its own topic; else None.
+    ``other_topics`` are Imu topics of the bag that are not read, the most similar name first.
     """
 
     def __init__(
@@ -110,9 +116,13 @@ class Recording:
         options: ReadOptions = ReadOptions(),
         axes: tuple[str, ...] = AXES,
         close: Callable[[], None] = lambda: None,
+        accel: Recording | None = None,
+        other_topics: Sequence[str] = (),
     ) -> None:
         self.info = info
         self.axes = axes
+        self.accel = accel
+        self.other_topics = other_topics
         self.messages = messages
         self.options = options.with_units()
         self.close = close

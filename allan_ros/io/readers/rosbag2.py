@@ -108,12 +108,14 @@ def survey_bag(bag: Bag) -> Survey:
     return survey
 
 
-def chosen_topic(path: Path, survey: Survey, wanted: str) -> Topic:
+def chosen_topic(path: Path, survey: Survey, wanted: str, accel_topic: str = '') -> Topic:
     """Return the Imu topic with the name ``wanted``, or the only Imu topic if it is ''.
 
+    ``accel_topic`` has only the accelerometer, and is not chosen without its name.
     Raises AllanError when there is no such topic, there are several, or it cannot be decoded.
     """
-    candidates = [_named(path, survey, wanted)] if wanted else survey.imus()
+    imus = [key for key in survey.imus() if key[0].lstrip('/') != accel_topic.lstrip('/')]
+    candidates = [_named(path, survey, wanted)] if wanted else imus
     if not candidates:
         raise _no_imu(path, survey)
     if len(candidates) > 1:
@@ -182,17 +184,28 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     """
     bag = bag_of(path)
     survey = survey_bag(bag)
-    topic = chosen_topic(path, survey, options.topic)
+    topic = chosen_topic(path, survey, options.topic, options.accel_topic)
     topics = [topic for topic in survey.topics.values() if topic.encoding in ENCODINGS]
-    reader = _Reader(bag, topic, options, _thermometers(topics, topic.name))
-    return Recording(
-        SourceInfo(str(path), topic.name, topic.type, bag.format),
-        survey.counts.get((topic.name, topic.type)),
-        reader.read,
-        reader.temperature,
-        options,
-        close=bag.close,
-    )
+
+    def recording(topic: Topic, axes: tuple[str, ...], accel: Recording | None) -> Recording:
+        others = [name for name, _ in survey.imus() if name != topic.name]
+        reader = _Reader(bag, topic, options, _thermometers(topics, topic.name))
+        return Recording(
+            SourceInfo(str(path), topic.name, topic.type, bag.format),
+            survey.counts[topic.name, topic.type] + (accel.messages or 0 if accel else 0),
+            reader.read,
+            reader.temperature,
+            options,
+            axes,
+            bag.close,
+            accel,
+            sorted(others, key=lambda name: -_shared(name, topic.name)),
+        )
+
+    if not options.accel_topic:
+        return recording(topic, AXES, None)
+    other = chosen_topic(path, survey, options.accel_topic)
+    return recording(topic, AXES[SENSORS['gyro']], recording(other, AXES[SENSORS['accel']], None))
 
 
 Message = tuple[int, bytes]
@@ -345,16 +358,17 @@ def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
 
     The list is empty if they are more than `MAX_THERMOMETERS`.
     """
-
-    def shared(topic: Topic) -> int:
-        pairs = list(zip(topic.name.strip('/').split('/'), imu_topic.strip('/').split('/')))
-        equal = [a == b for a, b in pairs]
-        return equal.index(False) if False in equal else len(equal)
-
     found = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
-    most = max(map(shared, found), default=0)
-    nearest = [topic for topic in found if shared(topic) == most]
+    most = max((_shared(topic.name, imu_topic) for topic in found), default=0)
+    nearest = [topic for topic in found if _shared(topic.name, imu_topic) == most]
     return nearest if len(nearest) <= MAX_THERMOMETERS else []
+
+
+def _shared(name: str, other: str) -> int:
+    """Return the number of leading words of two topic names that are equal."""
+    pairs = list(zip(name.strip('/').split('/'), other.strip('/').split('/')))
+    equal = [a == b for a, b in pairs]
+    return equal.index(False) if False in equal else len(equal)
 
 
 def _temperature(

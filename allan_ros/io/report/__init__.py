@@ -265,7 +265,10 @@ def _items(texts: Iterable[str]) -> str:
 def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
     """Yield HTML tables of inputs, sample counts, ``method``, software versions and settings."""
     known, counts = results.provenance, results.provenance.counts
-    inputs = {s.path: ', '.join(filter(None, (s.topic, s.type, s.storage))) for s in known.sources}
+    inputs: dict[str, str] = {}
+    for s in known.sources:
+        text = ', '.join(filter(None, (s.topic, s.type, s.storage)))
+        inputs[s.path] = '; '.join(filter(None, (inputs.get(s.path), text)))
     samples = {
         'used': f'{results.samples:,} samples at {significant(results.rate_hz, 5)} Hz, '
         f'{duration_text(results.duration_s, 3)} in {_segments(results)}',
