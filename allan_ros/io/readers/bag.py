@@ -8,10 +8,10 @@ import os
 import re
 import tempfile
 import weakref
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from ...core.errors import AllanError
 from ..files import read_bounded
@@ -27,7 +27,7 @@ from .storage import (
 )
 
 _FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
-"""First bytes of a bag file -> its format."""
+"""First bytes of a bag file -> its format, which is also the name of the module that reads it."""
 
 METADATA_KEY = 'rosbag2_bagfile_information'
 
@@ -64,15 +64,31 @@ class Bag:
         weakref.finalize(self, self._stack.close)
 
     def storage(self, file: Path) -> Storage:
-        """Return one of the files, opened.
+        """Return one of the files, opened; a compressed file is decompressed to a temporary one.
 
         Raises AllanError when it is missing, damaged, or not a bag.
         """
         if self._open is None or self._open[0] != file:
             self.close()
-            storage, self.format = self._stack.enter_context(open_storage(file))
-            self._open = file, storage
+            with ExitStack() as stack:  # closes everything when opening fails
+                self._open = file, self._opened(file, stack)
+                self._stack.enter_context(stack.pop_all())
         return self._open[1]
+
+    def _opened(self, file: Path, stack: ExitStack) -> Storage:
+        plain = file
+        head = first_bytes(file)
+        if compression := frame_compression(head):
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='allan_ros.'))
+            plain = Path(folder, file.stem)
+            decompress_file(file, compression, plain)
+            head = first_bytes(plain)
+        found = [name for magic, name in _FORMATS.items() if head.startswith(magic)]
+        if not found:
+            raise damaged(file, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
+        (self.format,) = found
+        module = import_module(f'.{self.format}', __package__)
+        return cast(Storage, stack.enter_context(module.open_storage(plain, file)))
 
     def close(self) -> None:
         """Close the open file."""
@@ -155,33 +171,3 @@ def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
             f'({missing[0]}): copy the whole folder'
         )
     return tuple(files), described
-
-
-@contextmanager
-def open_storage(path: Path) -> Iterator[tuple[Storage, str]]:
-    """Open a bag file, decompressed if necessary, and return it with its format.
-
-    The format is 'mcap', 'sqlite3' or 'ros1'. Raises AllanError when the file is missing, damaged,
-    or not a bag.
-    """
-    from .mcap import open_mcap
-    from .ros1 import open_ros1
-    from .sqlite3 import open_sqlite3
-
-    openers: dict[str, Callable[[Path, Path], AbstractContextManager[Storage]]] = {
-        'mcap': open_mcap,
-        'sqlite3': open_sqlite3,
-        'ros1': open_ros1,
-    }
-    compression = frame_compression(first_bytes(path))
-    with ExitStack() as stack:
-        plain = path
-        if compression:
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='allan_ros.'))
-            plain = Path(folder, path.stem)
-            decompress_file(path, compression, plain)
-        head = first_bytes(plain)
-        form = next((name for magic, name in _FORMATS.items() if head.startswith(magic)), None)
-        if form is None:
-            raise damaged(path, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
-        yield stack.enter_context(openers[form](plain, path)), form

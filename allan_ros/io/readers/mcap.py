@@ -347,7 +347,7 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
 
 
 @contextmanager
-def open_mcap(path: Path, shown: Path) -> Iterator[Storage]:
+def open_storage(path: Path, shown: Path) -> Iterator[Storage]:
     """Open an mcap file for reading.
 
     Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError

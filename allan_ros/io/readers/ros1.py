@@ -66,7 +66,7 @@ class Ros1Storage:
 
 
 @contextmanager
-def open_ros1(path: Path, shown: Path) -> Iterator[Storage]:
+def open_storage(path: Path, shown: Path) -> Iterator[Storage]:
     """Open a ROS 1 bag for reading.
 
     Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError

@@ -123,7 +123,7 @@ def _truncation(file: BinaryIO) -> Truncation | None:
 
 
 @contextmanager
-def open_sqlite3(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
+def open_storage(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     """Open a .db3 file for reading; no file is created next to it.
 
     Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -157,8 +158,8 @@ def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> 
         raise damaged(path, error, remedy) from error
 
 
-DEBIAN_PACKAGES = {name: f' or "apt install python3-{name}"' for name in ('lz4', 'zstandard')}
-"""Package -> hint that it can be installed with apt, because Ubuntu blocks pip (PEP 668)."""
+DEBIAN_PACKAGES = ('lz4', 'zstandard')
+"""Packages that apt can install, because Ubuntu blocks pip (PEP 668)."""
 
 
 def optional_package(module: str, purpose: str) -> Any:
@@ -167,9 +168,9 @@ def optional_package(module: str, purpose: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         package = module.split('.')[0]
+        by_apt = f' or "apt install python3-{package}"' if package in DEBIAN_PACKAGES else ''
         raise AllanError(
-            f'{purpose} needs the Python package {package!r}: "pip install {package}"'
-            f'{DEBIAN_PACKAGES.get(package, "")}'
+            f'{purpose} needs the Python package {package!r}: "pip install {package}"{by_apt}'
         ) from None
 
 
@@ -213,23 +214,23 @@ def frame_compression(head: bytes | memoryview) -> str:
 def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     """Return the decompressed content of a chunk or message.
 
-    ``compression`` is 'zstd', 'lz4', 'none' or ''. Raises ValueError when it is another one,
-    when the data are damaged, or when the content is longer than ``limit`` bytes.
+    ``compression`` is 'zstd', 'lz4', 'none' or ''. Raises ValueError when it is another one, when
+    the data are damaged, or when the content is longer than ``limit`` bytes.
     """
     if compression in ('', 'none'):
         return bytes(data)
     try:
         size = _stated_size(data, compression)
-        if size > limit:
-            raise ValueError(f'it states {size} bytes, the limit is {limit}')
-        if size >= 0:
-            return bytes(_zstd_decompressor().decompress(data))
-        plain = bytes(_expanding(BytesIO(data), compression).read(limit + 1))
+        if 0 <= size <= limit:
+            return bytes(_local().zstd.decompress(data))
+        if size < 0:
+            plain = bytes(_expanding(BytesIO(data), compression).read(limit + 1))
+            size = len(plain)
     except AllanError:
         raise
     except Exception as error:  # each library raises its own exceptions
         raise ValueError(str(error) or type(error).__name__) from error
-    if len(plain) > limit:
+    if size > limit:
         raise ValueError(f'the data expand to more than {limit} bytes')
     return plain
 
@@ -278,14 +279,11 @@ def _zstd() -> Any:
     return optional_package('zstandard', 'reading zstd data')
 
 
-_LOCAL = threading.local()
+class _Local(threading.local):
+    """The decompressor of each thread, which is slow to create and must not be shared."""
+
+    def __init__(self) -> None:
+        self.zstd = _zstd().ZstdDecompressor()
 
 
-def _zstd_decompressor() -> Any:
-    """Return the decompressor of this thread; creating one takes longer than using it.
-
-    Two threads must not use one decompressor at the same time.
-    """
-    if not hasattr(_LOCAL, 'zstd'):
-        _LOCAL.zstd = _zstd().ZstdDecompressor()
-    return _LOCAL.zstd
+_local = lru_cache(_Local)
