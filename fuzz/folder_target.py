@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+import json
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from hypothesis import strategies as st
 
-from .damage import any_bytes, as_utf8, damaged_json
+from .damage import ODD_TEXTS, any_bytes, floats, signed, texts
 from .harness import Target
 from .mcap_target import IMU_TYPE, Plan, build
 from .reading import MESSAGES, read_and_check
@@ -67,12 +68,39 @@ def _splits(which: int) -> bytes:
     return build(Plan(chunks=1 + which))
 
 
+ODD_VALUES = (
+    st.none()
+    | st.booleans()
+    | signed
+    | floats
+    | texts
+    | st.sampled_from([10**400, [0.0] * 5000, {'a': {}}, [[[[[]]]]]])
+    | st.lists(texts, max_size=3)
+)
+
+
+@st.composite
+def _metadata(draw: Any) -> bytes:
+    """Draw metadata of which some values are replaced, removed or added."""
+    document = json.loads(json.dumps(METADATA))
+    (information,) = document.values()
+    (topic,) = information['topics_with_message_count']
+    for _ in range(draw(st.integers(0, 4))):
+        place = draw(st.sampled_from([document, information, topic, topic['topic_metadata']]))
+        key = draw(st.sampled_from([*place, *ODD_TEXTS]))
+        if draw(st.integers(0, 4)) or key not in place:
+            place[key] = draw(ODD_VALUES)
+        else:
+            del place[key]
+            break
+    return json.dumps(document, ensure_ascii=draw(st.booleans())).encode('utf-8', 'surrogatepass')
+
+
 @st.composite
 def _folders(draw: Any) -> tuple[bytes, bytes | None]:
     """Draw metadata and the second file of the bag (None: missing)."""
     metadata = (
-        damaged_json([METADATA], 2).map(as_utf8)
-        | damaged_json([METADATA], 4).map(as_utf8)
+        _metadata()
         | st.sampled_from(YAML_TRICKS).map(str.encode)
         | any_bytes([b'rosbag2_bagfile_information:\n  relative_file_paths:\n    - a_0.mcap\n'])
     )

@@ -46,9 +46,7 @@ PLACES += ('c.npy', 'c.bag', 'c.ulg', 'c.mcap.zstd', 'c')
 
 def zstd_frame(size: int, states_size: bool, byte: bytes = b'\0') -> bytes:
     """Return a frame of equal bytes, made of run-length blocks."""
-    head = b'\x28\xb5\x2f\xfd' + (
-        b'\xc0\x38' + struct.pack('<Q', size) if states_size else b'\0\x38'
-    )
+    head = b'\xc0\x38' + struct.pack('<Q', size) if states_size else b'\0\x38'
     whole, rest = divmod(size, RLE_BYTES)
     blocks = (struct.pack('<I', RLE_BYTES << 3 | 2)[:3] + byte) * whole
     return b'\x28\xb5\x2f\xfd' + head + blocks + struct.pack('<I', rest << 3 | 3)[:3] + byte

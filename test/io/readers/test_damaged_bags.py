@@ -4,14 +4,12 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
 import struct
 import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +19,7 @@ import pytest
 from allan_ros.io.readers import topics_of
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.io.writing import write_recording
+from fuzz.hostile_target import KINDS, MAKE, PLACES
 from fuzz.mcap_target import Plan, build
 from fuzz.reading import small_batch
 
@@ -329,45 +328,31 @@ def limited(path: Path, megabytes: int = 500) -> str:
     return done.stdout
 
 
-ZEROS = bytes(1 << 24)
-BOMB = 1 << 30
-"""Size in bytes to which each of the following files expands."""
+BIG = 1 << 30
 
 
-def zstd_bomb(states_size: bool) -> bytes:
-    how = zstandard.ZstdCompressor(level=1)
-    out = how.compressobj(size=BOMB) if states_size else how.compressobj()
-    return b''.join(out.compress(ZEROS) for _ in range(BOMB // len(ZEROS))) + out.flush()
-
-
-@pytest.fixture(scope='module')
-def bombs() -> dict[str, bytes]:
-    return {'stated': zstd_bomb(True), 'not stated': zstd_bomb(False)}
-
-
-@pytest.mark.parametrize('which', ['stated', 'not stated'])
-@pytest.mark.parametrize('size', [1 << 20, BOMB])
-def test_a_chunk_that_expands_without_limit(
-    which: str, size: int, bombs: dict[str, bytes], tmp_path: Path, imu_batches: Any
+@pytest.mark.parametrize(
+    'made, says',
+    [
+        (('mcap', 'zstd', BIG, BIG, 1), 'the chunk at byte'),
+        (('mcap', 'zstd', BIG, 1 << 20, 1), 'the chunk at byte'),
+        (('mcap', 'zstd stated', BIG, BIG, 1), 'the chunk at byte'),
+        (('mcap', 'zstd stated', BIG, 1 << 20, 1), 'the chunk at byte'),
+        (('messages', 'zstd', BIG), 'message 4 of /imu/data is not a sensor_msgs/msg/Imu'),
+        (('messages', 'zstd stated', BIG), 'message 4 of /imu/data is not a sensor_msgs/msg/Imu'),
+        (('file', 'zstd', BIG, '.db3.zstd'), 'expands more than'),
+        (('file', 'zstd stated', BIG, '.mcap.zstd'), 'expands more than'),
+        (('line', 't,gx,gy,gz\n1,2,3,', 4 * BIG), 'line 2 has more than'),
+        (('sparse', '.mcap', 16 * BIG), 'the limit is'),
+        (('sparse', '.npy', 4 * BIG), 'save it again with numpy'),
+        (('sparse', '.npz', 0), 'save it again with numpy'),
+    ],
+)
+def test_a_file_that_expands_without_limit_is_rejected(
+    made: tuple[Any, ...], says: str, tmp_path: Path
 ) -> None:
-    data = mcap_file(tmp_path, imu_batches(100))
-    at = next(start for opcode, start, _ in records(data) if opcode == CHUNK)
-    packed = bombs[which]
-    head = struct.pack('<QQQII4sQ', 0, 1, size, 0, 4, b'zstd', len(packed))
-    chunk = struct.pack('<BQ', CHUNK, len(head) + len(packed)) + head + packed
-    path = tmp_path / 'bomb.mcap'
-    path.write_bytes(data[:at] + chunk + struct.pack('<BQI', DATA_END, 4, 0))
-    assert 'the chunk at byte' in limited(path)
-
-
-@pytest.mark.parametrize('which', ['stated', 'not stated'])
-def test_messages_that_expand_without_limit(
-    which: str, bombs: dict[str, bytes], tmp_path: Path, imu_batches: Any
-) -> None:
-    path = database(tmp_path, imu_batches(40), 'message')
-    with sqlite3.connect(path) as connection:
-        connection.execute('UPDATE messages SET data = ? WHERE id > 3', (bombs[which],))
-    assert 'message 4 of /imu/data is not a sensor_msgs/msg/Imu' in limited(path)
+    kind, *how = made
+    assert says in limited(MAKE[kind](tmp_path, *how))
 
 
 def test_many_messages_that_expand_a_little(tmp_path: Path, imu_batches: Any) -> None:
@@ -380,79 +365,16 @@ def test_many_messages_that_expand_a_little(tmp_path: Path, imu_batches: Any) ->
     assert limited(path) == '200\n'
 
 
-@pytest.mark.parametrize('which', ['stated', 'not stated'])
-@pytest.mark.parametrize('suffix', ['.db3.zstd', '.mcap.zstd'])
-def test_a_file_that_expands_without_limit(
-    which: str, suffix: str, bombs: dict[str, bytes], tmp_path: Path
-) -> None:
-    path = tmp_path / f'bomb{suffix}'
-    path.write_bytes(bombs[which])
-    assert 'expands more than' in limited(path)
-
-
-def test_a_table_of_one_long_line(tmp_path: Path) -> None:
-    path = tmp_path / 'long.csv'
-    with path.open('wb') as file:
-        file.write(b't,gx,gy,gz\n1,2,3,')
-        file.truncate(4 << 30)  # a sparse file of zeros
-    assert 'line 2 has more than' in limited(path)
-
-
-def test_a_record_with_the_length_of_the_file_is_rejected(tmp_path: Path, imu_batches: Any) -> None:
-    data = mcap_file(tmp_path, imu_batches(100))
-    at = next(start for opcode, start, _ in records(data) if opcode == CHUNK)
-    path = tmp_path / 'sparse.mcap'
-    with path.open('wb') as file:
-        file.write(data[:at] + struct.pack('<BQ', 0x03, 3 << 30))
-        file.truncate(4 << 30)
-    assert 'the limit is' in limited(path)
-
-
-def test_an_array_header_that_expands_without_limit(tmp_path: Path) -> None:
-    import zipfile
-
-    path = tmp_path / 'bomb.npz'
-    with (
-        zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED) as archive,
-        archive.open('imu.npy', 'w', force_zip64=True) as member,
-    ):
-        member.write(b'\x93NUMPY\x02\x00' + struct.pack('<I', 2**32 - 16))
-        for _ in range(8):
-            member.write(ZEROS.replace(b'\0', b' '))
-    assert 'save it again with numpy' in limited(path, 60)
-
-
-# --- special files -------------------------------------------------------------------------------
-
-SPECIAL: dict[str, Callable[[Path], None]] = {
-    'fifo': lambda path: os.mkfifo(path),
-    'device': lambda path: path.symlink_to('/dev/zero'),
-    'terminal': lambda path: path.symlink_to('/dev/tty'),
-    'folder': lambda path: path.mkdir(),
-    'loop': lambda path: path.symlink_to(path.name),
-}
-
-
-@pytest.mark.parametrize('kind', SPECIAL)
-@pytest.mark.parametrize(
-    'name', ['run/metadata.yaml', 'run/run.mcap', 'x.csv', 'x.npz', 'x.db3', 'x.bag', 'x.ulg']
-)
+@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.parametrize('place', PLACES)
 def test_special_files_are_rejected_without_waiting(
-    kind: str, name: str, tmp_path: Path, imu_batches: Any, outcome: Any
+    kind: str, place: str, tmp_path: Path, outcome: Any
 ) -> None:
-    write_recording(tmp_path / 'run', imu_batches(5))
-    path = tmp_path / name
-    path.unlink(missing_ok=True)
-    SPECIAL[kind](path)
-    count, said = outcome(path.parent if name.startswith('run') else path)
-    assert said and not count
-    assert said.startswith(str(tmp_path))
-
-
-def test_a_log_that_is_not_a_file_is_ignored(tmp_path: Path, imu_batches: Any, read: Any) -> None:
-    path = database(tmp_path, imu_batches(40))
-    os.mkfifo(f'{path}-wal')
-    assert len(read(path).stamps_ns) == 40
+    path = MAKE['special'](tmp_path, kind, place)
+    count, said = outcome(path)
+    ignored = place.endswith('-wal') or (kind, place) == ('gone', 'a/metadata.yaml')
+    assert (count, bool(said)) == ((9, False) if ignored else (0, True))
+    assert not said or said.startswith(str(path))
 
 
 def test_checksums_are_verified(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
