@@ -19,7 +19,20 @@ ODD_INTEGERS = (0, *(2**power for power in _POWERS[:-1]), *(2**power - 1 for pow
 
 ODD_FLOATS = (0.0, -0.0, 5e-324, 1e-310, 1e-160, 1e-9, 1e18, 1e154, 1e300, 1.8e308, math.nan)
 
-ODD_TEXTS = ('', '/', '..', '../../x', '\0', 'a\nb', '\x1b[2J', '\u202e', '\ud800', 'é', '{}', '%s')
+ODD_TEXTS: tuple[str, ...] = (
+    '',
+    '/',
+    '..',
+    '../../x',
+    '\0',
+    'a\nb',
+    '\x1b[2J',
+    '\u202e',
+    '\ud800',
+    'é',
+    '{}',
+    '%s',
+)
 ODD_TEXTS += ('=1+1', '<script>', 'a' * 2000, '𝄞' * 50, "'; DROP TABLE topics; --")
 
 integers = st.sampled_from(ODD_INTEGERS) | st.integers(0, 2**64 - 1) | st.integers(0, 300)

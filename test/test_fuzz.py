@@ -81,6 +81,23 @@ def test_an_input_that_hangs_is_reported_with_its_seed(tmp_path: Path) -> None:
     assert current.read_text() == "seed 7, input 'this input'"
 
 
+WRITES = """
+from pathlib import Path
+from hypothesis import strategies
+from fuzz import harness
+target = harness.Target('writes', strategies.just(0), lambda _, folder: open('outside', 'w'))
+print(harness.run_target(target, 0.1, 7, harness.Watch()).crashes)
+"""
+
+
+def test_writing_outside_the_own_folder_breaks_the_rule(tmp_path: Path) -> None:
+    environment = {**os.environ, 'PYTHONPATH': os.getcwd()}
+    command = [sys.executable, '-c', WRITES]
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
+    assert "open 'outside' to write" in done.stdout, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def messages_in(path: Path) -> int:
     """Return the number of messages that can be read; 0 if the file is rejected."""
     try:

@@ -3,8 +3,8 @@
 """Limit linear algebra to one thread during a fit.
 
 The matrices of a fit have about a hundred rows. More threads do not make it faster, and their
-busy-waiting multiplies the CPU time. The library threadpoolctl sets the number of threads of any
-BLAS library. Without it, OpenBLAS is set on Linux, which the wheels of numpy and scipy contain.
+busy-waiting multiplies the CPU time. OpenBLAS is set on Linux, which the wheels of numpy and scipy
+contain.
 """
 
 from __future__ import annotations
@@ -46,14 +46,9 @@ def _limit() -> None:
     """Set one thread, and register in `_restore` how to undo it."""
     import scipy.linalg  # noqa: F401  # loads its own BLAS library
 
-    try:
-        from threadpoolctl import threadpool_limits  # type: ignore[import-not-found,unused-ignore]
-    except ImportError:
-        for get, set_number in _openblas():
-            _restore.callback(set_number, get())
-            set_number(1)
-        return
-    _restore.enter_context(threadpool_limits(1, 'blas'))
+    for get, set_number in _openblas():
+        _restore.callback(set_number, get())
+        set_number(1)
 
 
 def _openblas() -> Iterator[tuple[Callable[[], int], Callable[[int], Any]]]:

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 from typing import Any
 
@@ -14,27 +13,7 @@ import yaml
 from allan_ros.core.errors import AllanError
 from allan_ros.io.files import MOST_BRACKETS, parse_yaml
 from allan_ros.io.readers import open_recordings
-
-LETTERS = 'abcdefghi'
-
-
-def grown(first: str, link: str) -> str:
-    """Return eight YAML entries, each with nine references to the previous one: 4e7 of the
-    first.
-    """
-    steps = (
-        f'{here}: &{here} {link.format(", ".join([f"*{before}"] * 9))}\n'
-        for before, here in itertools.pairwise(LETTERS)
-    )
-    return f'a: &a {first}\n{"".join(steps)}'
-
-
-LISTS, MERGES = grown('[x, x]', '[{}]'), grown('{k: 1}', '{{<<: [{}]}}')
-TOPIC = '{name: NAME, type: sensor_msgs/msg/Imu, serialization_format: cdr}'
-INFORMATION = (
-    'rosbag2_bagfile_information: {relative_file_paths: [FILE], '
-    f'topics_with_message_count: [{{topic_metadata: {TOPIC}, message_count: 1}}]}}\n'
-)
+from fuzz.folder_target import MERGES, YAML_TRICKS
 
 
 @pytest.mark.parametrize(
@@ -58,18 +37,8 @@ def test_slow_documents_are_rejected(text: str) -> None:
         parse_yaml(text)
 
 
-@pytest.mark.parametrize(
-    'text',
-    [
-        LISTS + INFORMATION.replace('NAME', '*i'),
-        LISTS + INFORMATION.replace('FILE', '*i'),
-        LISTS + INFORMATION.replace('cdr', '*i'),
-        LISTS + INFORMATION.replace('message_count: 1', 'message_count: *i'),
-        MERGES + 'rosbag2_bagfile_information: *i\n',
-        '[' * 3000,
-    ],
-)
+@pytest.mark.parametrize('text', YAML_TRICKS)
 def test_metadata_that_would_fill_the_memory_is_rejected(text: str, tmp_path: Path) -> None:
     (tmp_path / 'metadata.yaml').write_text(text)
-    with pytest.raises(AllanError, match=r'restore metadata\.yaml'):
+    with pytest.raises(AllanError, match=r'metadata\.yaml'):
         open_recordings([tmp_path])

@@ -50,6 +50,9 @@ _LAYOUT_FIELDS = {'cdr': ('representation', 'frame_bytes'), 'ros1': ('frame_byte
 
 _DOUBLE = 8
 
+_IMU_BYTES = 400
+"""More than the length of an Imu message without a frame_id."""
+
 _VECTORS = (
     ('orientation', 4),
     ('orientation_covariance', 9),
@@ -281,16 +284,14 @@ def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, fl
 
     Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
     """
-    order, frame_bytes = _order_and_frame_bytes(payload, encoding)
-    if frame_bytes > min(len(payload), MAX_FRAME_BYTES):
-        raise MalformedMessage(0, f'a frame_id of {frame_bytes} bytes is too long')
-    dtype, offsets = _layout(encoding, order, frame_bytes)[1:3]
+    # the value follows the header, like the orientation in an Imu message
+    padded = payload + bytes(_IMU_BYTES)
+    _, dtype, offsets, frame = _layout_of(padded, encoding)
     if len(payload) < offsets['orientation'] + _DOUBLE:
         raise MalformedMessage(0, f'{len(payload)} bytes are too few for a Temperature')
-    # the value follows the header, like the orientation in an Imu message
-    record = np.frombuffer(payload.ljust(dtype.itemsize, b'\0'), dtype, 1)[0]
+    record = np.frombuffer(padded, dtype, 1)[0]
     stamp_ns = int(record['sec']) * NANOSECONDS + int(record['nanosec'])
-    frame_id = record['frame_id'].tobytes().rstrip(b'\0').decode(errors='replace')
+    frame_id = payload[frame].rstrip(b'\0').decode(errors='replace')
     return stamp_ns, frame_id, float(record['orientation'][0])
 
 
