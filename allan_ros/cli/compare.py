@@ -101,7 +101,7 @@ increase as a factor, and the ratio of the Allan deviations.
 
 COMPARE_OPTIONS = f"""
 inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
--o --output DIR  folder for tables and plots (default: none)
+-o --output DIR  folder for comparison.json and plots (default: none)
 --label TEXT...  name of an input, such as a temperature or a serial number; give one per input, in
     the same order (default: name of folder or file)
 --sensor NAME...  also compare with this datasheet, like sensor:NAME; `allan sensors` lists the
@@ -115,7 +115,7 @@ INFLATE_OPTIONS = """
 rest REST  the robot at rest, motors off
 running RUNNING  the robot at rest, motors on
 --horizon SECONDS [30]  longest time that the filter integrates without correction
--o --output DIR  folder for inflation.json, tables and plots
+-o --output DIR  folder for inflation.json, comparison.json and plots
 """
 
 UNITS = Settings('result', ResultSettings, ['method', 'sensor', 'baseline', 'margin', 'export'])

@@ -16,7 +16,6 @@ from ..core.errors import AllanError, one_line
 from ..core.fields import plain
 from ..core.filters.noise_parameters import TermInflation
 from ..core.filters.reductions import horizon_text, shortest_horizon
-from ..core.fit import TERMS, Coefficient
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
 from .datasheets import (
     Datasheet,
@@ -25,7 +24,7 @@ from .datasheets import (
 )
 from .documents import results_to_document
 from .files import to_json, write_together
-from .format import interval_text, markdown_rows, shown_unit, significant, value_text
+from .format import significant
 from .from_datasheet import against_measured
 from .results import Results
 
@@ -158,9 +157,9 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
                         'axis': d.axis,
                         'quantity': d.quantity,
                         'tau_s': d.tau,
-                        'ratio': d.ratio,
+                        'ratio': plain(d.ratio),
                         'ci95': plain(d.ci95),
-                        'p': d.p,
+                        'p': plain(d.p),
                         'verdict': d.verdict,
                         'equivalence': d.equivalence(comparison.within)
                         if comparison.within
@@ -307,17 +306,14 @@ def write_comparison(
     units: str = 'deg/h',
     plots: Sequence[str] = (),
 ) -> list[Path]:
-    """Write comparison.json and .md, and the requested figures; return the paths.
+    """Write comparison.json, and figures in the formats ``plots``; return the paths.
 
-    ``units`` is 'deg/h' or 'SI', for the Markdown and the figures. ``plots`` are file formats.
+    ``units`` of the figures are 'deg/h' or 'SI'.
     """
     from .result_files import made_folder
 
     place = made_folder(Path(folder))
-    contents: dict[str, str | bytes] = {
-        'comparison.json': to_json(comparison_document(comparison)),
-        'comparison.md': markdown(comparison, units),
-    }
+    contents: dict[str, str | bytes] = {'comparison.json': to_json(comparison_document(comparison))}
     if plots:
         from .plots import comparison_figure, rendered  # imports matplotlib
 
@@ -325,52 +321,6 @@ def write_comparison(
         contents |= rendered(figures, plots)
     write_together(place, contents)
     return [place / name for name in contents]
-
-
-def markdown(comparison: RunComparison, units: str = 'deg/h') -> str:
-    """Return the comparison as Markdown: sentences, then a table for each pair and datasheet."""
-    parts = [f'{line}\n' for line in comparison_headline(comparison)]
-    for pair in comparison.pairs:
-        first, second = _safe(pair.first), _safe(pair.second)
-        rows = [['axis', 'quantity', 'unit', first, second, 'ratio', '']]
-        for d in pair.differences:
-            what = ['' if d.tau is None else f'deviation at {d.tau:.3g} s', '', '', '']
-            if d.tau is None:
-                unit = shown_unit(d.axis, d.quantity, units)
-                both = _coefficients(comparison, pair, d)
-                values = (f'{value_text(c, unit)} {interval_text(c, unit)}'.strip() for c in both)
-                what = [d.quantity, unit.name, *values]
-            rows.append([d.axis, *what, ratio_text(d), verdict_text(d)])
-        parts += _section(f'{second} against {first}', rows)
-    for label, checked in comparison.datasheets:
-        rows = [['axis', 'term', 'limit', 'stated', '']]
-        for c in checked.comparisons:
-            unit = shown_unit(c.axis, c.term, units)
-            limit = f'{c.limit * unit.factor:.3g} {unit.name}'
-            stated = _safe(checked.limit(c).stated)
-            rows.append([c.axis, c.term, limit, stated, c.verdict])
-        parts += _section(
-            f'{_safe(label)} and the datasheet of {_safe(checked.datasheet.name)}', rows
-        )
-    return '\n'.join(parts)
-
-
-def _safe(text: str) -> str:
-    """Return a user's text on one line; ``<`` is escaped, so that Markdown contains no HTML."""
-    return one_line(text).replace('<', '&lt;')
-
-
-def _section(title: str, rows: list[list[str]]) -> list[str]:
-    heading = title.replace('|', '\\|')
-    return [f'## {heading}\n', markdown_rows(rows)]
-
-
-def _coefficients(comparison: RunComparison, pair: Pair, d: Difference) -> tuple[Coefficient, ...]:
-    runs = {run.label: run.results for run in comparison.runs}
-    assert d.quantity in TERMS
-    return tuple(
-        runs[label].axes[d.axis].fit.noise[d.quantity] for label in (pair.first, pair.second)
-    )
 
 
 INFLATION_SCHEMA = 'allan_ros/inflation/1'
@@ -422,7 +372,7 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
                     for term, t in axis.items()
                 },
                 'deviation': [
-                    {'tau_s': d.tau, 'ratio': d.ratio, 'ci95': d.ci95 and list(d.ci95)}
+                    {'tau_s': d.tau, 'ratio': plain(d.ratio), 'ci95': plain(d.ci95)}
                     for d in inflation.ratios(name)
                 ],
             }

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -113,13 +113,6 @@ def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
     return tuple(
         None if n is None else float(f'{n * unit.factor:.{NUMBER_DIGITS}g}') for n in numbers
     )
-
-
-def markdown_rows(rows: Iterable[Sequence[str]]) -> str:
-    """Return rows of cells as a Markdown table; the first row is its header."""
-    lines = [[cell.replace('|', r'\|') for cell in row] for row in rows]
-    lines.insert(1, ['---'] * len(lines[0]))
-    return '\n'.join(f'| {" | ".join(line)} |' for line in lines) + '\n'
 
 
 def part_text(part: str, likely: Collection[str]) -> str:

@@ -51,38 +51,11 @@ def write_result_files(
     plots: Sequence[str] = (),
     overwrite: bool = False,
 ) -> tuple[Results, list[Path]]:
-    """Write results.json, sums.json, the report, imu.yaml, further filter files, and figures.
+    """Write the files of `Results.save`; return the results, with a finding for each filter file
+    that cannot be written, and the paths.
 
-    Parameters
-    ----------
-    folder : path
-        Folder for the files; it is created if it is missing.
-    results : Results
-        Results with their sums.
-    command : str
-        Command that repeats the analysis; it is printed in the report.
-    units : 'deg/h' or 'SI'
-        Units of the report and the figures.
-    targets : sequence of str
-        Targets of `allan export` whose files are written in addition to imu.yaml (Kalibr).
-    plots : sequence of str
-        File formats of figures in addition to the report: 'png', 'svg', 'pdf'.
-    overwrite : bool
-        Whether results of another recording are replaced.
-
-    Returns
-    -------
-    Results
-        The results with a finding for each filter file that could not be created, such as imu.yaml
-        without an accelerometer.
-    list of Path
-        The paths of the files.
-
-    Raises
-    ------
-    AllanError
-        When the results have no sums, the folder has results of another recording, or a file cannot
-        be written.
+    ``command`` repeats the analysis; it is printed in the report. Raises AllanError when the
+    results have no sums, the folder has results of another recording, or a file cannot be written.
     """
     recorded = results.recorded
     if recorded is None:
@@ -95,6 +68,7 @@ def write_result_files(
         recorded.signals, known.segments, SIGNAL_BINS, recorded.events, recorded.temperatures
     )
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
+    digest = f'{fingerprint(sums_document)} (equal for equal samples)'
     drawn: dict[str, bytes] = {}
     if plots:
         from .plots import figure_files  # imports matplotlib
@@ -102,7 +76,7 @@ def write_result_files(
         drawn |= figure_files(results, plots, units)
     context = ReportContext(
         summary,
-        _reproduction(command, fingerprint(sums_document)),
+        {**({'command': command} if command else {}), 'fingerprint of the sums': digest},
         [*filters, *drawn, RESULTS, SUMS],
     )
     contents: dict[str, str | bytes] = {**drawn, REPORT: render_report(results, context, units)}
@@ -177,12 +151,6 @@ def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, s
             omitted = finding('file_left_out', file=target.file_name, why=str(error))
             results = replace(results, findings=(*results.findings, omitted))
     return files, results
-
-
-def _reproduction(command: str, digest: str) -> dict[str, str]:
-    """Return label -> text for the report: the command of the analysis, and the fingerprint."""
-    stated = {'fingerprint of the sums': f'{digest} (equal for equal samples)'}
-    return {'command': command, **stated} if command else stated
 
 
 def made_folder(folder: Path) -> Path:

@@ -35,7 +35,7 @@ from .files import PATH, public, write_atomic
 from .format import shown_unit
 from .recorded import Provenance, RecordingSums
 from .threads import one_thread
-from .verdict import TOO_SHORT_S, Verdict, html_summary, summary_lines, verdict_of
+from .verdict import TOO_SHORT_S, Verdict, summary_lines, verdict_of
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Results:
     """The results of one analysis of one IMU.
 
     ``results['gyro_z']`` is the `AxisResult` of an axis, and iteration gives the names of the axes.
-    Printed, the results are a summary; in a notebook, a table.
+    Printed, the results are a summary.
 
     Attributes
     ----------
@@ -175,9 +175,6 @@ class Results:
 
     def __repr__(self) -> str:
         return '\n'.join(summary_lines(self))
-
-    def _repr_html_(self) -> str:
-        return html_summary(self)
 
     def table(self, units: str = 'deg/h') -> Any:
         """Return all coefficients as a table with one row for each axis and term.

@@ -6,24 +6,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
 from ..core.compare import Comparison
 from ..core.findings import Finding, by_consequence, duration_text, grouped, is_note
-from ..core.fit import TERMS
 from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
 from .format import (
-    interval_text,
-    pretty_unit,
     shown_unit,
     significant,
     value_text,
 )
 
 if TYPE_CHECKING:
-    from .axis_result import AxisResult
     from .results import Results
 
 Level = Literal['healthy', 'attention', 'measured', 'unknown', 'failed']
@@ -100,7 +95,7 @@ def verdict_of(
     level = _level(results, comparisons)
     summary = _summary(results, comparisons, units, spelled)
     warnings = _warnings(results, units)
-    reasons = (*_axis_differences(results), *_resolved_terms(results), *warnings)
+    reasons = (*_axis_differences(results), *warnings)
     steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
     return Verdict(level, summary, reasons, steps)
 
@@ -249,24 +244,6 @@ def _axis_differences(results: Results) -> Iterator[str]:
             )
 
 
-def _resolved_terms(results: Results) -> Iterator[str]:
-    """Yield a sentence with the number of axes on which N, B and K are resolved."""
-    axes = results.axes
-    if not measured(results):
-        return
-    if not any(c.ci95 for axis in axes.values() for c in axis.fit.noise.values()):
-        yield f'Method {results.method} gives no intervals: use likelihood to see what is resolved.'
-        return
-    counts = {
-        term: sum(axis.fit.noise[term].status == 'estimated' for axis in axes.values())
-        for term in ADVISED_TERMS
-    }
-    resolved = _joined([f'{term} on {count} of {len(axes)} axes' for term, count in counts.items()])
-    if set(counts.values()) == {len(axes)}:
-        resolved = 'N, B and K on every axis'
-    yield f'{duration_text(results.duration_s, 3)} at rest resolve {resolved}.'
-
-
 def _warnings(results: Results, units: str) -> Iterator[str]:
     """Yield the warnings and errors, one for each cause."""
     for finding in grouped(results.findings):
@@ -388,34 +365,6 @@ def summary_lines(results: Results) -> Iterator[str]:
         yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
     for each in _warnings_and_errors(results):
         yield f'  {each.severity}: {each}'
-
-
-def html_summary(results: Results) -> str:
-    """Return the verdict, all coefficients and the warnings as HTML, for a notebook."""
-    head = ''.join(f'<th>{term}</th>' for term in TERMS)
-    rows = ''.join(_html_row(name, axis) for name, axis in results.axes.items())
-    notes = ''.join(
-        f'<li><b>{escape(each.severity)}</b> {escape(str(each))}</li>'
-        for each in _warnings_and_errors(results)
-    )
-    verdict = results.verdict
-    return (
-        f'<div><p><b>{WORDS[verdict.level]}.</b> {escape(verdict.summary)}</p>'
-        f'<p>{escape(headline(results))}</p>'
-        f'<table><thead><tr><th>axis</th>{head}</tr></thead><tbody>{rows}</tbody></table>'
-        f'{f"<ul>{notes}</ul>" if notes else ""}</div>'
-    )
-
-
-def _html_row(name: str, axis: AxisResult) -> str:
-    cells = ''
-    for term in TERMS:
-        unit = shown_unit(name, term, 'deg/h')
-        interval = interval_text(axis.fit.noise[term], unit)
-        value = f'{value_text(axis.fit.noise[term], unit)} {pretty_unit(unit.name)}'
-        small = f'<br><small>{escape(interval)}</small>' if interval else ''
-        cells += f'<td>{escape(value)}{small}</td>'
-    return f'<tr><th>{escape(name)}</th>{cells}</tr>'
 
 
 def _warnings_and_errors(results: Results) -> list[Finding]:

@@ -160,18 +160,11 @@ def test_axes_are_found_by_name(results: ar.Results) -> None:
         results['yaw']
 
 
-def test_summaries(results: ar.Results) -> None:
-    text, html = repr(results), results._repr_html_()
-    assert text.startswith('imu_link: 18,000 samples at 50 Hz, 6 min')
-    assert all(axis in text and axis in html for axis in AXES)
-    assert '<table>' in html
-    assert results.verdict.summary in html
-
-
-def test_foreign_names_are_escaped_in_html() -> None:
-    r = ar.analyze(ar.simulate(hours=0.05, rate=50, frame_id='<script>\x1b[31m'), **QUICK)
-    assert '<script>' not in r._repr_html_()
-    assert '\x1b' not in repr(r) + r._repr_html_()
+def test_a_summary_names_every_axis_without_control_characters(results: ar.Results) -> None:
+    assert repr(results).startswith('imu_link: 18,000 samples at 50 Hz, 6 min')
+    assert all(axis in repr(results) for axis in AXES)
+    strange = ar.analyze(ar.simulate(hours=0.05, rate=50, frame_id='\x1b[31m'), **QUICK)
+    assert '\x1b' not in repr(strange)
 
 
 def test_pictures(results: ar.Results) -> None:

@@ -64,7 +64,7 @@ def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path,
     assert json.loads(capsys.readouterr().out)['differs'] is True
     assert main([*words, '-o', str(tmp_path / 'out'), '-q']) == 0
     assert capsys.readouterr().out == ''
-    assert (tmp_path / 'out' / 'comparison.md').is_file()
+    assert (tmp_path / 'out' / 'comparison.json').is_file()
     assert main(['compare', str(worse), 'sensor:adis16475-3', '--fail-on-difference']) == 3
     said = capsys.readouterr().out
     assert said.startswith('worse exceeds the datasheet of ADIS16475-3 in gyro z N')

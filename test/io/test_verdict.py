@@ -56,7 +56,6 @@ def test_an_imu_within_its_reference_is_healthy(small_results: Results) -> None:
     verdict = verdict_of(calm(small_results), against_itself(small_results, 1.01))
     assert verdict.level == 'healthy'
     assert verdict.summary == 'All 12 numbers are within May.'
-    assert verdict.reasons[-1].startswith('20 min at rest resolve N on 6 of 6 axes')
     assert any('allan export' in step for step in verdict.next_steps)
 
 
@@ -164,7 +163,7 @@ def test_a_method_without_intervals_is_named(small_results: Results) -> None:
     plain = replace(
         with_noise(small_results, **{t: Coefficient(1e-5) for t in 'QNBKR'}), method='paper'
     )
-    assert verdict_of(plain).reasons[-1].startswith('Method paper gives no intervals')
+    assert verdict_of(plain).summary == 'Method paper gives no intervals.'
 
 
 def test_comparisons_are_with_every_baseline(small_results: Results) -> None:

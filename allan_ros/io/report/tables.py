@@ -70,11 +70,10 @@ def headline_table(sensor: str, axes: Axes) -> str:
     return _table('coefficients', axes, '', _coefficient_rows(sensor, axes, ADVISED_TERMS))
 
 
-def model_table(sensor: str, axes: Axes, deviations: bool = True) -> Iterator[str]:
+def model_table(sensor: str, axes: Axes) -> Iterator[str]:
     """Yield an HTML table of the other terms and of what the model contains.
 
-    ``deviations`` adds the largest deviation of each curve from the model. If there is neither a
-    value nor a limit of any term, only a note says so.
+    If there is neither a value nor a limit of any term, only a note says so.
     """
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
@@ -82,7 +81,7 @@ def model_table(sensor: str, axes: Axes, deviations: bool = True) -> Iterator[st
         return
     rows = _coefficient_rows(sensor, axes, [t for t in TERMS if t not in ADVISED_TERMS])
     stated = [deviation_text(axis.fit.deviation) for axis in axes.values()]
-    if deviations and any(stated):
+    if any(stated):
         heading = 'largest deviation<small>of the curve from the model</small>'
         rows.append((heading, [f'<td>{text or "–"}</td>' for text in stated]))
     if any(axis.regions for axis in axes.values()):
