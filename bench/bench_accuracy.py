@@ -30,7 +30,7 @@ import allan_ros as ar
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import TERMS, AxisFit, Coefficient, fit_noise
-from allan_ros.core.imu import from_datasheet, to_datasheet
+from allan_ros.core.imu import from_datasheet, shown_unit
 from allan_ros.core.noise import NoiseTerms, gamma_of, gauss_markov_avar, term_avar
 from allan_ros.core.simulate import simulate_axis
 
@@ -223,21 +223,21 @@ def table(scenario: str, fits: list[AxisFit]) -> str:
         truth = getattr(SCENARIOS[scenario].truth, term)
         got = [Outcome.of(fit.noise[term]) for fit in fits]
         value = np.array([g.value for g in got])
-        shown, unit = to_datasheet(term, 'gyro', truth)
-        cells = [f'{term} [{unit}]', f'{shown:.4g}']
+        unit = shown_unit('gyro', term, 'deg/h')
+        cells = [f'{term} [{unit.name}]', f'{truth * unit.factor:.4g}']
         if truth > 0.0:
             error = value / truth - 1.0
             cells += [f'{100 * error.mean():+.3f}', f'{100 * np.sqrt(np.mean(error**2)):.3f}']
         else:
             cells += ['', '']
-        cells.append(f'{to_datasheet(term, "gyro", float(np.median(value)))[0]:.4g}')
+        cells.append(f'{np.median(value) * unit.factor:.4g}')
         cells.append(f'{100 * np.mean([g.seen for g in got]):.1f} %')
         if np.isfinite([g.high for g in got]).any():
             inside = sum(g.low <= truth <= g.high for g in got)
             low, high = clopper_pearson(inside, len(got))
             cells.append(f'{100 * inside / len(got):.1f} ({100 * low:.1f}-{100 * high:.1f})')
             width = float(np.median([g.high - g.low for g in got]))
-            cells.append(f'{to_datasheet(term, "gyro", width)[0]:.4g}')
+            cells.append(f'{width * unit.factor:.4g}')
         else:
             cells += ['', '']
         lines.append('| ' + ' | '.join(cells) + ' |')

@@ -257,12 +257,6 @@ def sensor_of(axis: str) -> str:
     return axis.split('_', 1)[0]
 
 
-def to_datasheet(term: str, sensor: str, value: float) -> tuple[float, str]:
-    """Convert a coefficient from SI to the unit of datasheets; return the value and the unit."""
-    unit = DATASHEET_UNITS[sensor][term]
-    return value / UNITS[unit].factor, unit
-
-
 def from_datasheet(term: str, sensor: str, value: float) -> float:
     """Convert a coefficient from the unit of datasheets to SI."""
     return value * UNITS[DATASHEET_UNITS[sensor][term]].factor

@@ -8,7 +8,7 @@ import pytest
 
 from allan_ros.cli.main import main
 from allan_ros.core.fit import TERMS
-from allan_ros.core.imu import AXES, sensor_of, to_datasheet
+from allan_ros.core.imu import AXES, shown_unit
 from allan_ros.core.simulate import PRESETS
 from allan_ros.io.datasheets import load_sensor
 from allan_ros.io.readers import open_recordings
@@ -33,7 +33,7 @@ def test_the_preset_is_table_1_of_the_paper(tmp_path):
     assert len(stamps) == 1800 and np.array_equal(np.diff(stamps), [20_000_000] * 1799)
     for axis, terms in PRESETS['paper'].items():
         for term in TERMS:
-            value, _ = to_datasheet(term, sensor_of(axis), getattr(truth[axis], term))
+            value = getattr(truth[axis], term) * shown_unit(axis, term, 'deg/h').factor
             assert value == pytest.approx(terms.get(term, 0.0))
     assert samples[:, 5].mean() == pytest.approx(9.80665, abs=0.01)
 
@@ -55,9 +55,9 @@ def test_single_terms_go_before_the_datasheet(tmp_path):
     limits = load_sensor('adis16475-3').limits['gyro_x']
     assert astuple(truth['gyro_x']) == (0.0, limits['N'].value, limits['B'].value, 0.0, 0.0)
     assert truth['gyro_y'].B == truth['gyro_x'].B
-    assert to_datasheet('N', 'gyro', truth['gyro_y'].N)[0] == pytest.approx(0.5)
-    assert to_datasheet('R', 'gyro', truth['gyro_y'].R)[0] == pytest.approx(-3)
-    assert to_datasheet('B', 'accel', truth['accel_z'].B)[0] == pytest.approx(9)
+    assert truth['gyro_y'].N * shown_unit('gyro', 'N', 'deg/h').factor == pytest.approx(0.5)
+    assert truth['gyro_y'].R * shown_unit('gyro', 'R', 'deg/h').factor == pytest.approx(-3)
+    assert truth['accel_z'].B * shown_unit('accel', 'B', 'deg/h').factor == pytest.approx(9)
 
 
 def test_a_truth_can_be_simulated_again(tmp_path):

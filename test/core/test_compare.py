@@ -1,16 +1,183 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An IMU exceeds a limit only when the complete interval lies beyond the limit."""
+"""Two runs differ only if the difference is significant, whatever the number of comparisons."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 
-from allan_ros.core.compare import Difference, verdict
-from allan_ros.core.fit.model import Coefficient
+from allan_ros.core.allan.curve import AxisCurve, chi_squared_limits
+from allan_ros.core.compare import (
+    FAMILY_ERROR,
+    Difference,
+    Measured,
+    _with_verdicts,
+    differences,
+    verdict,
+)
+from allan_ros.core.fit.model import TERMS, Coefficient
 
-NOT_OBSERVABLE = Coefficient(None, None, 0.5, 'not_observable')
+UNSEEN = Coefficient(None, None, 0.5, 'not_observable')
+
+
+def compare(first: Coefficient, second: Coefficient) -> Difference:
+    """Return the difference of N as the only comparison, so without correction for several
+    tests.
+    """
+    others = {term: Coefficient(None) for term in TERMS}
+    runs = ({'gyro_x': Measured(others | {'N': c}, None)} for c in (first, second))
+    [found] = differences([tuple(runs)])
+    return next(d for d in found if d.quantity == 'N')
+
+
+def of_curves(*curves: AxisCurve, repeats: float = 1.0) -> tuple[Difference, ...]:
+    [found] = differences([tuple({'gyro_x': Measured(None, c)} for c in curves)], repeats)
+    return found
+
+
+def curve(adev: np.ndarray, edf: np.ndarray, tau: np.ndarray) -> AxisCurve:
+    unused = np.zeros(len(tau), np.int64)
+    return AxisCurve(unused, tau, unused, adev, *chi_squared_limits(adev**2, edf))
+
+
+@pytest.mark.parametrize(
+    'first, second, expected',
+    [
+        (Coefficient(1.0, (0.99, 1.01)), Coefficient(1.5, (1.48, 1.52)), 'higher'),
+        (Coefficient(1.5, (1.48, 1.52)), Coefficient(1.0, (0.99, 1.01)), 'lower'),
+        (Coefficient(1.0, (0.9, 1.1)), Coefficient(1.12, (1.0, 1.25)), 'alike'),
+        (Coefficient(3.0, (2.7, 3.3)), UNSEEN, 'lower'),
+        (UNSEEN, Coefficient(3.0, (2.7, 3.3)), 'higher'),
+        (UNSEEN, Coefficient(0.6, (0.3, 0.9)), 'undecided'),
+        (UNSEEN, UNSEEN, 'undecided'),
+        (Coefficient(1.0), Coefficient(9.0), 'undecided'),
+        (Coefficient(1.0, (0.0, 2.0)), Coefficient(9.0, (8.9, 9.1)), 'undecided'),
+    ],
+)
+def test_verdicts(first, second, expected):
+    assert compare(first, second).verdict == expected
+
+
+def test_the_ratio_has_the_widths_that_face():
+    """Zou & Donner: the lower limit has the lower width of one and the upper width of the other."""
+    d = compare(Coefficient(1.0, (0.8, 1.1)), Coefficient(2.0, (1.6, 3.0)))
+    low, high = d.ci95
+    assert d.ratio == pytest.approx(2.0)
+    whole = math.log(3.0 / 1.6) / 2, math.log(1.1 / 0.8) / 2
+    assert math.log(2.0 / low) == pytest.approx(math.hypot(whole[0], whole[1]))
+    assert math.log(high / 2.0) == pytest.approx(math.hypot(math.log(1.5), math.log(1.25)))
+
+
+def test_an_estimate_at_the_end_of_its_interval_is_not_known_the_better():
+    d = compare(Coefficient(1.0, (0.98, 1.0001)), Coefficient(1.005, (1.0, 1.01)))
+    assert d.verdict == 'alike'
+    assert d.p > 0.3
+
+
+def test_the_comparison_is_symmetric():
+    a, b = Coefficient(1.0, (0.8, 1.1)), Coefficient(2.0, (1.6, 3.0))
+    there, back = compare(a, b), compare(b, a)
+    assert there.ratio == pytest.approx(1 / back.ratio)
+    assert there.ci95 == pytest.approx([1 / end for end in reversed(back.ci95)])
+    assert there.p == pytest.approx(back.p)
+    assert compare(a, UNSEEN).p == pytest.approx(compare(UNSEEN, a).p)
+
+
+def test_a_limit_leaves_the_ratio_open_at_one_end():
+    assert compare(Coefficient(1.0, (0.8, 1.1)), UNSEEN).ci95 == pytest.approx((0.0, 0.5 / 0.8))
+    d = compare(UNSEEN, Coefficient(1.0, (0.8, 1.1)))
+    assert d.ratio is None and d.ci95 == (pytest.approx(1.6), math.inf)
+
+
+def test_holm_by_hand():
+    """p of 0.01, 0.03, 0.04 and 0.005 at 5 %: limits are 0.05/4, /3, /2, /1."""
+    raw = [
+        Difference('gyro_x', 'N', None, 1.0, 2.0, (1.5, 3.0), p) for p in (0.01, 0.03, 0.04, 0.005)
+    ]
+    assert [d.verdict for d in _with_verdicts(raw, 0.05)] == ['higher', 'alike', 'alike', 'higher']
+    assert [d.verdict for d in _with_verdicts(raw, 0.2)] == ['higher'] * 4
+    assert differences([]) == []
+
+
+def test_curves_are_compared_where_both_have_data():
+    tau = np.geomspace(0.01, 100.0, 60)
+    edf = 1000.0 / tau
+    a, b = curve(tau**-0.5, edf, tau), curve(2.0 * tau[10:] ** -0.5, edf[10:], tau[10:])
+    found = of_curves(a, b)
+    times = [d.tau for d in found]
+    assert times[0] == pytest.approx(tau[10])
+    assert times[-1] <= tau[-1] and np.diff(np.log(times)) == pytest.approx(math.log(4.0))
+    assert [d.ratio for d in found] == pytest.approx([2.0] * len(found), rel=1e-6)
+    assert all(d.ci95[0] < 2.0 < d.ci95[1] for d in found)
+    assert found[0].verdict == 'higher'
+    nothing = curve(np.full(60, np.nan), edf, tau)
+    assert of_curves(a, nothing) == ()
+
+
+def test_runs_of_equal_noise_rarely_differ():
+    """400 pairs of 20 deviations: more than 35 false alarms have a probability of 0.1 %."""
+    rng = np.random.default_rng(8)
+    tau = 4.0 ** np.arange(20)
+    edf = np.geomspace(1e5, 4.0, 20)
+    alarms = 0
+    for _ in range(400):
+        a, b = (curve(np.sqrt(rng.chisquare(edf) / edf), edf, tau) for _ in range(2))
+        found = of_curves(a, b)
+        assert len(found) == 20
+        alarms += any(d.verdict != 'alike' for d in found)
+    assert 5 <= alarms <= 35
+    assert FAMILY_ERROR == 0.05
+
+
+def test_all_pairs_are_one_family():
+    """A p of 1 % is significant alone, but not as one of ten pairs."""
+    tau = np.array([1.0, 4.0])
+    edf = np.array([200.0, 200.0])
+    a, b = curve(np.ones(2), edf, tau), curve(np.array([1.2, 1.0]), edf, tau)
+    assert [d.verdict for d in of_curves(a, b)] == ['higher', 'alike']
+    pair = {'gyro_x': Measured(None, a)}, {'gyro_x': Measured(None, b)}
+    assert {d.verdict for of_pair in differences([pair] * 10) for d in of_pair} == {'alike'}
+    assert {d.verdict for d in of_curves(a, b, repeats=10.0)} == {'alike'}
+
+
+def test_an_endless_series_of_comparisons_has_few_false_alarms():
+    """At most 5 % of 100 series raise an alarm: more than 13 have a probability of 0.05 %."""
+    rng = np.random.default_rng(9)
+    tau, edf = 4.0 ** np.arange(8), np.geomspace(1e4, 4.0, 8)
+    alarms = 0
+    for _ in range(100):
+        before = curve(np.sqrt(rng.chisquare(edf) / edf), edf, tau)
+        recent = (curve(np.sqrt(rng.chisquare(edf) / edf), edf, tau) for _ in range(5))
+        alarms += any(
+            d.significant
+            for k, now in enumerate(recent, 1)
+            for d in of_curves(before, now, repeats=k * (k + 1))
+        )
+    assert alarms <= 13
+
+
+@pytest.mark.parametrize(
+    'second, expected',
+    [
+        (Coefficient(1.0, (0.95, 1.05)), 'within'),
+        (Coefficient(1.15, (1.13, 1.17)), 'within'),  # significant, within the margin
+        (Coefficient(1.5, (1.45, 1.55)), 'exceeds'),
+        (Coefficient(0.5, (0.45, 0.55)), 'within'),
+        (Coefficient(1.5, (0.8, 2.2)), 'within'),  # not significant
+        (Coefficient(None, None, 0.9, 'not_observable'), 'within'),
+        (Coefficient(None, None, 5.0, 'not_observable'), 'undecided'),
+    ],
+)
+def test_an_earlier_run_is_exceeded_only_significantly_and_by_the_margin(second, expected):
+    found = compare(Coefficient(1.0, (0.98, 1.02)), second).against('May', 0.2)
+    assert (found.reference, found.term, found.verdict) == ('May', 'N', expected)
+
+
+def test_two_unresolved_terms_are_not_compared():
+    assert compare(UNSEEN, UNSEEN).against('May', 0.2) is None
 
 
 @pytest.mark.parametrize(
@@ -21,7 +188,7 @@ NOT_OBSERVABLE = Coefficient(None, None, 0.5, 'not_observable')
         (Coefficient(1.2, (1.1, 1.3)), 'undecided'),
         (Coefficient(1.3, (1.25, 1.35)), 'exceeds'),
         (Coefficient(2.0, (0.5, 3.5)), 'undecided'),
-        (NOT_OBSERVABLE, 'within'),
+        (UNSEEN, 'within'),
         (Coefficient(None, None, 5.0, 'not_observable'), 'undecided'),
         (Coefficient(9.0, (8.0, 10.0), 10.0, 'not_observable'), 'undecided'),
         (Coefficient(9.0), 'undecided'),

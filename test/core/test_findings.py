@@ -24,7 +24,7 @@ from allan_ros.core.findings import (
     is_note,
     significant,
 )
-from allan_ros.core.imu import DATASHEET_UNITS, SI_UNITS, to_datasheet
+from allan_ros.core.imu import DATASHEET_UNITS, SI_UNITS, shown_unit
 from allan_ros.io.documents import finding_from_document
 
 IN_DEG_H = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
@@ -53,8 +53,8 @@ def test_every_text_is_complete_in_both_units(id, optional):
 def test_a_quantity_is_shown_in_the_units_of_the_output():
     for axis in ('gyro_x', 'accel_x'):
         found = finding('bias_steps', (axis,), size=1e-5, before=2e-6, after=1e-6)
-        size, unit = to_datasheet('B', axis[:-2], 1e-5)
-        assert f'up to {significant(size, 3)} {unit}' in found.message
+        unit = shown_unit(axis, 'B', 'deg/h')
+        assert f'up to {significant(1e-5 * unit.factor, 3)} {unit.name}' in found.message
         assert '1.00e-05 ' + SI_UNITS[axis[:-2]]['B'] in found.texts('SI').message
 
 

@@ -7,9 +7,11 @@ import pytest
 from scipy import fft
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.imu import joined
 from allan_ros.core.noise import FLICKER_FLOOR, term_avar
 from allan_ros.core.simulate import (
     BATCH_SAMPLES,
+    Faults,
     NoiseTerms,
     _flicker_autocovariance,
     _flicker_eigenvalues,
@@ -18,7 +20,16 @@ from allan_ros.core.simulate import (
 )
 
 MIXED = NoiseTerms(Q=2e-3, N=0.03, B=0.1, K=0.02, R=1e-3)
-QUIET = [NoiseTerms(N=1e-3)] * 3
+QUIET = [NoiseTerms(N=1e-4)] * 3
+SILENT = [NoiseTerms()] * 3
+RATE, SECONDS = 100.0, 100.0
+
+
+def record(faults=Faults(), noise=SILENT, seconds=SECONDS, rate=RATE, **options):
+    """Return times in s and samples."""
+    options = {'mean': np.zeros(6), **options}
+    batch = joined(list(simulate_imu(seconds, rate, noise, noise, faults=faults, **options)))
+    return batch.stamps_ns * 1e-9, batch.samples
 
 
 def avar(y, m):
@@ -26,13 +37,6 @@ def avar(y, m):
     theta = np.concatenate([np.zeros((*y.shape[:-1], 1)), np.cumsum(y, axis=-1)], axis=-1)
     d = theta[..., 2 * m :] - 2 * theta[..., m:-m] + theta[..., : -2 * m]
     return (d**2).mean(axis=-1) / (2 * m**2)
-
-
-def recording(seconds=20.0, rate=100.0, **options):
-    batches = list(simulate_imu(seconds, rate, QUIET, QUIET, **options))
-    return np.concatenate([b.stamps_ns for b in batches]), np.concatenate(
-        [b.samples for b in batches]
-    )
 
 
 @pytest.mark.parametrize('m', [1, 2, 3, 7, 30, 200])
@@ -69,14 +73,14 @@ def test_mean_allan_variance_is_the_expected_one_at_every_factor(terms):
 
 
 def test_the_seed_decides_everything():
-    again = [recording(seed=5)[1] for _ in range(2)]
+    again = [record(noise=QUIET, seed=5)[1] for _ in range(2)]
     assert np.array_equal(*again)
-    assert not np.array_equal(again[0], recording(seed=6)[1])
+    assert not np.array_equal(again[0], record(noise=QUIET, seed=6)[1])
 
 
 def test_axes_are_independent_and_centered_on_the_mean():
     """False alarm probability below 1e-5: 15 correlations of 20000 samples at 5 sigma."""
-    _, samples = recording(200.0, mean=[1, 2, 3, 4, 5, 6])
+    _, samples = record(noise=QUIET, seconds=200.0, mean=[1, 2, 3, 4, 5, 6])
     assert np.abs(samples.mean(axis=0) - [1, 2, 3, 4, 5, 6]).max() < 0.05
     steps = np.diff(samples, axis=0)
     correlation = np.corrcoef(steps.T) - np.eye(6)
@@ -95,3 +99,125 @@ def test_stamps_start_at_the_given_time_and_batches_are_bounded():
 def test_nothing_to_simulate_is_rejected(arguments):
     with pytest.raises(AllanError, match=r'must lie between|longer time'):
         next(simulate_imu(*arguments, QUIET, QUIET))
+
+
+def test_a_simulated_fault_changes_only_its_own_effect():
+    _, clean = record(noise=QUIET)
+    _, dropped = record(Faults(drop=0.1, jitter=1e-3), noise=QUIET)
+    assert set(dropped[:, 0]) < set(clean[:, 0])
+    _, shaken = record(Faults(vibration_gyro=1.0), noise=QUIET)
+    assert np.array_equal(shaken[:, 3:], clean[:, 3:])
+
+
+def test_bumps_ring_at_their_frequency_and_decay():
+    faults = Faults(bumps=1, bump_accel=5.0, bump_gyro=0.5, bump_frequency=8.0, bump_decay=0.2)
+    _, y = record(faults)
+    for sensor, amplitude in ((y[:, :3], 0.5), (y[:, 3:], 5.0)):
+        size = np.sqrt((sensor**2).sum(axis=1))
+        first = np.argmax(size > 0)
+        assert size[first] == pytest.approx(amplitude)
+        period = round(RATE / 8.0 * 2)
+        assert size[first + period] == pytest.approx(amplitude * np.exp(-period / RATE / 0.2))
+    assert np.array_equal(np.argmax(y != 0, axis=0), [np.argmax(y[:, 0] != 0)] * 6)
+
+
+def test_motion_stays_in_its_spans():
+    t, y = record(Faults(motion=((10.0, 5.0), (50.0, 1.0)), motion_gyro=0.3, motion_accel=2.0))
+    inside = ((t >= 10) & (t < 15)) | ((t >= 50) & (t < 51))
+    assert not y[~inside].any()
+    assert 0.1 < np.abs(y[inside, :3]).max() <= 0.3
+    assert 0.7 < np.abs(y[inside, 3:]).max() <= 2.0
+
+
+def test_gaps_lose_exactly_their_seconds():
+    t, _ = record(Faults(gaps=((20.0, 2.5), (60.0, 10.0))))
+    steps = np.diff(t)
+    assert sorted(steps[steps > 0.011]) == pytest.approx([2.51, 10.01])
+    assert len(t) == SECONDS * RATE - 1250
+
+
+def test_drops_and_jitter_have_their_size():
+    """500 +- 22 of 10,000 samples are lost at 5 %; the bound is 6 sigma (false alarm 2e-9). As many
+    normal values determine their spread to 0.7 %; the bound is 5 sigma.
+    """
+    t, _ = record(Faults(drop=0.05))
+    assert abs(len(t) - 9500) < 6 * 22 and t[0] == 0.0
+    t, _ = record(Faults(jitter=1e-3))
+    assert (t - np.arange(len(t)) / RATE).std() == pytest.approx(1e-3, rel=0.036)
+
+
+def test_bursts_are_pauses_that_later_samples_fill():
+    t, _ = record(Faults(burst=0.5))
+    steps = np.diff(t)
+    assert len(t) == SECONDS * RATE
+    assert np.median(steps) == pytest.approx(0.002)
+    assert 0.3 < steps.max() <= 0.51
+    lag = t - t[0] - np.arange(len(t)) / RATE
+    assert lag.max() - lag.min() < 0.6  # late, but without a drift
+
+
+def test_low_pass_keeps_the_mean_and_reduces_the_variance():
+    """White noise filtered with the pole p has the variance (1 - p)/(1 + p); bound 5 sigma of
+    3e4.
+    """
+    _, raw = record(noise=QUIET)
+    _, slow = record(Faults(low_pass=20.0), noise=QUIET)
+    pole = np.exp(-2 * np.pi * 20.0 / RATE)
+    gain = slow.var(axis=0).mean() / raw.var(axis=0).mean()
+    assert gain == pytest.approx((1 - pole) / (1 + pole), rel=0.05)
+    np.testing.assert_allclose(slow.mean(axis=0), raw.mean(axis=0), atol=1e-6)
+
+
+def test_vibration_is_one_line():
+    t, y = record(Faults(vibration_frequency=7.0, vibration_gyro=0.2, vibration_accel=3.0))
+    spectrum = np.abs(np.fft.rfft(y, axis=0)) / (len(t) / 2)
+    line = round(7.0 * SECONDS)
+    np.testing.assert_allclose(spectrum[line], [0.2] * 3 + [3.0] * 3, rtol=1e-6)
+    spectrum[line] = 0
+    assert spectrum.max() < 1e-9
+
+
+def test_gauss_markov_has_its_variance_and_correlation_time():
+    """2000 s of T_c = 1 s and six axes: 6000 independent values determine each to 2 %; bounds 5
+    sigma.
+    """
+    faults = Faults(gauss_markov_gyro=0.3, gauss_markov_accel=0.3, gauss_markov_time=1.0)
+    _, y = record(faults, seconds=2000.0, rate=20.0)
+    assert y.var() == pytest.approx(0.09, rel=0.1)
+    assert (y[20:] * y[:-20]).mean() / y.var() == pytest.approx(np.exp(-1.0), abs=0.06)
+    assert np.abs(np.corrcoef(y.T) - np.eye(6)).max() < 0.2
+
+
+@pytest.mark.parametrize('rate', [62.5, 99.0, 1000.0])
+def test_accelerometer_is_held_between_its_readings(rate):
+    _, raw = record(noise=QUIET)
+    _, held = record(Faults(accel_rate=rate), noise=QUIET)
+    assert np.array_equal(held[:, :3], raw[:, :3])
+    fresh = 1 + np.count_nonzero(np.diff(held[:, 3]))
+    assert fresh == pytest.approx(min(rate, RATE) * SECONDS, abs=1)
+    # Every value is a true sample, at most one reading old.
+    longest = int(np.ceil(RATE / min(rate, RATE)))
+    age = np.array(
+        [list(raw[max(0, i - longest) : i + 1, 3][::-1]).index(held[i, 3]) for i in range(1000)]
+    )
+    assert age.max() <= longest - 1
+
+
+def test_rounding_puts_values_on_the_lattice():
+    _, y = record(Faults(lsb_gyro=1e-3, lsb_accel=0.02), noise=QUIET)
+    for sensor, lsb in ((y[:, :3], 1e-3), (y[:, 3:], 0.02)):
+        assert np.abs(sensor / lsb - np.round(sensor / lsb)).max() < 1e-9
+
+
+def test_warm_up_decays():
+    t, y = record(Faults(warmup_gyro=0.1, warmup_accel=-0.2, warmup_time=30.0))
+    np.testing.assert_allclose(y[:, 0], 0.1 * np.exp(-t / 30.0))
+    np.testing.assert_allclose(y[:, 5], -0.2 * np.exp(-t / 30.0))
+
+
+@pytest.mark.parametrize(
+    'bad', [{'drop': 1.5}, {'jitter': -1.0}, {'gaps': ((1.0, 0.0),)}, {'motion': ((-1.0, 2.0),)}]
+)
+def test_impossible_faults_are_rejected(bad):
+    with pytest.raises(AllanError, match=next(iter(bad))):
+        Faults(**bad)

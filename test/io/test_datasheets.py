@@ -1,6 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
 import importlib.util
+import json
 import math
 
 import pytest
@@ -8,9 +9,21 @@ import yaml
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, UNITS, sensor_of
-from allan_ros.io.datasheets import SCHEMA, load_sensor, sensor_names
+from allan_ros.io.datasheets import (
+    SCHEMA,
+    Datasheet,
+    Limit,
+    Source,
+    load_sensor,
+    sensor_names,
+)
+from allan_ros.io.documents import results_from_document, results_to_document
 
 DEGREE = math.pi / 180
+DENSITY = {'value': 0.05, 'unit': 'deg/s/sqrt(Hz)'}
+N = 0.05 * DEGREE
+ARW = {'value': 1.0, 'unit': 'deg/sqrt(h)'}
+BIAS = {'value': 10, 'unit': 'ug'}
 
 
 def sheet(**sensors):
@@ -80,35 +93,22 @@ def test_the_examples_of_the_page_load(repository, load):
 
 
 @pytest.mark.parametrize(
-    'sided, factor, note',
-    [('one', 0.5**0.5, 'one-sided'), ('two', 1, ''), ('unknown', 1, 'does not state')],
+    'sensor, stated, term, expected, note',
+    [
+        ('gyro', {'noise_density': DENSITY | {'sided': 'one'}}, 'N', N / 2**0.5, 'one-sided'),
+        ('gyro', {'noise_density': DENSITY | {'sided': 'two'}}, 'N', N, ''),
+        ('gyro', {'noise_density': DENSITY | {'sided': 'unknown'}}, 'N', N, 'does not state'),
+        # the random walk is N itself, so it is used before the density
+        ('gyro', {'arw': ARW, 'noise_density': DENSITY | {'sided': 'one'}}, 'N', DEGREE / 60, ''),
+        ('accel', {'bias_instability': BIAS | {'stated_as': 'coefficient'}}, 'B', 9.80665e-5, ''),
+        ('accel', {'bias_instability': BIAS | {'stated_as': 'minimum'}}, 'B', 1.47628e-4, 'min'),
+        ('accel', {'bias_instability': BIAS | {'stated_as': 'unknown'}}, 'B', 1.47628e-4, 'not'),
+    ],
 )
-def test_a_density_becomes_n_by_its_sides(load, sided, factor, note):
-    density = {'value': 0.05, 'unit': 'deg/s/sqrt(Hz)', 'sided': sided}
-    limit = load(sheet(gyro={'noise_density': density})).limits['gyro_x']['N']
-    assert limit.value == pytest.approx(0.05 * DEGREE * factor)
-    assert limit.stated == '0.05 deg/s/sqrt(Hz)'
+def test_figures_become_coefficients_by_their_meaning(load, sensor, stated, term, expected, note):
+    limit = load(sheet(**{sensor: stated})).limits[f'{sensor}_x'][term]
+    assert limit.value == pytest.approx(expected, rel=1e-4)
     assert note in limit.note and bool(note) == bool(limit.note)
-
-
-def test_the_random_walk_is_believed_before_the_density(load):
-    """ADIS16405: 2.0 deg/sqrt(h) and 0.05 deg/s/sqrt(Hz) agree when the density is one-sided."""
-    density = {'value': 0.05, 'unit': 'deg/s/sqrt(Hz)', 'sided': 'one'}
-    both = load(
-        sheet(gyro={'arw': {'value': 2.0, 'unit': 'deg/sqrt(h)'}, 'noise_density': density})
-    )
-    assert both.limits['gyro_x']['N'].value == pytest.approx(2 * DEGREE / 60)
-    alone = load(sheet(gyro={'noise_density': density}))
-    assert alone.limits['gyro_x']['N'].value == pytest.approx(2 * DEGREE / 60, rel=0.07)
-
-
-@pytest.mark.parametrize(
-    'stated_as, factor', [('coefficient', 1), ('minimum', 1.5054), ('unknown', 1.5054)]
-)
-def test_a_minimum_becomes_the_coefficient(load, stated_as, factor):
-    bias = {'value': 10, 'unit': 'ug', 'stated_as': stated_as}
-    limit = load(sheet(accel={'bias_instability': bias})).limits['accel_x']['B']
-    assert limit.value == pytest.approx(10e-6 * 9.80665 * factor, rel=1e-4)
 
 
 @pytest.mark.parametrize('number', ['3e-1', '0.3', '3.0E-01', '+3e-01'])
@@ -118,7 +118,7 @@ def test_numbers_are_parsed_as_users_write_them(load, number):
 
 
 def arw(**change):
-    return sheet(gyro={'arw': {'value': 1.0, 'unit': 'deg/sqrt(h)'} | change})
+    return sheet(gyro={'arw': ARW | change})
 
 
 @pytest.mark.parametrize(
@@ -202,11 +202,6 @@ def test_a_bad_product_is_rejected_with_its_place(load, change, said):
     assert '\n' not in str(refused.value)
 
 
-def test_a_product_that_carries_itself_is_rejected(load, tmp_path):
-    with pytest.raises(AllanError, match="'carries' is unknown"):
-        load(PRODUCT | {'carries': str(tmp_path / 'x.yaml')})
-
-
 @pytest.mark.parametrize('name', ['mpu6050', 'MPU_6050', 'Mpu-6050'])
 def test_case_and_punctuation_of_a_name_do_not_matter(name):
     assert load_sensor(name).name == 'MPU-6050'
@@ -243,3 +238,45 @@ def test_a_file_in_the_users_folder_has_a_name(tmp_path, monkeypatch):
     assert (
         load_sensor('adis16475-3').name == 'my own'
     )  # takes precedence over the file of the package
+
+
+def limits_of(**limits):
+    """Return a datasheet that states limits of gyro_x, in SI."""
+    stated = {term: Limit(value, f'{value:g} SI') for term, value in limits.items()}
+    return Datasheet('X-1', 'Maker', {'a': Source('X-1', 'Rev. A')}, {'gyro_x': stated}, {})
+
+
+def held(results, **limits):
+    return results.against_datasheet(limits_of(**limits), 0.2)
+
+
+@pytest.mark.parametrize('share, verdict', [(1.0, 'within'), (0.9, 'within'), (0.5, 'exceeds')])
+def test_the_complete_interval_decides(small_results, share, verdict):
+    n = small_results.axes['gyro_x'].fit.noise['N']
+    against = held(small_results, N=n.value * share)
+    assert against.datasheet.verdict == verdict
+    [entry] = against.datasheet.comparisons
+    assert (entry.axis, entry.term, entry.verdict) == ('gyro_x', 'N', verdict)
+    new = against.findings[len(small_results.findings) :]
+    assert [f.id for f in new] == ['exceeds_limit'] * (verdict == 'exceeds')
+    assert all(f.axes == ('gyro_x',) and 'of X-1' in f.message for f in new)
+
+
+def test_a_second_datasheet_replaces_the_findings_of_the_first(small_results):
+    beyond = held(small_results, N=1e-9)
+    assert held(beyond, N=1e-9).findings == beyond.findings
+    assert held(beyond, N=1.0).findings == small_results.findings
+
+
+def test_the_round_trip_of_the_document_is_complete(small_results):
+    against = held(small_results, N=1e-9, B=1.0)
+    assert [c.verdict for c in against.datasheet.comparisons] == ['exceeds', 'within']
+    assert against.datasheet.verdict == 'exceeds'
+    assert held(small_results).datasheet.verdict is None
+    document = json.loads(json.dumps(results_to_document(against), allow_nan=False))
+    assert document['datasheet']['axes']['gyro_x']['N']['verdict'] == 'exceeds'
+    assert document['datasheet']['axes']['gyro_x']['N']['unit'] == 'rad/s/sqrt(Hz)'
+    again = results_from_document(document)
+    assert again.datasheet == against.datasheet
+    before = json.loads(json.dumps(results_to_document(small_results)))
+    assert results_from_document(before).datasheet is None
