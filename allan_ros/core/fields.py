@@ -165,11 +165,6 @@ class Fields:
         with located(self.where):
             return to_si(value, stated, unit)
 
-    def interval(self, key: str) -> tuple[float, float]:
-        """Return a list of two finite numbers as a tuple."""
-        low, high = self._tuple(key, self.sequence(key), 2)
-        return low, high
-
     def numbers(self, key: str) -> NDArray[np.float64]:
         """Return a list of numbers as an array, with NaN for null."""
         return np.array(
@@ -269,7 +264,7 @@ class Fields:
         if args[1:] == (Ellipsis,):
             return tuple(fields.record(args[0]) for fields in self.each(key))
         if origin is tuple:
-            return self.interval(key)
+            return self._tuple(key, self.sequence(key), 2)
         if hint is str:
             return one_line(self.text(key))
         if hint is bool:

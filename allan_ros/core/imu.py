@@ -71,18 +71,6 @@ class ImuBatch:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def __eq__(self, other: object) -> bool:
-        """Return whether both have the same values; NaN equals NaN."""
-        if not isinstance(other, ImuBatch):
-            return NotImplemented
-        a, b = self.record_ns, other.record_ns
-        return (
-            self.frame_id == other.frame_id
-            and np.array_equal(self.stamps_ns, other.stamps_ns)
-            and np.array_equal(self.samples, other.samples, equal_nan=True)
-            and (a is b if a is None or b is None else np.array_equal(a, b))
-        )
-
     def __getitem__(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> ImuBatch:
         """Return some of the samples as a batch (views for a slice, else copies)."""
         record = None if self.record_ns is None else self.record_ns[rows]

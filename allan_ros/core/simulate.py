@@ -140,12 +140,8 @@ def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generat
     """Return n simulated samples of one axis with the noise ``terms``, in SI, (n,).
 
     The samples are ``tau0`` s apart, and the first one is 0. Their expected Allan variance equals
-    that of the terms at every averaging time. Raises AllanError when n or tau0 is not positive.
+    that of the terms at every averaging time.
     """
-    if n < 1 or not tau0 > 0.0:
-        raise AllanError(
-            f'cannot simulate {n} samples at intervals of {tau0} s: give positive numbers'
-        )
     from scipy import fft  # slow to import, and rarely needed
 
     q, w, b, k, r = terms.in_sample_units(tau0)
@@ -247,13 +243,9 @@ def simulate_imu(
     Raises
     ------
     AllanError
-        When the duration or rate is not positive, a sensor does not have three axes, or the samples
-        do not fit into memory.
+        When the duration or rate is not positive, or the samples do not fit into memory.
     """
     n, tau0 = samples_in(seconds, rate), 1.0 / rate
-    terms = (*gyro, *accel)
-    if len(gyro) != len(accel) or len(terms) != len(AXES):
-        raise AllanError(f'{len(gyro)} gyro and {len(accel)} accelerometer axes: give three each')
     axis_seeds, fault_seed = (s for s in np.random.SeedSequence(seed).spawn(2))
     try:
         samples = np.empty((n, len(AXES)))
@@ -261,12 +253,11 @@ def simulate_imu(
         raise AllanError(
             f'{n:,} samples do not fit into memory: reduce the duration or the rate'
         ) from error
-    for i, (axis_terms, axis_seed) in enumerate(zip(terms, axis_seeds.spawn(len(AXES)))):
-        samples[:, i] = simulate_axis(n, tau0, axis_terms, np.random.default_rng(axis_seed))
+    for i, (terms, axis_seed) in enumerate(zip((*gyro, *accel), axis_seeds.spawn(len(AXES)))):
+        samples[:, i] = simulate_axis(n, tau0, terms, np.random.default_rng(axis_seed))
     samples += np.asarray(mean, float)
     sample_seed, stamp_seed, loss_seed = fault_seed.spawn(3)
-    for sensor, axes in SENSORS.items():
-        _disturb_samples(samples[:, axes], tau0, faults, sensor, sample_seed)
+    _disturb_samples(samples, tau0, faults, sample_seed)
     stamps_ns = start_ns + np.round(np.arange(n) * (tau0 * 1e9)).astype(np.int64)
     kept = np.flatnonzero(~_lost_samples(n, tau0, faults, np.random.default_rng(loss_seed)))
     disturbed_ns = _disturbed_stamps(stamps_ns[kept], faults, stamp_seed)
@@ -290,43 +281,39 @@ BURST_SHORTEST = 0.02
 
 
 def _disturb_samples(
-    samples: Floats, tau0: float, faults: Faults, sensor: str, seed: np.random.SeedSequence
+    samples: Floats, tau0: float, faults: Faults, seed: np.random.SeedSequence
 ) -> None:
-    """Apply the faults to the samples of one sensor, (n, 3), in place.
-
-    With the same seed, a knock disturbs both sensors at the same time.
-    """
-    n, axes = samples.shape
-    times: Floats = np.arange(n, dtype=np.float64) * tau0
+    """Apply the faults to the samples, (n, 6), in place."""
+    times: Floats = np.arange(len(samples), dtype=np.float64) * tau0
     # one generator per fault: adding a fault does not change the others
-    fault_rngs = {
+    rngs = {
         name: np.random.default_rng([*seed.generate_state(4).tolist(), i])
         for i, name in enumerate(('gauss_markov', 'vibration', 'bumps', 'motion'))
     }
-    own = 0 if sensor == 'gyro' else 1
 
-    def amplitude(fault: str) -> float:
-        return float(getattr(faults, f'{fault}_{sensor}'))
+    def amplitudes(fault: str) -> Floats:
+        sensors = [getattr(faults, f'{fault}_{sensor}') for sensor in SENSORS]
+        return np.repeat(np.asarray(sensors, np.float64), 3)
 
-    if amplitude('warmup') != 0.0:
-        samples += (amplitude('warmup') * np.exp(-times / faults.warmup_time))[:, None]
-    if amplitude('gauss_markov') > 0.0:
-        white = fault_rngs['gauss_markov'].standard_normal((2, n, axes))[own]
+    if np.any(amplitudes('warmup')):
+        samples += amplitudes('warmup') * np.exp(-times / faults.warmup_time)[:, None]
+    if np.any(amplitudes('gauss_markov')):
+        white = np.concatenate(rngs['gauss_markov'].standard_normal((2, len(samples), 3)), axis=1)
         correlation = np.exp(-tau0 / faults.gauss_markov_time)
         white[1:] *= np.sqrt(1.0 - correlation**2)
-        samples += amplitude('gauss_markov') * _recursion(correlation, white)
-    if amplitude('vibration') > 0.0:
-        phases = fault_rngs['vibration'].uniform(0.0, 2.0 * np.pi, (2, axes))[own]
+        samples += amplitudes('gauss_markov') * _recursion(correlation, white)
+    if np.any(amplitudes('vibration')):
+        phases = rngs['vibration'].uniform(0.0, 2.0 * np.pi, len(AXES))
         angle = 2.0 * np.pi * faults.vibration_frequency * times[:, None]
-        samples += amplitude('vibration') * np.sin(angle + phases)
+        samples += amplitudes('vibration') * np.sin(angle + phases)
     if faults.bumps:
-        _add_knocks(samples, tau0, faults, amplitude('bump'), fault_rngs['bumps'])
+        _add_knocks(samples, tau0, faults, amplitudes('bump'), rngs['bumps'])
     if faults.motion:
-        phases = fault_rngs['motion'].uniform(0.0, 2.0 * np.pi, (2, len(MOTION_FREQUENCIES), axes))
         moving = _in_periods(times, faults.motion)
-        for frequency, phase in zip(MOTION_FREQUENCIES, phases[own]):
+        drawn = rngs['motion'].uniform(0.0, 2.0 * np.pi, (2, len(MOTION_FREQUENCIES), 3))
+        for frequency, phase in zip(MOTION_FREQUENCIES, np.concatenate(drawn, axis=1)):
             angle = 2.0 * np.pi * frequency * times[moving, None]
-            share = amplitude('motion') / len(MOTION_FREQUENCIES)
+            share = amplitudes('motion') / len(MOTION_FREQUENCIES)
             samples[moving] += share * np.sin(angle + phase)
     if faults.low_pass > 0.0:
         pole = np.exp(-2.0 * np.pi * faults.low_pass * tau0)
@@ -334,11 +321,12 @@ def _disturb_samples(
         samples -= start
         samples[:] = _recursion(pole, (1.0 - pole) * samples)
         samples += start
-    if sensor == 'accel' and faults.accel_rate > 0.0:
-        samples[:] = samples[_held_index(n, tau0, faults.accel_rate)]
-    if amplitude('lsb') > 0.0:
-        np.round(samples / amplitude('lsb'), out=samples)
-        samples *= amplitude('lsb')
+    accel = samples[:, SENSORS['accel']]
+    if faults.accel_rate > 0.0:
+        accel[:] = accel[_held_index(len(samples), tau0, faults.accel_rate)]
+    for axes, lsb in zip(SENSORS.values(), (faults.lsb_gyro, faults.lsb_accel)):
+        if lsb > 0.0:
+            samples[:, axes] = np.round(samples[:, axes] / lsb) * lsb
 
 
 def _recursion(pole: float, inputs: Floats) -> Floats:
@@ -349,18 +337,16 @@ def _recursion(pole: float, inputs: Floats) -> Floats:
 
 
 def _add_knocks(
-    samples: Floats, tau0: float, faults: Faults, amplitude: float, rng: np.random.Generator
+    samples: Floats, tau0: float, faults: Faults, amplitudes: Floats, rng: np.random.Generator
 ) -> None:
-    """Add decaying oscillations at random times and in random directions, in place."""
-    n, axes = samples.shape
-    length = int(np.ceil(BUMP_TAIL * faults.bump_decay / tau0))
-    t = np.arange(length) * tau0
+    """Add ringing from random times on, in the same random direction for both sensors."""
+    t = np.arange(int(np.ceil(BUMP_TAIL * faults.bump_decay / tau0))) * tau0
     ringing = np.exp(-t / faults.bump_decay) * np.cos(2.0 * np.pi * faults.bump_frequency * t)
-    for first in rng.integers(0, n, faults.bumps):
-        direction = rng.standard_normal((1, axes))
+    for first in rng.integers(0, len(samples), faults.bumps):
+        direction = rng.standard_normal((1, 3))
         direction /= np.linalg.norm(direction)
-        rows = samples[first : first + length]
-        rows += amplitude * ringing[: len(rows), None] * direction
+        rows = samples[first : first + len(t)]
+        rows += amplitudes * ringing[: len(rows), None] * np.tile(direction, 2)
 
 
 def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import math
 
-import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
@@ -11,7 +10,6 @@ from allan_ros.core.imu import (
     DATASHEET_UNITS,
     SI_UNITS,
     UNITS,
-    ImuBatch,
     from_datasheet,
     sensor_of,
     to_si,
@@ -66,15 +64,3 @@ def test_a_unit_of_something_else_is_rejected_with_those_that_fit(unit):
 
 def test_axis_names_determine_the_sensor():
     assert [sensor_of(a) for a in ('gyro_x', 'accel_z')] == ['gyro', 'accel']
-
-
-def test_batches_compare_by_value():
-    stamps, samples = np.arange(3), np.full((3, 6), np.nan)
-    samples[:, 0] = [1.0, 2.0, 3.0]
-    a = ImuBatch(stamps, samples)
-    assert a == ImuBatch(stamps.copy(), samples.copy()) and a != 'a batch'
-    assert a[:2] != a and a[1:] != a[:2]
-    assert a != ImuBatch(stamps, samples, frame_id='other')
-    recorded = ImuBatch(stamps, samples, stamps + 5)
-    assert a != recorded and recorded == ImuBatch(stamps, samples, stamps + 5)
-    assert recorded != ImuBatch(stamps, samples, stamps + 6)

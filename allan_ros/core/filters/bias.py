@@ -296,12 +296,12 @@ def _add(bias: BiasFilter, means: Iterable[tuple[int, float]], last: int | None 
         last = end
 
 
-def optimal_window(model: ProcessModel, longest: float = LONGEST_S) -> float:
-    """Return the averaging time in s, at most ``longest``, whose mean predicts the bias best.
+def optimal_window(model: ProcessModel) -> float:
+    """Return the averaging time in s, at most `LONGEST_S`, whose mean predicts the bias best.
 
     A longer time reduces the white noise of the mean, but the bias drifts within it.
     """
-    windows = np.geomspace(1.0, longest, 200)
+    windows = np.geomspace(1.0, LONGEST_S, 200)
     error = predicted_growth(drift_model(model), AHEAD_S, windows)
     return float(windows[int(np.argmin(error))])
 

@@ -168,8 +168,6 @@ def _check_step(dt: float) -> None:
 # --- reductions -----------------------------------------------------------------------------------
 
 States = Literal['none', 'walk', 'processes']
-
-STATES: tuple[States, ...] = ('none', 'walk', 'processes')
 """Bias models of a filter: no state, a random walk, or a random walk with several Gauss-Markov
 processes."""
 
