@@ -76,11 +76,6 @@ class Faults(CheckedSettings):
     vibration_gyro: float = _gyro(0.0, 'amplitude of a vibration line on each gyro axis')
     vibration_accel: float = _accel(0.0, 'amplitude of a vibration line on each accelerometer axis')
     vibration_frequency: float = _frequency(1.0, 'frequency of the vibration line')
-    bumps: int = parameter(0, 'number of knocks at random times', low=0)
-    bump_gyro: float = _gyro(0.5, 'initial amplitude of a knock')
-    bump_accel: float = _accel(5.0, 'initial amplitude of a knock')
-    bump_frequency: float = _frequency(8.0, 'frequency of the ringing after a knock')
-    bump_decay: float = _time(0.2, 'time in which the ringing decays to 1/e')
     motion: tuple[tuple[float, float], ...] = _periods('periods of motion, each (start, length)')
     motion_gyro: float = _gyro(0.5, 'amplitude of the motion')
     motion_accel: float = _accel(1.0, 'amplitude of the motion')
@@ -101,12 +96,6 @@ class Faults(CheckedSettings):
     drop: float = parameter(0.0, 'probability that a sample is lost', low=0.0, high=1.0)
     jitter: float = parameter(
         0.0, 'standard deviation of the stamps about the true times', unit='s', low=0.0
-    )
-    burst: float = parameter(
-        0.0,
-        'longest pause between bursts of samples that are stamped when they are read; 0: none',
-        unit='s',
-        low=0.0,
     )
 
     def __post_init__(self) -> None:
@@ -260,24 +249,18 @@ def simulate_imu(
     _disturb_samples(samples, tau0, faults, sample_seed)
     stamps_ns = start_ns + np.round(np.arange(n) * (tau0 * 1e9)).astype(np.int64)
     kept = np.flatnonzero(~_lost_samples(n, tau0, faults, np.random.default_rng(loss_seed)))
-    disturbed_ns = _disturbed_stamps(stamps_ns[kept], faults, stamp_seed)
+    stamps_ns = stamps_ns[kept]
+    if faults.jitter > 0.0:
+        noise = np.random.default_rng(stamp_seed.spawn(1)[0]).standard_normal(len(kept))
+        stamps_ns = stamps_ns + np.round(noise * faults.jitter * 1e9).astype(np.int64)
     for first in range(0, len(kept), BATCH_SAMPLES):
         rows = slice(first, first + BATCH_SAMPLES)
-        header_ns = disturbed_ns[rows]
+        header_ns = stamps_ns[rows]
         yield ImuBatch(header_ns, samples[kept[rows]], header_ns.copy(), frame_id)
 
 
-BUMP_TAIL = 40.0
-"""Number of decay times after which a knock is negligible (e^-40)."""
-
 MOTION_FREQUENCIES = (0.31, 0.73, 1.13)
 """Frequencies in Hz of a motion, with random phases; their sum has a long period."""
-
-BURST_SPACING = 0.002
-"""Time in s between the stamps of samples that a host reads at once (an MPU6050 at 100 Hz)."""
-
-BURST_SHORTEST = 0.02
-"""Shortest pause between bursts, as a fraction of the longest."""
 
 
 def _disturb_samples(
@@ -287,8 +270,8 @@ def _disturb_samples(
     times: Floats = np.arange(len(samples), dtype=np.float64) * tau0
     # one generator per fault: adding a fault does not change the others
     rngs = {
-        name: np.random.default_rng([*seed.generate_state(4).tolist(), i])
-        for i, name in enumerate(('gauss_markov', 'vibration', 'bumps', 'motion'))
+        name: np.random.default_rng([*seed.generate_state(4).tolist(), number])
+        for name, number in (('gauss_markov', 0), ('vibration', 1), ('motion', 3))
     }
 
     def amplitudes(fault: str) -> Floats:
@@ -306,8 +289,6 @@ def _disturb_samples(
         phases = rngs['vibration'].uniform(0.0, 2.0 * np.pi, len(AXES))
         angle = 2.0 * np.pi * faults.vibration_frequency * times[:, None]
         samples += amplitudes('vibration') * np.sin(angle + phases)
-    if faults.bumps:
-        _add_knocks(samples, tau0, faults, amplitudes('bump'), rngs['bumps'])
     if faults.motion:
         moving = _in_periods(times, faults.motion)
         drawn = rngs['motion'].uniform(0.0, 2.0 * np.pi, (2, len(MOTION_FREQUENCIES), 3))
@@ -336,19 +317,6 @@ def _recursion(pole: float, inputs: Floats) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -pole], inputs, axis=0))
 
 
-def _add_knocks(
-    samples: Floats, tau0: float, faults: Faults, amplitudes: Floats, rng: np.random.Generator
-) -> None:
-    """Add ringing from random times on, in the same random direction for both sensors."""
-    t = np.arange(int(np.ceil(BUMP_TAIL * faults.bump_decay / tau0))) * tau0
-    ringing = np.exp(-t / faults.bump_decay) * np.cos(2.0 * np.pi * faults.bump_frequency * t)
-    for first in rng.integers(0, len(samples), faults.bumps):
-        direction = rng.standard_normal((1, 3))
-        direction /= np.linalg.norm(direction)
-        rows = samples[first : first + len(t)]
-        rows += amplitudes * ringing[: len(rows), None] * np.tile(direction, 2)
-
-
 def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
     """Return for each of n samples the index of the sample whose value a slower sensor holds."""
     # Rounding must not hide a tick of the slower clock that coincides with a sample.
@@ -374,26 +342,3 @@ def _lost_samples(
         lost |= rng.random(n) < faults.drop
     lost[0] = False
     return lost
-
-
-def _disturbed_stamps(
-    stamps_ns: NDArray[np.int64], faults: Faults, seed: np.random.SeedSequence
-) -> NDArray[np.int64]:
-    """Return the stamps in ns with jitter, and in bursts if the host reads samples in groups."""
-    jitter_seed, burst_seed = seed.spawn(2)
-    out = stamps_ns
-    if faults.jitter > 0.0:
-        noise = np.random.default_rng(jitter_seed).standard_normal(len(out)) * faults.jitter
-        out = out + np.round(noise * 1e9).astype(np.int64)
-    if faults.burst > 0.0:
-        rng = np.random.default_rng(burst_seed)
-        elapsed = (out - out[0]) * 1e-9
-        shortest = BURST_SHORTEST * faults.burst
-        reads = np.cumsum(rng.uniform(shortest, faults.burst, int(elapsed[-1] / shortest) + 2))
-        read = reads[np.searchsorted(reads, elapsed)]
-        # A sample is stamped when it is read, but not before the previous sample is processed.
-        queue = BURST_SPACING * np.arange(len(out))
-        out = out[0] + np.round((queue + np.maximum.accumulate(read - queue)) * 1e9).astype(
-            np.int64
-        )
-    return out

@@ -109,18 +109,6 @@ def test_a_simulated_fault_changes_only_its_own_effect():
     assert np.array_equal(shaken[:, 3:], clean[:, 3:])
 
 
-def test_bumps_ring_at_their_frequency_and_decay():
-    faults = Faults(bumps=1, bump_accel=5.0, bump_gyro=0.5, bump_frequency=8.0, bump_decay=0.2)
-    _, y = record(faults)
-    for sensor, amplitude in ((y[:, :3], 0.5), (y[:, 3:], 5.0)):
-        size = np.sqrt((sensor**2).sum(axis=1))
-        first = np.argmax(size > 0)
-        assert size[first] == pytest.approx(amplitude)
-        period = round(RATE / 8.0 * 2)
-        assert size[first + period] == pytest.approx(amplitude * np.exp(-period / RATE / 0.2))
-    assert np.array_equal(np.argmax(y != 0, axis=0), [np.argmax(y[:, 0] != 0)] * 6)
-
-
 def test_motion_stays_in_its_spans():
     t, y = record(Faults(motion=((10.0, 5.0), (50.0, 1.0)), motion_gyro=0.3, motion_accel=2.0))
     inside = ((t >= 10) & (t < 15)) | ((t >= 50) & (t < 51))
@@ -144,16 +132,6 @@ def test_drops_and_jitter_have_their_size():
     assert abs(len(t) - 9500) < 6 * 22 and t[0] == 0.0
     t, _ = record(Faults(jitter=1e-3))
     assert (t - np.arange(len(t)) / RATE).std() == pytest.approx(1e-3, rel=0.036)
-
-
-def test_bursts_are_pauses_that_later_samples_fill():
-    t, _ = record(Faults(burst=0.5))
-    steps = np.diff(t)
-    assert len(t) == SECONDS * RATE
-    assert np.median(steps) == pytest.approx(0.002)
-    assert 0.3 < steps.max() <= 0.51
-    lag = t - t[0] - np.arange(len(t)) / RATE
-    assert lag.max() - lag.min() < 0.6  # late, but without a drift
 
 
 def test_low_pass_keeps_the_mean_and_reduces_the_variance():

@@ -54,7 +54,7 @@ def test_the_truth_file_is_exact(tmp_path):
         ('noise: {gyro: {N: {value: 1, unit: ug}}}', r"gyro.N: unit 'ug' cannot be used here"),
         ('noise: {gyro: 3}', r'gyro is 3: an object is expected'),
         ('faults: {drop: 2}', r'spec.yaml.faults: drop is 2: it must lie between 0 and 1'),
-        ('faults: {bumps: 1.5}', r'bumps is 1.5: a whole number is expected'),
+        ('faults: {drop: high}', r"drop is 'high': a number is expected"),
         ('faults: {gaps: [[1, -2]]}', r'length of gaps is -2: it must lie between'),
         ('faults: {gap: 1}', r"option 'gap' is unknown: use gaps"),
         ('schema: other/1\nnoise: {}', "schema is 'other/1'"),
