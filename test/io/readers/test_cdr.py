@@ -106,12 +106,6 @@ def test_an_absent_sensor_is_decoded_as_absent() -> None:
         np.testing.assert_array_equal(decoded.samples, samples)
 
 
-def test_padding_behind_a_message_is_ignored() -> None:
-    batch = ImuBatch(np.array([5]), np.ones((1, 6)), None, 'imu')
-    padded = bytes(encode_imus(batch, 'cdr')[0]) + b'\0\0\0\0'
-    np.testing.assert_array_equal(decode_imus([padded], 'cdr').samples, batch.samples)
-
-
 @pytest.mark.parametrize(
     'spoil, says',
     [

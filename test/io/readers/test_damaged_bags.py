@@ -173,10 +173,11 @@ def test_many_topics_take_linear_time(tmp_path: Path, imu_batches: Any, refused:
 @pytest.mark.parametrize('summary', [True, False])
 @pytest.mark.parametrize('loose', [(), (1, 3), (0, 1, 2, 3)])
 @pytest.mark.parametrize('ended', [True, False])
+@pytest.mark.parametrize('encoding', ['cdr', 'ros1'])
 def test_the_summary_the_chunks_and_the_end_are_optional(
-    summary: bool, loose: tuple[int, ...], ended: bool, tmp_path: Path, read: Any
+    summary: bool, loose: tuple[int, ...], ended: bool, encoding: str, tmp_path: Path, read: Any
 ) -> None:
-    data = build(Plan(chunks=4, loose=loose, summary=summary))
+    data = build(Plan(chunks=4, loose=loose, summary=summary, encoding=encoding))
     path = tmp_path / 'bag.mcap'
     path.write_bytes(data if ended else data[: -len(MAGIC) - 29])
     back = read(path)
