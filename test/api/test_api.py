@@ -106,7 +106,7 @@ def test_a_data_frame_by_name_and_date(noise: np.ndarray) -> None:
         (np.zeros(100), {'rate': -5.0}, 'rate'),
         (np.zeros(0), {'rate': 10}, 'no samples'),
         (np.zeros(100), {'rate': 10, 'gyro_unit': 'furlong'}, 'gyro_unit is'),
-        ({'time': np.arange(5.0), 'x': np.zeros(5)}, {}, 'none of the columns'),
+        ({'time': np.arange(5.0), 'x': np.zeros(5)}, {}, 'is an axis: name them'),
         ({'time': np.array([0, np.nan]), 'gx': np.zeros(2)}, {}, 'time of row 1 is not'),
         ({'gx': np.zeros(5), 'gy': np.zeros(6)}, {'rate': 5}, 'different lengths'),
         (object(), {'rate': 10}, 'not numbers'),

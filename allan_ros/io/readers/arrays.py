@@ -15,6 +15,7 @@ import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from io import BytesIO
 from math import prod
 from pathlib import Path
@@ -108,24 +109,12 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
             f'{path} has shape {samples.shape}: name each of its columns, such '
             f'as --columns {",".join(["t", *AXES][:width])} (- leaves one out)'
         )
-    columns = samples.reshape(n, width).T
     found = columns_of(path, names, options)
-    if not found.axes:
-        raise AllanError(f'{path}: no column ({listed(names)}) is an axis: correct --columns')
-    if STAMPS in arrays:
-        stamps = arrays[STAMPS].astype(np.int64)
-    elif found.stamp:
-        found = _with_time_unit(path, found, columns, options)
-        stamps = _stamps(path, found, columns)
-    elif options.rate_hz:
-        stamps = even_stamps(0, n, options.rate_hz)
-    else:
-        raise AllanError(
-            f'{path} has {width} columns and no time: add {STAMPS!r}, put t first, '
-            'or state the sample rate with --rate'
-        )
+    columns = samples.reshape(n, width).T
+    stamps = arrays[STAMPS].astype(np.int64) if STAMPS in arrays else None
+    batch, found = _batch(path, names, columns, found, options, stamps)
     record = arrays[RECORD].astype(np.int64) if RECORD in arrays else None
-    batch = ImuBatch(stamps, _samples(columns, found.axes), record, str(frame_id.reshape(-1)[0]))
+    batch = replace(batch, record_ns=record, frame_id=str(frame_id.reshape(-1)[0]))
     return batch, found, names[found.stamp[0][0]] if found.stamp else ''
 
 
@@ -242,24 +231,15 @@ def recording_in_memory(
         columns = _numbers(samples).T
         names = wanted = _axis_names(axes, len(columns))
     found = columns_of('the samples', names, options)
-    axes_given = {at: known for at, known in found.axes.items() if AXES[at] in wanted}
-    if not axes_given:
-        raise AllanError(
-            f'none of the columns {listed(names)} is an axis: name them {", ".join(AXES)}'
-        )
-    rows = _samples(columns, axes_given)
+    found = replace(found, axes={at: how for at, how in found.axes.items() if AXES[at] in wanted})
     index = np.asarray(getattr(getattr(samples, 'index', None), 'values', ()))
+    stamps = None
     if rate:
-        stamps = even_stamps(0, len(rows), rate)
-    elif found.stamp:
-        found = _with_time_unit('the samples', found, columns, options)
-        stamps = _stamps('the samples', found, columns)
-    elif index.dtype.kind in 'Mm':
+        found = replace(found, stamp=())
+    elif index.dtype.kind in 'Mm' and not found.stamp:
         stamps = _nanoseconds('the samples', index, 1)
-    else:
-        raise AllanError('the samples have no times: give the sample rate, such as rate=200')
-    given = tuple(AXES[axis] for axis in axes_given)
-    return _recording(ImuBatch(stamps, rows), options.with_units(found.units), given)
+    batch, found = _batch('the samples', names, columns, found, options, stamps)
+    return _recording(batch, options.with_units(found.units), found.given)
 
 
 def _recording(
@@ -315,20 +295,43 @@ def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str
     return names
 
 
-def _samples(columns: Any, axes: Mapping[int, tuple[int, float]]) -> NDArray[np.float64]:
-    """Return samples in SI, (n, 6), from columns; ``axes`` maps an axis to its column and factor.
+def _batch(
+    where: object,
+    names: Sequence[str],
+    columns: Any,
+    found: Columns,
+    options: ReadOptions,
+    stamps: NDArray[np.int64] | None,
+) -> tuple[ImuBatch, Columns]:
+    """Return the samples in columns, and the meaning of the columns with the unit of the stamps.
 
-    Raises AllanError when a column is not numeric, or the columns have different lengths.
+    ``stamps`` replace the columns of times. Raises AllanError when there is no axis or no time, a
+    column is not numeric, or the columns have different lengths.
     """
+    if not found.axes:
+        raise AllanError(
+            f'{where}: no column ({listed(names)}) is an axis: name them {", ".join(AXES)}'
+        )
     with np.errstate(all='ignore'):  # a damaged file may contain any value
-        values = {axis: _numbers(columns[at])[:, 0] * scale for axis, (at, scale) in axes.items()}
+        values = {at: _numbers(columns[i])[:, 0] * scale for at, (i, scale) in found.axes.items()}
     n = len(next(iter(values.values())))
     if any(len(column) != n for column in values.values()):
         raise AllanError('the columns have different lengths: give one row per sample')
     rows = np.full((n, len(AXES)), np.nan)
     for axis, column in values.items():
         rows[:, axis] = column
-    return rows
+    if stamps is None and found.stamp:
+        found = _with_time_unit(where, found, columns, options)
+        parts = [_nanoseconds(where, columns[at], size) for at, size in found.stamp]
+        stamps = np.asarray(np.sum(parts, axis=0), np.int64)
+    elif stamps is None and options.rate_hz:
+        stamps = even_stamps(0, n, options.rate_hz)
+    elif stamps is None:
+        raise AllanError(
+            f'{where}: no column ({listed(names)}) contains the time: name one t, or state the '
+            'sample rate (--rate 200, rate=200)'
+        )
+    return ImuBatch(stamps, rows), found
 
 
 def _with_time_unit(where: object, found: Columns, columns: Any, options: ReadOptions) -> Columns:
@@ -337,12 +340,6 @@ def _with_time_unit(where: object, found: Columns, columns: Any, options: ReadOp
     if first.dtype.kind in 'Mm' or len(found.stamp) > 1:
         return found
     return found.with_time_unit(where, _numbers(first)[:, 0], options.stamp_unit)
-
-
-def _stamps(where: object, found: Columns, columns: Any) -> NDArray[np.int64]:
-    """Return the stamps in ns: the sum of the columns of times."""
-    parts = [_nanoseconds(where, columns[at], size) for at, size in found.stamp]
-    return np.asarray(np.sum(parts, axis=0), np.int64)
 
 
 def _nanoseconds(where: object, times: Any, scale: int) -> NDArray[np.int64]:

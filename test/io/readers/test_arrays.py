@@ -110,7 +110,7 @@ def with_time(value: float) -> np.ndarray:
         ({'imu': IMU[:, :5]}, 'has shape (1000, 5): name each of its columns'),
         ({'imu': np.zeros((9, 2, 3))}, 'has shape (9, 2, 3)'),
         ({'imu': IMU[:0]}, 'contains no sample'),
-        ({'imu': IMU[:, 1:]}, 'state the sample rate with --rate'),
+        ({'imu': IMU[:, 1:]}, 'state the sample rate (--rate'),
         ({'imu': IMU.astype(str)}, 'save it as float64'),
         ({'imu': np.array([[None] * 7])}, 'is of type object'),
         ({'imu': IMU, 'frame_id': 7}, 'save it as a string'),
