@@ -135,7 +135,6 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
         ('interpolated [samples]', c.interpolated),
         ('moving [samples]', c.moving),
         ('stuck [samples]', c.stuck),
-        ('saturated [samples]', c.saturated),
         ('not finite [samples]', c.not_finite),
         ('duplicate [samples]', c.duplicate),
         ('stamped backward [samples]', c.backward),

@@ -41,7 +41,7 @@ def test_of_an_axis(make: Callable[[], AllanSums], method: str) -> None:
 
 @pytest.mark.parametrize('count', [0, 1, 10**18])
 def test_of_an_input(count: int) -> None:
-    health = StreamHealth(Counts(received=count, used=count), first_ns=0, last_ns=count)
+    health = StreamHealth(Counts(received=count, used=count), first_ns=0)
     view = InputView(
         'imu',
         health,

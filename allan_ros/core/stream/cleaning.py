@@ -10,28 +10,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..findings import Finding, finding
-from ..imu import (
-    AXES,
-    LARGEST,
-    NANOSECONDS,
-    STAMP_UNITS,
-    ImuBatch,
-    even_stamps,
-    joined,
-)
+from ..imu import AXES, LARGEST, NANOSECONDS, STAMP_UNITS, ImuBatch, even_stamps, joined
 from .health import Counts
-
-Floats = NDArray[np.float64]
-
-Stamps = NDArray[np.int64]
+from .timing import Flags, Floats, Stamps
 
 BACKWARD_RUN = 16
 """If this number of consecutive samples is stamped earlier than the latest stamp, the clock was set
 back. Fewer such samples are dropped."""
 
+JUMP_DISTANCE = 4096
+"""If the clock was set back this number of samples ago or less, twice as many consecutive earlier
+stamps as then are needed to continue. So stamps without order do not split the data endlessly."""
 
 REORDER = 32
 """Samples that arrive out of order are sorted if their place is at most this far away."""
@@ -61,11 +52,6 @@ def unit_of_stamps(stamps: Stamps) -> str:
         if low <= stamps.min() and stamps.max() < high and 0 < step <= SLOWEST_S * second:
             return unit
     return 'ns'
-
-
-JUMP_DISTANCE = 4096
-"""If the clock was set back this number of samples ago or less, twice as many consecutive earlier
-stamps as then are needed to continue. So stamps without order do not split the data endlessly."""
 
 
 class StampChoice:
@@ -201,7 +187,7 @@ class StampFilter:
         self._needed = BACKWARD_RUN
         self._position = self._last_jump = 0  # number of samples
 
-    def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, NDArray[np.bool_]]:
+    def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, Flags]:
         """Return stamps (k,), values (axes, k) and flags (k,) of the samples that are kept.
 
         A flag is True if the clock was set back just before the sample. ``stamps``, (n,), are in
@@ -224,9 +210,7 @@ class StampFilter:
             self._latest, self._latest_row = int(stamps[-1]), rows[:, -1].copy()
         return stamps, rows, jumped
 
-    def _select(
-        self, stamps: Stamps, rows: Floats, step: Stamps
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def _select(self, stamps: Stamps, rows: Floats, step: Stamps) -> tuple[Flags, Flags]:
         """Return masks (n,) of the samples that are kept and that follow a backward clock step."""
         before = np.concatenate([self._latest_row[:, None], rows[:, :-1]], axis=1)
         repeated = (step == 0) & (rows == before).all(axis=0)

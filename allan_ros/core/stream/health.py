@@ -84,7 +84,6 @@ class Counts:
     # not at rest, and dropped
     moving: int = 0
     stuck: int = 0  # an axis repeats one value
-    saturated: int = 0  # in motion, at the end of the measurement range, counted per axis
     noise_increased: int = 0  # at rest, but the noise is much larger than the noise floor
     spikes: int = 0  # isolated values that were replaced, counted per axis
     shocks: int = 0  # number of shocks
@@ -189,8 +188,7 @@ class StreamHealth:
     rate_hz: float | None = None  # None before it is learned
     bursty: bool = False  # whether stamps come in bursts
     base_rate_hz: float | None = None  # rate without the samples that are missing regularly
-    first_ns: int | None = None  # first and latest stamp with the current frame_id
-    last_ns: int | None = None
+    first_ns: int | None = None  # first stamp with the current frame_id
     stamps: str = 'header'  # which stamps are used: 'header' or 'record'
     frame_id: str = ''  # of the latest sample
     sums_frame_id: str = ''  # of the sums with the longest elapsed time
@@ -329,7 +327,6 @@ def stream_findings(
     kept = 1.0 - c.backward / received
     mixed = health.bursty and kept < 1.0 - REPORTED_DROPPED_SHARE
     add('stamps_mixed', mixed, share=1.0 - kept, factor=max(kept, 0.01) ** -0.5)
-    add('saturated', c.saturated, count=c.saturated)
     gaps = c.splits['gap']
     add('gaps', gaps, lost=c.lost, splits=gaps)
     share = c.interpolated / received

@@ -80,15 +80,6 @@ REPLACED_SHARE = 0.5
 """Largest ratio of replaced samples to samples at rest in a segment."""
 
 
-MIN_PLATEAU, PLATEAU_STEP_LSB = 3, 4.0
-"""An axis may be saturated if this number of consecutive samples has its largest value, and the
-step to them is at least this many resolutions. (At a coarse resolution, a slow motion has equal
-samples at its peak, too.)"""
-
-LEAST_SATURATED = 10
-"""Smallest number of such samples at the same value, which is never exceeded."""
-
-
 class Level:
     """Mean over the last windows at rest, and number of samples at rest, in a segment."""
 
@@ -188,9 +179,6 @@ class MotionGate:
     ``period_ns`` is the sample period. A window is moving if its standard deviation is more than
     ``settings.motion_ratio`` times that of the noise floor, or if its mean rate differs from that
     at rest by more than ``settings.rate_limit``. ``counts`` and ``events`` are changed in place.
-    The attribute ``increase`` is the ratio of the current noise at rest to the noise floor,
-    (axes,), or None if the noise has not increased. ``largest_increase`` holds the largest ratios
-    so far; 0 if it never increased.
     """
 
     def __init__(
@@ -203,8 +191,9 @@ class MotionGate:
     ) -> None:
         wanted = round(WINDOW_S * 1e9 / period_ns)
         self.size = int(np.clip(wanted, LEAST_WINDOW, MOST_WINDOW))
-        self.increase: Floats | None = None
-        self.largest_increase = np.zeros(len(axes))
+        # ratio of the current noise at rest to the noise floor; None if it has not increased
+        self._increase: Floats | None = None
+        self._largest_increase = np.zeros(len(axes))
         self._counts = counts
         self._events = events
         self._axes = axes
@@ -218,16 +207,20 @@ class MotionGate:
         # buffered until they fill a window, with their look-ahead
         self._pending = Block(np.empty(0, np.int64), np.empty((len(axes), 0)))
         self._before = np.empty((len(axes), 0))  # the last samples before them
-        self._saturation = Saturation(len(axes))
         self._last_mean: Floats | None = None
         self._motion: Motion | None = None
         self._level = Level()
         self._cut = ''  # reason for the gap before the next still block
         self._margin: list[Block] = []  # still windows, dropped if a motion begins after them
-        self._pending_cut = ''  # reason for the gap before the pending samples
         self._block: list[_Part] = []
         self._in_block = 0  # number of windows in it
         self._noisy_blocks = 0
+
+    @property
+    def increases(self) -> dict[str, float]:
+        """Axis -> largest ratio of its noise at rest to the noise floor; empty if none."""
+        largest = self._largest_increase
+        return dict(zip(self._axes, largest.tolist())) if largest.any() else {}
 
     @property
     def heavy_tails(self) -> dict[str, float]:
@@ -241,7 +234,7 @@ class MotionGate:
     @property
     def state(self) -> State:
         """Current state; 'learning' until the noise floor is known or a motion is found."""
-        if self.increase is not None:
+        if self._increase is not None:
             return 'noise_increased'
         if self._motion is not None:
             return 'moving'
@@ -298,12 +291,10 @@ class MotionGate:
     def _add(self, blocks: list[Block]) -> list[Block]:
         """Classify blocks without a gap between them, and return the samples at rest."""
         out = self._flush_pending() if blocks[0].cut else []
-        self._pending_cut = self._pending_cut or blocks[0].cut
         have = Block.joined([self._pending, *blocks])
         ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
-        if ready:
-            out += self._classify(have, ready, self.size)
-        self._pending = have.part(slice(ready, None)).copy()
+        out += self._classify(have, ready, self.size)
+        self._pending = have.part(slice(ready, None), '' if ready else have.cut).copy()
         return out
 
     def _flush_pending(self) -> list[Block]:
@@ -329,7 +320,7 @@ class MotionGate:
             # up to the end of a block, after which the noise floor is another one
             k = min((samples - at) // size, BLOCK_WINDOWS - self._in_block)
             end = at + k * size
-            block, self._pending_cut = have.part(slice(at, end), self._pending_cut), ''
+            block = have.part(slice(at, end), '' if at else have.cut)
             after = have.rows[:, end : end + SPIKE_NEIGHBORS]
             before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()
             block, windows, spikes = without_spikes(block, size, before, after, self._floor)
@@ -373,7 +364,6 @@ class MotionGate:
         self, window: Block, mean: Floats, moving: bool, quiet: bool, stuck: bool
     ) -> list[Block]:
         """Update the state from one window, and return samples confirmed to be at rest."""
-        assert self._floor is not None
         if self._motion is None and not moving:
             self._level.add(mean[:, None], len(window))
             return self._release(window)
@@ -385,11 +375,8 @@ class MotionGate:
         if stuck:
             self._no_shock()
             self._counts.stuck += len(window)
-        else:
-            self._counts.moving += len(window) if motion.held is None else 0
-            before = self._saturation.count
-            self._saturation.add(window.rows, self._floor.lsb)
-            self._counts.saturated += self._saturation.count - before
+        elif motion.held is None:
+            self._counts.moving += len(window)
         motion.add(window, mean, quiet)
         if motion.windows - motion.quiet > self._longest_shock:
             self._no_shock()
@@ -453,39 +440,29 @@ class MotionGate:
         if lower is not None:
             self._floor = lower
             return self._restart(block)
+        samples = Block.joined([part.samples for part in block])
         still = np.concatenate([part.still for part in block])
         rotating = all(part.found.rotating.all() for part in block)
         updated = floor.updated(windows, still, rotating)
         if updated.is_plausible():
-            self._floor = updated.with_outliers(self._examined(block))
-        self._count_increased(block, windows, still)
+            examined = still & (np.arange(len(still)) % EXAMINED == 0)
+            floor = self._floor = updated.with_outliers(_usable(samples, self.size, examined))
+        stuck = any(part.found.stuck.any() for part in block)
+        moving = not (still.any() or stuck)
+        self._count_increased(floor.increase(samples.rows, windows) if moving else None)
         return []
 
-    def _examined(self, block: list[_Part]) -> Floats:
-        """Return every `EXAMINED`-th window of a block if it is at rest, (axes, k * size)."""
-        found, at = [], 0
-        for part in block:
-            chosen = part.still & (np.arange(at, at + len(part.still)) % EXAMINED == 0)
-            found.append(_usable(part.samples, self.size, chosen))
-            at += len(part.still)
-        return np.concatenate(found, axis=1)
-
-    def _count_increased(self, block: list[_Part], windows: Windows, still: Flags) -> None:
-        """Count a block of moving windows as increased noise if the IMU did not move."""
-        ratio = None
-        if not still.any() and not any(part.found.stuck.any() for part in block):
-            assert self._floor is not None
-            rows = np.concatenate([part.samples.rows for part in block], axis=1)
-            ratio = self._floor.increase(rows, windows)
+    def _count_increased(self, ratio: Floats | None) -> None:
+        """Count a block as increased noise; ``ratio`` is None if it is at rest or in motion."""
         self._noisy_blocks = 0 if ratio is None else self._noisy_blocks + 1
-        self.increase = ratio if self._noisy_blocks >= INCREASE_BLOCKS else None
-        if self.increase is None:
+        self._increase = ratio if self._noisy_blocks >= INCREASE_BLOCKS else None
+        if self._increase is None:
             return
         blocks = INCREASE_BLOCKS if self._noisy_blocks == INCREASE_BLOCKS else 1
         samples = blocks * BLOCK_WINDOWS * self.size
         self._counts.moving -= samples
         self._counts.noise_increased += samples
-        self.largest_increase = np.maximum(self.largest_increase, self.increase)
+        self._largest_increase = np.maximum(self._largest_increase, self._increase)
         if self._motion is not None:
             self._motion.kind = 'noise_increased'
 
@@ -501,7 +478,7 @@ class MotionGate:
         self._counts.stuck -= stuck
         self._margin = []
         self._last_mean, self._level = None, Level()
-        self._noisy_blocks, self.increase = 0, None
+        self._noisy_blocks, self._increase = 0, None
         self._motion = Motion('motion', int(block[0].samples.stamps[0]), None, [])
         self._cut = 'motion'
         out = [block[0].samples.part(slice(0), RELEARNED)]
@@ -509,38 +486,6 @@ class MotionGate:
             out += self._keep_still(part.samples, self.size, part.windows)
         self._block = []
         return out
-
-
-class Saturation:
-    """Counts the samples in motion at the limit of the measurement range, ``count``.
-
-    These are consecutive samples with the largest absolute value of an axis so far that a large
-    step precedes or follows. A larger value later shows that this was not the limit.
-    """
-
-    def __init__(self, axes: int) -> None:
-        self._largest = np.zeros(axes)  # absolute value
-        self._at_limit = np.zeros(axes, np.int64)  # number of samples with this value
-
-    @property
-    def count(self) -> int:
-        """Number of saturated samples, counted per axis."""
-        return int(self._at_limit[self._at_limit >= LEAST_SATURATED].sum())
-
-    def add(self, rows: Floats, lsb: Floats) -> None:
-        """Add a moving window, (axes, n); ``lsb``, (axes,), are the resolutions."""
-        size = np.abs(rows)
-        largest = size.max(axis=1)
-        self._at_limit[largest > self._largest] = 0
-        self._largest = np.maximum(self._largest, largest)
-        top = size >= self._largest[:, None]
-        for axis in np.flatnonzero(np.count_nonzero(top, axis=1) >= MIN_PLATEAU):
-            edges = np.flatnonzero(np.diff(top[axis], prepend=False, append=False))
-            for a, b in edges.reshape(-1, 2):
-                outside = [rows[axis, i] for i in (a - 1, b) if 0 <= i < rows.shape[1]]
-                step = max((abs(rows[axis, a] - x) for x in outside), default=0.0)
-                if b - a >= MIN_PLATEAU and step >= PLATEAU_STEP_LSB * lsb[axis] > 0:
-                    self._at_limit[axis] += b - a
 
 
 def _contiguous(blocks: list[Block]) -> list[list[Block]]:

@@ -40,7 +40,7 @@ from .health import (
 )
 from .motion import RELEARNED, MotionGate
 from .sensors import RepeatFilter, SampleHoldFilter, SensorPlan, plan_sensors
-from .timing import LEARN, Block, Clock, Flags, Floats, SampleClock, Stamps, learn_clock
+from .timing import LEARN, Block, Flags, Floats, SampleClock, Stamps, learn_clock
 
 
 class StreamSums(NamedTuple):
@@ -135,7 +135,8 @@ class ImuStream:
     def _longest(self) -> tuple[StreamSums, ...]:
         """Return the sums with the longest elapsed time for each sensor with data."""
         best: dict[str, StreamSums] = {}
-        for each in (each for frame in self._frames.values() for each in frame.by_rate()):
+        streams = [s for each in self._frames.values() for s in each.sensors]
+        for each in (each for stream in streams for each in stream.by_rate()):
             for axis in each.sums.axes if each.sums.samples else ():
                 if axis not in best or each.sums.elapsed_ns > best[axis].sums.elapsed_ns:
                     best[axis] = each
@@ -149,7 +150,9 @@ class ImuStream:
         counts = Counts(received=self._received)
         for each in (self._dropped, *(frame.counts for frame in self._frames.values())):
             counts.add(each)
-        clock = frame.sensors[0].clock if frame.sensors else None
+        first = frame.sensors[0].clock if frame.sensors else None
+        clock = first.clock if first else None
+        gates = [sensor.gate for sensor in frame.sensors if sensor.gate is not None]
         streams = [s for each in self._frames.values() for s in each.sensors]
         health = StreamHealth(
             counts,
@@ -158,16 +161,15 @@ class ImuStream:
             clock.bursty if clock else False,
             1e9 / clock.base_ns if clock and clock.base_ns else None,
             frame.first_ns,
-            frame.last_ns,
             'record' if frame.stamps.use_record else 'header',
             frame.identity.frame_id,
             longest[0].identity.frame_id if longest else frame.identity.frame_id,
             self._frame_changes,
             sum(stream.relearned for stream in streams),
-            {axis: ratio for s in frame.sensors for axis, ratio in s.largest_increase.items()},
+            {axis: ratio for gate in gates for axis, ratio in gate.increases.items()},
             max((stream.discarded_s for stream in streams), default=0.0),
-            {axis: share for s in frame.sensors for axis, share in s.outliers.items()},
-            tuple(event for s in frame.sensors for event in s.events.items),
+            {axis: share for gate in gates for axis, share in gate.heavy_tails.items()},
+            tuple(event for sensor in frame.sensors for event in sensor.events.items),
             self._dropped_frames,
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
@@ -187,7 +189,6 @@ class FrameStream:
         self.sensors: tuple[SensorStream, ...] = ()
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
-        self.last_ns: int | None = None
         self.received = 0
         self.stamps = StampChoice(settings.stamps == 'record', settings.declared_rate)
         self._settings = settings
@@ -214,24 +215,18 @@ class FrameStream:
             counts.add(sensor.counts)
         return counts
 
-    def by_rate(self) -> list[StreamSums]:
-        """Return the sums of each sensor stream at each rate."""
-        return [each for sensor in self.sensors for each in sensor.by_rate()]
-
     def update(self, batch: ImuBatch) -> None:
         """Process the next samples with this frame_id."""
         self.received += len(batch)
-        if self.sensors:
-            self._sort(batch)
-            return
-        # exactly the first LEARN samples are evaluated, so that batch sizes do not matter
-        take = min(LEARN - self._learned, len(batch))
-        self._learning.append(batch[np.arange(take)])  # a copy
-        self._learned += take
-        if self._learned == LEARN:
-            self._learn()
-            if take < len(batch):
-                self._sort(batch[take:])
+        while not self.sensors and len(batch):
+            # exactly the first LEARN samples are evaluated, so that batch sizes do not matter
+            take = min(LEARN - self._learned, len(batch))
+            self._learning.append(batch[np.arange(take)])  # a copy
+            self._learned += take
+            if self._learned == LEARN:
+                self._learn()
+            batch = batch[take:]
+        self._feed(*self._sorter.feed(self.stamps.of(batch), batch.samples.T))
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
@@ -254,16 +249,12 @@ class FrameStream:
         self.sensors = tuple(SensorStream(p, self.identity, self._settings) for p in plans)
         self._feed(*self._sorter.feed(chosen, first.samples.T))
 
-    def _sort(self, batch: ImuBatch) -> None:
-        self._feed(*self._sorter.feed(self.stamps.of(batch), batch.samples.T))
-
     def _feed(self, stamps: Stamps, rows: Floats) -> None:
         """Pass samples to the sensor streams: stamps (n,) in ns, values (6, n)."""
         if not len(stamps):
             return
         if self.first_ns is None:
             self.first_ns = int(stamps[0])
-        self.last_ns = int(stamps[-1])
         if self._skip_ns:
             late = stamps >= self.first_ns + self._skip_ns
             start = int(np.argmax(late)) if late.any() else len(stamps)
@@ -280,8 +271,10 @@ class SensorStream:
     These are all six axes, or the axes of one sensor if the sensors have different rates. The
     stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `RepeatFilter` (if the driver
     repeats samples at random), `MotionGate`, `RunningSums`.
-    ``relearned`` counts how often the sums were discarded because the IMU had been moving, and
-    ``discarded_s`` is the time from the first sample at rest to the first one that was kept.
+    ``clock`` and ``gate`` are None before the sample period is learned, and ``gate`` if all samples
+    are used. ``relearned`` counts how often the sums were discarded because the IMU had been
+    moving, and ``discarded_s`` is the time from the first sample at rest to the first one that was
+    kept.
     """
 
     def __init__(
@@ -304,8 +297,8 @@ class SensorStream:
     def _start(self, stamps: Stamps, rows: Floats) -> None:
         """Begin to learn the sample period, from samples that are not processed yet."""
         self._learning = [(stamps, rows, np.zeros(len(stamps), bool))]
-        self._clock: SampleClock | None = None
-        self._gate: MotionGate | None = None
+        self.clock: SampleClock | None = None
+        self.gate: MotionGate | None = None
         self._stages: list[RepeatFilter | MotionGate] = []  # between the clock and the sums
         self._clear()
 
@@ -327,27 +320,9 @@ class SensorStream:
     @property
     def state(self) -> State:
         """'waiting' or 'learning' until the period is known, then the state of `MotionGate`."""
-        if self._clock is None:
+        if self.clock is None:
             return 'learning' if self._buffered else 'waiting'
-        return 'at_rest' if self._gate is None else self._gate.state
-
-    @property
-    def largest_increase(self) -> dict[str, float]:
-        """Axis -> largest ratio of its noise at rest to the noise floor; empty if it never
-        increased."""
-        if self._gate is None or not self._gate.largest_increase.any():
-            return {}
-        return dict(zip(self._plan.axes, self._gate.largest_increase.tolist()))
-
-    @property
-    def outliers(self) -> dict[str, float]:
-        """Axes with heavy tails, and the share of their samples that are outliers."""
-        return {} if self._gate is None else self._gate.heavy_tails
-
-    @property
-    def clock(self) -> Clock | None:
-        """Period and regularity of the stamps; None before they are learned."""
-        return None if self._clock is None else self._clock.clock
+        return 'at_rest' if self.gate is None else self.gate.state
 
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at the present sample rate and at the earlier one with the most data."""
@@ -374,7 +349,7 @@ class SensorStream:
     def feed(self, stamps: Stamps, rows: Floats) -> None:
         """Process samples of the six-axis stream: stamps (n,) in ns, values (6, n)."""
         kept = self._stamp_filter.feed(*self._hold_filter.select(stamps, rows))
-        if self._clock is not None:
+        if self.clock is not None:
             self._process(*kept)
             return
         self._learning.append(kept)
@@ -384,9 +359,9 @@ class SensorStream:
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
         self._learn()
-        while self._clock is not None:
-            self._pass_on(self._clock.flush())
-            if not self._clock.rate_changed:
+        while self.clock is not None:
+            self._pass_on(self.clock.flush())
+            if not self.clock.rate_changed:
                 break
             self._change_rate()
             self._learn()
@@ -394,7 +369,7 @@ class SensorStream:
 
     def _learn(self) -> None:
         """Learn the sample period from the first samples, then process these."""
-        if self._clock is not None or not self._buffered:
+        if self.clock is not None or not self._buffered:
             return
         parts, self._learning = self._learning, []
         stamps, jumped = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
@@ -405,33 +380,33 @@ class SensorStream:
             # equal stamps contain no time, and buffering them would fill the memory
             self.counts.untimed += len(stamps)
             return
-        self._clock = SampleClock(clock, len(axes), settings.max_bridge, self.counts)
+        self.clock = SampleClock(clock, len(axes), settings.max_bridge, self.counts)
         if repeats:
             groups = [[axes.index(axis) for axis in group] for group in repeats]
             self._stages.append(RepeatFilter(groups, len(axes)))
         if settings.motion_gate:
             period = clock.period_ns
-            self._gate = MotionGate(period, axes, self.counts, self.events, settings)
-            self._stages.append(self._gate)
+            self.gate = MotionGate(period, axes, self.counts, self.events, settings)
+            self._stages.append(self.gate)
         self._process(stamps, rows, jumped)
 
     def _process(self, stamps: Stamps, rows: Floats, jumped: Flags) -> None:
         """Process samples; if their rate changed, learn the new one."""
-        assert self._clock is not None
-        self._pass_on(self._clock.feed(stamps, rows, jumped))
-        if self._clock.rate_changed:
+        assert self.clock is not None
+        self._pass_on(self.clock.feed(stamps, rows, jumped))
+        if self.clock.rate_changed:
             self._change_rate()
             if self._buffered >= LEARN:
                 self._learn()
 
     def _change_rate(self) -> None:
         """Store the sums at the previous rate, and start to learn the new rate."""
-        assert self._clock is not None
+        assert self.clock is not None
         self._end_segment()
         self.counts.splits['rate change'] += 1
         known = self.by_rate()
         self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
-        self._start(*self._clock.pending)
+        self._start(*self.clock.pending)
 
     def _pass_on(self, blocks: list[Block], at_end: bool = False) -> None:
         """Pass evenly spaced blocks through the stages to the sums."""

@@ -153,7 +153,7 @@ def are_interleaved(rows: Floats) -> bool:
 
 def plan_sensors(
     stamps: Stamps, rows: Floats, only: str = ''
-) -> tuple[tuple[SensorPlan, ...], tuple[Finding, ...]]:
+) -> tuple[list[SensorPlan], list[Finding]]:
     """Decide from the first samples whether gyro and accelerometer need separate streams.
 
     Returns a plan for each stream, and the findings about the sensors. ``stamps``, (n,), are in ns.
@@ -163,40 +163,9 @@ def plan_sensors(
     duplicate = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
     rows = rows[:, np.concatenate([[True], ~duplicate])] if len(stamps) else rows
     repeats = rows[:, 1:] == rows[:, :-1]
-    plans: list[SensorPlan] = []
     findings: list[Finding] = []
-    for sensor, place in SENSORS.items():
-        if only not in ('', sensor):
-            continue
-        present = np.arange(place.start, place.stop)
-        present = present[(np.abs(rows[place]) <= LARGEST).any(axis=1)]
-        if not len(present):
-            findings.append(finding('sensor_absent', AXES[place], sensor=sensor))
-            continue
-        axes = tuple(AXES[i] for i in present)
-        lacking = tuple(axis for axis in AXES[place] if axis not in axes)
-        if lacking:
-            findings.append(finding('axis_absent', lacking, count=rows.shape[1]))
-        zeros = rows[present] == 0.0
-        plan = SensorPlan(axes)
-        if zeros.all():
-            findings.append(finding('sensor_all_zero', axes, sensor=sensor))
-            continue
-        if _coincide(zeros):
-            plan = SensorPlan(axes, 'zero')
-            share = float(zeros.all(axis=0).mean())
-            findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
-        elif _are_repeated(rows[present]):
-            flags = repeats[present].all(axis=0)
-            if _are_regular(flags):
-                plan = SensorPlan(axes, 'repeated')
-                findings.append(finding('held', axes, sensor=sensor, share=float(flags.mean())))
-            else:
-                plan = SensorPlan(axes, random_repeats=(axes,))
-        for axis, samples in zip(axes, rows[present]):
-            if share := clipped_share(samples):
-                findings.append(finding('clipped', (axis,), share=share))
-        plans.append(plan)
+    used = [sensor for sensor in SENSORS if only in ('', sensor)]
+    plans = [p for sensor in used if (p := _plan_sensor(sensor, rows, repeats, findings))]
     kept = [AXES.index(axis) for plan in plans if not plan.drop for axis in plan.axes]
     possible = (np.abs(rows[kept]) <= LARGEST).all(axis=0)
     if kept and are_interleaved(rows[kept][:, possible]):
@@ -206,15 +175,50 @@ def plan_sensors(
         flags = np.array([_all_repeat(plan, repeats) for plan in random])
         axes = tuple(axis for plan in random for axis in plan.axes)
         findings.append(finding('repeated', axes, share=float(flags.any(axis=0).mean())))
-    if len(plans) == len(SENSORS):
-        both = plans[0].axes + plans[1].axes
-        groups = plans[0].random_repeats + plans[1].random_repeats
-        if not any(plan.drop for plan in plans):
-            together = len(groups) == len(SENSORS) and _repeat_together(plans, repeats)
-            plans = [SensorPlan(both, random_repeats=(both,) if together else groups)]
-        elif {plan.drop for plan in plans} == {'repeated'} and _repeat_together(plans, repeats):
-            plans = [SensorPlan(both, 'repeated')]
-    return tuple(plans), tuple(findings)
+    if len(plans) == len(SENSORS) and len({plan.drop for plan in plans}) == 1:
+        both, drop = plans[0].axes + plans[1].axes, plans[0].drop
+        together = (drop or len(random) == len(SENSORS)) and _repeat_together(plans, repeats)
+        groups = (both,) if together else plans[0].random_repeats + plans[1].random_repeats
+        if not drop:
+            plans = [SensorPlan(both, random_repeats=groups)]
+        elif drop == 'repeated' and together:
+            plans = [SensorPlan(both, drop)]
+    return plans, findings
+
+
+def _plan_sensor(
+    sensor: str, rows: Floats, repeats: Flags, findings: list[Finding]
+) -> SensorPlan | None:
+    """Return the plan of one sensor, None if it is absent; append to the findings."""
+    place = SENSORS[sensor]
+    present = np.arange(place.start, place.stop)
+    present = present[(np.abs(rows[place]) <= LARGEST).any(axis=1)]
+    if not len(present):
+        findings.append(finding('sensor_absent', AXES[place], sensor=sensor))
+        return None
+    axes = tuple(AXES[i] for i in present)
+    if lacking := tuple(axis for axis in AXES[place] if axis not in axes):
+        findings.append(finding('axis_absent', lacking, count=rows.shape[1]))
+    zeros = rows[present] == 0.0
+    if zeros.all():
+        findings.append(finding('sensor_all_zero', axes, sensor=sensor))
+        return None
+    plan = SensorPlan(axes)
+    if _coincide(zeros):
+        plan = SensorPlan(axes, 'zero')
+        share = float(zeros.all(axis=0).mean())
+        findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
+    elif _are_repeated(rows[present]):
+        flags = _all_repeat(plan, repeats)
+        if _are_regular(flags):
+            plan = SensorPlan(axes, 'repeated')
+            findings.append(finding('held', axes, sensor=sensor, share=float(flags.mean())))
+        else:
+            plan = SensorPlan(axes, random_repeats=(axes,))
+    for axis, samples in zip(axes, rows[present]):
+        if share := clipped_share(samples):
+            findings.append(finding('clipped', (axis,), share=share))
+    return plan
 
 
 def _all_repeat(plan: SensorPlan, repeats: Flags) -> Flags:
@@ -312,10 +316,7 @@ class RepeatFilter:
         """Add blocks, and return the samples whose interpolation is complete."""
         out: list[Block] = []
         for block in blocks:
-            if block.cut:
-                out += self.flush()
-            if len(block):
-                out += self._add(block)
+            out += (self.flush() if block.cut else []) + self._add(block)
         return out
 
     def flush(self) -> list[Block]:
@@ -325,17 +326,16 @@ class RepeatFilter:
         return [held] if len(held) else []
 
     def _add(self, block: Block) -> list[Block]:
-        have = Block.joined([self._held, block]) if len(self._held) else block
+        have = Block.joined([self._held, block])
         old, n = len(self._held), len(have)
         rows = have.rows.copy()
         filled = np.zeros(rows.shape, bool) if have.filled is None else have.filled.copy()
-        before = np.concatenate([self._last[:, None], block.rows[:, :-1]], axis=1)
-        equal = block.rows == before
-        self._last = block.rows[:, -1].copy()
+        before = np.column_stack([self._last, block.rows[:, :-1]])
+        equal, self._last = block.rows == before, block.rows[:, -1].copy()
         repeated = np.zeros((len(self._groups), n), bool)
         repeated[:, :old] = self._repeated
         index, keep = np.arange(n), n - 1
-        for flags, group, i in zip(repeated, self._groups, range(n)):
+        for i, (flags, group) in enumerate(zip(repeated, self._groups)):
             flags[old:] = equal[group].all(axis=0)
             new = np.flatnonzero(~flags[old:])
             if self._skipping[i]:

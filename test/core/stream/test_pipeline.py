@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """From batches to sums: any chunking, any fault, and every sample accounted for."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,28 +23,25 @@ START = 10**18
 
 def still(n, seed=0):
     """Return stamps and samples of an IMU at rest, 200 Hz."""
-    noise = np.random.default_rng(seed).normal(size=(n, 6)) * [1e-3] * 1
+    noise = np.random.default_rng(seed).normal(size=(n, 6)) * 1e-3
     return START + np.arange(n) * PERIOD, noise + [0.01, 0.02, 0.03, 0.0, 0.0, 9.8]
 
 
 def accumulate(times, samples, chunks=(4096,), record=None, frames=None, **settings_):
-    """Return the result of a stream after the samples, passed in chunks of the given lengths
-    (repeated).
-    """
-    accumulator = ImuStream(SegmenterSettings(**settings_))
-    at = i = 0
-    while at < len(times):
-        rows = slice(at, at + chunks[i % len(chunks)])
-        frame = '' if frames is None else frames[at]
-        if frames is not None:
-            other = np.flatnonzero(np.array(frames[rows]) != frame)
-            rows = slice(at, at + int(other[0])) if len(other) else rows
+    """Return the result of a stream after samples, in chunks of the given lengths (repeated)."""
+    stream, at = ImuStream(SegmenterSettings(**settings_)), 0
+    frames = np.array([''] * len(times) if frames is None else frames)
+    for length in itertools.cycle(chunks):
+        rows = slice(at, at + length)
+        other = np.flatnonzero(frames[rows] != frames[at]) if at < len(times) else []
+        rows = slice(at, at + int(other[0])) if len(other) else rows
+        if at >= len(times):
+            break
         part = None if record is None else record[rows]
-        accumulator.update(ImuBatch(times[rows], samples[rows], part, frame))
-        at = min(rows.stop, len(times))
-        i += 1
-    accumulator.end()
-    return accumulator.result()
+        stream.update(ImuBatch(times[rows], samples[rows], part, str(frames[at])))
+        at = rows.stop
+    stream.end()
+    return stream.result()
 
 
 def assert_same(a, b):
@@ -80,45 +79,68 @@ def repeated(samples, share, rng):
     return samples[np.maximum.accumulate(np.where(fresh, np.arange(len(samples)), 0))]
 
 
+def some(t, x, kept):
+    return t[kept], x[kept]
+
+
+def bursts(t):
+    return START + (t - START) // (8 * PERIOD) * 8 * PERIOD
+
+
+def after(t, n):
+    """Return whether each sample is later than sample n, as a column."""
+    return (np.arange(len(t)) > n)[:, None]
+
+
+def reversed_by(t, places):
+    i = np.arange(len(t) // places * places)
+    return i // places * places + places - 1 - i % places
+
+
 FAULTS = {
     'nothing': lambda t, x, g: (t, x),
-    'drops': lambda t, x, g: (lambda k: (t[k], x[k]))(g.random(len(t)) > 0.02),
-    'many drops': lambda t, x, g: (lambda k: (t[k], x[k]))(g.random(len(t)) > 0.3),
+    'drops': lambda t, x, g: some(t, x, g.random(len(t)) > 0.02),
+    'many drops': lambda t, x, g: some(t, x, g.random(len(t)) > 0.3),
     'gap': lambda t, x, g: (np.delete(t, slice(3000, 3500)), np.delete(x, slice(3000, 3500), 0)),
     'jitter': lambda t, x, g: (np.sort(t + g.integers(-1_000_000, 1_000_000, len(t))), x),
     'scatter': lambda t, x, g: (t + g.normal(0.0, 0.2 * PERIOD, len(t)).astype(int), x),
     'disorder': lambda t, x, g: (t + g.integers(-6_000_000, 6_000_000, len(t)), x),
-    'swapped': lambda t, x, g: (
-        (lambda k: (t[k], x[k]))(np.arange(len(t)) // 8 * 8 + 7 - np.arange(len(t)) % 8)
-        if not len(t) % 8
-        else (t, x)
+    'swapped': lambda t, x, g: some(t, x, reversed_by(t, 8)),
+    'late': lambda t, x, g: some(
+        t, x, np.argsort(np.arange(len(t)) + 20 * (g.random(len(t)) < 0.01))
     ),
-    'late': lambda t, x, g: (lambda k: (t[k], x[k]))(
-        np.argsort(np.arange(len(t)) + 20 * (g.random(len(t)) < 0.01))
-    ),
-    'bursts': lambda t, x, g: (START + (t - START) // (8 * PERIOD) * 8 * PERIOD, x),
+    'bursts': lambda t, x, g: (bursts(t), x),
+    'two clocks': lambda t, x, g: (t + (g.random(len(t)) < 0.3) * 350_000_000, x),
+    'microseconds': lambda t, x, g: ((t + 7 * 10**17) // 1000, x),
     'clock back': lambda t, x, g: (t - (np.arange(len(t)) > 4000) * 3600 * 10**9, x),
     'clock forth': lambda t, x, g: (t + (np.arange(len(t)) > 4000) * 3600 * 10**9, x),
     'rate': lambda t, x, g: (t + np.maximum(0, np.arange(len(t)) - 4100) * PERIOD, x),
+    'third missing': lambda t, x, g: some(t, x, np.arange(len(t)) % 3 != 1),
     'nan': lambda t, x, g: (t, np.where(g.random(x.shape) < 0.001, np.nan, x)),
+    'nan first': lambda t, x, g: (t, np.where(after(t, 3000), x, np.nan)),
     'twice': lambda t, x, g: (np.repeat(t, 2), np.repeat(x, 2, axis=0)),
     'motion': lambda t, x, g: (t, x + g.normal(size=x.shape) * moves(t, 5000, 900)),
     'shocks': lambda t, x, g: (t, x + g.normal(size=x.shape) * moves(t - 1, 1500, 90)[::-1]),
     'starts in motion': lambda t, x, g: (t, x + g.normal(size=x.shape) * moves(t, 10**9, 4500) / 9),
     'drives first': lambda t, x, g: (t, x + swing(t) * moves(t, 10**9, 7000)),
+    'drives': lambda t, x, g: (t, x + swing(t)),
     'spikes': lambda t, x, g: (t, x + 0.02 * (g.random(x.shape) < 0.002)),
-    'noise_increased': lambda t, x, g: (
-        t,
-        x + 0.02 * g.normal(size=x.shape) * (t[:, None] > t[1500]),
-    ),
-    'stuck': lambda t, x, g: (t, np.where(np.arange(len(t))[:, None] > 5000, x[5000], x)),
+    'noise_increased': lambda t, x, g: (t, x + 0.02 * g.normal(size=x.shape) * after(t, 1500)),
+    'stuck': lambda t, x, g: (t, np.where(after(t, 5000), x[min(5000, len(x) - 1) :][:1], x)),
     'held': lambda t, x, g: (t, np.hstack([x[:, :3], x[np.arange(len(t)) * 5 // 8, 3:]])),
+    'zero filled': lambda t, x, g: (t, x * (np.arange(len(t))[:, None] % 2 == np.arange(6) // 3)),
     'repeats': lambda t, x, g: (t, repeated(x, 0.2, g)),
     'repeats of each sensor': lambda t, x, g: (
         t,
         np.hstack([repeated(x[:, :3], 0.2, g), repeated(x[:, 3:], 0.5, g)]),
     ),
     'no accel': lambda t, x, g: (t, x * [1, 1, 1, np.nan, np.nan, np.nan]),
+    'no axis': lambda t, x, g: (
+        t,
+        np.where(np.arange(6) == 1, g.choice([np.nan, np.inf, 1e300]), x),
+    ),
+    'zero gyro': lambda t, x, g: (t, x * [0, 0, 0, 1, 1, 1]),
+    'constant': lambda t, x, g: (t, x * 0 + 3.0),
     'no stamps': lambda t, x, g: (t * 0, x),
 }
 
@@ -133,23 +155,23 @@ FAULTS = {
 )
 def test_any_chunking_of_any_stream_gives_the_same(fault, n, chunks, seed, gated):
     rng = np.random.default_rng(seed)
-    t, x = FAULTS[fault](
-        *still(max(n, 5001) if fault in ('stuck', 'noise_increased') else n, seed), rng
-    )
+    t, x = FAULTS[fault](*still(n, seed), rng)
     whole = accumulate(t, x, (len(t) + 1,), motion_gate=gated)
     assert_same(whole, accumulate(t, x, chunks, motion_gate=gated))
-    # samples that repeat the previous one are not counted, and few random repeats may look regular
-    if len(whole.sums) < 2 and not any(f.id == 'held' for f in whole.findings):
+    # samples that repeat the previous one or are those of no sensor are not counted
+    if len(whole.sums) < 2 and not ids(whole) & {'held', 'sensor_absent'}:
         assert_accounted(whole)
     assert np.isfinite([v for s in whole.sums for v in s.sum_sq.ravel()]).all()
 
 
-@pytest.mark.parametrize('fault', ['scatter', 'quieter'])
+@pytest.mark.parametrize('fault', ['scatter', 'quieter', 'late'])
 def test_what_is_learned_on_the_way_does_not_depend_on_the_chunks(fault):
     t, x = still(40_000)
     rng = np.random.default_rng(2)
     if fault == 'scatter':  # the period is tracked
         t, x = FAULTS['scatter'](t, x, rng)
+    elif fault == 'late':  # the sensors
+        x[:3000] = np.nan
     else:  # the noise floor, and with it the limit for spikes
         x = x * (1.0 - 2e-5 * np.arange(len(t))[:, None]) + 5e-3 * (rng.random(x.shape) < 0.002)
     assert_same(accumulate(t, x, (len(t),)), accumulate(t, x, (500,)))
@@ -223,6 +245,17 @@ def test_the_present_health_is_that_of_the_result_but_for_buffered_samples(fault
         ('repeats', {'repeated'}),
         ('repeats of each sensor', {'repeated'}),
         ('no accel', {'sensor_absent'}),
+        ('no axis', {'axis_absent'}),
+        ('zero gyro', {'sensor_all_zero'}),
+        ('constant', {'no_noise', 'gyro_unit', 'accel_scale'}),
+        ('zero filled', {'zero_filled'}),
+        ('drives', {'never_still', 'nothing_left'}),
+        (
+            'two clocks',
+            {'stamps_mixed', 'bursty_stamps', 'backward_stamps', 'clock_jumps', 'rate_assumed'},
+        ),
+        ('microseconds', {'stamps_unit'}),
+        ('third missing', {'rate_assumed'}),
         ('swapped', {'reordered'}),
         ('late', {'reordered'}),
         ('bursts', {'bursty_stamps'}),
@@ -233,37 +266,19 @@ def test_each_fault_is_reported_by_its_finding(fault, expected):
     t, x = FAULTS[fault](*still(9000), np.random.default_rng(1))
     found = ids(accumulate(t, x))
     assert expected <= found
-    assert not found - expected - {'interpolated', 'gaps', 'motion', 'saturated', 'not_finite'}
+    assert not found - expected - {'interpolated', 'gaps', 'motion', 'not_finite'}
 
 
 def test_sensors_with_different_rates_have_separate_sums():
     """A 125 Hz accelerometer is repeated at 200 Hz; its white noise is measured at its own rate."""
-    n = 120_000
+    n = 40_000
     t, x = still(n)
-    fresh = np.random.default_rng(9).normal(size=(n, 3)) * 0.02
-    held = np.hstack([x[:, :3], fresh[np.arange(n) * 5 // 8]])
-    gyro, accel = accumulate(t, held).sums
+    x[:, 3:] = np.random.default_rng(9).normal(size=(n, 3))[np.arange(n) * 5 // 8] * 0.02
+    gyro, accel = accumulate(t, x).sums
     assert (gyro.axes, accel.axes) == (AXES[:3], AXES[3:])
     assert 1 / gyro.tau0 == pytest.approx(200) and 1 / accel.tau0 == pytest.approx(125, rel=1e-4)
-    # sd of a variance of 75,000 white samples at m = 1 is 0.6 %, 5 sigma: false alarm 2e-6
-    assert accel.avar[0] == pytest.approx([4e-4] * 3, rel=0.03)
-
-
-def test_zero_filled_sensors_are_separated():
-    t, x = still(8000)
-    x[::2, 3:] = 0.0
-    x[1::2, :3] = 0.0
-    result = accumulate(t, x)
-    assert [s.axes for s in result.sums] == [AXES[:3], AXES[3:]]
-    assert [s.samples for s in result.sums] == [4000, 4000]
-
-
-def test_completely_repeated_messages_form_one_stream_at_their_own_rate():
-    t, x = still(8000)
-    result = accumulate(t, x[np.arange(8000) // 2])
-    (sums,) = result.sums
-    assert sums.axes == AXES and sums.samples == 4000
-    assert 1 / sums.tau0 == pytest.approx(100, rel=1e-3)
+    # sd of a variance of 25,000 white samples at m = 1 is 1 %, 5 sigma: false alarm 2e-6
+    assert accel.avar[0] == pytest.approx([4e-4] * 3, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -286,13 +301,14 @@ def test_random_repeats_are_interpolated_and_n_is_corrected(share, together):
     assert np.mean(n) == pytest.approx(1e-3 * 200**-0.5, rel=0.015)
 
 
-@pytest.mark.parametrize('rate', [166.0, 150.0, 133.0, 110.0])
+@pytest.mark.parametrize('rate', [166.0, 150.0, 133.0, 110.0, 100.0])
 def test_a_sensor_that_is_polled_faster_than_its_rate_has_its_own_rate(rate):
-    n = 40_000
+    n = 20_000
     t, x = still(n)
     result = accumulate(t, x[(np.arange(n) * rate / 200).astype(int)])
     (sums,) = result.sums
     assert ids(result) == {'held'} and len(result.segments) == 1
+    assert sums.axes == AXES and sums.samples == n * rate / 200
     assert 1 / sums.tau0 == pytest.approx(rate, rel=1e-3)
 
 
@@ -336,18 +352,12 @@ def test_a_coarse_gyro_that_reads_zero_at_rest_is_not_zero_filled():
 
 def test_record_times_replace_constant_stamps():
     t, x = still(5000)
-    result = accumulate(t * 0 + 7, x, record=t)
-    assert_identical(result.sums[0], accumulate(t, x).sums[0])
-    assert result.health.stamps == 'record' and 'stamps_unusable' in ids(result)
-    meant = accumulate(t * 0 + 7, x, record=t, stamps='record')
-    assert_identical(meant.sums[0], result.sums[0])
-    assert 'stamps_unusable' not in ids(meant)
-
-
-def test_without_stamps_the_declared_rate_is_used():
-    t, x = still(5000)
-    result = accumulate(t * 0, x, declared_rate=200.0)
-    assert result.sums[0].tau0 == pytest.approx(0.005) and 'stamps_from_rate' in ids(result)
+    reference = accumulate(t, x).sums[0]
+    for stamps in ('header', 'record'):
+        result = accumulate(t * 0 + 7, x, record=t, stamps=stamps)
+        assert_identical(result.sums[0], reference)
+        assert result.health.stamps == 'record'
+        assert ('stamps_unusable' in ids(result)) == (stamps == 'header')
 
 
 def test_a_rate_whose_stamps_do_not_fit_into_64_bits_is_refused():
@@ -355,12 +365,15 @@ def test_a_rate_whose_stamps_do_not_fit_into_64_bits_is_refused():
         even_stamps(0, 10, 1e-300)
 
 
-def test_a_declared_rate_is_only_checked():
+@pytest.mark.parametrize('declared', [100.0, 200.0])
+def test_a_declared_rate_is_only_checked_unless_there_are_no_stamps(declared):
     t, x = still(5000)
-    wrong = accumulate(t, x, declared_rate=100.0)
-    assert_identical(wrong.sums[0], accumulate(t, x).sums[0])
-    assert 'rate_differs' in ids(wrong)
-    assert 'rate_differs' not in ids(accumulate(t, x, declared_rate=200.0))
+    result = accumulate(t, x, declared_rate=declared)
+    assert_identical(result.sums[0], accumulate(t, x).sums[0])
+    assert ids(result) == ({'rate_differs'} if declared == 100.0 else set())
+    without = accumulate(t * 0, x, declared_rate=declared)
+    assert without.sums[0].tau0 == pytest.approx(1 / declared)
+    assert ids(without) == {'stamps_from_rate'}
 
 
 def test_the_warm_up_is_left_out():
@@ -370,91 +383,74 @@ def test_the_warm_up_is_left_out():
     assert_identical(result.sums[0], accumulate(t[1000:], x[1000:]).sums[0])
 
 
-def test_another_frame_is_another_imu():
-    t, x = still(9000)
-    frames = ['imu_a'] * 3000 + ['imu_b'] * 6000
-    result = accumulate(t, x, frames=frames)
-    assert result.sums[0].identity.frame_id == 'imu_b' and result.sums[0].samples == 6000
-    assert 'frame_changed' in ids(result)
-
-
-def test_two_imus_that_alternate_on_one_topic_are_separated():
-    t, x = still(3000)
-    accumulator = ImuStream()
-    for i in range(3000):
-        row = slice(i, i + 1)
-        accumulator.update(ImuBatch(t[row], x[row], frame_id=f'imu_{i % 2}'))
-    accumulator.end()
-    result = accumulator.result()
-    alone = accumulate(t[::2], x[::2], frames=['imu_0'] * 1500)
+@pytest.mark.parametrize(
+    'frames, used',
+    [
+        ('a' * 3000 + 'b' * 6000, 'b'),
+        ('a' * 6000 + 'b' * 3000, 'a'),
+        ('a' * 4000 + 'b' * 1500 + 'a' * 3500, 'a'),
+        ('ab' * 1500, 'a'),
+    ],
+)
+def test_another_frame_is_another_imu(frames, used):
+    t, x = still(len(frames))
+    t[2000:] += 10**9  # a gap
+    frames = np.array(list(frames))
+    result, own = accumulate(t, x, frames=frames), frames == used
+    alone = accumulate(t[own], x[own], frames=frames[own])
     assert_identical(result.sums[0], alone.sums[0])
-    assert result.health.frame_changes == 2999
+    assert result.segments == alone.segments and result.sums[0].identity.frame_id == used
+    assert result.health.frame_changes == np.count_nonzero(frames[1:] != frames[:-1])
     assert [f.id for f in result.findings].count('frame_changed') == 1
     assert_accounted(result)
 
 
 @pytest.mark.parametrize('ordered', [0, 2000])
-def test_stamps_without_order_are_not_used(ordered):
+@pytest.mark.parametrize('length', [100, 20_000])
+def test_stamps_without_order_are_not_used(ordered, length):
     """Each segment costs about as much as a thousand samples, so their number is limited."""
     t, x = still(20_000)
-    for length in (len(t), 100):
-        times = t.copy()
-        rest = len(t) - ordered
-        order = (
-            np.random.default_rng(0).permutation(rest) if length > 100 else np.arange(rest) % 100
-        )
-        times[ordered:] = times[ordered:][order]
-        result = accumulate(times, x)
-        if length > 100 and not ordered:
-            assert ids(result) == {'stamps_missing', 'nothing_left'}
-            same = accumulate(times, x, record=t)
-            assert_identical(same.sums[0], accumulate(t, x).sums[0])
-        else:
-            assert 'backward_stamps' in ids(result)
-        assert sum(result.health.counts.splits.values()) < 0.01 * len(t)
-        assert_accounted(result)
+    times, rest = t.copy(), len(t) - ordered
+    random = np.random.default_rng(0).permutation(rest)
+    times[ordered:] = t[ordered:][np.arange(rest) % 100 if length == 100 else random]
+    result = accumulate(times, x)
+    if length > 100 and not ordered:
+        assert ids(result) == {'stamps_missing', 'nothing_left'}
+        same = accumulate(times, x, record=t)
+        assert_identical(same.sums[0], accumulate(t, x).sums[0])
+    else:
+        assert 'backward_stamps' in ids(result)
+    assert sum(result.health.counts.splits.values()) < 0.01 * len(t)
+    assert_accounted(result)
 
 
 def test_frames_without_end_take_no_memory_without_end():
     t, x = still(300)
-    accumulator = ImuStream()
-    for i in range(300):
-        row = slice(i, i + 1)
-        accumulator.update(ImuBatch(t[row], x[row], frame_id=f'imu_{i}'))
-    assert len(accumulator._frames) <= 2
-    result = accumulator.result()
+    result = accumulate(t, x, frames=[f'imu_{i}' for i in range(300)])
     assert_accounted(result)
     (found,) = [f for f in result.findings if f.id == 'frames_dropped']
     assert '298' in found.message
 
 
-def test_a_returning_frame_id_continues_with_its_data():
-    t, x = still(9000)
-    result = accumulate(t, x, frames=['imu_a'] * 4000 + ['imu_b'] * 1500 + ['imu_a'] * 3500)
-    assert result.sums[0].identity.frame_id == 'imu_a' and result.sums[0].samples == 7500
-
-
-def test_a_returning_rate_continues_with_its_data():
-    t, x = still(12000)
-    slow = np.clip(np.arange(12000) - 5000, 0, 2000)
-    result = accumulate(t + slow * PERIOD, x)
-    assert result.health.counts.splits['rate change'] == 2
-    assert result.sums[0].samples == pytest.approx(10_000, abs=300)
+@pytest.mark.parametrize(
+    'slow, now', [(slice(5000, 7000), 200), (slice(9000, None), 100)], ids=['returns', 'changes']
+)
+def test_sums_are_for_the_longest_rate_and_health_shows_the_present_one(slow, now):
+    t, x = still(12_000)
+    steps = np.diff(t, prepend=t[0])
+    steps[slow] *= 2
+    steps[2000] += 10**9  # a gap
+    result = accumulate(t[0] + np.cumsum(steps), x)
+    (sums,) = result.sums
+    assert 1 / sums.tau0 == pytest.approx(200, rel=1e-3)
+    assert result.health.rate_hz == pytest.approx(now, rel=1e-3)
+    assert result.health.counts.splits['rate change'] == (2 if now == 200 else 1)
+    assert sums.samples == pytest.approx(10_000 if now == 200 else 9000, abs=300)
+    starts = [s.start_ns for s in result.segments]
+    assert starts[:2] == [t[0], t[2000] + 10**9]
+    assert sum(s.samples for s in result.segments) == sums.samples
+    assert sums.segment_count == len(result.segments)
     assert_accounted(result)
-
-
-def test_sums_are_for_the_longest_rate_and_health_shows_the_present_one():
-    t, x = still(9000)
-    t = t + np.maximum(0, np.arange(9000) - 7000) * PERIOD
-    result = accumulate(t, x)
-    assert 1 / result.sums[0].tau0 == pytest.approx(200, rel=1e-3)
-    assert result.health.rate_hz == pytest.approx(100, rel=1e-3)
-
-
-def test_constant_values_have_no_noise():
-    t, x = still(5000)
-    result = accumulate(t, np.ones_like(x) * 3.0)
-    assert [f.axes for f in result.findings if f.id == 'no_noise'] == [AXES]
 
 
 def test_an_empty_stream_gives_empty_results():
@@ -477,8 +473,7 @@ def test_real_bursty_stamps_are_one_segment_at_the_true_rate(shared_data):
 def test_a_real_static_recording_is_used_completely_and_equals_a_reference(shared_data):
     """ADIS16405, 1,000,000 samples at 100 Hz, compared with allantools' overlapping deviations."""
     counts = np.load(shared_data / 'adis16405' / 'imu2_counts.npz')
-    gyro = counts['gyro'] * np.radians(0.05)
-    samples = np.hstack([gyro, counts['accel'] * (0.00333 * 9.80665)])
+    samples = np.hstack([counts['gyro'] * np.radians(0.05), counts['accel'] * (0.00333 * 9.80665)])
     times = np.arange(1_000_000) * 10_000_000
     (sums,) = accumulate(times, samples, (32768,), motion_gate=False).sums
     assert sums.samples == 1_000_000 and sums.segment_count == 1
@@ -513,20 +508,6 @@ def test_filled_gaps_are_counted_by_length():
     assert np.array_equal(sums.filled[:, 0], [1, 1, 1]), 'those that are dropped do not count'
 
 
-@pytest.mark.parametrize('change', ['frame', 'rate'])
-def test_the_segments_are_those_of_the_sums_that_are_shown(change):
-    t, x = still(9000)
-    t[2000:] += 10**9  # a gap in the first part, which is the longer one
-    if change == 'frame':
-        result = accumulate(t, x, frames=['imu_a'] * 6000 + ['imu_b'] * 3000)
-    else:
-        result = accumulate(t + np.maximum(0, np.arange(9000) - 7000) * PERIOD, x)
-    (sums,) = result.sums
-    assert sums.segment_count == len(result.segments) == 2
-    assert [s.start_ns for s in result.segments] == [t[0], t[2000]]
-    assert sum(s.samples for s in result.segments) == sums.samples
-
-
 def test_heavy_tails_are_reported_with_the_share_of_outliers():
     t, x = still(20_000)
     x[:, 4] += 5e-3 * np.random.default_rng(1).standard_t(3, len(x))
@@ -548,15 +529,6 @@ def test_samples_that_arrive_out_of_order_are_sorted(places, begin):
     assert result.health.rate_hz == pytest.approx(200.0, rel=1e-6)
     if not begin:
         assert_identical(result.sums[0], accumulate(t, x).sums[0])
-
-
-@pytest.mark.parametrize('unit, size', [('us', 1000), ('ms', 10**6)])
-def test_stamps_in_another_unit_are_recognized(unit, size):
-    t, x = still(5000)
-    result = accumulate((t + 7 * 10**17) // size, x)
-    assert result.health.rate_hz == pytest.approx(200.0)
-    (found,) = result.findings
-    assert found.id == 'stamps_unit' and f' {unit} ' in found.message
 
 
 def test_stamps_of_a_clock_that_began_at_zero_keep_their_unit():
@@ -584,32 +556,6 @@ def test_samples_that_are_missing_regularly_are_reported_with_the_assumed_rate(d
     result = accumulate(t[kept], x[kept], declared_rate=declared)
     assert result.health.rate_hz == pytest.approx(rate, rel=1e-3) and len(result.segments) == 1
     assert ids(result) == ({'interpolated'} if declared else {'rate_assumed'})
-
-
-def test_a_sensor_of_zeros_is_absent_and_named():
-    t, x = still(5000)
-    result = accumulate(t, x * [0, 0, 0, 1, 1, 1])
-    assert [s.axes for s in result.sums] == [AXES[3:]]
-    (found,) = [f for f in result.findings if f.id == 'sensor_all_zero']
-    assert found.axes == AXES[:3] and 'gyro' in found.message
-
-
-@pytest.mark.parametrize('value', [np.nan, np.inf, 1e300])
-def test_an_axis_without_a_finite_value_is_named_and_left_out(value):
-    t, x = still(5000)
-    x[:, 1] = value
-    result = accumulate(t, x)
-    assert {axis for s in result.sums for axis in s.axes} == set(AXES) - {AXES[1]}
-    (found,) = [f for f in result.findings if f.id == 'axis_absent']
-    assert found.axes == (AXES[1],)
-
-
-def test_an_imu_that_is_never_at_rest_is_an_error():
-    t, x = still(12_000)
-    result = accumulate(t, x + swing(t))
-    assert result.sums == () and result.health.state == 'moving'
-    (found,) = [f for f in result.findings if f.id == 'never_still']
-    assert found.severity == 'error' and '60 s' in found.message
 
 
 def test_louder_noise_at_rest_is_a_warning_with_its_size_and_no_motion():
@@ -647,30 +593,16 @@ def test_sums_of_motion_are_discarded_and_this_is_reported():
         ([1.0] * 3 + [1 / 9.80665] * 3, {'accel_unit'}),
         ([1.0] * 3 + [1000 / 9.80665] * 3, {'accel_unit'}),
         ([1.0] * 3 + [0.5] * 3, {'accel_scale'}),
+        ([1.0] * 5 + [0.0], set()),
     ],
-    ids=['SI', 'deg/s', 'g', 'mg', 'wrong scale'],
+    ids=['SI', 'deg/s', 'g', 'mg', 'wrong scale', 'without gravity'],
 )
 def test_units_that_cannot_be_si_are_named(scale, expected):
     t, x = still(12_000)
-    noise = np.random.default_rng(0).normal(size=x.shape) * [1e-3] * 3 * 1
-    x = x + noise
     found = [f for f in accumulate(t, x * scale).findings if 'unit' in f.id or 'scale' in f.id]
     assert {f.id for f in found} == expected
     for f in found:
         assert f.severity == 'error' and ('deg/s' in f.remedy or 'accelerometer' in f.remedy)
-
-
-def test_gravity_may_have_been_removed():
-    t, x = still(12_000)
-    assert not ids(accumulate(t, x - [0, 0, 0, 0, 0, 9.8])) & {'accel_unit', 'accel_scale'}
-
-
-def test_stamps_of_two_clocks_give_no_valid_noise():
-    times, samples = still(20_000)
-    ahead = np.random.default_rng(1).random(len(times)) < 0.3
-    result = accumulate(times + ahead * 350_000_000, samples)
-    assert [f.severity for f in result.findings if f.id == 'stamps_mixed'] == ['error']
-    assert 'stamps_mixed' not in ids(accumulate(times, samples))
 
 
 @pytest.mark.parametrize('lsb', [0.0, 0.1, 0.5, 2.0])
