@@ -315,7 +315,7 @@ class RepeatFilter:
     def feed(self, blocks: list[Block]) -> list[Block]:
         """Add blocks, and return the samples whose interpolation is complete."""
         out: list[Block] = []
-        for block in blocks:
+        for block in filter(len, blocks):
             out += (self.flush() if block.cut else []) + self._add(block)
         return out
 

@@ -1,0 +1,175 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Single stages: looped recordings, repeated samples, two IMUs, and means over a second."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.stream.cleaning import BACKWARD_RUN, PassSplitter
+from allan_ros.core.stream.health import KEPT_MEANS, RunningMeans
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.core.stream.sensors import (
+    LONGEST_REPEAT,
+    RepeatFilter,
+    _line_variance,
+    are_interleaved,
+)
+from allan_ros.core.stream.timing import Block
+
+
+def batch(stamps):
+    stamps = np.asarray(stamps, np.int64)
+    return ImuBatch(stamps, np.repeat(stamps[:, None], 6, axis=1).astype(float), frame_id='imu')
+
+
+def runs(stamps, chunk, latest=None):
+    splitter, found = PassSplitter(latest), [[]]
+    pieces = [batch(stamps[i : i + chunk]) for i in range(0, len(stamps), chunk)]
+    parts = [part for piece in pieces for part in splitter.split(piece)]
+    for new_run, part in [*parts, *splitter.flush()]:
+        if new_run:
+            found.append([])
+        found[-1] += part.stamps_ns.tolist()
+    return found
+
+
+@pytest.mark.parametrize('chunk', [1, 7, 16, 17, 1000])
+def test_a_loop_is_split_at_its_first_sample(chunk):
+    once = list(range(100))
+    assert runs(once * 3, chunk) == [once] * 3
+
+
+@pytest.mark.parametrize('chunk', [1, 5, 1000])
+def test_some_backward_stamps_are_left_in_their_run(chunk):
+    back = list(range(50, 50 + BACKWARD_RUN - 1))
+    stream = [*range(100), *back, *range(100, 200)]
+    assert runs(stream, chunk) == [stream]
+
+
+def test_data_that_were_there_before_count_as_the_run_before():
+    again = list(range(100))
+    assert runs(again, 30, latest=500) == [[], again]
+    assert runs(again, 30, latest=-1) == [again]
+
+
+@given(st.lists(st.integers(0, 40), max_size=120), st.integers(1, 50))
+def test_no_sample_is_lost_and_chunks_do_not_matter(stamps, chunk):
+    found = runs(stamps, chunk)
+    assert [stamp for run in found for stamp in run] == stamps
+    assert found == runs(stamps, max(len(stamps), 1))
+
+
+def filtered(rows, groups, lengths):
+    """Return the rows and the flags of interpolated values, fed in chunks of the given lengths."""
+    repeats, blocks, at = RepeatFilter(groups, len(rows)), [], 0
+    stamps = np.arange(rows.shape[1])
+    for length in [*lengths, rows.shape[1]]:
+        part = slice(at, at + length)
+        blocks += repeats.feed([Block(stamps[part], rows[:, part])])
+        at += length
+        # what is not returned yet is buffered: the last new sample and the repeats after it
+        assert min(at, rows.shape[1]) - sum(map(len, blocks)) <= LONGEST_REPEAT + 1
+    joined = Block.joined(blocks + repeats.flush())
+    assert (joined.stamps == stamps).all()
+    filled = np.zeros(rows.shape, bool) if joined.filled is None else joined.filled
+    return joined.rows, filled
+
+
+@given(
+    flags=st.lists(st.booleans(), min_size=1, max_size=80),
+    lengths=st.lists(st.integers(1, 20), max_size=20),
+)
+def test_repeats_of_a_straight_line_are_restored_for_any_chunking(flags, lengths):
+    flags = np.array([False, *flags, False])
+    new = np.maximum.accumulate(np.where(flags, 0, np.arange(len(flags))))
+    line = 2.0 * np.arange(len(flags))
+    next_new = np.minimum.accumulate(np.where(flags, len(flags), np.arange(len(flags)))[::-1])[::-1]
+    short = flags & (next_new - new - 1 <= LONGEST_REPEAT)
+    rows, filled = filtered(line[None, new], [[0]], lengths)
+    assert rows[0] == pytest.approx(np.where(short, line, line[new]))
+    assert (filled[0] == short).all()
+
+
+def test_a_sample_is_repeated_only_if_all_axes_of_its_group_are_equal():
+    rows = np.array([[0.0, 0.0, 2.0], [1.0, 3.0, 5.0], [4.0, 4.0, 8.0]])
+    values, filled = filtered(rows, [[0, 1], [2]], [])
+    assert values.tolist() == [[0.0, 0.0, 2.0], [1.0, 3.0, 5.0], [4.0, 6.0, 8.0]]
+    assert filled.sum() == 1 and filled[2, 1]
+
+
+@pytest.mark.parametrize('share', [0.05, 0.3])
+def test_the_variance_about_a_line_of_random_flags_is_that_of_watson(share):
+    flags = np.random.default_rng(0).random((4000, 1024)) < share
+    binomial = 1024 * flags.mean(axis=1) * (1.0 - flags.mean(axis=1))
+    ratio = np.array([_line_variance(one) for one in flags]) / binomial
+    # U^2 has a standard deviation of 360**-0.5; 5 sigma of the mean of 4000: false alarm 6e-7
+    assert ratio.mean() == pytest.approx(1.0 / 12.0, abs=5.0 * (360 * 4000) ** -0.5)
+    assert _line_variance(np.arange(1024) % 4 == 0) < 0.5
+
+
+STEP_NS = 10_000_000
+
+
+def samples(count: int, start_ns: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    stamps = start_ns + STEP_NS * np.arange(count)
+    return stamps, np.random.default_rng(1).normal(size=(2, count))
+
+
+@pytest.mark.parametrize('chunk', [1, 7, 100, 1000])
+def test_the_means_do_not_depend_on_the_chunks(chunk: int) -> None:
+    stamps, rows = samples(1000)
+    running = RunningMeans(('gyro_x', 'gyro_y'))
+    for at in range(0, 1000, chunk):
+        running.update(stamps[at : at + chunk], rows[:, at : at + chunk])
+    means = running.means
+    expected = rows[:, :900].reshape(2, 9, 100).mean(axis=2).T
+    np.testing.assert_allclose(means.values, expected)
+    whole = RunningMeans(('gyro_x', 'gyro_y'))
+    whole.update(stamps, rows)
+    assert np.array_equal(means.values, whole.means.values)
+    assert means.end_ns.tolist() == [10**9 * (i + 1) for i in range(9)]
+
+
+def test_a_gap_drops_the_mean_in_progress() -> None:
+    stamps, rows = samples(150)
+    running = RunningMeans(('gyro_x', 'gyro_y'))
+    running.update(stamps, rows)
+    running.cut()
+    later, more = samples(250, 50 * 10**9)
+    running.update(later, more)
+    assert running.means.end_ns.tolist() == [10**9, 51 * 10**9, 52 * 10**9]
+    np.testing.assert_allclose(running.means.values[1], more[:, :100].mean(axis=1))
+
+
+def test_only_the_latest_are_kept() -> None:
+    stamps, rows = samples(100 * (KEPT_MEANS + 20))
+    running = RunningMeans(('gyro_x', 'gyro_y'))
+    running.update(stamps, rows)
+    assert len(running.means.end_ns) == KEPT_MEANS
+
+
+def test_a_stream_has_means_of_static_samples_only() -> None:
+    rng = np.random.default_rng(2)
+    count = 60_00
+    values = rng.normal(0.5, 0.01, size=(count, 6))
+    values[3000:3500, :3] += rng.normal(0.0, 1.0, size=(500, 3))  # 5 s of motion
+    stream = ImuStream()
+    stream.update(ImuBatch(10**18 + STEP_NS * np.arange(count), values))
+    (means,) = stream.means()
+    assert means.axes[0] == 'gyro_x'
+    seconds = (means.end_ns - 10**18) * 1e-9
+    assert not np.any((seconds > 30.5) & (seconds < 35.0))
+    assert len(seconds) > 40
+    np.testing.assert_allclose(means.values, 0.5, atol=0.01)
+
+
+@pytest.mark.parametrize('step', [0.5, 1.0, 2.0, 3.0, 4.0, 6.0])
+@pytest.mark.parametrize('mean', [0.0, 0.25, 0.5])
+def test_coarse_samples_are_not_those_of_two_imus(step, mean):
+    noise = np.random.default_rng(1).standard_normal((6, 2000))
+    of_two = noise + 30.0 * (np.random.default_rng(2).random(2000) < 0.5)
+    assert not are_interleaved(np.round(noise / step + mean) * step)
+    assert are_interleaved(np.round(of_two / step + mean) * step)
