@@ -24,6 +24,7 @@ stream or the last gap, so the decisions do not depend on how the samples are di
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -210,6 +211,7 @@ class MotionGate:
         self._last_mean: Floats | None = None
         self._motion: Motion | None = None
         self._level = Level()
+        self._out: list[Block] = []  # confirmed to be at rest
         self._cut = ''  # reason for the gap before the next still block
         self._margin: list[Block] = []  # still windows, dropped if a motion begins after them
         self._block: list[_Part] = []
@@ -242,27 +244,26 @@ class MotionGate:
 
     def feed(self, blocks: list[Block]) -> list[Block]:
         """Add consecutive blocks, and return the samples that are confirmed to be at rest."""
-        out: list[Block] = []
         for contiguous in _contiguous(blocks):
             if self._floor is not None:
-                out += self._add(contiguous)
+                self._add(contiguous)
                 continue
             self._learning += contiguous
-            needed = BLOCK_WINDOWS * self.size
-            while self._floor is None and sum(map(len, self._learning)) >= needed:
-                out += self._learn()
+            while self._floor is None and _samples(self._learning) >= BLOCK_WINDOWS * self.size:
+                self._learn()
+        out, self._out = self._out, []
         return out
 
     def flush(self) -> list[Block]:
         """Return the buffered blocks that are at rest, at the end of the input."""
-        out: list[Block] = []
         while self._floor is None and self._learning:
-            out += self._learn()
-        return out + self._flush_pending()
+            self._learn()
+        self._flush_pending()
+        return self.feed([])
 
     # --- learning ---------------------------------------------------------------------------------
 
-    def _learn(self) -> list[Block]:
+    def _learn(self) -> None:
         """Learn the noise floor from the first windows, or drop these if the IMU moved."""
         first, rest = _split(self._learning, BLOCK_WINDOWS * self.size)
         parts = [Block.joined(blocks) for blocks in _contiguous(first)]
@@ -270,51 +271,48 @@ class MotionGate:
         floor = NoiseFloor.learned([part.rows for part in parts], self.size, gyro, self._settings)
         if not floor.is_plausible():
             self._learning = rest
-            self._counts.moving += sum(map(len, first))
+            self._counts.moving += _samples(first)
             if self._motion is None:
                 self._motion = Motion('motion', int(first[0].stamps[0]), None, [])
                 self._counts.splits['motion'] += 1
             self._motion.ended_ns = int(first[-1].stamps[-1])
             self._cut = 'motion'
-            return []
+            return
         for part in parts:
             windows = Windows.of(part.rows, self.size)
             found = floor.classify(windows, None, self.size)
             floor = floor.with_outliers(_usable(part, self.size, ~found.moving))
         self._floor = floor
-        blocks, self._learning = self._learning, []
         self._log_motion()
-        return self.feed(blocks)
+        blocks, self._learning = self._learning, []
+        for contiguous in _contiguous(blocks):
+            self._add(contiguous)
 
     # --- windows ----------------------------------------------------------------------------------
 
-    def _add(self, blocks: list[Block]) -> list[Block]:
-        """Classify blocks without a gap between them, and return the samples at rest."""
-        out = self._flush_pending() if blocks[0].cut else []
+    def _add(self, blocks: list[Block]) -> None:
+        """Classify the windows of blocks without a gap between them."""
+        if blocks[0].cut:
+            self._flush_pending()
         have = Block.joined([self._pending, *blocks])
         ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
-        out += self._classify(have, ready, self.size)
+        self._classify(have, ready, self.size)
         self._pending = have.part(slice(ready, None), '' if ready else have.cut).copy()
-        return out
 
-    def _flush_pending(self) -> list[Block]:
-        """Classify the buffered samples before a gap, and return all that are at rest."""
-        out: list[Block] = []
+    def _flush_pending(self) -> None:
+        """Classify the buffered samples before a gap, and pass on all that are at rest."""
         rest, self._pending = self._pending, self._pending.part(slice(0))
         while len(rest) and self._floor is not None:
             size = min(len(rest), self.size)
-            out += self._classify(rest, size, size)
+            self._classify(rest, size, size)
             rest = rest.part(slice(size, None))
         self._before = self._before[:, :0]
-        out += self._margin
-        self._margin = []
+        self._pass_margin()
         self._no_shock()
-        return out
 
-    def _classify(self, have: Block, samples: int, size: int) -> list[Block]:
-        """Classify the first ``samples`` samples, in windows of ``size``; return those at rest."""
+    def _classify(self, have: Block, samples: int, size: int) -> None:
+        """Classify the first ``samples`` samples, in windows of ``size``."""
         assert self._floor is not None
-        out: list[Block] = []
         at = 0
         while at < samples:
             # up to the end of a block, after which the noise floor is another one
@@ -325,22 +323,20 @@ class MotionGate:
             before, self._before = self._before, block.rows[:, -SPIKE_NEIGHBORS:].copy()
             block, windows, spikes = without_spikes(block, size, before, after, self._floor)
             self._counts.spikes += spikes
-            out += self._keep_still(block, size, windows)
+            self._keep_still(block, size, windows)
             at = end
             if size == self.size:
                 self._in_block += k
                 if self._in_block == BLOCK_WINDOWS:
-                    out += self._end_block()
-        return out
+                    self._end_block()
 
     # --- still or moving --------------------------------------------------------------------------
 
-    def _keep_still(self, block: Block, size: int, windows: Windows) -> list[Block]:
-        """Return the samples of a block that are at rest; each window has ``size`` samples."""
+    def _keep_still(self, block: Block, size: int, windows: Windows) -> None:
+        """Keep the samples of a block that are at rest; each window has ``size`` samples."""
         assert self._floor is not None
-        out: list[Block] = []
         if block.cut:
-            out, self._margin = self._margin, []
+            self._pass_margin()
             self._last_mean, self._level = None, Level()
             if self._motion is not None:
                 self._motion.before = self._motion.before[:0]
@@ -348,25 +344,21 @@ class MotionGate:
         found = self._floor.classify(windows, self._last_mean, size)
         still = ~found.moving
         if self._motion is None and still.all():
-            self._level.add(windows.mean, size)
-            out += self._release(block)
+            self._release(block, windows.mean, size)
         else:
             for i in range(len(still)):
                 window = block.part(slice(i * size, (i + 1) * size))
-                out += self._step(window, windows.mean[:, i], *(bool(v[i]) for v in found[:3]))
+                self._step(window, windows.mean[:, i], *(bool(v[i]) for v in found[:3]))
                 still[i] = self._motion is None
         self._last_mean = windows.mean[:, -1]
         if size == self.size:
             self._block.append(_Part(block, windows, still, found))
-        return out
 
-    def _step(
-        self, window: Block, mean: Floats, moving: bool, quiet: bool, stuck: bool
-    ) -> list[Block]:
-        """Update the state from one window, and return samples confirmed to be at rest."""
+    def _step(self, window: Block, mean: Floats, moving: bool, quiet: bool, stuck: bool) -> None:
+        """Update the state from one window, and keep it if it is at rest."""
         if self._motion is None and not moving:
-            self._level.add(mean[:, None], len(window))
-            return self._release(window)
+            self._release(window, mean[:, None], len(window))
+            return
         if self._motion is None:
             kind, margin = 'stuck' if stuck else 'motion', self._margin
             self._motion = Motion(kind, int(window.stamps[0]), self._level, margin)
@@ -380,30 +372,29 @@ class MotionGate:
         motion.add(window, mean, quiet)
         if motion.windows - motion.quiet > self._longest_shock:
             self._no_shock()
-        return self._end_motion() if motion.quiet >= MARGIN_AFTER else []
+        if motion.quiet >= MARGIN_AFTER:
+            self._end_motion(motion)
 
-    def _end_motion(self) -> list[Block]:
-        """Return the windows of the motion that just ended if it was a shock, else split."""
-        assert self._floor is not None and self._motion is not None
-        kept = self._motion.replaced(self._floor, self._period_s)
+    def _end_motion(self, motion: Motion) -> None:
+        """Pass on the windows of the motion that just ended if it was a shock, else split."""
+        assert self._floor is not None
+        kept = motion.replaced(self._floor, self._period_s)
         if kept:
-            self._motion.kind = 'shock'
+            motion.kind = 'shock'
             self._counts.shocks += 1
             self._counts.replaced += len(kept[0])
         else:
             self._no_shock()
         self._log_motion()
-        out = kept[:1]
+        self._out += kept[:1]
         for window in kept[1:]:
-            self._level.add(window.rows.mean(axis=1)[:, None], len(window))
-            out += self._release(window)
-        return out
+            self._release(window, window.rows.mean(axis=1)[:, None], len(window))
 
     def _no_shock(self) -> None:
         """Drop the windows of the present motion, which is no shock."""
         motion = self._motion
         if motion is not None and motion.held is not None:
-            self._counts.moving += sum(map(len, motion.held))
+            self._counts.moving += _samples(motion.held)
             self._counts.splits[motion.kind] += 1
             self._cut = self._cut or motion.kind
             motion.held = None
@@ -417,20 +408,27 @@ class MotionGate:
             changed = {axis: change for axis, change in changes if abs(change) > 0.0}
             self._events.add(seconds, Event(motion.kind, motion.began_ns, seconds, changed))
 
-    def _release(self, block: Block) -> list[Block]:
-        """Buffer the last still window, because a motion may follow; return the samples before."""
-        out = self._margin
+    def _release(self, block: Block, means: Floats, size: int) -> None:
+        """Pass on still windows except for the last one, because a motion may follow.
+
+        ``means``, (axes, k), are the means of the windows of ``size`` samples.
+        """
+        self._level.add(means, size)
+        self._pass_margin()
         split = max(0, len(block) - MARGIN_BEFORE * self.size)
         cut, self._cut = self._cut, ''
         if split:
-            out = [*out, block.part(slice(split), cut)]
+            self._out.append(block.part(slice(split), cut))
             cut = ''
         self._margin = [block.part(slice(split, None), cut)]
-        return out
+
+    def _pass_margin(self) -> None:
+        self._out += self._margin
+        self._margin = []
 
     # --- the noise floor --------------------------------------------------------------------------
 
-    def _end_block(self) -> list[Block]:
+    def _end_block(self) -> None:
         """Update the noise floor after a block; start again if it was learned during a motion."""
         floor = self._floor
         assert floor is not None
@@ -439,7 +437,8 @@ class MotionGate:
         lower = floor.replacement(windows)
         if lower is not None:
             self._floor = lower
-            return self._restart(block)
+            self._restart(block)
+            return
         samples = Block.joined([part.samples for part in block])
         still = np.concatenate([part.still for part in block])
         rotating = all(part.found.rotating.all() for part in block)
@@ -450,7 +449,6 @@ class MotionGate:
         stuck = any(part.found.stuck.any() for part in block)
         moving = not (still.any() or stuck)
         self._count_increased(floor.increase(samples.rows, windows) if moving else None)
-        return []
 
     def _count_increased(self, ratio: Floats | None) -> None:
         """Count a block as increased noise; ``ratio`` is None if it is at rest or in motion."""
@@ -466,26 +464,28 @@ class MotionGate:
         if self._motion is not None:
             self._motion.kind = 'noise_increased'
 
-    def _restart(self, block: list[_Part]) -> list[Block]:
+    def _restart(self, block: list[_Part]) -> None:
         """Discard all earlier data, and classify the block again with the new noise floor."""
         # `SensorStream` counts the samples that were already released
         self._no_shock()
         self._counts.shocks, self._counts.replaced = self._shocks_before
-        self._counts.moving += sum(map(len, self._margin))
-        samples = sum(len(part.samples) for part in block)
+        self._counts.moving += _samples(self._margin)
         stuck = self.size * sum(int(np.count_nonzero(part.found.stuck)) for part in block)
-        self._counts.moving -= samples - stuck
+        self._counts.moving -= _samples(part.samples for part in block) - stuck
         self._counts.stuck -= stuck
         self._margin = []
         self._last_mean, self._level = None, Level()
         self._noisy_blocks, self._increase = 0, None
         self._motion = Motion('motion', int(block[0].samples.stamps[0]), None, [])
         self._cut = 'motion'
-        out = [block[0].samples.part(slice(0), RELEARNED)]
+        self._out.append(block[0].samples.part(slice(0), RELEARNED))
         for part in block:
-            out += self._keep_still(part.samples, self.size, part.windows)
+            self._keep_still(part.samples, self.size, part.windows)
         self._block = []
-        return out
+
+
+def _samples(blocks: Iterable[Block]) -> int:
+    return sum(map(len, blocks))
 
 
 def _contiguous(blocks: list[Block]) -> list[list[Block]]:
