@@ -40,7 +40,7 @@ from .health import (
 )
 from .motion import RELEARNED, MotionGate
 from .sensors import RepeatFilter, SampleHoldFilter, SensorPlan, plan_sensors
-from .timing import LEARN, Block, Flags, Floats, SampleClock, Stamps, learn_clock
+from .timing import LEARN, Block, Floats, SampleClock, Stamps
 
 
 class StreamSums(NamedTuple):
@@ -134,12 +134,12 @@ class ImuStream:
 
     def _longest(self) -> tuple[StreamSums, ...]:
         """Return the sums with the longest elapsed time for each sensor with data."""
+        sensors = [sensor for frame in self._frames.values() for sensor in frame.sensors]
+        known = [each for sensor in sensors for each in sensor.by_rate()]
         best: dict[str, StreamSums] = {}
-        streams = [s for each in self._frames.values() for s in each.sensors]
-        for each in (each for stream in streams for each in stream.by_rate()):
-            for axis in each.sums.axes if each.sums.samples else ():
-                if axis not in best or each.sums.elapsed_ns > best[axis].sums.elapsed_ns:
-                    best[axis] = each
+        for each in sorted(known, key=lambda each: -each.sums.elapsed_ns):
+            for axis in each.sums.axes:
+                best.setdefault(axis, each)
         return tuple({id(best[axis]): best[axis] for axis in AXES if axis in best}.values())
 
     def _health(
@@ -150,8 +150,7 @@ class ImuStream:
         counts = Counts(received=self._received)
         for each in (self._dropped, *(frame.counts for frame in self._frames.values())):
             counts.add(each)
-        first = frame.sensors[0].clock if frame.sensors else None
-        clock = first.clock if first else None
+        clock = frame.sensors[0].clock.clock if frame.sensors else None
         gates = [sensor.gate for sensor in frame.sensors if sensor.gate is not None]
         streams = [s for each in self._frames.values() for s in each.sensors]
         health = StreamHealth(
@@ -239,13 +238,12 @@ class FrameStream:
     def _learn(self) -> None:
         """Choose the stamps and the sensor streams from the first samples, then process these."""
         first, self._learning, self._learned = joined(self._learning), [], 0
-        self.notes += self.stamps.learn(first)
+        notes = self.stamps.learn(first)
         chosen = self.stamps.of(first)
         ordered = StampSorter.all_sorted(chosen, first.samples.T)
         plans, findings = plan_sensors(*ordered, self._sensor)
-        self.notes += [note for note in findings if note not in self.notes]
-        if not self.sensors:
-            self._sorter = StampSorter(chosen)
+        self.notes += [note for note in (*notes, *findings) if note not in self.notes]
+        self._sorter = StampSorter(chosen)
         self.sensors = tuple(SensorStream(p, self.identity, self._settings) for p in plans)
         self._feed(*self._sorter.feed(chosen, first.samples.T))
 
@@ -271,10 +269,9 @@ class SensorStream:
     These are all six axes, or the axes of one sensor if the sensors have different rates. The
     stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `RepeatFilter` (if the driver
     repeats samples at random), `MotionGate`, `RunningSums`.
-    ``clock`` and ``gate`` are None before the sample period is learned, and ``gate`` if all samples
-    are used. ``relearned`` counts how often the sums were discarded because the IMU had been
-    moving, and ``discarded_s`` is the time from the first sample at rest to the first one that was
-    kept.
+    ``gate`` is None before the sample period is learned, or if it is switched off. ``relearned``
+    counts how often the sums were discarded because the IMU had been moving, and ``discarded_s`` is
+    the time from the first sample at rest to the first one that was kept.
     """
 
     def __init__(
@@ -292,14 +289,18 @@ class SensorStream:
         self._settings = settings
         self._hold_filter = SampleHoldFilter(plan)
         self._stamp_filter = StampFilter(len(plan.axes), self.counts)
-        self._start(np.empty(0, np.int64), np.empty((len(plan.axes), 0)))
+        self._start()
 
-    def _start(self, stamps: Stamps, rows: Floats) -> None:
-        """Begin to learn the sample period, from samples that are not processed yet."""
-        self._learning = [(stamps, rows, np.zeros(len(stamps), bool))]
-        self.clock: SampleClock | None = None
+    def _start(self) -> None:
+        """Begin to learn the sample period."""
+        axes, drop = self._plan.axes, self._plan.drop
+        self.clock = SampleClock(len(axes), self._settings, bool(drop), self.counts)
         self.gate: MotionGate | None = None
-        self._stages: list[RepeatFilter | MotionGate] = []  # between the clock and the sums
+        # between the clock and the sums
+        self._stages: list[RepeatFilter | MotionGate] = []
+        if self._plan.random_repeats:
+            groups = [[axes.index(axis) for axis in group] for group in self._plan.random_repeats]
+            self._stages.append(RepeatFilter(groups, len(axes)))
         self._clear()
 
     def _clear(self) -> None:
@@ -313,16 +314,13 @@ class SensorStream:
         self._cut = ''
 
     @property
-    def _buffered(self) -> int:
-        """Number of samples that are buffered until the sample period is known."""
-        return sum(len(stamps) for stamps, _, _ in self._learning)
-
-    @property
     def state(self) -> State:
         """'waiting' or 'learning' until the period is known, then the state of `MotionGate`."""
-        if self.clock is None:
-            return 'learning' if self._buffered else 'waiting'
-        return 'at_rest' if self.gate is None else self.gate.state
+        if self.gate is not None:
+            return self.gate.state
+        if self.clock.clock is not None and not self._settings.motion_gate:
+            return 'at_rest'
+        return 'learning' if len(self.clock.pending[0]) else 'waiting'
 
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at the present sample rate and at the earlier one with the most data."""
@@ -349,67 +347,33 @@ class SensorStream:
     def feed(self, stamps: Stamps, rows: Floats) -> None:
         """Process samples of the six-axis stream: stamps (n,) in ns, values (6, n)."""
         kept = self._stamp_filter.feed(*self._hold_filter.select(stamps, rows))
-        if self.clock is not None:
-            self._process(*kept)
-            return
-        self._learning.append(kept)
-        if self._buffered >= LEARN:
-            self._learn()
+        self._pass_on(self.clock.feed(*kept))
+        while self.clock.rate_changed:
+            self._pass_on(self._change_rate())
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
-        self._learn()
-        while self.clock is not None:
-            self._pass_on(self.clock.flush())
-            if not self.clock.rate_changed:
-                break
-            self._change_rate()
-            self._learn()
+        self._pass_on(self.clock.flush())
+        while self.clock.rate_changed:
+            self._pass_on(self._change_rate() + self.clock.flush())
         self._end_segment()
 
-    def _learn(self) -> None:
-        """Learn the sample period from the first samples, then process these."""
-        if self.clock is not None or not self._buffered:
-            return
-        parts, self._learning = self._learning, []
-        stamps, jumped = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
-        rows = np.concatenate([part[1] for part in parts], axis=1)
-        settings, axes, repeats = self._settings, self._plan.axes, self._plan.random_repeats
-        clock = learn_clock(stamps[:LEARN], bool(self._plan.drop), settings.declared_rate)
-        if clock is None:
-            # equal stamps contain no time, and buffering them would fill the memory
-            self.counts.untimed += len(stamps)
-            return
-        self.clock = SampleClock(clock, len(axes), settings.max_bridge, self.counts)
-        if repeats:
-            groups = [[axes.index(axis) for axis in group] for group in repeats]
-            self._stages.append(RepeatFilter(groups, len(axes)))
-        if settings.motion_gate:
-            period = clock.period_ns
-            self.gate = MotionGate(period, axes, self.counts, self.events, settings)
-            self._stages.append(self.gate)
-        self._process(stamps, rows, jumped)
-
-    def _process(self, stamps: Stamps, rows: Floats, jumped: Flags) -> None:
-        """Process samples; if their rate changed, learn the new one."""
-        assert self.clock is not None
-        self._pass_on(self.clock.feed(stamps, rows, jumped))
-        if self.clock.rate_changed:
-            self._change_rate()
-            if self._buffered >= LEARN:
-                self._learn()
-
-    def _change_rate(self) -> None:
-        """Store the sums at the previous rate, and start to learn the new rate."""
-        assert self.clock is not None
+    def _change_rate(self) -> list[Block]:
+        """Store the sums at the previous rate; return the blocks of the samples at the new one."""
         self._end_segment()
         self.counts.splits['rate change'] += 1
         known = self.by_rate()
         self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
-        self._start(*self.clock.pending)
+        pending = self.clock.pending
+        self._start()
+        return self.clock.feed(*pending)
 
     def _pass_on(self, blocks: list[Block], at_end: bool = False) -> None:
         """Pass evenly spaced blocks through the stages to the sums."""
+        if blocks and self.gate is None and self._settings.motion_gate:
+            period, axes = self.clock.learned_ns, self._plan.axes
+            self.gate = MotionGate(period, axes, self.counts, self.events, self._settings)
+            self._stages.append(self.gate)
         for stage in self._stages:
             blocks = stage.feed(blocks) + (stage.flush() if at_end else [])
         for block in blocks:

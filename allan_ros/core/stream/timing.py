@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..settings import SegmenterSettings
 from .health import RATE_CHANGE, Counts
 
 Stamps = NDArray[np.int64]
@@ -240,18 +241,22 @@ BRIDGED_SHARE = 0.5
 class SampleClock:
     """Converts samples to evenly spaced blocks; at most one block and the look-ahead are buffered.
 
-    ``clock`` is the first estimate of the period, which is then updated from the stamps. Gaps of up
-    to ``max_bridge`` samples are interpolated, and ``counts`` is changed in place. Once
-    ``rate_changed`` is set, `pending` contains the samples from the change on, and no more samples
-    are accepted.
+    ``clock`` is None until the period is learned from the first samples; it is then updated from
+    the stamps. ``polled`` tells whether these are stamps of new samples of a slower sensor.
+    ``counts`` is changed in place. Once ``rate_changed`` is set, `pending` contains the samples
+    from the change on, and no more samples are accepted.
     """
 
-    def __init__(self, clock: Clock, axes: int, max_bridge: int, counts: Counts) -> None:
-        self.clock = clock
+    def __init__(
+        self, axes: int, settings: SegmenterSettings, polled: bool, counts: Counts
+    ) -> None:
+        self.clock: Clock | None = None
+        self.learned_ns = 0.0  # the period that was learned
         self.rate_changed = False
-        self._max_bridge = max_bridge
+        self._settings = settings
+        self._polled = polled
         self._counts = counts
-        self._reach = clock.look_ahead
+        self._reach = 0
         # the first `_past` samples, at most `_reach`, are already processed
         self._stamps: Stamps = np.empty(0, np.int64)
         self._rows: Floats = np.empty((axes, 0))
@@ -265,9 +270,10 @@ class SampleClock:
         self._tracked_steps = 0
 
     @property
-    def pending(self) -> tuple[Stamps, Floats]:
-        """Samples that are not processed yet: stamps (n,) in ns and values (axes, n)."""
-        return self._stamps[self._past :], self._rows[:, self._past :]
+    def pending(self) -> tuple[Stamps, Floats, Flags]:
+        """Samples that are not processed yet, in the form of `feed`."""
+        begin = self._past
+        return self._stamps[begin:], self._rows[:, begin:], self._jumped[begin:]
 
     def feed(self, stamps: Stamps, rows: Floats, jumped: Flags) -> list[Block]:
         """Add samples, and return the blocks whose look-ahead is complete.
@@ -279,43 +285,61 @@ class SampleClock:
         # the order in memory determines the order of later sums, and so their rounding
         self._rows = np.concatenate([self._rows, np.ascontiguousarray(rows)], axis=1)
         self._jumped = np.concatenate([self._jumped, jumped])
+        while self.clock is None and len(self._stamps) >= LEARN:
+            self._learn()
         return self._process_ready(self._reach)
 
     def flush(self) -> list[Block]:
         """Return the blocks of all buffered samples at the end of the input."""
+        if self.clock is None:
+            self._learn()
         return self._process_ready(0)
+
+    def _learn(self) -> None:
+        """Learn the period from the first samples; if they contain no time, drop them."""
+        first = self._stamps[:LEARN]
+        self.clock = learn_clock(first, self._polled, self._settings.declared_rate)
+        if self.clock is None:
+            self._counts.untimed += len(first)
+            self._past = len(first)
+            self._release()
+        else:
+            self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead
 
     def _process_ready(self, look_ahead: int) -> list[Block]:
         """Process the samples before the look-ahead: complete blocks, or all if it is 0."""
         begin, steps = self._past, [np.empty(0, np.int64)]
-        while not self.rate_changed:
+        while self.clock is not None and not self.rate_changed:
             ready = len(self._stamps) - self._past - look_ahead
             room = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
             n = min(ready - ready % CLOCK_BLOCK if look_ahead else ready, room)
             if n < 1:
                 break
-            steps.append(self._process(n))
+            steps.append(self._process(n, self.clock))
         blocks = self._blocks_of(begin, np.concatenate(steps))
-        # processed samples that are not needed to detect a later gap
+        self._release()
+        return blocks
+
+    def _release(self) -> None:
+        """Drop processed samples that are not needed to detect a later gap."""
         old = max(0, self._past - self._reach)
         self._stamps, self._jumped = self._stamps[old:].copy(), self._jumped[old:].copy()
         self._rows = self._rows[:, old:].copy()
         self._past -= old
-        return blocks
 
-    def _process(self, n: int) -> Ints:
+    def _process(self, n: int, clock: Clock) -> Ints:
         """Detect gaps and a change of the rate in the next n samples.
 
         Returns the steps of the sample index up to a change: above 1 where samples are
         interpolated, 0 where the data are split.
         """
         begin = self._past
-        before = self._stamps[begin - 1] if begin else self._stamps[0] - round(self.clock.period_ns)
+        before = self._stamps[begin - 1] if begin else self._stamps[0] - round(clock.period_ns)
         stamps, jumped = self._stamps[begin : begin + n], self._jumped[begin : begin + n]
         step = np.diff(stamps, prepend=before)
-        lost, split = self._find_gaps(step, jumped)
+        lost, split = self._find_gaps(step, jumped, clock)
         steps = np.where(split, 0, 1 + lost)
-        same = self._count_same_rate(step, steps)
+        same = self._count_same_rate(step, steps, clock)
         self.rate_changed = same < n
         lost, steps = lost[:same], steps[:same]
         split, jumped = split[:same], jumped[:same]
@@ -325,34 +349,34 @@ class SampleClock:
             self._counts.lost += int(lost.sum())
             self._counts.interpolated += int(lost[~split].sum())
             self._counts.splits += Counter({'clock jump': jumps, 'gap': gaps})
-            self._track(stamps[:same], steps)
+            self._track(stamps[:same], steps, clock)
             self._steps = np.concatenate([self._steps, steps])[-self._reach :]
             self._past += same
         return steps
 
-    def _find_gaps(self, step: Stamps, jumped: Flags) -> tuple[Ints, Flags]:
+    def _find_gaps(self, step: Stamps, jumped: Flags, clock: Clock) -> tuple[Ints, Flags]:
         """Return the number of samples lost before each of the next n, and where to split them.
 
         ``step``, (n,), are the steps of the stamps in ns. Short gaps are interpolated, not split.
         """
         lost, split = np.zeros(len(step), np.int64), jumped.copy()
         interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block
-        for j in np.flatnonzero((step > self.clock.pause_ns) & ~split).tolist():
-            lost[j] = number = self._count_lost(np.where(split, 0, 1 + lost)[:j])
+        for j in np.flatnonzero((step > clock.pause_ns) & ~split).tolist():
+            lost[j] = number = self._count_lost(np.where(split, 0, 1 + lost)[:j], clock)
             total = interpolated[j // CLOCK_BLOCK] + number
-            split[j] = number > self._max_bridge or total > BRIDGED_SHARE * CLOCK_BLOCK
+            split[j] = number > self._settings.max_bridge or total > BRIDGED_SHARE * CLOCK_BLOCK
             if not split[j]:
                 interpolated[j // CLOCK_BLOCK] = total
         return lost, split
 
-    def _count_same_rate(self, step: Stamps, steps: Ints) -> int:
+    def _count_same_rate(self, step: Stamps, steps: Ints, clock: Clock) -> int:
         """Return the number of samples before a change of the rate; all if it does not change.
 
         ``step``, (n,), are the steps of the stamps in ns, and ``steps``, (n,), those of the index.
         """
-        if self.clock.bursty:
+        if clock.bursty:
             return len(step)
-        long = RATE_CHANGE_STEP * self.clock.step_ns
+        long = RATE_CHANGE_STEP * clock.step_ns
         # excludes the samples from which the period was learned, or learning could repeat forever
         for at in range(max(0, LEARN - self._blocks * CLOCK_BLOCK), len(step), CLOCK_BLOCK):
             here, indices = step[at : at + CLOCK_BLOCK], steps[at : at + CLOCK_BLOCK]
@@ -361,15 +385,15 @@ class SampleClock:
             period = here[indices > 0].sum() / max(1, indices.sum())
             # with jitter, two blocks must differ: one may have several undetected losses
             differed = self._other_period
-            self._other_period = abs(period / self.clock.period_ns - 1.0) > RATE_CHANGE
+            self._other_period = abs(period / clock.period_ns - 1.0) > RATE_CHANGE
             if (here.max() > long and float(np.median(here)) > long) or (
-                self._other_period and (differed or not self.clock.jitter)
+                self._other_period and (differed or not clock.jitter)
             ):
-                unusual = (here > long) | (RATE_CHANGE_STEP * here < self.clock.step_ns)
+                unusual = (here > long) | (RATE_CHANGE_STEP * here < clock.step_ns)
                 return at + int(np.argmax(unusual))
         return len(step)
 
-    def _count_lost(self, steps: Ints) -> int:
+    def _count_lost(self, steps: Ints, clock: Clock) -> int:
         """Return how many samples were lost in a pause, from the delays before and after it.
 
         ``steps``, (j,), are the index steps of the next j samples; the pause follows them.
@@ -381,13 +405,13 @@ class SampleClock:
         index = np.cumsum(steps[int(np.argmax(np.cumsum(steps == 0))) :])  # since the last gap
         jumps = np.flatnonzero(self._jumped[at + 1 : at + self._reach])
         after = self._stamps[at : at + (int(jumps[0]) + 1 if len(jumps) else self._reach)]
-        period, origin = self.clock.period_ns, self._stamps[at - 1]
+        period, origin = clock.period_ns, self._stamps[at - 1]
         delay = (self._stamps[at - len(index) : at] - origin) - period * (index - index[-1])
         # as if no sample were lost
         delay_after = (after - origin) - period * np.arange(1, len(after) + 1)
         increase = (float(delay_after.min()) - float(delay.min())) / period
         pause = (self._stamps[at] - origin) / period - 1.0
-        return round(increase) if increase > max(0.5 * pause, self.clock.smallest_loss) else 0
+        return round(increase) if increase > max(0.5 * pause, clock.smallest_loss) else 0
 
     def _blocks_of(self, begin: int, steps: Ints) -> list[Block]:
         """Return the samples from buffer position ``begin`` on as blocks, with gaps interpolated.
@@ -418,7 +442,7 @@ class SampleClock:
         rows = left + fraction * (right - left)
         return Block(stamps, rows, filled=np.ones(rows.shape, bool))
 
-    def _track(self, stamps: Stamps, steps: Ints) -> None:
+    def _track(self, stamps: Stamps, steps: Ints, clock: Clock) -> None:
         """Update the sample period after every `TRACK_BLOCKS` blocks unless the data were split."""
         if self._blocks % TRACK_BLOCKS == 0:
             self._tracked, self._tracked_steps = [], -int(steps[0])
@@ -431,14 +455,14 @@ class SampleClock:
         if self._blocks % TRACK_BLOCKS:
             return
         tracked = np.concatenate(self._tracked)
-        if self.clock.jitter:
-            period = rayleigh_period(tracked, self.clock.period_ns, PERIOD_TRACKING)
+        if clock.jitter:
+            period = rayleigh_period(tracked, clock.period_ns, PERIOD_TRACKING)
         else:
             period = float(tracked[-1] - tracked[0]) / self._tracked_steps
-        off = abs(period / self.clock.period_ns - 1.0)
-        if self.clock.bursty:
+        off = abs(period / clock.period_ns - 1.0)
+        if clock.bursty:
             self.rate_changed = off > RATE_CHANGE_BURSTY
             # a single pause changes the mean over the blocks as much as a real change of the period
-            period = self.clock.period_ns + 0.25 * (period - self.clock.period_ns)
+            period = clock.period_ns + 0.25 * (period - clock.period_ns)
         if not self.rate_changed:
-            self.clock = replace(self.clock, period_ns=period)
+            self.clock = replace(clock, period_ns=period)

@@ -5,6 +5,8 @@
 import numpy as np
 import pytest
 
+from allan_ros.core.settings import SegmenterSettings
+from allan_ros.core.stream import timing
 from allan_ros.core.stream.health import Counts
 from allan_ros.core.stream.timing import Block, Clock, SampleClock, learn_clock
 
@@ -21,11 +23,11 @@ def bursts(n, period_ns=10 * MS, size=5, within_ns=200_000):
     return 10**18 + (i // size + 1) * size * period_ns + (i % size) * within_ns
 
 
-def run(stamps, rows=None, max_bridge=3, clock=None):
+def run(stamps, rows=None, max_bridge=3):
     """Return the blocks between gaps, the counts, and the stage after all stamps."""
     counts = Counts()
     rows = np.arange(float(len(stamps)))[None, :] if rows is None else rows
-    stage = SampleClock(clock or learn_clock(stamps[:1024]), len(rows), max_bridge, counts)
+    stage = SampleClock(len(rows), SegmenterSettings(max_bridge=max_bridge), False, counts)
     runs = stage.feed(stamps, rows, np.zeros(len(stamps), bool)) + stage.flush()
     joined = []
     for r in runs:
@@ -156,8 +158,10 @@ def test_another_rate_is_reported(factor):
     assert len(stage.pending[0]) > 1700
 
 
-def test_learning_the_rate_always_ends():
+def test_learning_the_rate_always_ends(monkeypatch):
     """Samples from which the rate was learned never count as a new rate, so learning ends."""
     stamps = np.concatenate([even(512), even(512)[-1] + even(3000, 13 * MS, 0)[1:]])
-    _, _, stage = run(stamps, clock=Clock(10.0 * MS, 10.0 * MS, bursty=False))
+    clock = Clock(10.0 * MS, 10.0 * MS, bursty=False)
+    monkeypatch.setattr(timing, 'learn_clock', lambda *_: clock)
+    _, _, stage = run(stamps)
     assert len(stage.pending[0]) <= len(stamps) - 1024
