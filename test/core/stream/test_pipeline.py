@@ -214,6 +214,7 @@ def test_the_present_health_is_that_of_the_result_but_for_buffered_samples(fault
         assert (health.state, health.frame_id) == (known.health.state, known.health.frame_id)
         assert health.counts.received == known.health.counts.received
         assert 0 <= known.health.counts.used - health.counts.used < 2000
+    stream.end()
     assert_same(stream.result(), accumulate(t, x))  # reading has changed nothing
     stream.update(ImuBatch(t, x, frame_id='another'))
     stream.end()
