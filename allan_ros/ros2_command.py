@@ -53,6 +53,10 @@ class AllanCommand(Base):  # type: ignore[misc]
         """Run the verb and return its exit code."""
         verb, words = args.verb, list(args.arguments)
         if verb in NODE_VERBS and not _is_for_files(verb, words):
+            from .nodes.__main__ import ros_is_missing
+
+            if ros_is_missing(f'ros2 allan {verb}'):
+                return 1
             from .nodes import watch
 
             if verb in ('save', 'fit'):

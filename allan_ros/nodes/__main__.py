@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from importlib import import_module
-from importlib.util import find_spec
 
 EXECUTABLES = {
     'accumulator': ('monitor', 'accumulator'),
@@ -19,43 +19,34 @@ EXECUTABLES = {
 """Command line argument -> module, and the function in it that runs the node."""
 
 
-def start(name: str, args: Sequence[str] | None = None) -> int:
-    """Run a node and return its exit code; without ROS, print one line and return 1."""
-    if find_spec('rclpy') is None:
+def ros_is_missing(program: str) -> bool:
+    """Return whether rclpy cannot be imported; then print one line with the reason."""
+    try:
+        import_module('rclpy')
+    except ImportError as error:
         print(
-            f'allan_{name}: rclpy is not installed for {sys.executable}: source the setup file of '
-            'a ROS 2 distribution, such as /opt/ros/jazzy/setup.bash',
+            f'{program}: rclpy cannot be imported by {sys.executable} ({error}): source the setup '
+            'file of a ROS 2 distribution, such as /opt/ros/jazzy/setup.bash',
             file=sys.stderr,
         )
+        return True
+    return False
+
+
+def start(name: str, args: Sequence[str] | None = None) -> int:
+    """Run a node and return its exit code; without ROS, print one line and return 1."""
+    if ros_is_missing(f'allan_{name}'):
         return 1
     module, function = EXECUTABLES[name]
     code: int = getattr(import_module(f'.{module}', __package__), function)(args)
     return code
 
 
-def accumulator() -> int:
-    """Run `allan_accumulator`."""
-    return start('accumulator')
-
-
-def estimator() -> int:
-    """Run `allan_estimator`."""
-    return start('estimator')
-
-
-def relay() -> int:
-    """Run `allan_imu_relay`."""
-    return start('relay')
-
-
-def monitor() -> int:
-    """Run `allan_monitor`."""
-    return start('monitor')
-
-
-def watch() -> int:
-    """Run `allan_watch`."""
-    return start('watch')
+accumulator = partial(start, 'accumulator')
+estimator = partial(start, 'estimator')
+relay = partial(start, 'relay')
+monitor = partial(start, 'monitor')
+watch = partial(start, 'watch')
 
 
 def main() -> int:
