@@ -156,6 +156,7 @@ class ImuWatch(Part):
             noted=(*(f for f in stream_findings if f.id not in live), *self._noted),
             static_s=self._static_s(health),
             passes=self._passes,
+            streams=max(1, len(self._result.sums)),
             segments=max((s.segment_count for s in self._sums), default=0),
             publishers=publishers,
             declared_rate=self._settings.segmenter.value.declared_rate,
@@ -174,6 +175,7 @@ class ImuWatch(Part):
         self._update()
         for _, piece in self._splitter.flush():
             self._accumulate(piece)
+        self._input.close()
         self._checkpoint.save(self._total())
         self._checkpoint.close()
 

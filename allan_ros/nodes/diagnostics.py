@@ -48,9 +48,10 @@ class InputView:
 
     Ages are in s, and None before the first message or save. ``received_age_s`` is the time since
     the last message, ``stamp_age_s`` the ROS time since its header stamp. ``static_s`` is the time
-    at rest in s since the start of the present pass; ``passes`` is their number. ``noted`` are
-    findings that do not change the level. ``declared_rate`` is in Hz, 0 if none. ``receiver`` is 'a
-    timer' or 'a callback', whichever receives the messages.
+    at rest in s since the start of the present pass; ``passes`` is their number. ``streams`` is the
+    number of different sample rates of the sensors. ``noted`` are findings that do not change the
+    level. ``declared_rate`` is in Hz, 0 if none. ``receiver`` is 'a timer' or 'a callback',
+    whichever receives the messages.
     """
 
     topic: str
@@ -68,6 +69,18 @@ class InputView:
     checkpoint: str = ''
     checkpoint_age_s: float | None = None
     passes: int = 1
+    streams: int = 1
+
+    @property
+    def undecided(self) -> int | None:
+        """Samples that are held until it is known whether the IMU was at rest.
+
+        None if the sensors have different rates, because most counts then are sums of both.
+        """
+        c = self.health.counts
+        lost = c.skipped + c.other_frame + c.not_finite + c.duplicate + c.backward + c.untimed
+        known = c.used + lost + c.moving + c.stuck + c.noise_increased
+        return c.received + c.interpolated - known if self.streams == 1 else None
 
 
 def status_name(node: Node, *words: str) -> str:
@@ -134,17 +147,23 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
         ('missing by the stamps [samples]', c.lost),
         ('interpolated [samples]', c.interpolated),
         ('moving [samples]', c.moving),
+        ('noise increased [samples]', c.noise_increased),
         ('stuck [samples]', c.stuck),
         ('not finite [samples]', c.not_finite),
         ('duplicate [samples]', c.duplicate),
         ('stamped backward [samples]', c.backward),
         ('without a time [samples]', c.untimed),
         ('skipped at the start [samples]', c.skipped),
+        ('of another frame_id [samples]', c.other_frame),
+        ('undecided [samples]', view.undecided),
         *((f'splits by {reason}', count) for reason, count in sorted(c.splits.items())),
         ('message age [s]', view.received_age_s),
         ('stamp age [s]', view.stamp_age_s),
         ('publishers', ', '.join(view.publishers) or 'none'),
-        ('publishers of incompatible QoS', r.incompatible_qos),
+        (
+            'publishers of incompatible QoS',
+            sum(f.id == 'qos_incompatible' for f in view.findings),
+        ),
         ('stamps used', h.stamps),
         ('messages taken by', view.receiver),
         ('checkpoint', view.checkpoint or 'none'),
