@@ -65,12 +65,6 @@ SUGGESTED_TOPICS = 5
 FIRST_NUMBER = 1
 """Publication sequence number of a publisher's first message (RTPS 2.5, 8.3.5.4)."""
 
-EVENTS = {
-    'reported_lost': QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST,
-    'incompatible_qos': QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
-}
-"""Field of `TransportStatistics` -> event of the middleware that counts it."""
-
 NO_CALLBACKS = SubscriptionEventCallbacks(use_default_callbacks=False)
 """Prevents rclpy from registering callbacks of events, which would wake the executor."""
 
@@ -103,20 +97,18 @@ def qos_text(qos: QoSProfile) -> str:
     return f'{qos.reliability.name.lower()}, {history}{depth}'
 
 
-def _event_handles(subscription: Subscription) -> dict[str, Any]:
-    """Return the handles of the `EVENTS` that the middleware supports, for polling.
+def _loss_event(subscription: Subscription) -> Any:
+    """Return a handle to poll the number of messages that the middleware lost; None without one.
 
     An executor that waits for such an event also wakes for every unread message of the subscription
     (Fast DDS), which would be a busy loop here.
     """
-    handles: dict[str, Any] = {}
-    for name, kind in EVENTS.items() if _EVENT_HANDLE is not None else ():
-        try:
-            with subscription.handle:
-                handles[name] = _EVENT_HANDLE(subscription.handle, kind)
-        except UnsupportedEventTypeError:
-            continue
-    return handles
+    lost = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
+    try:
+        with subscription.handle:
+            return _EVENT_HANDLE(subscription.handle, lost)
+    except (TypeError, UnsupportedEventTypeError):
+        return None
 
 
 def _take(subscription: Subscription) -> Any:
@@ -181,7 +173,7 @@ class ImuInput:
             node, topic, self._collect, settings.queue_depth, settings.plain_callback
         )
         self.topic = self._subscription.topic_name
-        self._events = _event_handles(self._subscription)
+        self._loss = _loss_event(self._subscription)
 
     def drain(self) -> None:
         """Fetch the queued messages; do nothing unless the input is ``polled``."""
@@ -271,12 +263,16 @@ class ImuInput:
 
     def statistics(self) -> TransportStatistics:
         """Return the counts of received, lost and malformed messages so far."""
-        for name, event in self._events.items():
-            with event:
-                data = event.take_event()
+        if self._loss is not None:
+            with self._loss:
+                data = self._loss.take_event()
             if data is not None:
-                setattr(self._statistics, name, data.total_count)
+                self._statistics.reported_lost = data.total_count
         return self._statistics
+
+    def close(self) -> None:
+        """Release the event, which would keep the subscription alive."""
+        self._loss = None
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
         """Store one message, and count the messages that were lost before it."""

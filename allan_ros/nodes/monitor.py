@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from ..core.errors import AllanError
 from .accumulation import AccumulatorParameters, watches
@@ -24,8 +25,8 @@ from .shell import Worker, run
 class Accumulator(AllanNode):
     """Subscribes to ``imu/data``; publishes ``~/sums`` and the status of its input."""
 
-    def __init__(self) -> None:
-        super().__init__('allan_accumulator')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('allan_accumulator', **options)
         settings = AccumulatorParameters(self)
         imus = settings.imus()
         if len(imus) != 1:
@@ -41,8 +42,8 @@ class Accumulator(AllanNode):
 class Estimator(AllanNode):
     """Subscribes to ``sums``; publishes ``~/noise_model`` and one diagnostic status per axis."""
 
-    def __init__(self) -> None:
-        super().__init__('allan_estimator')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('allan_estimator', **options)
         settings = self.parameters.group('estimator', EstimatorSettings)
         references = load_references(settings.value)
         push = ParameterPush(self)
@@ -54,8 +55,8 @@ class Estimator(AllanNode):
 class Relay(AllanNode):
     """Subscribes to ``imu/data`` and ``noise_model``; publishes ``imu/data_with_covariance``."""
 
-    def __init__(self) -> None:
-        super().__init__('allan_imu_relay')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('allan_imu_relay', **options)
         topics = RelayTopics('imu/data', 'noise_model', 'imu/data_with_covariance')
         relay = ImuRelay(self, topics, self.parameters.group('relay', RelaySettings))
         self.begin([relay], relay.description)
@@ -64,8 +65,8 @@ class Relay(AllanNode):
 class Monitor(AllanNode):
     """Accumulates, estimates and relays every IMU in ``input.topics``."""
 
-    def __init__(self) -> None:
-        super().__init__('allan_monitor')
+    def __init__(self, **options: Any) -> None:
+        super().__init__('allan_monitor', **options)
         self.metrics_file = self.parameters.group('monitor', MonitorSettings).value.metrics_file
         settings = AccumulatorParameters(self)
         estimator = self.parameters.group('estimator', EstimatorSettings)

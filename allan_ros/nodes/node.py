@@ -209,11 +209,12 @@ class AllanNode(Node):
     """A node that consists of parts, such as the inputs of several IMUs.
 
     An unexpected exception in one part is logged once with its traceback and reported as ERROR on
-    `/diagnostics`; the node and its other parts continue.
+    `/diagnostics`; the node and its other parts continue. ``options`` are passed to
+    `rclpy.node.Node`.
     """
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
         self.parameters = Parameters(self)
         self.publish = self.parameters.group('publish', PublishSettings)
         self._parts: Sequence[Part] = ()

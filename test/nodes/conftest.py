@@ -41,6 +41,27 @@ earlier test that Python has not yet collected would answer in place of the node
 ASK_AGAIN_S = 1.0
 """Seconds after which an unanswered request is sent again."""
 
+BURST = 2000
+"""Messages after which a node in this process fetches them; Fast DDS keeps 5000 in a queue."""
+
+_RELIABLE = {
+    # loses no message: the publisher waits while the queue is full
+    'qos_overrides./imu/data.subscription.reliability': 'reliable',
+    'qos_overrides./imu/data.subscription.history': 'keep_all',
+}
+_PERIODS = {'publish.sums_period': 0.3, 'publish.diagnostics_period': 0.2}
+
+_INPUT = {**_RELIABLE, **_PERIODS, 'input.drain_period': 0.02, 'input.stale_after': 3600.0}
+
+QUICK: dict[str, dict[str, Any]] = {
+    'accumulator': _INPUT,
+    'monitor': _INPUT,
+    'estimator': {**_PERIODS, 'publish.sums_period': 10.0},
+    'relay': {**_RELIABLE, 'publish.diagnostics_period': 0.2},
+}
+"""Node -> parameters of every test that does not set them: no message is lost, statuses are
+published soon, and it is not reported that the publisher of a test is silent."""
+
 
 def _domains_of_processes() -> set[int]:
     """Return the domains of running processes, including nodes left behind by a killed test run."""
@@ -89,6 +110,7 @@ class Graph:
         self.folder = folder
         self._server = server
         self._processes: list[NodeProcess] = []
+        self._nodes: list[Any] = []
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self.node = Node('test_client', context=self._context)
@@ -101,22 +123,33 @@ class Graph:
     def start(
         self, module: str, *arguments: str, remap: dict[str, str] | None = None, **parameters: Any
     ) -> NodeProcess:
-        """Start ``allan_ros.nodes.<module>``; ``parameters`` have their full names.
-
-        A node does not report that the publisher of a test is silent unless it is told to.
-        """
-        if module in ('accumulator', 'monitor'):
-            parameters = {'input.stale_after': 3600.0, **parameters}
-        ros = [f'{old}:={new}' for old, new in (remap or {}).items()]
-        given = [a for pair in ros for a in ('-r', pair)]
-        for name, value in parameters.items():
-            given += ['-p', f'{name}:={_yaml(value)}']
+        """Start ``allan_ros.nodes.<module>`` in its own process; see `run`."""
         log = self.folder / f'{module}{len(self._processes)}.log'
-        words = [module, *arguments, *(['--ros-args', *given] if given else [])]
+        words = [module, *arguments, *_ros_arguments(module, remap, parameters)]
         environment = {**os.environ, 'ROS_LOG_DIR': str(self.folder)}
         process = NodeProcess(self._server, words, environment, log)
         self._processes.append(process)
         return process
+
+    def run(self, module: str, remap: dict[str, str] | None = None, **parameters: Any) -> Any:
+        """Return a new node in this process, with the executor of the client.
+
+        ``parameters`` have their full names and precede those in `QUICK`.
+        """
+        from allan_ros.nodes import monitor
+
+        arguments = _ros_arguments(module, remap, parameters)
+        made = getattr(monitor, module.title())(context=self._context, cli_args=arguments)
+        self._executor.add_node(made)
+        self._nodes.append(made)
+        return made
+
+    def stop(self, node: Any) -> None:
+        """End a node in this process as `shell.run` does."""
+        self._nodes.remove(node)
+        self._executor.remove_node(node)
+        node.close()
+        node.destroy_node()
 
     def until(self, holds: Callable[[], Any], patience: float = PATIENCE_S) -> Any:
         """Spin until the condition is true and return its value."""
@@ -187,7 +220,9 @@ class Graph:
         """Publish every sample, waiting while the queue of a reliable subscriber is full."""
         from rclpy.impl.implementation_singleton import rclpy_implementation
 
-        for payload in encode_imus(batch, 'cdr'):
+        for i, payload in enumerate(encode_imus(batch, 'cdr')):
+            if self._nodes and i % BURST == 0:
+                self.spin(0.05)
             while True:
                 try:
                     publisher.publish(bytes(payload))
@@ -267,6 +302,8 @@ class Graph:
         for process in self._processes:
             process.send_signal(signal.SIGKILL)
             process.wait()
+        for node in [*self._nodes]:
+            self.stop(node)
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.shutdown()
@@ -277,8 +314,15 @@ class Graph:
             self.history.append((time.monotonic(), status))
 
 
-def _yaml(value: Any) -> str:
-    return json.dumps(list(value) if isinstance(value, tuple) else value)
+def _ros_arguments(
+    module: str, remap: dict[str, str] | None, parameters: dict[str, Any]
+) -> list[str]:
+    parameters = {**QUICK.get(module, {}), **parameters}
+    given = [a for old, new in (remap or {}).items() for a in ('-r', f'{old}:={new}')]
+    for name, value in parameters.items():
+        text = json.dumps(list(value) if isinstance(value, tuple) else value)
+        given += ['-p', f'{name}:={text}']
+    return ['--ros-args', *given] if given else []
 
 
 @pytest.fixture(scope='session')

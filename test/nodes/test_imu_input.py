@@ -92,18 +92,6 @@ def test_a_drained_subscription_is_not_in_the_wait_set(graph):
     assert len(groups) == 1 and not groups[0].can_execute(None)
 
 
-def test_an_incompatible_publisher_is_counted(graph):
-    graph.override(**{'qos_overrides./imu/data.subscription.reliability': 'reliable'})
-    imu_input = ImuInput(graph.node, 'imu/data', LEAN)
-
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
-    from sensor_msgs.msg import Imu
-
-    qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    graph.node.create_publisher(Imu, 'imu/data', qos)
-    graph.until(lambda: imu_input.statistics().incompatible_qos == 1)
-
-
 def test_absent_sensor_bad_payload_and_frames(graph, still_imu):
     imu_input = ImuInput(graph.node, 'imu/data', LEAN)
     publisher = graph.publisher()

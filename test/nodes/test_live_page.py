@@ -121,12 +121,7 @@ def test_a_browser_follows_a_live_monitor(graph, still_imu, browser: Chromium) -
     with socket.socket() as free:
         free.bind(('127.0.0.1', 0))
         port = free.getsockname()[1]
-    quick = {
-        'qos_overrides./imu/data.subscription.reliability': 'reliable',
-        'qos_overrides./imu/data.subscription.history': 'keep_all',
-        'publish.sums_period': 0.3,
-    }
-    graph.start('monitor', **quick)
+    graph.run('monitor')
     watch = graph.start('watch', '--web', str(port))
     publisher = graph.publisher()
     batch = still_imu(12_000)
