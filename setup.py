@@ -98,10 +98,9 @@ setup(
         'jazzy': ros_wheels('jazzy'),
         'kilted': ros_wheels('kilted'),
         'ulog': [ULOG],  # PX4 logs
-        # For tests: filter libraries that read the exported files, and another DDS. gtsam 4.2
-        # requires numpy 1, and newer versions do not support Python 3.10.
+        # For tests: filter libraries that read the exported files. gtsam 4.2 requires numpy 1, and
+        # newer versions do not support Python 3.10.
         'consumers': [
-            'cyclonedds>=0.10',
             'gtsam>=4.3; python_version >= "3.11" and python_version < "3.14"',
             'opencv-python-headless>=4.5',
         ],

@@ -26,7 +26,7 @@ from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor, faults_of
 from ..io.checkpoint import Checkpoint, Total
 from ..io.readers.recording import SourceInfo
 from ..io.recorded import Provenance
-from .diagnostics import InputView, input_status, status_name
+from .diagnostics import input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput
 from .messages import REPLACED_SHARE, Snapshot, replaced_share
 from .node import AllanNode, Part, Periodic
@@ -148,26 +148,30 @@ class ImuWatch(Part):
         stamp_age = None
         if self._last_stamp_ns is not None:
             stamp_age = (self._node.get_clock().now().nanoseconds - self._last_stamp_ns) * 1e-9
-        view = InputView(
-            topic=self._input.topic,
-            health=health,
-            statistics=statistics,
-            findings=(*found, *self._checkpoint.findings),
-            noted=(*(f for f in stream_findings if f.id not in live), *self._noted),
+        others: list[tuple[str, object]] = [
+            ('topic', self._input.topic),
+            ('declared rate [Hz]', self._settings.segmenter.value.declared_rate or None),
+            ('segments', max((s.segment_count for s in self._sums), default=0)),
+            ('message age [s]', self._monitor.silence_s(now) if statistics.received else None),
+            ('stamp age [s]', stamp_age),
+            ('publishers', ', '.join(publishers) or 'none'),
+            ('messages taken by', 'a timer' if self._input.polled else 'a callback'),
+            ('checkpoint', self._checkpoint.path or 'none'),
+            ('checkpoint age [s]', self._checkpoint.age_s(now)),
+        ]
+        status = input_status(
+            status_name(self._node, self._imu.label or self._imu.topic, 'input'),
+            self._imu.hardware_id or one_line(self.frame_id),
+            health,
+            statistics,
+            (*found, *self._checkpoint.findings),
+            (*(f for f in stream_findings if f.id not in live), *self._noted),
             static_s=self._static_s(health),
             passes=self._passes,
             streams=max(1, len(self._result.sums)),
-            segments=max((s.segment_count for s in self._sums), default=0),
-            publishers=publishers,
-            declared_rate=self._settings.segmenter.value.declared_rate,
-            receiver='a timer' if self._input.polled else 'a callback',
-            received_age_s=self._monitor.silence_s(now) if statistics.received else None,
-            stamp_age_s=stamp_age,
-            checkpoint=self._checkpoint.path,
-            checkpoint_age_s=self._checkpoint.age_s(now),
+            others=others,
         )
-        name = status_name(self._node, self._imu.label or self._imu.topic, 'input')
-        return [input_status(name, self._imu.hardware_id or one_line(self.frame_id), view)]
+        return [status]
 
     def close(self) -> None:
         """Accumulate the remaining messages, and write the checkpoint."""

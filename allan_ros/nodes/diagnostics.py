@@ -42,47 +42,6 @@ LEVELS: Mapping[str, bytes] = {
 """Severity of a finding -> level of a status, which is `bytes` in Python."""
 
 
-@dataclass(frozen=True)
-class InputView:
-    """Content of the status of one input.
-
-    Ages are in s, and None before the first message or save. ``received_age_s`` is the time since
-    the last message, ``stamp_age_s`` the ROS time since its header stamp. ``static_s`` is the time
-    at rest in s since the start of the present pass; ``passes`` is their number. ``streams`` is the
-    number of different sample rates of the sensors. ``noted`` are findings that do not change the
-    level. ``declared_rate`` is in Hz, 0 if none. ``receiver`` is 'a timer' or 'a callback',
-    whichever receives the messages.
-    """
-
-    topic: str
-    health: StreamHealth
-    statistics: TransportStatistics
-    findings: tuple[Finding, ...]
-    noted: tuple[Finding, ...]
-    static_s: float
-    segments: int
-    publishers: tuple[str, ...]
-    declared_rate: float
-    receiver: str
-    received_age_s: float | None = None
-    stamp_age_s: float | None = None
-    checkpoint: str = ''
-    checkpoint_age_s: float | None = None
-    passes: int = 1
-    streams: int = 1
-
-    @property
-    def undecided(self) -> int | None:
-        """Samples that are held until it is known whether the IMU was at rest.
-
-        None if the sensors have different rates, because most counts then are sums of both.
-        """
-        c = self.health.counts
-        lost = c.skipped + c.other_frame + c.not_finite + c.duplicate + c.backward + c.untimed
-        known = c.used + lost + c.moving + c.stuck + c.noise_increased
-        return c.received + c.interpolated - known if self.streams == 1 else None
-
-
 def status_name(node: Node, *words: str) -> str:
     """Return ``<namespace>/<node>: <words>`` with control characters escaped."""
     return one_line(
@@ -128,17 +87,44 @@ def status_of(
     )
 
 
-def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStatus:
-    """Return the status of one input."""
-    h, c, r = view.health, view.health.counts, view.statistics
+def input_status(
+    name: str,
+    hardware_id: str,
+    health: StreamHealth,
+    statistics: TransportStatistics,
+    findings: Sequence[Finding] = (),
+    noted: Sequence[Finding] = (),
+    *,
+    static_s: float = 0.0,
+    passes: int = 1,
+    streams: int = 1,
+    others: Iterable[tuple[str, object]] = (),
+) -> DiagnosticStatus:
+    """Return the status of one input.
+
+    ``static_s`` is the time at rest in s since the start of the present pass; ``passes`` is their
+    number. ``streams`` is the number of different sample rates of the sensors. ``noted`` are
+    findings that do not change the level, ``others`` more values.
+    """
+    c, r = health.counts, statistics
+    excluded = {
+        'moving': c.moving,
+        'noise increased': c.noise_increased,
+        'stuck': c.stuck,
+        'not finite': c.not_finite,
+        'duplicate': c.duplicate,
+        'stamped backward': c.backward,
+        'without a time': c.untimed,
+        'skipped at the start': c.skipped,
+        'of another frame_id': c.other_frame,
+    }
+    # with several rates, most counts are sums of the sensors
+    undecided = c.received + c.interpolated - c.used - sum(excluded.values())
     pairs: list[tuple[str, object]] = [
-        ('topic', view.topic),
-        ('state', h.state),
-        ('rate [Hz]', h.rate_hz),
-        ('declared rate [Hz]', view.declared_rate or None),
-        ('static data [s]', view.static_s),
-        ('segments', view.segments),
-        ('share at rest', h.still_share),
+        ('state', health.state),
+        ('rate [Hz]', health.rate_hz),
+        ('static data [s]', static_s),
+        ('share at rest', health.still_share),
         ('received [messages]', r.received),
         ('sent before the first came [messages]', r.sent_before),
         ('lost on the way [messages]', r.lost),
@@ -146,51 +132,31 @@ def input_status(name: str, hardware_id: str, view: InputView) -> DiagnosticStat
         ('used [samples]', c.used),
         ('missing by the stamps [samples]', c.lost),
         ('interpolated [samples]', c.interpolated),
-        ('moving [samples]', c.moving),
-        ('noise increased [samples]', c.noise_increased),
-        ('stuck [samples]', c.stuck),
-        ('not finite [samples]', c.not_finite),
-        ('duplicate [samples]', c.duplicate),
-        ('stamped backward [samples]', c.backward),
-        ('without a time [samples]', c.untimed),
-        ('skipped at the start [samples]', c.skipped),
-        ('of another frame_id [samples]', c.other_frame),
-        ('undecided [samples]', view.undecided),
+        *((f'{reason} [samples]', count) for reason, count in excluded.items()),
+        ('undecided [samples]', undecided if streams == 1 else None),
         *((f'splits by {reason}', count) for reason, count in sorted(c.splits.items())),
-        ('message age [s]', view.received_age_s),
-        ('stamp age [s]', view.stamp_age_s),
-        ('publishers', ', '.join(view.publishers) or 'none'),
-        (
-            'publishers of incompatible QoS',
-            sum(f.id == 'qos_incompatible' for f in view.findings),
-        ),
-        ('stamps used', h.stamps),
-        ('messages taken by', view.receiver),
-        ('checkpoint', view.checkpoint or 'none'),
-        ('checkpoint age [s]', view.checkpoint_age_s),
+        ('publishers of incompatible QoS', sum(f.id == 'qos_incompatible' for f in findings)),
+        ('stamps used', health.stamps),
+        *others,
     ]
-    text = _state_text(view)
-    return status_of(name, view.findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
+    text = _state_text(health, static_s, passes)
+    return status_of(name, findings, text, pairs, noted=noted, hardware_id=hardware_id)
 
 
-def _state_text(view: InputView) -> str:
-    h = view.health
-    static = f'{duration_text(view.static_s, 3)} of static data'
-    if view.passes > 1:
-        static += f' since reset or playback began again (pass {view.passes})'
-    rate = f'{h.rate_hz:.4g} Hz' if h.rate_hz else 'unknown rate'
-    measured = f'{static} so far' if view.static_s else 'not at rest yet, so nothing is measured'
+def _state_text(health: StreamHealth, static_s: float, passes: int) -> str:
+    static = f'{duration_text(static_s, 3)} of static data'
+    if passes > 1:
+        static += f' since reset or playback began again (pass {passes})'
+    rate = f'{health.rate_hz:.4g} Hz' if health.rate_hz else 'unknown rate'
+    measured = f'{static} so far' if static_s else 'not at rest yet, so nothing is measured'
     return {
         'waiting': 'waiting for the first message',
         'learning': 'learning the rate and the noise floor; keep the IMU at rest',
         'moving': f'moving at {rate}: {measured}',
         'noise_increased': f'noise above the noise floor at {rate}: not used, {static} so far',
         'at_rest': f'at rest, {rate}: {static}',
-    }[h.state]
+    }[health.state]
 
-
-RECENT_TAUS_S = (0.1, 1.0, 10.0, 100.0)
-"""Averaging times in s at which the recent Allan deviation is compared with the earlier one."""
 
 NOTED = ('warm_up', 'settled_part', 'early_part', 'bias_steps', 'level_changes', 'level_changed')
 """Findings of the fit that are listed in the status of an axis but do not change its level."""
@@ -250,7 +216,6 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
         unit = shown_unit(view.axis, 'B' if c.tau is not None else c.term, 'deg/h')
         limit = f'{significant(c.limit * unit.factor, 3)} {unit.name}'
         pairs.append((f'{c.term} against {c.reference}', f'{c.verdict}, limit {limit}'))
-    pairs += _recent_pairs(view)
     text = _summary(view, static_s, next_term)
     return status_of(name, findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
@@ -276,17 +241,6 @@ def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, 
         for end, value in ends.items()
         if value is not None and math.isfinite(value)
     ]
-
-
-def _recent_pairs(view: AxisView) -> list[tuple[str, object]]:
-    """Return the ratios of recent to earlier Allan deviation at a few averaging times."""
-    pairs: list[tuple[str, object]] = []
-    for tau in RECENT_TAUS_S:
-        d = _nearest(view.changes, tau)
-        if d is not None and d.tau and d.ci95:
-            key = f'recent / former deviation at {significant(d.tau, 2)} s'
-            pairs.append((key, f'{d.ratio:.3f} ({d.ci95[0]:.3f}..{d.ci95[1]:.3f})'))
-    return list(dict(pairs).items())
 
 
 def _nearest(changes: tuple[Difference, ...], tau: float) -> Difference | None:

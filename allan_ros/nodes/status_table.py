@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from ..core.errors import one_line
-from ..core.imu import DATASHEET_UNITS
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -34,28 +33,14 @@ publishing may have an error. The styles also differ without color."""
 STALE_S = 5.0
 """Age in s from which a status is shown as stale; nodes publish each status once a second."""
 
-SHOWN_TERMS = ('N', 'B', 'K')
-"""Terms with their own columns in a wide terminal."""
-
-WIDE, NARROW = 120, 60
-"""Terminal widths in characters: below NARROW a list is shown instead of a table; from WIDE on the
-table has columns for the terms."""
-
-_UNITS = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
-
 
 @dataclass(frozen=True)
 class Row:
-    """One status as it is displayed.
-
-    ``terms`` contains the known coefficients: term (one of `SHOWN_TERMS`) -> value with unit.
-    ``age_s`` is the time since the status was received, in s.
-    """
+    """One status as it is displayed; ``age_s`` is the time since it was received, in s."""
 
     level: str
     node: str
     name: str
-    terms: Mapping[str, str]
     message: str
     age_s: float
     hardware_id: str = ''
@@ -67,13 +52,6 @@ class Row:
         return self.name if self.node == 'allan_monitor' else f'{self.node}: {self.name}'
 
     @property
-    def remark(self) -> str:
-        """The message, without the coefficients if the term columns show them."""
-        if self.level == 'ok' and self.terms:
-            return self.message.partition(' from ')[2]
-        return self.message
-
-    @property
     def age(self) -> str:
         """Age of a stale status, such as '12 s'; else ''."""
         return f'{self.age_s:.0f} s' if self.level == 'STALE' else ''
@@ -82,16 +60,10 @@ class Row:
 def row(status: DiagnosticStatus, age_s: float) -> Row:
     """Convert a status that was received ``age_s`` seconds ago; control characters are escaped."""
     values = {one_line(v.key): one_line(v.value) for v in status.values}
-    terms = {}
-    for key, value in values.items():
-        term, _, bracketed = key.partition(' ')
-        unit = bracketed.strip('[]')
-        if term in SHOWN_TERMS and unit in _UNITS and value != '-':
-            terms[term] = f'{value} {unit}'
     node, _, name = one_line(status.name).rpartition(': ')
     level = 'STALE' if age_s > STALE_S else WORDS.get(status.level, 'STALE')
     message, hardware_id = one_line(status.message), one_line(status.hardware_id)
-    return Row(level, node, name, terms, message, age_s, hardware_id, values)
+    return Row(level, node, name, message, age_s, hardware_id, values)
 
 
 def most_severe_first(rows: Iterable[Row]) -> list[Row]:
@@ -111,35 +83,23 @@ def plain_line(row: Row) -> str:
     return f'{row.level:5} {row.title}: {row.message}{f" ({row.age} old)" if row.age else ""}'
 
 
-def picture(rows: Sequence[Row], columns: int) -> RenderableType:
-    """Return a table for rich, or a list if the terminal has few ``columns`` (characters)."""
+def picture(rows: Sequence[Row]) -> RenderableType:
+    """Return a table for rich."""
     from rich.box import SIMPLE_HEAD
-    from rich.console import Group
-    from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text
 
-    if columns < NARROW:
-        lines: list[RenderableType] = [Text(headline(rows), style='bold')]
-        for r in rows:
-            lines.append(Text.assemble((r.level, STYLES[r.level]), f' {r.title} {r.age}'.rstrip()))
-            lines.append(Padding(Text(r.message), (0, 0, 0, 2)))
-        return Group(*lines)
-    wide = columns >= WIDE
     table = Table(
         title=headline(rows), title_justify='left', title_style='bold', expand=True, box=SIMPLE_HEAD
     )
     table.add_column('', no_wrap=True)
-    table.add_column('status', overflow='fold', ratio=3 if wide else 2)
-    for term in SHOWN_TERMS if wide else ():
-        table.add_column(term, no_wrap=True)
-    table.add_column('status and next step', overflow='fold', ratio=5)
+    table.add_column('status', overflow='fold', ratio=2)
+    table.add_column('message and next step', overflow='fold', ratio=5)
     for r in rows:
-        terms = [Text(r.terms.get(term, '')) for term in SHOWN_TERMS] if wide else []
-        remark = Text(r.remark if wide else r.message)
+        said = Text(r.message)
         if r.age:
-            remark = Text.assemble((f'silent for {r.age}; last: ', 'bold'), remark)
-        table.add_row(Text(r.level, style=STYLES[r.level]), Text(r.title), *terms, remark)
+            said = Text.assemble((f'silent for {r.age}; last: ', 'bold'), said)
+        table.add_row(Text(r.level, style=STYLES[r.level]), Text(r.title), said)
     return table
 
 
@@ -210,7 +170,7 @@ class Screen(Display):
     def show(self, rows: Sequence[Row], hint: str) -> None:
         """Draw the table or the hint."""
         if self._live:
-            drawn = picture(rows, self._console.width) if rows else hint
+            drawn = picture(rows) if rows else hint
             self._live.update(drawn, refresh=True)
 
     def end(self, rows: Sequence[Row], hint: str) -> None:
@@ -219,4 +179,4 @@ class Screen(Display):
             self.show(rows, hint)
             self._live.stop()
         else:
-            self._console.print(picture(rows, self._console.width) if rows else hint)
+            self._console.print(picture(rows) if rows else hint)

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +23,7 @@ from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.core.stream.transport import TransportStatistics
 from allan_ros.io.axis_result import AxisResult
-from allan_ros.nodes.diagnostics import AxisView, InputView, axis_status, input_status, key_values
+from allan_ros.nodes.diagnostics import AxisView, axis_status, input_status, key_values
 
 DEG_PER_SQRT_H = np.pi / 180.0 / 60.0
 N = 0.2 * DEG_PER_SQRT_H
@@ -87,10 +86,9 @@ def test_a_failed_fit_is_an_error_with_its_reason(sums):
     assert failed.message.startswith('The fit failed: the numbers are damaged.')
 
 
-def test_foreign_text_is_escaped(sums):
+def test_foreign_text_is_escaped():
     frame = 'imu\x1b[2J\u202e'
-    health = StreamHealth(Counts(), 'at_rest', 200.0, frame_id=frame)
-    status = input_status('n', frame, view(health=health, publishers=(f'/{frame}',)))
+    status = of_input(StreamHealth(Counts(), frame_id=frame), others=[('publishers', frame)])
     assert all(v.value.isprintable() for v in status.values)
 
 
@@ -138,27 +136,14 @@ def test_a_change_is_reported_in_the_dominant_coefficient(sums):
         assert status_of(sums, recent=recent, changes=(quiet,)).level == DiagnosticStatus.OK
 
 
-def test_the_documentation_explains_every_key_of_an_input(repository):
-    health = StreamHealth(Counts(splits=Counter(gap=1)), 'at_rest')
-    text = (repository / 'docs' / 'diagnostics.md').read_text()
-    keys = [
-        key.replace('by gap', 'by <reason>')
-        for key in values(input_status('n', 'imu', view(health=health)))
-    ]
-    assert [key for key in keys if f'| `{key}`' not in text and f', `{key}` |' not in text] == []
-
-
-def view(**changes) -> InputView:
-    health = StreamHealth(Counts(received=9000, used=8000, moving=2000), 'at_rest', 200.0)
-    statistics = TransportStatistics(received=9000)
-    given = InputView('/imu', health, statistics, (), (), 0.0, 0, ('/driver',), 0.0, 'a timer')
-    return replace(given, **changes)
+def of_input(health: StreamHealth, *given, **named) -> DiagnosticStatus:
+    return input_status('node: imu input', 'imu', health, TransportStatistics(), *given, **named)
 
 
 def test_the_message_of_the_input_is_its_most_severe_finding():
     silent = finding('input_silent', topic='/imu', seconds=3.2, publishers=1)
     several = finding('several_publishers', topic='/imu', count=2, names='/a, /b')
-    status = input_status('node: imu input', 'imu', view(findings=(silent, several)))
+    status = of_input(StreamHealth(Counts()), (silent, several))
     assert status.level == DiagnosticStatus.ERROR
     assert status.message.startswith('No message on /imu for 3.2 s')
     assert status.message.endswith('(and 1 more)')
@@ -166,16 +151,15 @@ def test_the_message_of_the_input_is_its_most_severe_finding():
 
 
 def test_moving_is_ok_and_its_samples_are_not_used():
-    health = StreamHealth(Counts(), 'moving', 100.0)
-    status = input_status('node: imu input', 'imu', view(health=health))
+    status = of_input(StreamHealth(Counts(), 'moving', 100.0))
     assert status.level == DiagnosticStatus.OK
     assert status.message.startswith('moving at 100 Hz: not at rest yet')
 
 
 def test_the_share_of_still_time_is_a_number():
-    assert values(input_status('n', 'i', view()))['share at rest'] == '0.8'
-    fresh = input_status('n', 'i', view(health=StreamHealth(Counts())))
-    assert values(fresh)['share at rest'] == 'unknown'
+    moved = StreamHealth(Counts(received=9000, used=8000, moving=2000), 'at_rest', 200.0)
+    assert values(of_input(moved))['share at rest'] == '0.8'
+    assert values(of_input(StreamHealth(Counts())))['share at rest'] == 'unknown'
 
 
 def test_values_are_strings():

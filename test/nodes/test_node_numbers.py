@@ -19,7 +19,7 @@ from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.transport import TransportStatistics
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import analyze_sums
-from allan_ros.nodes.diagnostics import AxisView, InputView, axis_status, input_status
+from allan_ros.nodes.diagnostics import AxisView, axis_status, input_status
 
 
 def check_status(status: DiagnosticStatus) -> None:
@@ -42,18 +42,5 @@ def test_of_an_axis(make: Callable[[], AllanSums], method: str) -> None:
 @pytest.mark.parametrize('count', [0, 1, 10**18])
 def test_of_an_input(count: int) -> None:
     health = StreamHealth(Counts(received=count, used=count), first_ns=0)
-    view = InputView(
-        'imu',
-        health,
-        TransportStatistics(),
-        (),
-        (),
-        float(count),
-        count,
-        (),
-        float(count),
-        'queue',
-        float(count),
-        -1e300,
-    )
-    check_status(input_status('node: imu', 'imu', view))
+    named = {'static_s': float(count), 'others': [('stamp age [s]', -1e300)]}
+    check_status(input_status('node: imu', 'imu', health, TransportStatistics(), **named))

@@ -101,8 +101,7 @@ def test_parameters_are_set_rejected_and_restored(graph, still_imu, tmp_path, fi
     assert not graph.call('/allan_monitor/restore').success
 
 
-@pytest.mark.parametrize('factor', [10.0, 1000.0])
-def test_the_push_does_not_make_a_filter_diverge(graph, still_imu, filter_node, factor):
+def test_the_push_does_not_make_a_filter_diverge(graph, still_imu, filter_node):
     """The gyro has a bias of 0.1 deg/s, and the filter cannot estimate it.
 
     From white noise alone, the gain would be 0.00014, and the tilt would grow by 0.08 deg/s.
@@ -114,27 +113,23 @@ def test_the_push_does_not_make_a_filter_diverge(graph, still_imu, filter_node, 
     graph.node.create_subscription(Float64, 'tilt', lambda m: tilts.append(m.data), 1000)
     push = {'push.node': '/imu_filter_madgwick', 'push.filter': 'imu_filter_madgwick'}
     filter_node('imu_filter_madgwick')
-    graph.run('monitor', **QUICK, **push, **{'push.max_factor': factor})
+    graph.run('monitor', **QUICK, **push, **{'push.max_factor': 1000.0})
     publisher = graph.publisher()
     graph.introduce(publisher, 2)
-    batch = still_imu(24_000)
+    batch = still_imu(12_000)
     batch.samples[:, 0] += bias
     graph.send(publisher, batch[:6000])
     graph.model_of(6000)
-    status = said(graph, 'set gain' if factor > 100.0 else 'gain: 0.0')
+    status = said(graph, 'set gain')
+    assert any('bias' in v.value for v in status.values if v.key == 'origin of gain')
     graph.send(publisher, batch[6000:])
-    graph.until(lambda: len(tilts) == 240)
+    graph.until(lambda: len(tilts) == 120)
     assert max(tilts[60:]) < 0.5
     (gain,) = values(graph, '/imu_filter_madgwick', 'gain')
-    if factor > 100.0:
-        assert bias < gain / 0.75**0.5 < 1.5 * bias
-        assert any('bias' in v.value for v in status.values if v.key == 'origin of gain')
-    else:
-        assert gain == 0.1 and status.level == WARN and 'push.max_factor' in status.message
+    assert bias < gain / 0.75**0.5 < 1.5 * bias
     graph.call('/allan_monitor/reset')  # the model is invalidated
-    if factor > 100.0:
-        said(graph, 'restored gain = 0.1')
-        assert values(graph, '/imu_filter_madgwick', 'gain') == [0.1]
+    said(graph, 'restored gain = 0.1')
+    assert values(graph, '/imu_filter_madgwick', 'gain') == [0.1]
 
 
 def test_a_value_far_from_the_one_that_was_found_is_refused():
