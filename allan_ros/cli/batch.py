@@ -15,7 +15,6 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -107,34 +106,31 @@ def _one_bag(files: Sequence[Path], units: bool) -> bool:
 
 
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
-    """Analyze each recording, write its files, and print and write a summary of all.
+    """Analyze each recording, write its files, print one line for each, and write a summary.
 
     The exit code is that of the worst recording.
     """
-    console, outcomes = Console.of(args), []
+    console, outcomes, codes = Console.of(args), [], []
     if args.output:
         from ..io.result_files import made_folder
 
         made_folder(Path(args.output))
-    units = [Unit(name, [job]) for name, job in zip(names_of(jobs), jobs)]
-    with console.progress(f'{len(jobs)} recordings', len(jobs)) as progress:
-        for outcome in _outcomes(units, args):
-            outcomes.append(outcome)
-            progress.advance(1)
-            if console.json:
-                console.line(_batch_document(outcome, args.units))
-    if args.output:
-        write_atomic(Path(args.output) / SUMMARY, _csv(outcomes, args.units))
-    if not console.json:
-        print('\n'.join(_table([_head(args.units), *_rows(outcomes, args.units)])))
+    for outcome in _outcomes([Unit(n, [job]) for n, job in zip(names_of(jobs), jobs)], args):
+        outcomes.append(outcome)
+        codes.append(EXIT_ERROR)
+        if outcome.results is not None:
+            codes[-1] = exit_code_of(outcome.results, args.fail_on)
+        if console.json:
+            console.line(_batch_document(outcome, args.units))
+        elif not (console.quiet and args.output):
+            _print_unit(outcome, *_verdict_on(outcome, args.units), '', args)
     found = [f for outcome in outcomes if outcome.results for f in outcome.results.findings]
     for elsewhere in [f for f in found if f.id == 'sensor_elsewhere'][:1]:
         console.say(str(elsewhere))
     if args.output:
+        write_atomic(Path(args.output) / SUMMARY, _csv(outcomes, args.units))
         console.say(f'written to {args.output}: one folder each, {SUMMARY}')
-    return _worst(
-        EXIT_ERROR if o.results is None else exit_code_of(o.results, args.fail_on) for o in outcomes
-    )
+    return _worst(codes)
 
 
 def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
@@ -151,9 +147,7 @@ def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
         elif outcome.results is None and len(units) == 1:
             raise AllanError(outcome.error)
         elif not console.quiet:
-            line = one_line(f'{word}: {_unit_text(outcome, verdict, note, args.units)}')
-            color = LEVEL_COLORS[verdict.level] if code != EXIT_FAILED else LEVEL_COLORS['failed']
-            print(painted(line, word, color, colored(sys.stdout)), flush=True)
+            _print_unit(outcome, word, verdict, note, args)
             for reason in verdict.reasons if console.verbose else ():
                 print(f'  {reason}')
     if len(units) > 1 and console.json:
@@ -164,8 +158,24 @@ def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
     return _worst(codes)
 
 
+def _print_unit(
+    outcome: Outcome, word: str, verdict: Verdict, note: str, args: argparse.Namespace
+) -> None:
+    line = one_line(f'{word}: {_unit_text(outcome, verdict, note, args.units)}')
+    level = 'failed' if word == WORDS['failed'].lower() else verdict.level
+    print(painted(line, word, LEVEL_COLORS[level], colored(sys.stdout)), flush=True)
+
+
 def _worst(codes: Iterator[int] | Sequence[int]) -> int:
     return min(codes, key=WORST_FIRST.index)
+
+
+def _verdict_on(outcome: Outcome, units: str) -> tuple[str, Verdict]:
+    """Return the verdict on a unit and its word, which is 'error' without results."""
+    if outcome.results is None:
+        return 'error', Verdict('unknown', outcome.error, (), ())
+    verdict = verdict_of(outcome.results, units=units)
+    return WORDS[verdict.level].lower(), verdict
 
 
 def _judged(
@@ -175,17 +185,16 @@ def _judged(
 
     ``known`` maps the samples and serial numbers of earlier units to their names.
     """
-    results = outcome.results
+    (word, verdict), results = _verdict_on(outcome, args.units), outcome.results
     if results is None:
-        return EXIT_ERROR, 'error', Verdict('unknown', outcome.error, (), ()), ''
-    verdict = verdict_of(results, units=args.units)
+        return EXIT_ERROR, word, verdict, ''
     code = 0
     if verdict.level == 'failed' or fails(results, args.fail_on):
         code = EXIT_FAILED
     elif verdict.level in ('measured', 'unknown'):
         code = EXIT_UNJUDGED
     words = {EXIT_FAILED: WORDS['failed'], EXIT_UNJUDGED: WORDS['unknown']}
-    word = words.get(code, WORDS[verdict.level]).lower()
+    word = words.get(code, word).lower()
     note = ''
     values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
     samples = (results.samples, *values) if any(values) else None
@@ -203,20 +212,15 @@ def _unit_text(outcome: Outcome, verdict: Verdict, note: str, units: str) -> str
     serial = results.identity.hardware_id
     numbers = []
     for sensor in SENSORS:
-        cells, unit = _cells(results, sensor, 'N', units), shown_unit(sensor, 'N', units)
+        unit = shown_unit(sensor, 'N', units)
+        noise = [a.fit.noise for axis, a in results.axes.items() if sensor_of(axis) == sensor]
+        cells = [value_text(terms['N'], unit) for terms in noise]
         numbers += [f'{sensor} N {" ".join(cells)} {unit.name}'] if cells else []
     warning = next((str(f) for f in results.findings if f.severity == 'warning'), '')
     reason = warning if verdict.level == 'attention' else ''
     parts = (note, *(text.rstrip('.') for text in (verdict.summary, reason)), ', '.join(numbers))
     name = f'{outcome.unit.name}, serial {serial}' if serial else outcome.unit.name
     return f'{name}: {"; ".join(filter(None, parts))}'
-
-
-def _cells(results: Results, sensor: str, term: str, units: str) -> list[str]:
-    """Return the values of a term on the axes of a sensor as text."""
-    unit = shown_unit(sensor, term, units)
-    noise = [a.fit.noise for name, a in results.axes.items() if sensor_of(name) == sensor]
-    return [value_text(n[term], unit) for n in noise]
 
 
 def _check_document(
@@ -383,38 +387,6 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
                 hours = f'{results.duration_s / 3600.0:.4g}'
                 writer.writerow([*first, hours, axis, term, *numbers, unit.name])
     return file.getvalue()
-
-
-SHOWN_TERMS = ('N', 'B')
-"""Terms in the table of a batch; the summary file has all."""
-
-
-def _head(units: str) -> list[str]:
-    shown = product(SENSORS, SHOWN_TERMS)
-    terms = [f'{sensor} {term} [{shown_unit(sensor, term, units).name}]' for sensor, term in shown]
-    return ['recording', 'verdict', 'hours', *terms]
-
-
-def _rows(outcomes: Sequence[Outcome], units: str) -> Iterator[list[str]]:
-    """Yield a row for each recording: verdict, hours, and N and B of x, y and z; or its error."""
-    for outcome in outcomes:
-        name, results = one_line(outcome.unit.name), outcome.results
-        if results is None:
-            yield [name, 'error', outcome.error]
-            continue
-        shown = product(SENSORS, SHOWN_TERMS)
-        cells = [' '.join(_cells(results, *of, units)) or '-' for of in shown]
-        verdict = WORDS[results.verdict.level].lower()
-        yield [name, verdict, f'{results.duration_s / 3600.0:.3g}', *cells]
-
-
-def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield the lines of a table; the last cell of a shorter row may exceed its column."""
-    full = [row for row in rows if len(row) == len(rows[0])]
-    widths = [max(map(len, column)) for column in zip(*full)]
-    widths[0] = max(len(row[0]) for row in rows)
-    for row in rows:
-        yield '  '.join(f'{cell:{width}}' for cell, width in zip(row, widths)).rstrip()
 
 
 def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:

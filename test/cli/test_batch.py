@@ -64,8 +64,11 @@ def test_each_has_its_results_and_a_line_in_the_summary(
         assert main(['analyze', str(folder), '-o', str(tmp_path), '--jobs', '2', *QUICK]) == 1
     finally:
         (folder / 'broken.csv').unlink()
-    _, *rows = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in rows] == ['a.npz', 'b.npz', 'broken.csv']
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(': ')[:2] for line in lines] == [
+        *(['measured', name] for name in ('a.npz', 'b.npz')),
+        ['error', f'{folder}/broken.csv'],
+    ]
     assert (tmp_path / 'a_npz' / 'report.html').is_file()
     rows = list(csv.DictReader((tmp_path / 'summary.csv').open()))
     assert len(rows) == 2 * 6 * 5 + 1
@@ -114,8 +117,8 @@ def test_each_imu_topic_of_a_bag_has_its_results(
     out = tmp_path / 'out'
     words = ['analyze', str(bag), '-o', str(out), '--no-motion-gate', *QUICK]
     assert main(words) == 0
-    _, *rows = capsys.readouterr().out.splitlines()
-    assert [row.split()[1] for row in rows] == ['/left/imu', '/right/imu']
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(': ')[1] for line in lines] == ['two /left/imu', 'two /right/imu']
     documents = [json.loads((out / f'two_{side}_imu' / 'results.json').read_text())
                  for side in ('left', 'right')]  # fmt: skip
     left, right = (document['axes']['gyro_x']['noise']['N']['value'] for document in documents)

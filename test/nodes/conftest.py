@@ -44,23 +44,21 @@ ASK_AGAIN_S = 1.0
 BURST = 2000
 """Messages after which a node in this process fetches them; Fast DDS keeps 5000 in a queue."""
 
-_RELIABLE = {
-    # loses no message: the publisher waits while the queue is full
-    'qos_overrides./imu/data.subscription.reliability': 'reliable',
-    'qos_overrides./imu/data.subscription.history': 'keep_all',
-}
 _PERIODS = {'publish.sums_period': 0.3, 'publish.diagnostics_period': 0.2}
 
-_INPUT = {**_RELIABLE, **_PERIODS, 'input.drain_period': 0.02, 'input.stale_after': 3600.0}
+_INPUT = {**_PERIODS, 'input.drain_period': 0.02, 'input.stale_after': 3600.0}
 
 QUICK: dict[str, dict[str, Any]] = {
     'accumulator': _INPUT,
     'monitor': _INPUT,
     'estimator': {**_PERIODS, 'publish.sums_period': 10.0},
-    'relay': {**_RELIABLE, 'publish.diagnostics_period': 0.2},
+    'relay': {'publish.diagnostics_period': 0.2},
 }
-"""Node -> parameters of every test that does not set them: no message is lost, statuses are
-published soon, and it is not reported that the publisher of a test is silent."""
+"""Node -> parameters of every test that does not set them: statuses are published soon, and it is
+not reported that the publisher of a test is silent."""
+
+RELIABLE = {'reliability': 'reliable', 'history': 'keep_all'}
+"""QoS of the inputs: no message is lost, because the publisher waits while the queue is full."""
 
 
 def _domains_of_processes() -> set[int]:
@@ -317,8 +315,14 @@ class Graph:
 def _ros_arguments(
     module: str, remap: dict[str, str] | None, parameters: dict[str, Any]
 ) -> list[str]:
-    parameters = {**QUICK.get(module, {}), **parameters}
-    given = [a for old, new in (remap or {}).items() for a in ('-r', f'{old}:={new}')]
+    remap, topics = remap or {}, parameters.get('input.topics', ['imu/data'])
+    qos = {
+        f'qos_overrides./{remap.get(topic, topic)}.subscription.{policy}': value
+        for topic in (*topics, *parameters.get('input.accel_topics', ()))
+        for policy, value in RELIABLE.items()
+    }
+    parameters = {**(qos if module in QUICK else {}), **QUICK.get(module, {}), **parameters}
+    given = [a for old, new in remap.items() for a in ('-r', f'{old}:={new}')]
     for name, value in parameters.items():
         text = json.dumps(list(value) if isinstance(value, tuple) else value)
         given += ['-p', f'{name}:={text}']

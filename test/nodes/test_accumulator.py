@@ -142,14 +142,6 @@ def test_a_signal_writes_the_checkpoint(graph, still_imu, tmp_path: Path, signal
     assert sums_in(checkpoint) == offline(batch)
 
 
-def other_topic(**settings):
-    """Return the arguments of a node on a topic where no writer waits for a dead reader."""
-    policies = {'reliability': 'reliable', 'history': 'keep_all'}
-    start = 'qos_overrides./imu/other.subscription.'
-    qos = {f'{start}{policy}': value for policy, value in policies.items()}
-    return {'remap': {'imu/data': 'imu/other'}, **settings, **qos}
-
-
 def test_a_restarted_node_continues_its_sums(graph, still_imu, tmp_path: Path):
     checkpoint = tmp_path / 'sums.json'
     settings = {'checkpoint.path': str(checkpoint), 'checkpoint.period': 0.5}
@@ -159,7 +151,8 @@ def test_a_restarted_node_continues_its_sums(graph, still_imu, tmp_path: Path):
     graph.until(lambda: checkpoint.exists() and samples_in(checkpoint) == 3000)
     assert killed.stop(signal.SIGKILL) == -signal.SIGKILL
     graph.statuses.clear()
-    node = graph.start('accumulator', **other_topic(**settings))
+    # on a topic where no writer waits for the dead reader
+    node = graph.start('accumulator', remap={'imu/data': 'imu/other'}, **settings)
     graph.send(graph.publisher('imu/other'), second)
     graph.until(lambda: samples_in(checkpoint) == 5500)
     static = f'{(2999 + 2499) * 0.005:.6g}'
@@ -272,7 +265,7 @@ def test_a_restart_of_a_replay_counts_no_sample_twice(graph, still_imu, tmp_path
     assert first['last_stamp_ns'] == int(batch.stamps_ns[-1])
     # the recorder stopped near the end; the second start replays only this part
     graph.statuses.clear()
-    graph.run('accumulator', **other_topic(**settings))
+    graph.run('accumulator', remap={'imu/data': 'imu/other'}, **settings)
     graph.send(graph.publisher('imu/other'), batch[21_000:])
     graph.until(previous.exists)
     assert sums_in(previous) == first['sums']

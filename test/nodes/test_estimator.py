@@ -149,19 +149,12 @@ def test_reset_removes_the_coefficients_and_fit_restores_them(graph, still_imu):
 
 
 def test_several_imus_have_their_labels(graph, still_imu, tmp_path: Path):
-    parameters = {
-        f'qos_overrides./{side}/imu.subscription.{policy}': value
-        for side in ('left', 'right')
-        for policy, value in (('reliability', 'reliable'), ('history', 'keep_all'))
-    }
     names = {
         'input.topics': ('left/imu', 'right/imu'),
         'input.labels': ('port', 'starboard'),
         'input.hardware_ids': ('P1', 'S2'),
     }
-    node = graph.run(
-        'monitor', **QUICK, **parameters, **names, **{'checkpoint.path': str(tmp_path)}
-    )
+    node = graph.run('monitor', **QUICK, **names, **{'checkpoint.path': str(tmp_path)})
     left, right = graph.publisher('left/imu'), graph.publisher('right/imu')
     sums = graph.latched('/allan_monitor/port/sums')
     models = graph.latched('/allan_monitor/starboard/noise_model')

@@ -12,11 +12,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-RELIABLE = {'reliability': 'reliable', 'history': 'keep_all'}
-QUICK = {
-    **{f'qos_overrides./imu/b.subscription.{k}': v for k, v in RELIABLE.items()},
-    'checkpoint.period': 0.5,
-}
+QUICK = {'checkpoint.period': 0.5}
 
 
 def samples_in(checkpoint: Path) -> dict[str, int]:
