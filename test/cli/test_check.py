@@ -84,19 +84,6 @@ def test_without_a_reference_or_enough_data_nothing_is_judged(
     assert main(['check', str(recording), '--sensor', 'no-such-part']) == 1
 
 
-def test_wrong_words_are_wrong_usage(recording: Path) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(['check', str(recording), '--fail-on', 'nonsense'])
-    assert stop.value.code == 2
-
-
-def test_analyze_fails_on_demand_only(recording: Path, tmp_path: Path) -> None:
-    sensor = ['--sensor', str(sheet(tmp_path / 'test.yaml', 0.05))]
-    assert main(['analyze', str(recording), *sensor]) == 0
-    assert main(['analyze', str(recording), *sensor, '--fail-on', 'error']) == 3
-    assert main(['analyze', str(recording), '--fail-on', 'error']) == 0
-
-
 def test_the_verdict_of_the_file_is_that_of_the_terminal(
     accepted: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

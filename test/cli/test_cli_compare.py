@@ -35,11 +35,6 @@ def test_analyze_prints_the_verdict(recording: Path, capsys) -> None:
     assert 'gyro  N  x y z within: limit 0.300 deg/sqrt(h) (stated 0.3 deg/sqrt(h))' in said
 
 
-def test_an_unknown_datasheet_is_rejected_before_anything_is_read(capsys) -> None:
-    assert main(['analyze', 'no_such_recording', '--sensor', 'adis1647-3']) == 1
-    assert "no datasheet 'adis1647-3': did you mean adis16475-3" in capsys.readouterr().err
-
-
 def test_a_recording_and_its_results_compare_equally(
     analyzed: Path, recording: Path, capsys
 ) -> None:

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 from pathlib import Path
 
 import pytest
 
-from allan_ros.cli.console import colored, width
+from allan_ros.cli.console import Progress, colored, width
 from allan_ros.cli.main import main
 from allan_ros.io.exporters import TARGETS
 
@@ -119,6 +120,22 @@ def test_colors_follow_the_terminal_and_the_environment(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     assert colored(Terminal() if terminal else io.StringIO()) == colors
+
+
+@pytest.mark.parametrize('total', [10, None])
+def test_progress_leaves_a_terminal_clean(
+    monkeypatch: pytest.MonkeyPatch, total: int | None
+) -> None:
+    shown = []
+    for stream, quiet in ((Terminal(), False), (Terminal(), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, 'stderr', stream)
+        monkeypatch.setenv('TERM', 'xterm')
+        with Progress('/a/very/long/path/' * 8 + '[bold]monday.mcap', total, not quiet) as bar:
+            bar.advance(5)
+        shown.append(stream.getvalue())
+    assert '[bold]monday.mcap' in shown[0] and shown[0].endswith('\x1b[2K')
+    assert ('50 %' in shown[0]) == (total is not None)
+    assert shown[1:] == ['', '']
 
 
 def test_the_width_is_set_by_columns(monkeypatch: pytest.MonkeyPatch) -> None:
