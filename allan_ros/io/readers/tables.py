@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from decimal import Decimal, DecimalException
 from io import TextIOWrapper
 from itertools import chain, islice, takewhile
 from pathlib import Path
-from typing import TextIO
+from typing import TextIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,8 @@ from ..files import open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
 from .columns import DATES, LEFT_OUT, Columns, columns_of, listed, picked_names
 from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
+
+T = TypeVar('T')
 
 FRAME_COMMENT = '# frame_id:'
 
@@ -311,66 +313,52 @@ class _Rows:
                     f'{table.path}: line {number} has {len(row)} columns, {table.width} expected: '
                     'correct or remove the line'
                 )
-        columns = list(zip(*self.cells))
         samples = np.full((n, len(AXES)), np.nan)
         for axis, (column, scale) in meaning.axes.items():
-            samples[:, axis] = self._floats(columns[column], column)
+            samples[:, axis] = self._floats(column)
             if scale != 1.0:
                 samples[:, axis] *= scale
         stamps, record = (
-            sum((self._nanoseconds(columns[c], c, s) for c, s in parts), np.zeros(n, np.int64))
+            sum((self._nanoseconds(*part) for part in parts), np.zeros(n, np.int64))
             for parts in (meaning.stamp, meaning.record)
         )
         if not meaning.stamp:
             stamps = even_stamps(self.first, n, table.rate_hz)
         return ImuBatch(stamps, samples, record if meaning.record else None, self.frame_id)
 
-    def _floats(self, cells: tuple[str, ...], column: int) -> NDArray[np.float64]:
+    def _floats(self, column: int) -> NDArray[np.float64]:
         """Convert a column to numbers; an empty cell becomes NaN."""
         with suppress(ValueError):
-            return np.array(list(map(float, cells)))
-        known = [cell if cell.strip() else 'nan' for cell in cells]
-        for row, cell in enumerate(known):
-            if not _is_number(cell):
-                raise self._not_a_number(row, column)
-        return np.array(list(map(float, known)))
+            return np.array([float(row[column]) for row in self.cells])
+        return np.array(self._converted(column, lambda cell: float(cell or 'nan')))
 
-    def _nanoseconds(self, cells: tuple[str, ...], column: int, scale: int) -> NDArray[np.int64]:
+    def _nanoseconds(self, column: int, scale: int) -> NDArray[np.int64]:
         """Convert a column of times exactly to ns; ``scale`` is the size of its unit in ns."""
-        if scale == DATES:
-            return self._dates(cells, column)
         if scale == 1:
             with suppress(ValueError, OverflowError):
-                return np.array(list(map(int, cells)), dtype=np.int64)
-        result = np.empty(len(cells), np.int64)
-        for row, cell in enumerate(cells):
-            try:
-                value = round(Decimal(cell.strip()) * scale)
-            except (DecimalException, ValueError, OverflowError):
-                raise self._not_a_number(row, column) from None
-            if not INT64.min <= value <= INT64.max:
+                return np.array([int(row[column]) for row in self.cells], dtype=np.int64)
+        date = scale == DATES
+        times = self._converted(
+            column, _date if date else lambda cell: round(Decimal(cell) * scale)
+        )
+        for row, time in enumerate(times):
+            if not INT64.min <= time <= INT64.max:
                 raise AllanError(
                     f'{self.table.path}: line {self.numbers[row]}, column {column + 1}: the time '
-                    f'{cell.strip()} does not fit the range of stamps: state its unit with '
-                    '--stamp-unit (s, ms, us, ns)'
+                    f'{self.cells[row][column].strip()} does not fit the range of stamps: state '
+                    'its unit with --stamp-unit (s, ms, us, ns)'
                 )
-            result[row] = value
-        return result
+        return np.array(times, np.int64)
 
-    def _dates(self, cells: tuple[str, ...], column: int) -> NDArray[np.int64]:
-        """Convert dates with a time (ISO 8601) to ns since 1970."""
-        zone = TIME_ZONE.search(cells[0].strip())
-        texts = [TIME_ZONE.sub('', cell.strip()) for cell in cells]
-        try:
-            stamps = np.array(texts, 'datetime64[ns]').astype(np.int64)
-        except ValueError:
-            valid = [DATE.match(cell) is not None for cell in cells]
-            row = valid.index(False) if False in valid else 0
-            raise self._not_a_number(row, column) from None
-        offset_min = (
-            int(zone[1] + '1') * (60 * int(zone[2]) + int(zone[3])) if zone and zone[1] else 0
-        )
-        return stamps - offset_min * 60 * 10**9
+    def _converted(self, column: int, convert: Callable[[str], T]) -> list[T]:
+        """Convert each cell of a column; raise AllanError for the first invalid one."""
+        converted = []
+        for row, cells in enumerate(self.cells):
+            try:
+                converted.append(convert(cells[column].strip()))
+            except (DecimalException, ValueError, OverflowError):
+                raise self._not_a_number(row, column) from None
+        return converted
 
     def _not_a_number(self, row: int, column: int) -> AllanError:
         cell = self.cells[row][column].strip()[:40]
@@ -379,6 +367,17 @@ class _Rows:
             f'{self.table.path}: line {self.numbers[row]}, column {column + 1}{name}: {cell!r} is '
             'not a number: correct or remove the line'
         )
+
+
+def _date(text: str) -> int:
+    """Convert a date with a time (ISO 8601) to ns since 1970; raise ValueError if it is invalid."""
+    if not DATE.match(text):
+        raise ValueError('not a date')
+    zone = TIME_ZONE.search(text)
+    stamp = int(np.datetime64(TIME_ZONE.sub('', text), 'ns').astype(np.int64))
+    if zone and zone[1]:
+        stamp -= int(zone[1] + '1') * (60 * int(zone[2]) + int(zone[3])) * 60 * 10**9
+    return stamp
 
 
 class _Reader:

@@ -126,6 +126,16 @@ def test_missing_values_are_nan(tmp_path: Path, read: Any) -> None:
     np.testing.assert_array_equal(read(path).samples[:, :3], expected)
 
 
+def test_each_date_has_its_own_time_zone(tmp_path: Path, read: Any, refused: Any) -> None:
+    path = tmp_path / 'imu.csv'
+    dates = ['2026-03-29T00:59:59Z', '2026-03-29T03:00:00+02:00', '2026-03-28T20:00:01-0500']
+    text = 't,gx\n' + ''.join(f'{date},1\n' for date in dates)
+    path.write_text(text)
+    assert np.diff(read(path).stamps_ns).tolist() == [10**9, 10**9]
+    path.write_text(text + ',1\n')
+    assert "line 5, column 1 (t): '' is not a number" in refused(path)
+
+
 def test_a_comment_can_name_the_frame(tmp_path: Path, read: Any) -> None:
     path = tmp_path / 'imu.csv'
     path.write_text('# frame_id: left\nt,gx\n1,1\n2,1\n# frame_id: right\n3,1\n')
