@@ -49,17 +49,10 @@ CURRENT = 'ALLAN_FUZZ_CURRENT'
 """Environment variable: file with the current input, in case the process dies."""
 
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-_FORBIDDEN: tuple[str, ...] = ('os.system', 'os.exec', 'os.posix_spawn', 'os.link', 'os.chmod')
-_FORBIDDEN += ('subprocess.Popen', 'socket.connect', 'socket.bind', 'pickle.find_class')
-_CHANGES = (
-    'os.symlink',
-    'os.rename',
-    'os.remove',
-    'os.mkdir',
-    'os.rmdir',
-    'os.truncate',
-    'shutil.rmtree',
-)
+_FORBIDDEN = ['os.system', 'os.exec', 'os.posix_spawn', 'os.link', 'os.chmod', 'subprocess.Popen']
+_FORBIDDEN += ['socket.connect', 'socket.bind', 'pickle.find_class']
+_CHANGES = ['os.symlink', 'os.rename', 'os.remove', 'os.mkdir', 'os.rmdir', 'os.truncate']
+_CHANGES += ['shutil.rmtree']
 
 
 @dataclass(frozen=True)

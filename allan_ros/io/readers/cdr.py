@@ -199,13 +199,20 @@ class _Layout(NamedTuple):
 
 def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _Layout:
     """Return the layout of an Imu message, or raise MalformedMessage with ``index``."""
-    order, frame_bytes = _order_and_frame_bytes(payload, encoding, index)
-    if MAX_FRAME_BYTES < frame_bytes < len(payload):
+    if len(payload) < _FRAME_AT:
+        raise MalformedMessage(index, f'{len(payload)} bytes are too few for an Imu')
+    order = '<' if encoding == 'ros1' else _ORDERS.get(payload[:2])
+    if order is None:
+        reason = f'its encapsulation 0x{payload[:2].hex()} is not plain CDR'
+        raise MalformedMessage(index, reason)
+    length = payload[_FRAME_AT - 4 : _FRAME_AT]
+    frame_bytes = int.from_bytes(length, 'little' if order == '<' else 'big')
+    if frame_bytes > MAX_FRAME_BYTES:
         reason = f'its frame_id has {frame_bytes} bytes, the limit is {MAX_FRAME_BYTES}'
         raise MalformedMessage(index, reason)
     try:
         return _layout(encoding, order, frame_bytes, len(payload))
-    except (ValueError, OverflowError) as error:
+    except ValueError as error:
         reason = f'{len(payload)} bytes are too few for an Imu with a frame_id of {frame_bytes}'
         raise MalformedMessage(index, reason) from error
 
@@ -213,8 +220,6 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
 @lru_cache(maxsize=256)
 def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
     """Return the layout of an Imu message of ``length`` bytes (0: without padding)."""
-    if frame_bytes > MAX_FRAME_BYTES:
-        raise ValueError(f'{frame_bytes} bytes are more than {MAX_FRAME_BYTES}')
     dtype = imu_dtype(encoding, order, frame_bytes, length)
     offsets = {name: entry[1] for name, entry in (dtype.fields or {}).items()}
     return _Layout(order, dtype, offsets, slice(_FRAME_AT, _FRAME_AT + frame_bytes))
@@ -227,18 +232,6 @@ def is_imu(payload: bytes, encoding: Encoding) -> bool:
     except MalformedMessage:
         return False
     return True
-
-
-def _order_and_frame_bytes(payload: bytes, encoding: Encoding, index: int = 0) -> tuple[str, int]:
-    """Return the byte order of a message, and the serialized length of its frame_id."""
-    if len(payload) < _FRAME_AT:
-        raise MalformedMessage(index, f'{len(payload)} bytes are too few for an Imu')
-    order = '<' if encoding == 'ros1' else _ORDERS.get(payload[:2])
-    if order is None:
-        reason = f'its encapsulation 0x{payload[:2].hex()} is not plain CDR'
-        raise MalformedMessage(index, reason)
-    start = _FRAME_AT - 4
-    return order, int.from_bytes(payload[start:_FRAME_AT], 'little' if order == '<' else 'big')
 
 
 def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:

@@ -96,56 +96,40 @@ def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
         yield whole[first : first + BATCH]
 
 
+@dataclass(eq=False)
 class Recording:
     """A recording of an IMU, which can be read any number of times.
 
     ``messages`` is the number of samples according to the recording; None if it is not known.
     ``read`` yields the samples and reports findings. ``temperature`` returns the temperature for a
-    frame_id, once the samples are read. ``options`` hold the units that were found or assumed.
-    ``axes`` are the axes that the recording can contain. ``close`` closes its file until it is
-    read again. ``accel`` is the recording of the accelerometer if it has its own topic; else None.
-    ``other_topics`` are Imu topics of the bag that are not read, the most similar name first.
+    frame_id, once the samples are read; None if it is not recorded. ``options`` hold the units that
+    were found or assumed. ``axes`` are the axes that the recording can contain. ``close`` closes
+    its file until it is read again. ``accel`` is the recording of the accelerometer if it has its
+    own topic; else None. ``other_topics`` are Imu topics of the bag that are not read, the most
+    similar name first. ``findings`` are complete when all samples are read.
     """
 
-    def __init__(
-        self,
-        info: SourceInfo,
-        messages: int | None,
-        read: Callable[[Report], Iterator[ImuBatch]],
-        temperature: Callable[[str], TemperatureTrace | None] = lambda frame_id: None,
-        options: ReadOptions = ReadOptions(),
-        axes: tuple[str, ...] = AXES,
-        close: Callable[[], None] = lambda: None,
-        accel: Recording | None = None,
-        other_topics: Sequence[str] = (),
-    ) -> None:
-        self.info = info
-        self.axes = axes
-        self.accel = accel
-        self.other_topics = other_topics
-        self.messages = messages
-        self.options = options.with_units()
-        self.close = close
-        self._read = read
-        self._temperature = temperature
-        self._findings: list[Finding] = []
+    info: SourceInfo
+    messages: int | None
+    read: Callable[[Report], Iterator[ImuBatch]]
+    temperature: Callable[[str], TemperatureTrace | None] = lambda frame_id: None
+    options: ReadOptions = ReadOptions()
+    axes: tuple[str, ...] = AXES
+    close: Callable[[], None] = lambda: None
+    accel: Recording | None = None
+    other_topics: Sequence[str] = ()
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.options = self.options.with_units()
 
     def batches(self) -> Iterator[ImuBatch]:
         """Yield the samples in order, in batches of about `BATCH` with one frame_id each.
 
         Raises AllanError when a part of the recording cannot be read.
         """
-        self._findings = []
-        yield from self._read(self._findings.append)
-
-    def temperature(self, frame_id: str) -> TemperatureTrace | None:
-        """Return the temperature of the IMU with this frame_id, or None if it is not recorded.
-
-        It is complete after `batches` has yielded the last batch.
-        """
-        return self._temperature(frame_id)
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Findings about the recording; complete after `batches` has yielded the last batch."""
-        return tuple(self._findings)
+        found: list[Finding] = []
+        for batch in self.read(found.append):
+            self.findings = tuple(found)
+            yield batch
+        self.findings = tuple(found)

@@ -116,7 +116,7 @@ def test_an_absent_sensor_is_decoded_as_absent() -> None:
             lambda good: good[:12] + struct.pack('<I', 1002) + good[16:] + bytes(900),
             'has 1002 bytes',
         ),
-        (lambda good: good[:12] + b'\xff\xff\xff\x7f' + good[16:], 'too few for an Imu with'),
+        (lambda good: good[:12] + b'\xff\xff\xff\x7f' + good[16:], 'has 2147483647 bytes'),
     ],
 )
 def test_invalid_imu_messages_are_named_by_their_position(spoil: Any, says: str) -> None:
