@@ -63,3 +63,6 @@ not measured."""
 
 LEVEL_CHANGES = 1e-3
 """Probability below which the level of the white noise varies, per axis."""
+
+TEMPERATURE_RESOLVED = 0.01
+"""Probability of the F test of b1 and b2 below which a bias depends on temperature, per axis."""

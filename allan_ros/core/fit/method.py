@@ -97,7 +97,7 @@ def axis_fit(result: Estimate, known: Statistics, tau0: float, brief: bool = Fal
     ``brief`` recordings determine no drift: only N, and Q, have values.
     """
     noise = {
-        name: _coefficient(name, float(result.p[t]), result.covariance[t, t], i, tau0)
+        name: random_coefficient(name, float(result.p[t]), result.covariance[t, t], i, tau0)
         for t, (name, i) in enumerate(zip(RANDOM_TERMS, result.intervals))
     }
     noise['R'] = _ramp(result.ramp, tau0)
@@ -135,7 +135,7 @@ def axis_fit(result: Estimate, known: Statistics, tau0: float, brief: bool = Fal
     )
 
 
-def _coefficient(
+def random_coefficient(
     name: str, variance: float, scatter: float, interval: Interval, tau0: float
 ) -> Coefficient:
     """Return a random term in SI, with its interval or its upper limit."""

@@ -1,0 +1,398 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bias of each axis as a function of temperature: `temperature_models`.
+
+The block means of the sums are y = constant + line in time + b1 (T - T0) + b2 (T - T0)^2
++ hysteresis/2 (rising) or - hysteresis/2 (falling) + noise, with a constant and a line for each
+recording. The covariance of the noise follows from gamma(M, j) of its components, whose
+coefficients are fitted by restricted likelihood with and without the terms of the temperature.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..allan.sums import AllanSums
+from ..findings import Finding, finding
+from ..noise import gamma_of
+from .intervals import Interval, profile_interval
+from .likelihood import AxisData, Columns, Fit, LowBand, inverse
+from .limits import GAIN_PROCESS, TEMPERATURE_RESOLVED
+from .method import random_coefficient
+from .model import AxisFit, Coefficient, NoiseModel
+from .statistics import Component, statistics
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LEAST_RANGE_K = 3.0
+"""Range of the temperature within a recording in K below which no model is fitted."""
+
+LEAST_RETURN = 1.0 / 3.0
+"""Part of this range by which the temperature must rise and also fall, so that its effect can be
+separated from a drift with time."""
+
+MOST_MEANS, LEAST_MEANS = 256, 32
+"""Largest and smallest number of block means of a fit."""
+
+LONGEST_PAUSE_S = 120.0
+"""Longest time in s without a temperature reading that is interpolated, if blocks are shorter."""
+
+SLOW = 2.0
+"""Blocks per correlation time, or per half period, from which a process may be an effect of the
+temperature; the coefficients of faster ones are held."""
+
+N, B, K = range(3)
+"""Indices of the first components."""
+
+HELD_DOF = 1e4
+"""Degrees of freedom of a coefficient that is held."""
+
+
+@dataclass(frozen=True)
+class SlowNoise:
+    """Bias instability and rate random walk, fitted to the block means."""
+
+    B: Coefficient
+    K: Coefficient
+
+
+@dataclass(frozen=True)
+class TemperatureModel:
+    """Bias of one axis: b(T) = b0 + b1 (T - T0) + b2 (T - T0)^2, in SI and K.
+
+    Attributes
+    ----------
+    reference, low, high : float
+        T0, and the lowest and highest temperature of the block means, in degC.
+    b0, b1, b2 : float
+        Mean over the recordings of the bias at T0, slope at T0 per K, and curvature per K^2. The
+        bias of an accelerometer contains gravity.
+    b0_ci95, b1_ci95, b2_ci95 : (low, high)
+        95 % intervals.
+    hysteresis : float
+        Bias while the temperature rises minus bias while it falls, at equal temperature.
+    hysteresis_ci95 : (low, high)
+        95 % interval.
+    resolved : bool
+        Whether b1 or b2 differs from 0 (false-alarm probability 1 %).
+    explained : float or None
+        Share of the variance of the block means, without their white noise, that the temperature
+        explains; None if white noise alone explains that variance.
+    averaging_time : float
+        Length of the block means in s.
+    measured, corrected : SlowNoise
+        B and K that describe the block means without further slow processes, and those that
+        describe them if the temperature is in the model. Q and N do not change.
+    """
+
+    reference: float
+    low: float
+    high: float
+    b0: float
+    b0_ci95: tuple[float, float]
+    b1: float
+    b1_ci95: tuple[float, float]
+    b2: float
+    b2_ci95: tuple[float, float]
+    hysteresis: float
+    hysteresis_ci95: tuple[float, float]
+    resolved: bool
+    explained: float | None
+    averaging_time: float
+    measured: SlowNoise
+    corrected: SlowNoise
+
+    def bias(self, celsius: Floats) -> Floats:
+        """Return b(T) at temperatures in degC, in SI."""
+        x = np.asarray(celsius, float) - self.reference
+        return np.asarray(self.b0 + x * (self.b1 + x * self.b2))
+
+
+class _Blocks(NamedTuple):
+    """Block means of all segments at one step, with their temperature."""
+
+    step: int  # samples per block
+    recording: Ints  # (n,)
+    time: Floats  # middle of the block in blocks, (n,)
+    celsius: Floats  # mean temperature, (n,)
+    values: Floats  # SI, (n, axes)
+
+    @property
+    def parts(self) -> list[Ints]:
+        """The blocks of each recording."""
+        return [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
+
+
+def temperature_models(
+    sums: AllanSums, time_ns: Ints, celsius: Floats, model: NoiseModel
+) -> tuple[dict[str, TemperatureModel], list[Finding]]:
+    """Return axis -> model of its bias over temperature, and findings.
+
+    There are no models if the temperature varies too little, or in one direction only; a finding
+    states the second.
+
+    Parameters
+    ----------
+    sums : AllanSums
+        Sums with block means.
+    time_ns, celsius : (readings,) arrays
+        Times of the temperature readings on the clock of the sums, ascending, and degC.
+    model : NoiseModel
+        Fit of the same axes, from which white noise and fast processes are taken.
+    """
+    blocks = _blocks(sums, time_ns, celsius)
+    if len(blocks.time) < LEAST_MEANS:
+        return {}, []
+    range_k = max(float(np.ptp(blocks.celsius[part])) for part in blocks.parts)
+    if range_k < LEAST_RANGE_K:
+        return {}, []
+    least = LEAST_RETURN * range_k
+    rising = np.concatenate([_rising(blocks.celsius[part], least) for part in blocks.parts])
+    if not rising.any():
+        return {}, [finding('temperature_one_way', range=range_k)]
+    low, high, reference = blocks.celsius.min(), blocks.celsius.max(), blocks.celsius.mean().round()
+    warmer = blocks.celsius - reference
+    effects = np.column_stack([warmer, warmer**2, rising])
+    trend = np.zeros((len(warmer), 2 * len(blocks.parts)))
+    for r, part in enumerate(blocks.parts):
+        trend[part, 2 * r] = 1.0
+        trend[part, 2 * r + 1] = blocks.time[part] - blocks.time[part].mean()
+    basis, known, tau0 = _complement(trend), statistics(sums), model.tau0
+    found = {}
+    for i, axis in enumerate(sums.axes):
+        contrasts = _contrasts(AxisData.of(known, i), model.axes[axis], tau0, blocks, basis)
+        values = _model(contrasts, tau0, blocks, effects, basis)
+        found[axis] = TemperatureModel(float(reference), float(low), float(high), **values)
+    return found, []
+
+
+def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
+    """Return the block means whose temperature is known."""
+    known = [(r, m) for r, one in enumerate(sums.recordings) for m in one.means]
+    step = max((m.step for _, m in known), default=1)
+    while sum(m.samples // step for _, m in known) > MOST_MEANS:
+        step *= 2
+    tau0 = sums.tau0 or 1.0
+    rows = []
+    origin = known[0][1].start_ns if known else 0
+    for r, m in known:
+        values = m.coarser(step).values + sums.recordings[r].reference
+        time = (m.start_ns - origin) * 1e-9 / (step * tau0) + np.arange(len(values)) + 0.5
+        rows.append((np.full(len(values), r), time, values))
+    if not rows:
+        none = np.zeros(0)
+        return _Blocks(step, np.zeros(0, np.int64), none, none, none)
+    recording, time, values = (np.concatenate(column) for column in zip(*rows))
+    read = (time_ns - origin) * 1e-9 / (step * tau0)
+    inside = time[:, None] + (np.arange(8) - 3.5) / 8.0
+    mean = np.interp(inside, read, celsius, np.nan, np.nan).mean(axis=1)
+    after = np.clip(np.searchsorted(read, time), 1, len(read) - 1)
+    pause = max(LONGEST_PAUSE_S / (step * tau0), 2.0)
+    some = np.isfinite(mean) & (read[after] - read[after - 1] < pause)
+    return _Blocks(step, recording[some], time[some], mean[some], values[some])
+
+
+def _rising(celsius: Floats, least: float) -> Floats:
+    """Return 1/2 while the temperature rises and -1/2 while it falls.
+
+    Between two turning points it changes by at least ``least``; with fewer of them, the result is
+    0.
+    """
+    turns: list[int] = []
+    top = bottom = direction = 0
+    for i, t in enumerate(celsius):
+        top = i if t > celsius[top] else top
+        bottom = i if t < celsius[bottom] else bottom
+        if direction >= 0 and celsius[top] - t >= least:
+            turns.append(top)
+            direction, bottom = -1, i
+        elif direction <= 0 and t - celsius[bottom] >= least:
+            turns.append(bottom)
+            direction, top = 1, i
+    if len(turns) < 2:
+        return np.zeros(len(celsius))
+    later = len(turns) - np.searchsorted(turns, np.arange(len(celsius)), side='right')
+    return np.where(later % 2, -direction, direction) / 2.0
+
+
+def _complement(columns: Floats) -> Floats:
+    """Return an orthonormal basis of the contrasts that are orthogonal to some columns."""
+    q, _ = np.linalg.qr(columns, mode='complete')
+    return np.asarray(q[:, columns.shape[1] :])
+
+
+def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Component], list[float]]:
+    """Return the components of the noise, and for each its known coefficient, or NaN.
+
+    Known is what block means of ``step`` samples cannot show: white noise, with the mean power of
+    the aliases of sinusoids, and fast processes.
+    """
+    model = fit.model
+    white = model.terms.N**2 / tau0
+    free: list[Component] = [('B',), ('K',)]
+    fast: list[tuple[Component, float]] = []
+    for sigma, time in model.gauss_markov:
+        component = ('gauss_markov', time / tau0)
+        if time / tau0 < SLOW * step:
+            fast.append((component, sigma**2))
+        else:
+            free.append(component)
+    for amplitude, frequency in model.sinusoids:
+        if frequency * tau0 * step * 2.0 * SLOW > 1.0:
+            white += 0.25 * amplitude**2 / (step * math.sin(math.pi * frequency * tau0) ** 2)
+        else:
+            free.append(('sinusoid', frequency * tau0))
+    for sigma, frequency, time in model.resonances:
+        fast.append((('resonance', frequency * tau0, time / tau0), sigma**2))
+    components = [('N',), *free, *(component for component, _ in fast)]
+    return components, [white or math.nan, *(math.nan for _ in free), *(v for _, v in fast)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Contrasts:
+    """Contrasts of the block means of one axis without constants and lines, scaled to variance 1.
+
+    The coefficients of the components are relative to ``data.scale``, too.
+    """
+
+    data: AxisData
+    components: list[Component]
+    known: Floats  # (components,) coefficients, NaN if they are not known
+    z: Floats  # (contrasts,)
+    covariances: Floats  # for unit noise, (components, contrasts, contrasts)
+
+    def fitted(self, basis: Floats, least: float = GAIN_PROCESS) -> _Fitted:
+        """Return the fit of the noise to the part of the contrasts in a basis.
+
+        Slow processes whose gain in -2 log L is below ``least`` are removed.
+        """
+        best = self._fit(basis)
+        for at in reversed(range(K + 1, len(self.components))):
+            if not math.isfinite(self.known[at]):
+                less = best.contrasts._without(at)._fit(basis)
+                best = less if less.fit.value < best.fit.value + least else best
+        return best
+
+    def _without(self, at: int) -> _Contrasts:
+        components = [*self.components[:at], *self.components[at + 1 :]]
+        known, covariances = np.delete(self.known, at), np.delete(self.covariances, at, axis=0)
+        return replace(self, components=components, known=known, covariances=covariances)
+
+    def _fit(self, basis: Floats) -> _Fitted:
+        held = np.isfinite(self.known)
+        w = basis.T @ self.z
+        data = replace(
+            self.data,
+            power=self.known[held],
+            low=[LowBand(1, np.zeros(0), np.outer(w, w))],
+            dof=np.full(held.sum(), HELD_DOF),
+            used=np.ones(held.sum(), bool),
+        )
+        columns = Columns(np.eye(len(held))[held], [basis.T @ self.covariances @ basis])
+        return _Fitted(self, data, data.solve(self.components, columns))
+
+
+class _Fitted(NamedTuple):
+    """Fit of the noise of one axis."""
+
+    contrasts: _Contrasts
+    data: AxisData
+    fit: Fit
+
+    def slow_noise(self, tau0: float) -> SlowNoise:
+        """Return B and K in SI, with their intervals."""
+        scale, scatter = self.data.scale, self.fit.covariance()
+        found = []
+        for name, at in (('B', B), ('K', K)):
+            low, high, gain = profile_interval(self.data, self.fit, at)
+            interval = Interval(low * scale, high * scale, gain)
+            variances = self.fit.p[at] * scale, scatter[at, at] * scale**2
+            found.append(random_coefficient(name, *variances, interval, tau0))
+        return SlowNoise(*found)
+
+    def regression(self, effects: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the effects by generalized least squares: values, covariance, dof of each.
+
+        The covariance and its degrees of freedom contain the errors of the noise (Kenward & Roger,
+        Biometrics 53, 1997; Satterthwaite).
+        """
+        fit, covariances = self.fit, self.contrasts.covariances
+        noise = np.linalg.inv(np.tensordot(fit.p, covariances, 1))
+        weighed = noise @ effects
+        covariance = np.linalg.inv(effects.T @ weighed)
+        gain = covariance @ weighed.T
+        moved = gain @ covariances  # (components, effects, contrasts)
+        errors = inverse(fit.information)
+        slopes = np.einsum('kei,ei->ek', moved, gain)
+        scatter = np.einsum('ek,kl,el->e', slopes, errors, slopes)
+        dof = 2.0 * np.diag(covariance) ** 2 / np.maximum(scatter, 1e-300)
+        rest = noise - weighed @ gain
+        more = np.einsum('kei,kl,lfi->ef', moved @ rest, errors, moved, optimize=True)
+        return gain @ self.contrasts.z, covariance + 2.0 * more, np.clip(dof, 1.0, 1e6)
+
+
+def _contrasts(
+    data: AxisData, fit: AxisFit, tau0: float, blocks: _Blocks, basis: Floats
+) -> _Contrasts:
+    """Return the contrasts of one axis; ``basis`` excludes constants and lines."""
+    components, known = _components(fit, tau0, blocks.step)
+    lags = np.abs(np.subtract.outer(blocks.time, blocks.time))
+    lags = np.maximum(np.round(lags, 6), 1.0 - np.eye(len(lags)))
+    same = np.equal.outer(blocks.recording, blocks.recording)
+    gammas = (gamma_of(*c)(blocks.step, lags) for c in components)
+    covariances = np.array([basis.T @ np.where(same, gamma, 0.0) @ basis for gamma in gammas])
+    z = basis.T @ blocks.values[:, data.axis]
+    scale = float(z @ z) / len(z) or 1.0
+    data = replace(data, scale=scale)
+    return _Contrasts(data, components, np.array(known) / scale, z / math.sqrt(scale), covariances)
+
+
+def _model(
+    known: _Contrasts, tau0: float, blocks: _Blocks, effects: Floats, basis: Floats
+) -> dict[str, Any]:
+    """Return the values of the model of one axis, except for the temperatures.
+
+    ``effects``, (blocks, 3), are the columns of b1, b2 and the hysteresis.
+    """
+    from scipy.special import fdtrc, stdtrit  # slow to import
+
+    scale, columns = known.data.scale, basis.T @ effects
+    rest = _complement(columns)
+    corrected = known.fitted(rest)
+    value, covariance, dof = corrected.regression(columns)
+    test = value[:2] @ np.linalg.solve(covariance[:2, :2], value[:2]) / 2.0
+    value, covariance = value * math.sqrt(scale), covariance * scale
+    # the mean of all blocks has white noise of its own, and the errors of the effects
+    y, center = blocks.values[:, known.data.axis], effects.mean(axis=0)
+    white = float(corrected.fit.p[N]) * scale / blocks.step
+    level = float(y.mean() - center @ value)
+    levels = [level, *value]
+    variances = [white / len(y) + center @ covariance @ center, *np.diag(covariance)]
+    halves = stdtrit([dof.min(), *dof], 0.975) * np.sqrt(variances)
+    ends = [(float(v - h), float(v + h)) for v, h in zip(levels, halves)]
+    drift, left = (
+        sum(float(np.sum((x[p] - x[p].mean()) ** 2)) for p in blocks.parts) / len(y) - white
+        for x in (y, y - effects[:, :2] @ value[:2])
+    )
+    drifts = drift > 3.0 * math.sqrt(2.0 / len(y)) * white
+    return {
+        'b0': level,
+        'b0_ci95': ends[0],
+        'b1': float(value[0]),
+        'b1_ci95': ends[1],
+        'b2': float(value[1]),
+        'b2_ci95': ends[2],
+        'hysteresis': float(value[2]),
+        'hysteresis_ci95': ends[3],
+        'resolved': bool(fdtrc(2.0, dof[:2].min(), test) < TEMPERATURE_RESOLVED),
+        'explained': min(max(1.0 - left / drift, 0.0), 1.0) if drifts else None,
+        'averaging_time': blocks.step * tau0,
+        'measured': known.fitted(np.eye(len(columns)), math.inf).slow_noise(tau0),
+        'corrected': known.fitted(rest, math.inf).slow_noise(tau0),
+    }
