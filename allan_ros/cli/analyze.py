@@ -86,7 +86,7 @@ def read_jobs(
 ) -> list[ReadJob]:
     """Return a job for each recording, with the reading options of the command line.
 
-    ``with_context`` also requests the data of a report: signal and temperature.
+    ``with_context`` also requests the data of a report: signal and events.
     """
     check_rate(args.rate)
     if args.jobs < 1:

@@ -25,6 +25,7 @@ from ..core.fit.findings import rounding_step
 from ..core.fit.interpretation import ModelLine, Region, dominant_regions, model_line
 from ..core.fit.least_squares import fit_curve
 from ..core.fit.model import Status
+from ..core.fit.temperature import TemperatureModel
 from ..core.imu import AXES, SI_UNITS, UNITS, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import choose, expect
@@ -121,6 +122,9 @@ class AxisResult:
         their white noise.
     turn_on : TurnOnBias or None
         Scatter of the bias between recordings; None for fewer than two recordings.
+    temperature : TemperatureModel or None
+        Bias as a function of temperature; None if no temperature was recorded, or it varied too
+        little or in one direction only.
 
     Examples
     --------
@@ -151,6 +155,7 @@ class AxisResult:
     name: str = ''
     rounding: float | None = None
     turn_on: TurnOnBias | None = None
+    temperature: TemperatureModel | None = None
 
     @property
     def Q(self) -> Quantity:

@@ -69,6 +69,13 @@ SIGNED = (
     'mean',
     'R',
     'low_pass',
+    'reference',
+    'lowest',
+    'highest',
+    'b0',
+    'b1',
+    'b2',
+    'hysteresis',
 )
 """Keys of numbers that may be negative."""
 
@@ -362,6 +369,7 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'sample_std': plain(axis.sample_std),
         'rounding': plain(axis.rounding),
         'turn_on': plain(axis.turn_on),
+        'temperature': plain(axis.temperature),
         'growth': plain(axis.growth),
         'position_growth': plain(axis.position_growth),
         'processes': plain(fit.processes, NAMES),

@@ -19,6 +19,7 @@ from operator import add
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
@@ -71,14 +72,14 @@ class Provenance:
 class RecordingSums:
     """The sums of one or more recordings of one IMU, with the data for a report.
 
-    ``signals``, ``temperatures`` and ``events`` are empty unless they were requested.
+    ``signals`` and ``events`` are empty unless they were requested.
     """
 
     name: str  # path of the first recording
     sums: tuple[AllanSums, ...]  # one for all axes, or one per sensor if the rates differ
     provenance: Provenance = field(default_factory=Provenance)
     signals: tuple[SignalEnvelope, ...] = ()  # one per recording
-    temperatures: tuple[TemperatureTrace | None, ...] = ()  # one per recording
+    temperatures: tuple[TemperatureTrace | None, ...] = ()  # one per recording, if it was read
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
 
     def __add__(self, other: RecordingSums) -> RecordingSums:
@@ -104,6 +105,23 @@ class RecordingSums:
             self.events + other.events,
         )
 
+    def temperature_readings(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the times in ns and values in degC of all temperature readings, sorted.
+
+        The times are header stamps, or record times if those are not on the clock of the samples.
+        """
+        used = self.provenance.segments
+        begin = min((s.start_ns for s in used), default=0)
+        end = max((s.start_ns + s.duration_s * 1e9 for s in used), default=0.0)
+        times, values = [np.zeros(0, np.int64)], [np.zeros(0)]
+        for trace in self.temperatures:
+            if trace is not None:
+                inside = (trace.header_ns >= begin) & (trace.header_ns <= end)
+                times.append(trace.header_ns if inside.sum() > 1 else trace.record_ns)
+                values.append(trace.celsius)
+        order = np.argsort(np.concatenate(times), kind='stable')
+        return np.concatenate(times)[order], np.concatenate(values)[order]
+
     def with_findings(self, findings: Iterable[Finding]) -> RecordingSums:
         """Return a copy with further findings."""
         return replace(self, provenance=self.provenance + Provenance(findings=tuple(findings)))
@@ -113,7 +131,7 @@ class RecordingSums:
 class ReadJob:
     """The path and the settings to read one recording; it can be sent to another process.
 
-    ``with_context`` requests the data for a report: signal and temperature.
+    ``with_context`` requests the data for a report: signal and events.
     """
 
     path: str
@@ -173,11 +191,11 @@ def _read_topic(
         'hardware_id': job.hardware_id,
     }
     provenance = Provenance((recording.info,), known.segments, findings, counts, settings)
+    temperatures = (recording.temperature(known.sums[0].identity.frame_id),)
     if not job.with_context:
-        return RecordingSums(job.path, known.sums, provenance)
-    temperature = recording.temperature(known.sums[0].identity.frame_id)
+        return RecordingSums(job.path, known.sums, provenance, temperatures=temperatures)
     events = known.health.events
-    return RecordingSums(job.path, known.sums, provenance, (signal,), (temperature,), events)
+    return RecordingSums(job.path, known.sums, provenance, (signal,), temperatures, events)
 
 
 def with_accel(

@@ -19,6 +19,7 @@ from ..core.findings import Finding
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
+from ..core.fit.temperature import temperature_models
 from ..core.imu import AXES, ImuIdentity, sensor_of
 from ..core.settings import AUTO, LIST, UNIT_SYSTEMS, choose, expect, settings_from
 from ..core.stream.health import sums_findings
@@ -424,12 +425,20 @@ def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Res
     curves = [allan_curve(s) for s in sums]
     fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]
     axes = dict(axis_results(zip(recorded.sums, curves, fits)))
+    time_ns, celsius = recorded.temperature_readings()
+    warmed: list[Finding] = []
+    if len(celsius) > 1:
+        for complete, fit in zip(recorded.sums, fits):
+            models, found = temperature_models(complete, time_ns, celsius, fit)
+            axes |= {name: replace(axes[name], temperature=m) for name, m in models.items()}
+            warmed += found
     longest = max(sums, key=lambda s: s.samples)
     tau0 = longest.tau0 or float('nan')
     findings = (
         *recorded.provenance.findings,
         *(f for s in sums for f in sums_findings(s)),
         *(f for fit in fits for f in fit.findings),
+        *warmed,
     )
     return Results(
         longest.identity,

@@ -68,7 +68,7 @@ class TemperatureModel:
 
     Attributes
     ----------
-    reference, low, high : float
+    reference, lowest, highest : float
         T0, and the lowest and highest temperature of the block means, in degC.
     b0, b1, b2 : float
         Mean over the recordings of the bias at T0, slope at T0 per K, and curvature per K^2. The
@@ -92,8 +92,8 @@ class TemperatureModel:
     """
 
     reference: float
-    low: float
-    high: float
+    lowest: float
+    highest: float
     b0: float
     b0_ci95: tuple[float, float]
     b1: float
@@ -166,6 +166,8 @@ def temperature_models(
     basis, known, tau0 = _complement(trend), statistics(sums), model.tau0
     found = {}
     for i, axis in enumerate(sums.axes):
+        if not model.axes[axis].noise['N'].value:
+            continue
         contrasts = _contrasts(AxisData.of(known, i), model.axes[axis], tau0, blocks, basis)
         values = _model(contrasts, tau0, blocks, effects, basis)
         found[axis] = TemperatureModel(float(reference), float(low), float(high), **values)

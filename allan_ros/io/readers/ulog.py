@@ -4,7 +4,8 @@
 
 ``sensor_combined`` contains angular rate and acceleration of the IMU in use. Each instance of
 ``vehicle_imu`` contains the delta angles and delta velocities of one IMU, which are divided by
-their integration times. Dropouts of the logger cause gaps in the stamps.
+their integration times. Dropouts of the logger cause gaps in the stamps. The temperature is read
+from the topic of the same gyro.
 """
 
 from __future__ import annotations
@@ -23,10 +24,17 @@ from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch
 from ..files import open_regular
+from ..signal import MAX_BINS, TemperatureTrace, trace_of
 from .recording import ReadOptions, Recording, Report, SourceInfo, in_batches
 from .storage import damaged, optional_package
 
 TOPICS = ('sensor_combined', 'vehicle_imu')
+
+THERMOMETERS = ('sensor_gyro', 'sensor_accel')
+"""Topics with the temperature of an IMU."""
+
+SELECTION = 'sensor_selection'
+"""Topic that states which IMU ``sensor_combined`` is from."""
 
 MAX_BYTES = 4 * 2**30
 """Largest size of a log in bytes; the parser keeps the data of the topics in memory."""
@@ -74,8 +82,9 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
             report(finding('log_decimated', path=path, topic=name, rate=rate, full=full))
         yield from in_batches(batch)
 
+    trace = _temperature(log, data)
     info = SourceInfo(str(path), name, data.name, 'ulog')
-    return Recording(info, len(batch), read, options=options)
+    return Recording(info, len(batch), read, lambda frame_id: trace, options=options)
 
 
 def _parsed(path: Path) -> Any:
@@ -84,7 +93,7 @@ def _parsed(path: Path) -> Any:
         if os.fstat(file.fileno()).st_size > MAX_BYTES:
             raise AllanError(f'{path}: is larger than {MAX_BYTES} bytes: split the log')
         try:
-            return core.ULog(_Limited(file), list(TOPICS))
+            return core.ULog(_Limited(file), [*TOPICS, *THERMOMETERS, SELECTION])
         except Exception as error:  # the parser may raise any exception
             raise damaged(path, error, REMEDY) from error
 
@@ -154,6 +163,26 @@ def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]
         integration = data.get('gyro_integral_dt', np.zeros(1))
     unit = 1.0 if integration.dtype.kind == 'f' else 1e-6  # older logs state it in s
     return ImuBatch(stamps, samples, record, name), float(np.median(integration)) * unit
+
+
+def _temperature(log: Any, data: Any) -> TemperatureTrace | None:
+    """Return the temperature of the gyro of a topic; None if it is unknown which one it is."""
+    topics = [topic for topic in log.data_list if topic.name in THERMOMETERS]
+    known = (topic for topic in log.data_list if topic.name == SELECTION)
+    stated = data.data if 'gyro_device_id' in data.data else next(known, data).data
+    if 'gyro_device_id' in stated:
+        device = stated['gyro_device_id'][-1:]
+        topics = [t for t in topics if 'device_id' in t.data and t.data['device_id'][-1:] == device]
+    elif len({topic.multi_id for topic in topics}) > 1:
+        return None
+    for topic in sorted(topics, key=lambda topic: THERMOMETERS.index(topic.name)):
+        stamps, celsius = topic.data['timestamp'], topic.data.get('temperature', np.zeros(0))
+        rows = slice(None, None, max(1, -(-len(celsius) // MAX_BINS)))
+        times = (stamps[rows].astype(np.int64) * MICROSECOND).tolist()
+        trace = trace_of(_label(topic, log), zip(times, times, celsius[rows].tolist()))
+        if trace is not None:
+            return trace
+    return None
 
 
 def _vectors(data: dict[str, NDArray[Any]], field: str) -> NDArray[np.float64]:
