@@ -24,6 +24,7 @@ from ..io.format import (
     region_text,
     shown_unit,
     significant,
+    temperature_text,
     value_text,
 )
 from ..io.results import Results
@@ -128,6 +129,7 @@ def results_lines(
         if len(known) < len(axes):
             absent = ', '.join(axis[-1] for axis in axes if axis not in known)
             yield from ('' * (not known), f'{sensor} {absent}: no coefficients')
+    yield from _temperature_lines(results, units, columns)
     yield from _filter_lines(results, columns)
     if complete and any(a.regions for a in results.axes.values()):
         yield ''
@@ -141,6 +143,13 @@ def results_lines(
         yield from datasheet_lines(results.datasheet, units, columns, judged)
     yield from findings_lines(results, units, columns, colors, complete)
     yield from _step_lines(results, verdict, columns)
+
+
+def _temperature_lines(results: Results, units: str, columns: int) -> Iterator[str]:
+    for sensor, models in results.temperature_models.items():
+        first = next(iter(models.values()))
+        title = f'{sensor} bias from {first.lowest:.1f} to {first.highest:.1f} degC'
+        yield from ('', *wrapped(f'{title}: {temperature_text(models, units)}', columns, '  '))
 
 
 def _has_numbers(results: Results, axis: str) -> bool:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import AllanError
+from ..core.findings import prefixed
 from ..core.findings import significant as significant
 from ..core.fit import Coefficient, Deviation
 from ..core.fit.interpretation import Region
+from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ShownUnit as ShownUnit
 from ..core.imu import shown_unit as shown_unit
 from ..core.settings import choose
@@ -49,6 +51,9 @@ NOTHING_KNOWN = '-'
 
 READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
 """Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
+
+RESOLVED_HALF_WIDTHS = 2.58 / 1.96
+"""Least size of a hysteresis in half widths of its interval to be stated: two-sided 1 %."""
 
 SHARP = 0.02
 """If the width of an interval is below this fraction of its upper end, its ends are printed with as
@@ -141,6 +146,47 @@ def deviation_text(deviation: Deviation | None) -> str:
     if deviation is None:
         return ''
     return f'{100.0 * deviation.relative:+.0f} % at {significant(deviation.tau, 2)} s'
+
+
+def temperature_text(models: Mapping[str, TemperatureModel], units: str) -> str:
+    """Return the bias over temperature of the axes of one sensor as text, with 95 % intervals.
+
+    These are the slopes, the hysteresis if it is resolved, and K with and without the temperature.
+    """
+    names, known = list(models), list(models.values())
+    bias, walk = (
+        prefixed(shown_unit(names[0], term, units), max(abs(size) for size in sizes))
+        for term, sizes in (
+            ('B', [m.b1 for m in known]),
+            ('K', [m.measured.K.value or 0.0 for m in known]),
+        )
+    )
+    slopes = (
+        f'{name[-1]} {_plus_minus(m.b1, m.b1_ci95, bias)}{"" if m.resolved else " (not resolved)"}'
+        for name, m in models.items()
+    )
+    text = f'{", ".join(slopes)} {bias.name} per K at {known[0].reference:g} degC'
+    shares = [100.0 * m.explained for m in known if m.resolved and m.explained is not None]
+    if shares:
+        low, high = f'{min(shares):.0f}', f'{max(shares):.0f}'
+        text += f', {low if low == high else f"{low} to {high}"} % of the drift'
+    loops = [
+        f'{name[-1]} {_plus_minus(m.hysteresis, m.hysteresis_ci95, bias)}'
+        for name, m in models.items()
+        if abs(m.hysteresis) > RESOLVED_HALF_WIDTHS * np.ptp(m.hysteresis_ci95) / 2.0
+    ]
+    if loops:
+        text += f'; rising minus falling {", ".join(loops)} {bias.name}'
+    without, with_it = (
+        ', '.join(value_text(one, walk) for one in each)
+        for each in ([m.corrected.K for m in known], [m.measured.K for m in known])
+    )
+    return f'{text}. After subtraction of b(T), K is {without} instead of {with_it} {walk.name}.'
+
+
+def _plus_minus(value: float, ends: tuple[float, float], unit: ShownUnit) -> str:
+    half = (ends[1] - ends[0]) / 2.0
+    return f'{significant(value * unit.factor, 3)} ± {significant(half * unit.factor, 2)}'
 
 
 # --- figures --------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from ..core.findings import Finding
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import with_deviations
 from ..core.fit.stationary import fit_stationary
-from ..core.fit.temperature import temperature_models
+from ..core.fit.temperature import TemperatureModel, temperature_models
 from ..core.imu import AXES, ImuIdentity, sensor_of
 from ..core.settings import AUTO, LIST, UNIT_SYSTEMS, choose, expect, settings_from
 from ..core.stream.health import sums_findings
@@ -139,6 +139,15 @@ class Results:
     def measured(self) -> Run:
         """The coefficients and the curve of each axis, for comparing recordings."""
         return {name: Measured(axis.fit.noise, axis.curve) for name, axis in self.axes.items()}
+
+    @property
+    def temperature_models(self) -> dict[str, dict[str, TemperatureModel]]:
+        """The models of the bias over temperature: sensor -> axis -> model, if there are any."""
+        found: dict[str, dict[str, TemperatureModel]] = {}
+        for name, axis in self.axes.items():
+            if axis.temperature is not None:
+                found.setdefault(sensor_of(name), {})[name] = axis.temperature
+        return found
 
     @property
     def comparisons(self) -> tuple[Comparison, ...]:

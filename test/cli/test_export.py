@@ -37,13 +37,20 @@ def test_analyze_and_export_write_the_same(
     assert capsys.readouterr().out == (folder / 'vins_fusion_imu.yaml').read_text()
 
 
-@pytest.mark.parametrize('target', TARGETS)
+@pytest.mark.parametrize('target', [name for name in TARGETS if name != 'temperature'])
 def test_every_target_is_written(folder: Path, tmp_path: Path, target: str) -> None:
     results = str(folder / 'results.json')
     assert main(['export', results, '--to', target, '-o', str(tmp_path)]) == 0
     named = tmp_path / 'named'
     assert main(['export', results, '--to', target, '-o', str(named)]) == 0
     assert (tmp_path / target_of(target).file_name).read_bytes() == named.read_bytes()
+
+
+def test_no_temperature_is_written_without_one(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['export', str(folder / 'results.json'), '--to', 'temperature']) == 1
+    assert 'no bias over temperature in these results' in capsys.readouterr().err
 
 
 def test_list_explains_each_target_in_a_line(capsys: pytest.CaptureFixture[str]) -> None:

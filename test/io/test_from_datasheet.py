@@ -75,7 +75,7 @@ def test_a_file_from_a_datasheet_has_its_n_and_covers_its_b(imu: Sensor) -> None
         assert words in text
 
 
-@pytest.mark.parametrize('target', TARGETS)
+@pytest.mark.parametrize('target', [name for name in TARGETS if name != 'temperature'])
 def test_every_target_is_written_from_a_datasheet(imu: Sensor, target: str) -> None:
     text = imu.export(target)
     assert 'not measured' in text and 'imu_link' not in text

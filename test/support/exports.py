@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
@@ -19,6 +19,7 @@ import yaml
 
 from allan_ros.core.fit import Coefficient, GaussMarkov, Processes
 from allan_ros.core.fit.model import model_of_terms
+from allan_ros.core.fit.temperature import SlowNoise, TemperatureModel
 from allan_ros.io.axis_result import AxisResult
 from allan_ros.io.exporters import ExportOptions, make_export
 from allan_ros.io.results import Results
@@ -82,6 +83,7 @@ READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
     'navego': (read_matlab, ()),
     'pyins': (run_python, ()),
     'imu_filter_madgwick': (read_yaml, NODE),
+    'temperature': (read_yaml, ()),
     'state_space': (json.loads, ('axes', 'accel_z')),
     'gazebo': (read_gazebo, ()),
     'isaac_sim': (run_python, ('AXES', 'gyro_x')),
@@ -130,6 +132,10 @@ point_lio gyr_cov_input 2e-4 acc_cov_input 8e-4 b_gyr_cov 2e-8 b_acc_cov 1.8e-7
 px4 EKF2_GYR_NOISE 0.01 EKF2_ACC_NOISE 0.02 EKF2_GYR_B_NOISE 1e-4 EKF2_ACC_B_NOISE 3e-4
 ardupilot EK3_GYRO_P_NSE 9.12871e-3 EK3_ACC_P_NSE 0.0182574
 ardupilot EK3_GBIAS_P_NSE 9.12871e-5 EK3_ABIAS_P_NSE 2.73861e-4
+# -1e-5, times 0.6, 0.8 and 1; 1e-7 for each
+temperature reference 25 gyro_b0 6e-4,8e-4,1e-3
+temperature gyro_b1 -6e-6,-8e-6,-1e-5 gyro_b2 1e-7,1e-7,1e-7
+temperature accel_b1 -6e-6,-8e-6,-1e-5 accel_b2 1e-7,1e-7,1e-7
 # sqrt(3/4 (1e-6/10 + 0.441271 1e-8 + 1e-10 10/3)) and sqrt(3/4) 1e-5 / sqrt(10)
 imu_filter_madgwick gain 2.80285e-4 zeta 2.73861e-6
 """
@@ -148,8 +154,22 @@ def _expected() -> dict[str, dict[str, Any]]:
 EXPECTED = _expected()
 """Target -> key -> number, or three numbers of x, y, z."""
 
-FIXED = {'update_rate', 'imu_update_rate', 'IMU.Frequency'}
+FIXED = {'update_rate', 'imu_update_rate', 'IMU.Frequency', *EXPECTED['temperature']}
 """Entries that are not noise levels."""
+
+
+def warmed(results: Results, shares: Sequence[float] = (0.6, 0.8, 1.0)) -> Results:
+    """Return the results with a known bias over temperature of each axis."""
+    hidden = Coefficient(None, None, 1e-5, 'not_observable')
+    slow = SlowNoise(hidden, hidden)
+    axes = {}
+    for i, (name, axis) in enumerate(results.axes.items()):
+        b0, b1 = 1e-3 * shares[i % 3], -1e-5 * shares[i % 3]
+        ends = [(value - 2e-6, value + 2e-6) for value in (b0, b1, 1e-7, 0.0)]
+        values = b0, ends[0], b1, ends[1], 1e-7, ends[2], 0.0, ends[3]
+        model = TemperatureModel(25.0, 20.0, 40.0, *values, i != 1, 0.5, 10.0, slow, slow)
+        axes[name] = replace(axis, temperature=model)
+    return replace(results, axes=axes)
 
 
 def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:

@@ -48,6 +48,7 @@ TARGETS = {
     'navego': 'NaveGo structure for ins_gnss.m: SI densities and a Gauss-Markov bias, of each axis',
     'pyins': 'pyins EstimationModel in Python: continuous densities N and K of each axis',
     'imu_filter_madgwick': 'imu_filter_madgwick ROS 2 parameters: gain and zeta at a horizon',
+    'temperature': 'YAML: bias of each axis over temperature (b0, b1, b2) in SI and K',
     'state_space': 'JSON allan_ros/state_space/2: all processes, and Phi, Qd, R of each axis',
     'gazebo': 'Gazebo SDF <imu>: std per sample and a Gauss-Markov bias, of each axis',
     'isaac_sim': 'Isaac Sim: Python module that adds the noise to the readings of the IMU sensor',

@@ -15,10 +15,13 @@ from functools import partial
 
 import numpy as np
 
+from ...core.errors import AllanError
 from ...core.filters.growth import drift_model, interval_models
 from ...core.filters.noise_parameters import sensor_levels
 from ...core.filters.reductions import Level
+from ...core.imu import AXES, SI_UNITS
 from ...core.noise import ProcessModel
+from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
 from . import INS_HORIZON_S, Key, Row, Target, Value, keys_of, noise_keys
 from .model import FilterNoise, Notation, clamped, rounded
 from .text import json_form, line_form, matlab_literal, opencv_form, yaml_form
@@ -138,6 +141,35 @@ def _madgwick(noise: FilterNoise) -> Iterator[Row]:
     notation = Notation(formula, 'rad/s^2', factor=1.0 / scale)
     zeta = noise.level_row((*ANY_NODE, 'zeta'), 'gyro', term, notation)
     yield clamped(zeta, -1.0, 1.0)
+
+
+def _temperature(noise: FilterNoise) -> Iterator[Row]:
+    """Yield T0, and b0, b1 and b2 of the sensors whose three axes have a model of the bias."""
+    sensors = noise.results.temperature_models
+    complete = {s: models for s, models in sensors.items() if len(models) == len(AXES) / 2}
+    if not complete:
+        raise AllanError(
+            'no bias over temperature in these results: record while the temperature rises and '
+            'falls by 3 K or more'
+        )
+    first = next(iter(next(iter(complete.values())).values()))
+    where = f'{first.lowest:.1f} to {first.highest:.1f} degC'
+    words = f'[degC]: T0 of the model, which was measured from {where}'
+    yield Row(('reference',), first.reference, words, 'degC', (first.lowest, first.highest))
+    for sensor, models in complete.items():
+        # the level of an accelerometer contains gravity
+        for i, what in enumerate(('b0', 'b1', 'b2')[sensor == 'accel' :], sensor == 'accel'):
+            unit = SI_UNITS[sensor]['B'] + ('', '/K', '/K^2')[i]
+            pairs = [(getattr(m, what), getattr(m, f'{what}_ci95')) for m in models.values()]
+            text = (
+                f'{name} {significant(value, VALUE_DIGITS)}, 95 % interval '
+                f'{significant(low, LIMIT_DIGITS)}..{significant(high, LIMIT_DIGITS)}'
+                f'{"" if model.resolved or not i else " (not resolved)"}'
+                for (name, model), (value, (low, high)) in zip(models.items(), pairs)
+            )
+            values = rounded([value for value, _ in pairs])
+            widest = max((ends for _, ends in pairs), key=lambda ends: ends[1] - ends[0])
+            yield Row((f'{sensor}_{what}',), values, f'[{unit}]: {"; ".join(text)}', unit, widest)
 
 
 _ins = partial(Target, horizon_s=INS_HORIZON_S, walk=False)
@@ -431,6 +463,20 @@ FILTERS = {
             'estimates no bias',
         ),
         horizon_s=10.0,
+        walk=False,
+    ),
+    'temperature': Target(
+        'temperature.yaml',
+        'SI and K: the bias at T degC is b0 + b1 (T - reference) + b2 (T - reference)^2, and a '
+        'filter subtracts it from the samples x, y, z',
+        yaml_form,
+        rows=_temperature,
+        notes=(
+            'the noise remains: N and K are in the file of the filter',
+            'b0 is the mean of this recording; it contains the rotation of the Earth and differs '
+            'after each switch-on. The level of an accelerometer contains gravity and is not here',
+        ),
+        three=True,
         walk=False,
     ),
 }

@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...core.allan.spectra import noise_density
 from ...core.fit import TERMS
+from ...core.fit.temperature import TemperatureModel
 from ...core.imu import AXES, SENSORS
 from ...core.noise import NoiseTerms, term_avar
 from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
-from ..format import SENSOR_NAMES, drawn_curve, pretty_unit, shown_unit
+from ..format import SENSOR_NAMES, drawn_curve, pretty_unit, shown_unit, temperature_text
 from ..signal import SignalSummary
 from .tables import coefficients_tsv
 
@@ -269,8 +270,12 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
     charts = [{**_document('bias', bias, names), 'white': white}]
     against = _against_temperature(bias, summary)
     if against is not None:
-        slopes = rounded(np.polyfit(against.x, against.values, 1)[0])
-        charts.append({**_document('temperature', against, names), 'slopes': slopes})
+        charts.append(
+            {
+                **_document('temperature', against, names),
+                **_fitted(against, results.temperature_models.get(sensor, {}), names),
+            }
+        )
     return [*charts, _document('noise', noise._replace(values=np.sqrt(noise.values)), names)]
 
 
@@ -309,6 +314,20 @@ def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | 
         return None
     order = np.argsort(celsius[known], kind='stable')
     return Trend(celsius[known][order], bias.values[known][order], bias.tau)
+
+
+def _fitted(
+    against: Trend, models: Mapping[str, TemperatureModel], names: Sequence[str]
+) -> dict[str, Any]:
+    """Return the lines of the models, with the mean of the points, and their numbers as text."""
+    if set(models) != set(names):
+        return {'fits': [], 'text': dict.fromkeys(UNIT_SYSTEMS, '')}
+    curves = [models[name].bias(against.x) for name in names]
+    middles = against.values.mean(axis=0)
+    return {
+        'fits': [rounded(curve - curve.mean() + m) for curve, m in zip(curves, middles)],
+        'text': {units: temperature_text(models, units) for units in UNIT_SYSTEMS},
+    }
 
 
 def _document(kind: str, trend: Trend, names: Sequence[str]) -> dict[str, Any]:

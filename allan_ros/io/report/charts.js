@@ -240,8 +240,9 @@ const Charts = (() => {
           for (const line of visible()) {
             const label = letter(line.name);
             const values = times(line.values, unit()[1]);
+            const fit = points ? data.fits[data.lines.indexOf(line)] : null;
             if (points) pen.marks(x, values, label, ink(label), 1.6, ink(label));
-            else pen.line(x, values, { color: ink(label), width: 1.3 });
+            if (fit || !points) pen.line(x, fit ? times(fit, unit()[1]) : values, { color: ink(label), width: 1.3 });
           }
           if (!points) events(pen, page);
         },
@@ -260,7 +261,7 @@ const Charts = (() => {
       };
       chart.note = () => {
         const parts = [data.kind === 'noise' ? `Averages over ${number(data.span, 3)} s of the differences of successive samples; constant if the noise does not change.` : `Averages over ${number(data.span, 3)} s at rest.`];
-        if (points) parts.push(`Slope of a straight line, per °C: ${listed(data.slopes)}.`);
+        if (points) parts.push(data.fits.length ? `Lines: fitted b(T), with 95 % intervals: ${data.text[page.units()]}` : '');
         if (data.white && data.white.some((v) => v !== null)) parts.push(`With white noise alone, 95 % would lie within these distances of 0: ${listed(data.white)}.`);
         text.textContent = [...parts, points ? '' : explained(page)].join(' ');
       };
@@ -322,7 +323,7 @@ const Charts = (() => {
       draw(pen) { pen.line(x, celsius, { color: 'var(--ink)', width: 1.3 }); events(pen, page); },
       describe: (at) => [[`${number(x[at])} ${name}`, ''], [`${number(celsius[at])} °C`, '']],
     });
-    host.append(element('p', { class: 'note' }, `${number(low, 3)} to ${number(high, 3)} °C, from ${source}. It does not affect the results; a bias often follows it.`));
+    host.append(element('p', { class: 'note' }, `${number(low, 3)} to ${number(high, 3)} °C, from ${source}. The coefficients are computed without it.`));
     return [chart];
   }
 

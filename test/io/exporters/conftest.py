@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from support.exports import warmed
 
 from allan_ros.core.fit import AxisFit, Coefficient
 from allan_ros.core.fit.model import model_of_terms
@@ -62,4 +63,4 @@ def known_results() -> Results:
         Provenance((source,), (Segment(START_NS, 1_440_000, 7200.0),)),
         (),
     )
-    return results_from_document(json.loads(to_json(results_to_document(results))))
+    return results_from_document(json.loads(to_json(results_to_document(warmed(results)))))

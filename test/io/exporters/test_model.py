@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from support.exports import refitted
+from support.exports import refitted, warmed
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import finding
@@ -40,7 +40,7 @@ def results(small_results: Results) -> Results:
         n, k = 1e-4 * (i + 1), 1e-6 * (i + 1)
         known = with_coefficient(known, axis, 'N', Coefficient(n, (0.9 * n, 1.1 * n)))
         known = with_coefficient(known, axis, 'K', Coefficient(k, (0.9 * k, 1.1 * k)))
-    return known
+    return warmed(known)
 
 
 def test_the_mean_is_of_the_variances_and_inflation_multiplies(results: Results) -> None:

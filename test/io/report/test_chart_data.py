@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.exports import warmed
 
 import allan_ros as ar
 from allan_ros.core.fit import AxisFit
@@ -57,14 +58,23 @@ def test_bias_and_noise_are_shown_as_they_were(drifting: Results) -> None:
     assert second / first == pytest.approx(1.5, rel=0.05)
 
 
-def test_a_recorded_temperature_gives_the_slope_of_the_bias(drifting: Results) -> None:
+def test_the_bias_over_temperature_is_shown_with_its_model(drifting: Results) -> None:
     time = np.array([0.0, SECONDS])
     heated = SignalTemperature('/temp', time, 20.0 + time / 60.0)  # a degree a minute
     summary = replace(summary_of(drifting), temperature=heated)
-    kinds = {trend['kind']: trend for trend in trends(drifting, 'gyro', summary)}
-    assert list(kinds) == ['bias', 'temperature', 'noise']
-    assert kinds['temperature']['x'] == sorted(kinds['temperature']['x'])
-    assert kinds['temperature']['slopes'][0] == pytest.approx(60.0 * DRIFT, rel=0.02)
+    for results, lines in ((drifting, 0), (warmed(drifting), 3)):
+        kinds = {trend['kind']: trend for trend in trends(results, 'gyro', summary)}
+        assert list(kinds) == ['bias', 'temperature', 'noise']
+        chart = kinds['temperature']
+        assert chart['x'] == sorted(chart['x'])
+        assert len(chart['fits']) == lines and bool(chart['text']['SI']) == bool(lines)
+    fit, points = (np.array(line) for line in (chart['fits'][2], chart['lines'][2]['values']))
+    # the curve b1 (T - T0) + b2 (T - T0)^2 at the height of the points
+    warmer = np.array(chart['x']) - 25.0
+    expected = -1e-5 * warmer + 1e-7 * warmer**2
+    assert fit - fit.mean() == pytest.approx(expected - expected.mean(), abs=1e-8)
+    assert fit.mean() == pytest.approx(points.mean(), abs=1e-8)
+    assert chart['text']['SI'].startswith('x -6.00e-06 ± 2.0e-06, y -8.00e-06 ± 2.0e-06 (not res')
 
 
 def test_without_the_signal_of_a_sensor_there_are_no_trends(drifting: Results) -> None:
