@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The temperature topic of an IMU is found, decimated, and shown over the time of the signal."""
+"""The temperature of an IMU is found, decimated, and used for the bias over temperature."""
 
 from __future__ import annotations
 
@@ -9,9 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
+import allan_ros as ar
+from allan_ros.cli.main import main
+from allan_ros.core.stream.health import Segment
 from allan_ros.io.readers import open_recordings
-from allan_ros.io.signal import Decimated, trace_of
+from allan_ros.io.recorded import Provenance, RecordingSums
+from allan_ros.io.signal import Decimated, TemperatureTrace, trace_of
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
 typesys = pytest.importorskip('rosbags.typesys')
@@ -108,3 +113,46 @@ def test_thinning_is_even_and_bounded(count: int) -> None:
     assert len(items) <= 8 and len(set(steps)) <= 1
     if count > 1:
         assert items[0] == 0 and items[-1] >= count - steps[0]
+
+
+def heated(rows: int = 2400) -> str:
+    """Return a table at 1 Hz whose gyro follows a temperature with two cycles."""
+    celsius = 30.0 + 5.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, rows) - 1.0)
+    samples = np.random.default_rng(3).normal(size=(rows, 3)) * 1e-4
+    samples += np.outer(celsius - 30.0, [1e-4, 2e-4, -3e-4])
+    columns = np.column_stack([np.arange(rows), samples, celsius])
+    lines = [','.join(f'{value:.9g}' for value in row) for row in columns]
+    return '\n'.join(['t_s,gx [rad/s],gy [rad/s],gz [rad/s],temp [degC]', *lines, ''])
+
+
+def test_the_bias_over_temperature_is_in_results_file_and_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, folder = tmp_path / 'a.csv', tmp_path / 'results'
+    table.write_text(heated())
+    assert main(['analyze', str(table), '-o', str(folder), '--export', 'temperature']) == 0
+    text = capsys.readouterr().out
+    assert 'gyro bias from 25.0 to 35.0 degC: x 20.' in text and '100 % of the drift' in text
+    results = ar.load(folder)
+    for axis, slope in zip(results, (1e-4, 2e-4, -3e-4)):
+        model = results[axis].temperature
+        assert model is not None and model.resolved and model.reference == 30.0
+        assert model.b1 == pytest.approx(slope, rel=0.02)
+    written = yaml.safe_load((folder / 'temperature.yaml').read_text())
+    assert written['gyro_b1'] == pytest.approx([1e-4, 2e-4, -3e-4], rel=0.02)
+    assert list(written) == ['reference', 'gyro_b0', 'gyro_b1', 'gyro_b2']
+    # the sums do not contain the temperature
+    assert ar.load(folder / 'sums.json')['gyro_x'].temperature is None
+
+
+def test_readings_on_another_clock_are_placed_by_their_record_times() -> None:
+    stamps = np.arange(5) * NS
+    traces = (
+        TemperatureTrace('/boot', stamps, stamps + 100 * NS, np.arange(5.0)),
+        None,
+        TemperatureTrace('/imu', stamps + 200 * NS, stamps, np.arange(5.0) + 10.0),
+    )
+    used = Provenance(segments=(Segment(100 * NS, 10, 5.0), Segment(200 * NS, 10, 5.0)))
+    times, celsius = RecordingSums('', (), used, temperatures=traces).temperature_readings()
+    assert times.tolist() == [*(stamps + 100 * NS), *(stamps + 200 * NS)]
+    assert celsius.tolist() == [*range(5), *range(10, 15)]

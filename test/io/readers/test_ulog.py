@@ -147,3 +147,45 @@ def test_real_instances(shared_data: Path, read: Any) -> None:
         assert len(back.stamps_ns) == 12
         assert 9.4 < np.linalg.norm(back.samples[:, 3:].mean(axis=0)) < 10.2
         assert 'log_decimated' in [finding.id for finding in back.findings]
+
+
+GYRO_FORMAT = 'sensor_gyro:uint64_t timestamp;uint32_t device_id;float temperature;'
+SELECTION_FORMAT = 'sensor_selection:uint64_t timestamp;uint32_t gyro_device_id;'
+
+
+@pytest.mark.parametrize(
+    ('selected', 'instances', 'expected'),
+    [
+        (8, (7, 8), ('sensor_gyro:1', 38.0)),  # that of the gyro in use
+        (9, (7, 8), None),
+        (None, (7, 8), None),  # one of two, unknown which
+        (None, (7,), ('sensor_gyro', 37.0)),
+        (None, (), None),
+    ],
+)
+def test_the_temperature_is_that_of_the_same_gyro(
+    selected: int | None,
+    instances: tuple[int, ...],
+    expected: tuple[str, float] | None,
+    tmp_path: Path,
+    read: Any,
+) -> None:
+    def warm(i: int, device: int) -> bytes:
+        return struct.pack('<QIf', START_US + 10_000 * i, device, 30.0 + device + i)
+
+    topics = [(COMBINED_FORMAT, 'sensor_combined', 0, [combined(i) for i in range(6)])]
+    topics += [
+        (GYRO_FORMAT, 'sensor_gyro', k, [warm(i, device) for i in range(3)])
+        for k, device in enumerate(instances)
+    ]
+    if selected is not None:
+        one = struct.pack('<QI', START_US, selected)
+        topics.append((SELECTION_FORMAT, 'sensor_selection', 0, [one]))
+    (tmp_path / 'a.ulg').write_bytes(log(topics))
+    trace = read(tmp_path / 'a.ulg').recording.temperature('')
+    if expected is None:
+        assert trace is None
+        return
+    source, first = expected
+    assert trace.source == source and trace.celsius.tolist() == [first, first + 1.0, first + 2.0]
+    assert trace.header_ns.tolist() == [(START_US + 10_000 * i) * 1000 for i in range(3)]
