@@ -91,6 +91,8 @@ class Results:
     True
     >>> results.measured['gyro_x'].curve is results['gyro_x'].curve
     True
+    >>> results.temperature_models  # no temperature was recorded
+    {}
     >>> results.export('kalibr').splitlines()[-1]
     'update_rate: 50.0'
     """

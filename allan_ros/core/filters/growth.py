@@ -40,6 +40,9 @@ SLOW_SINUSOID_HZ = 0.1
 """Sinusoids up to this frequency are treated as drift of the sensor (temperature cycles); faster
 ones as motion."""
 
+LARGEST_ERROR = 1e150
+"""Largest error of a ramp in the unit of the samples times s; its square is a float."""
+
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
 """Prediction horizons of `growth_table` and averaging time of the bias before them, in s."""
@@ -230,7 +233,8 @@ def growth_parts(
         yield 'K', terms.K**2 * _unit_error(_walk, h, w, integrals)
     if terms.R:
         ramp = h * (h + w) / 2.0 if integrals == 1 else h * h * (h / 6.0 + w / 4.0)
-        yield 'R', (terms.R * ramp) ** 2
+        # bounded, because a document may state any R
+        yield 'R', np.minimum(abs(terms.R) * ramp, LARGEST_ERROR) ** 2
     # the kernels are in units of tau: the variance of theta scales with tau^2, and the variance of
     # its integral with tau^4
     scaled = [

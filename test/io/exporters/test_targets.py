@@ -117,7 +117,7 @@ def test_strict_refuses_a_poor_reduction(known_results: Results) -> None:
     assert make_export(known, 'state_space', options).text
 
 
-WHOLE = {'state_space', 'isaac_sim', 'webots', 'gazebo'}
+WHOLE = {'state_space', 'isaac_sim', 'webots', 'gazebo', 'temperature'}
 """Targets that always have a number per axis."""
 
 
