@@ -105,23 +105,22 @@ def test_the_page_is_self_contained_and_runs_only_its_own_scripts(small_results:
 
 
 def test_texts_of_a_recording_stay_text(small_results: Results) -> None:
-    finding = Finding('x', 'warning', HOSTILE, HOSTILE, ('gyro_x',))
     source = SourceInfo(HOSTILE, HOSTILE, HOSTILE, HOSTILE)
-    provenance = replace(small_results.provenance, sources=(source,), settings={HOSTILE: HOSTILE})
     results = replace(
         small_results,
         identity=ImuIdentity(HOSTILE, HOSTILE),
-        findings=(finding,),
-        provenance=provenance,
+        findings=(Finding('x', 'warning', HOSTILE, HOSTILE, ('gyro_x',)),),
+        provenance=replace(
+            small_results.provenance, sources=(source,), settings={HOSTILE: HOSTILE}
+        ),
         method=HOSTILE,
+        baselines={HOSTILE: small_results},
     )
-    results = replace(results, baselines={HOSTILE: small_results})
     extras = replace(everything(results), method={HOSTILE: HOSTILE})
     plain = Page(render_report(small_results, everything(small_results), 'deg/h'))
     page = Page(render_report(results, extras, 'deg/h'))
-    assert len(page.scripts) == len(plain.scripts)
+    assert (len(page.scripts), page.policy) == (len(plain.scripts), plain.policy)
     assert page.text.count('alert(1)') >= 8
-    assert page.policy == plain.policy
     assert data_of(page)['sensors'][0]['references'][0]['name'] == HOSTILE
 
 
@@ -149,9 +148,8 @@ def test_the_page_is_complete_with_an_absent_sensor_and_an_empty_curve(
 ) -> None:
     gyro = {name: axis for name, axis in small_results.axes.items() if name != 'accel_z'}
     x = gyro['gyro_x']
-    assert x.curve is not None
-    zero = np.zeros(len(x.curve.m))
-    gyro['gyro_x'] = replace(x, curve=replace(x.curve, adev=zero, ci_low=zero, ci_high=zero))
+    zero = dict.fromkeys(('adev', 'ci_low', 'ci_high'), np.zeros(len(x.curve.m)))
+    gyro['gyro_x'] = replace(x, curve=replace(x.curve, **zero))
     gyro['gyro_y'] = replace(gyro['gyro_y'], curve=None)
     for axes in (gyro, {'accel_y': small_results.axes['accel_y']}, {}):
         results = replace(small_results, axes=axes)
@@ -162,9 +160,7 @@ def test_the_page_is_complete_with_an_absent_sensor_and_an_empty_curve(
 def test_charts_contain_si_values_and_factors(small_results: Results) -> None:
     chart = sensor_charts(small_results, 'accel', None)
     curve = small_results.axes['accel_y'].curve
-    assert curve is not None
-    assert np.allclose(chart['tau'], curve.tau, rtol=1e-4)
-    assert np.allclose(chart['axes'][1]['adev'], curve.adev, rtol=1e-4)
+    assert np.allclose([chart['tau'], chart['axes'][1]['adev']], [curve.tau, curve.adev], rtol=1e-4)
     assert chart['units']['deg/h']['curve'] == ['µg', pytest.approx(1.0 / 9.80665e-6)]
     assert chart['units']['SI']['N'] == ['m/s²/√Hz', 1.0]
 
