@@ -90,37 +90,6 @@ def test_a_data_frame_by_name_and_date(noise: np.ndarray) -> None:
     assert len(r.table()) == 15
 
 
-@pytest.mark.parametrize(
-    ('source', 'options', 'said'),
-    [
-        (np.zeros((100, 4)), {'rate': 10}, 'name them'),
-        (
-            np.zeros((100, 2)),
-            {'rate': 10, 'axes': ['gyro_x', 'gyro_x']},
-            'name one axis per column',
-        ),
-        (np.zeros(100), {'rate': 10, 'axes': 'gyro'}, '1 columns, but 3 axes'),
-        (np.zeros(100), {'rate': 10, 'axes': 'yaw'}, "axis 'yaw' is unknown"),
-        (np.zeros((10, 3, 2)), {'rate': 10}, 'shape'),
-        (np.zeros(100), {}, 'rate=200'),
-        (np.zeros(100), {'rate': -5.0}, 'rate'),
-        (np.zeros(0), {'rate': 10}, 'no samples'),
-        (np.zeros(100), {'rate': 10, 'gyro_unit': 'furlong'}, 'gyro_unit is'),
-        ({'time': np.arange(5.0), 'x': np.zeros(5)}, {}, 'is an axis: name them'),
-        ({'time': np.array([0, np.nan]), 'gx': np.zeros(2)}, {}, 'time of row 1 is not'),
-        ({'gx': np.zeros(5), 'gy': np.zeros(6)}, {'rate': 5}, 'different lengths'),
-        (object(), {'rate': 10}, 'not numbers'),
-        (np.zeros(100), {'rate': 10, 'motion_gat': False}, 'use motion_gate'),
-        (np.zeros(100), {'rate': 10, 'method': 'wls'}, 'method is'),
-        ('nowhere.mcap', {}, 'no such file'),
-        (np.full(100, np.nan), {'rate': 10}, 'no static data'),
-    ],
-)
-def test_wrong_sources_are_rejected_in_one_line(source: object, options: dict, said: str) -> None:
-    with pytest.raises(ar.AllanError, match=said):
-        ar.analyze(source, **options)
-
-
 def test_adev_of_one_and_several_columns(noise: np.ndarray) -> None:
     one, several = ar.adev(noise[:, 0], rate=RATE), ar.adev(noise, rate=RATE)
     assert one.adev.shape == one.tau.shape
@@ -130,9 +99,6 @@ def test_adev_of_one_and_several_columns(noise: np.ndarray) -> None:
     # overlapping differences of m = 1, by definition
     y = noise[:, 0]
     assert one.adev[0] == pytest.approx(np.sqrt(np.mean(np.diff(y) ** 2) / 2.0), rel=1e-12)
-    for wrong in (np.array([1.0, np.nan]), np.zeros((2, 2, 2)), np.zeros(1)):
-        with pytest.raises(ar.AllanError):
-            ar.adev(wrong)
 
 
 def test_adev_agrees_with_allantools(noise: np.ndarray) -> None:
@@ -152,12 +118,6 @@ def test_quantities_change_units(results: ar.Results) -> None:
         n.to('ug')
     limits = [results[a].quantity(t) for a in results for t in 'QBKR']
     assert any(q.value is None and repr(q).startswith('< ') for q in limits)
-
-
-def test_axes_are_found_by_name(results: ar.Results) -> None:
-    assert 'gyro_z' in results and 'gyro' not in results
-    with pytest.raises(ar.AllanError, match='choose one of gyro_x'):
-        results['yaw']
 
 
 def test_a_summary_names_every_axis_without_control_characters(results: ar.Results) -> None:
@@ -193,34 +153,20 @@ def test_files(results: ar.Results, tmp_path: Path) -> None:
             fails()
 
 
-def test_a_curve_of_another_tool_is_fitted(noise: np.ndarray) -> None:
+def test_a_curve_of_another_tool_is_fitted() -> None:
     curve = ar.adev(np.random.default_rng(5).normal(scale=1e-3, size=60_000), rate=RATE)
     for given in (curve, (curve.tau, curve.adev)):
         axis = ar.fit(given, axis='accel_y', record=600.0)
         assert axis.N.value == pytest.approx(1e-4, rel=0.05)
         assert axis.N.to('m/s/sqrt(h)').unit == 'm/s/sqrt(h)'
-    for wrong in (
-        ([1.0, 2.0], [1.0]),
-        ([0.0, 1.0], [1.0, 1.0]),
-        ([], []),
-        ([1.0, 2.0], [1.0, 0.7]),
-        ar.adev(noise),
-    ):
-        with pytest.raises(ar.AllanError):
-            ar.fit(wrong)
-    with pytest.raises(ar.AllanError, match="axis is 'yaw'"):
-        ar.fit(curve, axis='yaw')
 
 
 def test_merge_is_the_analysis_of_all() -> None:
     parts = [ar.simulate(hours=0.05, rate=50, seed=i) for i in range(2)]
     one, two = (ar.analyze(part, **QUICK) for part in parts)
-    merged = ar.merge(one, two, **QUICK)
-    assert merged.samples == sum(len(part) for part in parts)
+    assert ar.merge(one, two, **QUICK).samples == sum(len(part) for part in parts)
     with pytest.raises(ar.AllanError, match='give each recording once'):
         ar.merge(one, one)
-    with pytest.raises(ar.AllanError, match='nothing to merge'):
-        ar.merge()
 
 
 def test_a_comparison_keeps_its_margin_until_another_is_stated(tmp_path: Path) -> None:
@@ -235,61 +181,17 @@ def test_a_comparison_keeps_its_margin_until_another_is_stated(tmp_path: Path) -
     assert ar.merge(lenient, **QUICK).datasheet is None
 
 
-def test_compare_detects_a_noisy_run(results: ar.Results) -> None:
-    noisy = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
-    comparison = ar.compare(results, noisy, labels=['before', 'after'], sensor='adis16475-3')
-    assert comparison.differs
-    assert comparison.runs[1].label == 'after'
-    assert 'after' in repr(comparison) and 'before' in repr(comparison)
-
-
-def test_simulated_noise_is_stated() -> None:
-    batch = ar.simulate(hours=0.01, rate=100, preset='', accel={'N': 0.02})
-    assert batch.samples.shape == (3600, 6)
-    assert not batch.samples[:, :3].any() and batch.samples[:, 3:].std() > 0
-    for options, said in (
-        ({'preset': 'nope'}, 'preset'),
-        ({'low_pas': 3.0}, 'use low_pass'),
-        ({'hours': -1}, 'must lie between 0 and'),
-        ({'gyro': [{'N': 1.0}]}, 'one mapping of terms, or three'),
-        ({'gyro': 'N'}, 'one mapping of terms, or three'),
-        ({'gyro': {'z': 1.0}}, 'noise.gyro_z is 1.0: an object'),
-    ):
-        with pytest.raises(ar.AllanError, match=said):
-            ar.simulate(**options)
-
-
 def test_each_axis_may_have_its_own_noise() -> None:
     def simulated(**noise: Any) -> np.ndarray:
         return ar.simulate(hours=0.01, rate=100, preset='', **noise).samples
 
     three = simulated(gyro=[{'N': 0.1}, {'N': 0.2}, {}])
     same = simulated(gyro={'N': 0.1})
+    assert three.shape == (3600, 6) and not three[:, 2].any()
     np.testing.assert_array_equal(three[:, 0], same[:, 0])
     np.testing.assert_allclose(three[:, 1], 2.0 * same[:, 1], rtol=1e-9)
-    assert not three[:, 2].any()
     one = simulated(gyro={'N': 0.1}, accel={'z': {'N': 0.02}})
     assert not one[:, 3:5].any() and one[:, 5].std() > 0
-
-
-@pytest.mark.parametrize(
-    'call, message',
-    [
-        (lambda w: ar.analyze(w, rate='100'), "rate is '100': a number is expected"),
-        (lambda w: ar.analyze(w, rate=100, margin='a'), "margin is 'a': a number is expected"),
-        (lambda w: ar.analyze(w, rate=100, skip='x'), "skip is 'x': a number is expected"),
-        (lambda w: ar.analyze(w, rate=100, motion_gate=3), 'motion_gate is 3: True or False is'),
-        (lambda w: ar.analyze(w, rate=100, columns='gx'), "columns is 'gx': a list is expected"),
-        (lambda w: ar.analyze(w, rate=100, gyro_unit='g'), 'choose one of rad/s, mrad/s'),
-        (lambda w: ar.analyze(w + 1j, rate=100), 'the samples are not numbers .complex values'),
-        (lambda w: ar.analyze(w, rate=100, skp=3), "option 'skp' is unknown: use skip"),
-        (lambda w: ar.adev(['a', 'b']), 'the samples are not numbers'),
-    ],
-)
-def test_a_wrong_argument_of_an_analysis_gives_one_line(call, message):
-    with pytest.raises(ar.AllanError, match=message) as error:
-        call(np.random.default_rng(0).normal(size=100))
-    assert '\n' not in str(error.value)
 
 
 def test_auto_is_accepted_in_python() -> None:
@@ -301,13 +203,9 @@ def test_auto_is_accepted_in_python() -> None:
     assert named.provenance.settings == default.provenance.settings
 
 
-def test_results_are_compared_with_an_earlier_run_at_once(results: ar.Results) -> None:
+def test_results_are_compared_with_an_earlier_run_at_once() -> None:
     white = np.random.default_rng(0).normal(scale=0.01, size=20_000)
     before = ar.analyze(white, rate=100, axes='gyro_z')
-    louder = ar.analyze(1.5 * white[::-1], rate=100, axes='gyro_z', baseline=before)
-    assert louder.verdict.level == 'failed'
-    assert (
-        ar.analyze(white[::-1], rate=100, axes='gyro_z', baseline=before).verdict.level != 'failed'
-    )
-    with pytest.raises(ar.AllanError, match=r'option .foo. is unknown'):
-        results.export('kalibr', foo=3)
+    for factor in (1.0, 1.5):
+        after = ar.analyze(factor * white[::-1], rate=100, axes='gyro_z', baseline=before)
+        assert (after.verdict.level == 'failed') == (factor > 1.0)
