@@ -326,7 +326,7 @@ def _fitted(
     middles = against.values.mean(axis=0)
     return {
         'fits': [rounded(curve - curve.mean() + m) for curve, m in zip(curves, middles)],
-        'text': {units: temperature_text(models, units) for units in UNIT_SYSTEMS},
+        'text': {u: pretty_unit(temperature_text(models, u)) for u in UNIT_SYSTEMS},
     }
 
 
