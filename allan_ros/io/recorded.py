@@ -279,9 +279,11 @@ class Silent(Observer):
 def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iterator[RecordingSums]:
     """Read the recordings one after the other, in this process."""
     # All are opened before the first is read, so that a wrong name is reported at once.
-    recordings = [job.open() for job in jobs]
-    for recording in recordings[1:]:
-        recording.close()
+    recordings: list[Recording] = []
+    for job in jobs:
+        recordings.append(job.open())
+        if recordings[1:]:
+            recordings[-1].close()
     for job, recording in zip(jobs, recordings):
         bar = observer.progress(job.path, recording.messages)
         with observer.timed(f'read {job.path}'), bar as progress:

@@ -67,6 +67,14 @@ def test_rate_and_units_are_stated(tmp_path: Path, read: Any) -> None:
     np.testing.assert_array_equal(back.samples, IMU[:, 1:] * scale)
 
 
+def test_a_closed_recording_is_loaded_again(tmp_path: Path, read: Any) -> None:
+    np.save(tmp_path / 'imu.npy', IMU)
+    found = read(tmp_path / 'imu.npy').recording
+    for _ in range(2):
+        found.close()
+        np.testing.assert_array_equal(joined(list(found.batches())).samples, IMU[:, 1:])
+
+
 @pytest.mark.parametrize(
     'columns, options, axes',
     [
