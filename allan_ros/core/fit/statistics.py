@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.cascade import MAX_INTERPOLATED
-from ..allan.octaves import octave, tapers
+from ..allan.octaves import LONGEST_BLOCK, SAMPLE_OCTAVES, bins_up_to, octave, tapers
 from ..allan.spectra import pooled_spectra
 from ..allan.sums import LONGEST_FILLED, AllanSums
 from ..noise import gamma_of
@@ -46,21 +46,32 @@ EQUAL_LENGTHS = 8
 divided into pieces of a few lengths."""
 
 
-@lru_cache(maxsize=64)
-def _kernel(o: int) -> Floats:
-    """Return the matrix, (bins, lags), that turns gamma(M, lags) into the expected power."""
-    _, size, bins = octave(o)
-    a = tapers(size, bins)
-    r = np.fft.ifft(np.abs(np.fft.fft(a, 2 * size)) ** 2).real[:, :size]
-    r[:, 1:] *= 2.0
-    return np.asarray(r)
+@lru_cache
+def _kernels() -> tuple[Floats, Floats]:
+    """Return the matrices, (bins, lags), that turn gamma(M, lags) into the expected power.
+
+    The first one is for the octaves of samples, the second for each octave of means.
+    """
+
+    def kernel(o: int) -> Floats:
+        _, size, bins = octave(o)
+        a = tapers(size, bins)
+        r = np.fft.ifft(np.abs(np.fft.fft(a, 2 * size)) ** 2).real[:, :size]
+        r[:, 1:] *= 2.0
+        return np.pad(r, ((0, 0), (0, LONGEST_BLOCK - size)))
+
+    return np.concatenate([kernel(o) for o in range(SAMPLE_OCTAVES)]), kernel(SAMPLE_OCTAVES)
 
 
 @lru_cache(maxsize=4096)
-def expected_power(component: Component, o: int) -> Floats:
-    """Return the expected power of unit noise in the bins of an octave."""
-    means, size, _ = octave(o)
-    return np.asarray(_kernel(o) @ gamma_of(*component)(means, np.arange(size)))
+def expected_power(component: Component, octaves: int) -> Floats:
+    """Return the expected power of unit noise in the bins of the first octaves."""
+    means = max(octaves - SAMPLE_OCTAVES, 0)
+    step = 1 << np.arange(means + 1)
+    gamma = gamma_of(*component)(step[:, None], np.arange(LONGEST_BLOCK))
+    of_samples, of_means = _kernels()
+    power = np.append(of_samples @ gamma[0], gamma[1:] @ of_means.T)
+    return np.asarray(power[: bins_up_to(octaves)])
 
 
 @lru_cache(maxsize=64)
@@ -75,13 +86,25 @@ def contrasts(points: int, high: int) -> Floats:
     return np.asarray(q[:, 1:])
 
 
-@lru_cache(maxsize=128)
+@lru_cache(maxsize=8)
+def _transformed(points: int, high: int) -> Floats:
+    """Return the Fourier transform of the contrasts, real and imaginary parts, (rows, contrasts).
+
+    The sum of its squares, weighted with the eigenvalues of a circulant matrix of twice as many
+    points, is the covariance of the contrasts.
+    """
+    f = np.fft.rfft(contrasts(points, high), 2 * points, axis=0) / math.sqrt(points)
+    f[[0, -1]] *= math.sqrt(0.5)
+    return np.concatenate([f.real, f.imag])
+
+
+@lru_cache(maxsize=512)
 def _low_covariance(component: Component, step: int, points: int, high: int) -> Floats:
     """Return the covariance of the contrasts of block means for unit noise."""
-    from scipy.linalg import toeplitz  # slow to import
-
-    v = contrasts(points, high)
-    return np.asarray(v.T @ toeplitz(gamma_of(*component)(step, np.arange(points))) @ v)
+    gamma = gamma_of(*component)(step, np.arange(points))
+    eigenvalues = np.fft.rfft(np.concatenate([gamma, gamma[-1:], gamma[:0:-1]])).real
+    v = _transformed(points, high)
+    return np.asarray(v.T @ (np.tile(eigenvalues, 2)[:, None] * v))
 
 
 class Group(NamedTuple):
@@ -150,8 +173,7 @@ class Statistics:
 
     def power_of(self, component: Component) -> Floats:
         """Return the expected power of the bins for unit noise without interpolated samples."""
-        power = [expected_power(component, o) for o in range(self.octaves)]
-        return np.concatenate(power) if power else np.zeros(0)
+        return expected_power(component, self.octaves)
 
     def column(self, component: Component, axis: int = 0) -> Column:
         """Return the expectation for unit noise of a component of an axis.
