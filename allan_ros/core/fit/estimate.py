@@ -236,6 +236,7 @@ def _result(
 ) -> Estimate:
     """Return intervals and the complete vector of the selected model."""
     data = rules.data
+    fit = data.solve(fit.components, fit.columns, fit.p, signed=rules.signed)
     parts = list(_deviances(data, fit).values()) if len(data.power) else []
     shaped = [
         (k, at)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .likelihood import AxisData, Fit
+from .likelihood import AxisData, Fit, inverse
 from .limits import LEVEL_95
 
 
@@ -27,30 +27,30 @@ def profile_interval(data: AxisData, fit: Fit, i: int) -> Interval:
     All other coefficients are fitted again at each value. It is the set of values whose
     -2 log L exceeds the minimum by at most 3.84.
     """
-    last = fit.p
     estimate = float(fit.p[i])
+    on = np.union1d(fit.free, [i])
+    covariance = inverse(fit.information[np.ix_(on, on)])[:, int(np.searchsorted(on, i))]
+    error = math.sqrt(covariance[np.searchsorted(on, i)])
 
     def distance(value: float) -> float:
-        nonlocal last
+        start = fit.p.copy()
+        start[on] += covariance / error**2 * (value - estimate)
+        start = np.where(np.isin(np.arange(len(start)), fit.signed), start, np.maximum(start, 0.0))
         new = data.solve(
-            fit.components, fit.columns, last, {i: value}, fit.signed, rounds=10, tolerance=1e-2
+            fit.components, fit.columns, start, {i: value}, fit.signed, rounds=10, tolerance=1e-2
         )
         if not math.isfinite(new.value):
             return 1e3
-        last = new.p
         return math.sqrt(max(new.value - fit.value, 0.0))
 
     z = math.sqrt(LEVEL_95)
-    error = standard_error(fit, i)
     if i in fit.signed:
         return Interval(estimate - z * error, estimate + z * error, 0.0)
     at_zero = distance(0.0) if estimate < 20.0 * error else 20.0
     low = 0.0
     if at_zero > z:
-        last = fit.p
         least = max(estimate - 4.0 * error, 0.0)
         low = _crossing(distance, z, estimate, least, at_zero if least == 0.0 else 4.0)
-    last = fit.p
     high = estimate + 2.0 * error
     at_high = distance(high)
     while at_high < z and high < 1e12:

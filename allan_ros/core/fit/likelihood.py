@@ -31,7 +31,7 @@ RIDGE = 1e-9
 """Relative ridge of the information matrix: coefficients that the data cannot tell apart share
 their variance instead of making the matrix singular."""
 
-TANGENT_STEP = {'time': 0.05, 'frequency': 0.002}
+TANGENT_STEP = {'time': 1e-3, 'frequency': 1e-4}
 """Step in the logarithm of a number of a shape for the derivative of the expectation."""
 
 
@@ -167,13 +167,10 @@ class AxisData:
         low = [[each.low[g] for each in columns] for g in range(len(self.low))]
         for i, at in tangents:
             h = TANGENT_STEP[PROCESS_TYPES[components[i][0]].shape[at]]
-            above, below = (
-                self.statistics.column(moved(components[i], at, sign * h), self.axis)
-                for sign in (1.0, -1.0)
-            )
-            power.append((above.power - below.power) / (2.0 * h))
-            for group, a, b in zip(low, above.low, below.low):
-                group.append((a - b) / (2.0 * h))
+            above = self.statistics.column(moved(components[i], at, h), self.axis)
+            power.append((above.power - power[i]) / h)
+            for group, a in zip(low, above.low):
+                group.append((a - group[i]) / h)
         return Columns(np.array(power).T[self.used], [np.array(group)[:, 1:, 1:] for group in low])
 
     def moments(self, columns: Columns, p: Floats) -> tuple[float, Floats, Floats] | None:
@@ -260,15 +257,18 @@ class AxisData:
                 (moment - information[:, fixed] @ p[fixed])[free],
                 sign,
             )
+            d = new - p
+            expected = float(d @ (2.0 * (moment - information @ p) - information @ d))
+            if expected < tolerance and np.all(columns.power @ new > 0.0):
+                p, state = new, (value - expected, information, moment)
+                break
             size, trial = 1.0, self.moments(columns, new)
             while size > 0.01 and (trial is None or trial[0] > value + 1e-6):
                 size /= 2.0
-                trial = self.moments(columns, p + size * (new - p))
+                trial = self.moments(columns, p + size * d)
             if size <= 0.01 or trial is None:
                 break
-            p, state = p + size * (new - p), trial
-            if value - state[0] < tolerance and size == 1.0:
-                break
+            p, state = p + size * d, trial
         return Fit(tuple(components), p, state[0], columns, signed, state[1], state[2])
 
 

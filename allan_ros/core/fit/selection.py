@@ -10,7 +10,7 @@ shape is moved along its derivative, and it is kept if the gain exceeds the thre
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -42,6 +42,9 @@ its alias matters."""
 BANDWIDTHS = (1.0, 3.0)
 """Correlation times of the candidates with a frequency, in periods. Shorter ones than the first are
 not allowed: they imitate a low-pass filter."""
+
+TOLERANCE = 0.03
+"""Change of -2 log L below which the fit of a candidate ends."""
 
 PROMISING = 0.4
 """Share of its threshold that the approximate gain of a candidate must reach to be fitted."""
@@ -156,9 +159,8 @@ class Candidates:
             cross[:n] += 0.5 * group.segments * np.tensordot(e, vd, ((1, 2), (1, 2)))
             score[slow] += 0.5 * np.sum((w @ h) * w, (1, 2))
             own[slow] += 0.5 * group.segments * np.sum((w @ v @ w.transpose(0, 2, 1)) ** 2, (1, 2))
-            cross[slow] += (
-                0.5 * group.segments * np.einsum('fpk,ckl,fpl->fc', w, vd, w, optimize=True)
-            )
+            flat = (w[:, :, :, None] * w[:, :, None, :]).sum(1).reshape(len(w), -1)
+            cross[slow] += 0.5 * group.segments * (flat @ vd.reshape(len(vd), -1).T)
         on = fit.free
         size = np.sqrt(np.maximum(np.diag(fit.information)[on], 1e-300))
         known = fit.information[np.ix_(on, on)] / np.outer(size, size) + 1e-9 * np.eye(len(on))
@@ -204,11 +206,9 @@ class Selection:
         search = 2.0 * math.log(bins) * ('frequency' in shape)
         return GAIN_PROCESS + search + GAIN_RESOLVED * (len(shape) - 1)
 
-    def fit(
-        self, components: Sequence[Component], p: Floats | None = None, tolerance: float = 1e-4
-    ) -> Fit:
+    def fit(self, components: Sequence[Component], p: Floats | None = None) -> Fit:
         """Return the fit of some components."""
-        return self.data.solve(components, None, p, signed=self.signed, tolerance=tolerance)
+        return self.data.solve(components, None, p, signed=self.signed, tolerance=TOLERANCE)
 
     def selected(self, start: Fit | None = None) -> Fit:
         """Return the fit with all processes that exceed their threshold.
@@ -230,8 +230,6 @@ class Selection:
             if fit.components[-1][0] == 'sinusoid':
                 rules = self.weighed(fit)
                 fit = rules.fit(fit.components, fit.p)
-            for k in range(len(self.base), len(fit.p) - 1):
-                fit = rules.refined(fit, k, 2)
         return rules._without_superfluous(fit)
 
     def _with_one_more(self, fit: Fit) -> Fit | None:
@@ -240,7 +238,7 @@ class Selection:
         if self._aliased(fit):
             first = len(self.candidates.times)
             gains[first : first + self.candidates.slow] = 0.0
-        best, most = None, 0.0
+        best, most = None, -math.inf
         at = 0
         for each in self.candidates.by_kind:
             part = gains[at : at + len(each)]
@@ -250,14 +248,17 @@ class Selection:
                 continue
             seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
             new = self.fit((*fit.components, each[int(part.argmax())]), np.append(fit.p, seed))
-            new = self.refined(new, len(fit.p))
-            _, *shape = new.components[-1]
-            if len(shape) > 1 and shape[1] >= 0.99 * self.candidates.narrowest(shape[0]):
-                continue
+            new = self.refined(new, [len(fit.p)], 3)
             over = fit.value - new.value - self.threshold(kind)
             if over > most:
                 best, most = new, over
-        return best
+        if best is None:
+            return None
+        best = self.refined(best, range(len(self.base), len(best.p)))
+        kind, *shape = best.components[-1]
+        if len(shape) > 1 and shape[1] >= 0.99 * self.candidates.narrowest(shape[0]):
+            return None
+        return best if fit.value - best.value > self.threshold(kind) else None
 
     def _without_superfluous(self, fit: Fit) -> Fit:
         """Remove processes that later ones have made superfluous.
@@ -281,46 +282,57 @@ class Selection:
             k += 1
         return fit
 
-    def refined(self, fit: Fit, k: int, rounds: int = 12) -> Fit:
-        """Move the shape of the component ``k`` along its derivative while the likelihood grows."""
-        longest = self.data.statistics.longest
-        bounds = {'time': (self.shortest, 4.0 * longest), 'frequency': (0.5 / longest, 0.499)}
+    def refined(self, fit: Fit, which: Iterable[int], rounds: int = 8) -> Fit:
+        """Move the shapes of some components while the likelihood grows.
+
+        A step of Fisher scoring of all coefficients and shapes together gives the direction.
+        """
+        which = list(which)
         for _ in range(rounds):
-            if fit.p[k] <= 0.0:
-                break
-            n, shape = len(fit.p), PROCESS_TYPES[fit.components[k][0]].shape
+            n = len(fit.p)
+            shapes = [
+                (k, at)
+                for k in which
+                if fit.p[k] > 0.0
+                for at in range(len(fit.components[k]) - 1)
+            ]
             full = self.data.solve(
                 fit.components,
-                self.data.columns(fit.components, [(k, at) for at in range(len(shape))]),
-                np.append(fit.p, np.zeros(len(shape))),
-                signed=(*self.signed, *range(n, n + len(shape))),
-                rounds=4,
-                tolerance=1e-2,
+                self.data.columns(fit.components, shapes),
+                np.append(fit.p, np.zeros(len(shapes))),
+                signed=(*self.signed, *range(n, n + len(shapes))),
+                rounds=1,
+                tolerance=math.inf,
             )
-            most = [LONGEST_MOVE[each] for each in shape]
-            move = np.clip(full.p[n:] / max(full.p[k], 1e-300), np.negative(most), most)
+            if not fit.value - full.value > TOLERANCE:
+                break
             before = fit.value
-            for _ in range(3):
-                kind, *numbers = fit.components[k]
-                for at, each in enumerate(shape):
-                    low, high = bounds[each]
-                    if each == 'time' and len(shape) > 1:
-                        low = BANDWIDTHS[0] / numbers[0]
-                        high = max(self.candidates.narrowest(numbers[0]), low)
-                    numbers[at] = min(max(numbers[at] * math.exp(move[at]), low), high)
-                new = self._replaced(fit, k, (kind, *numbers))
+            for size in (1.0, 0.3, 0.1):
+                components = list(fit.components)
+                for (k, at), slope in zip(shapes, full.p[n:]):
+                    components[k] = self._moved(components[k], at, size * slope / fit.p[k])
+                p = np.maximum(fit.p + size * (full.p[:n] - fit.p), 1e-6 * fit.p)
+                new = self.fit(components, p)
                 if new.value < fit.value:
                     fit = new
                     break
-                move = move * 0.3
-            if before - fit.value < 0.05:
+            if before - fit.value < TOLERANCE:
                 break
         return fit
 
-    def _replaced(self, fit: Fit, k: int, component: Component) -> Fit:
-        """Return the fit with another component ``k``."""
-        components = (*fit.components[:k], component, *fit.components[k + 1 :])
-        return self.fit(components, fit.p, tolerance=1e-3)
+    def _moved(self, component: Component, at: int, step: float) -> Component:
+        """Return a component of which the logarithm of one number of its shape is changed."""
+        kind, *shape = component
+        meaning, longest = PROCESS_TYPES[kind].shape[at], self.data.statistics.longest
+        low, high = (
+            (self.shortest, 4.0 * longest) if meaning == 'time' else (0.5 / longest, 0.499)
+        )
+        if at > 0:
+            low = BANDWIDTHS[0] / shape[0]
+            high = max(self.candidates.narrowest(shape[0]), low)
+        most = LONGEST_MOVE[meaning]
+        shape[at] = min(max(shape[at] * math.exp(min(max(step, -most), most)), low), high)
+        return (kind, *shape)
 
     def _aliased(self, fit: Fit) -> bool:
         """Return whether the alias of a fast sinusoid in the block means is comparable to noise.
@@ -344,13 +356,18 @@ class Selection:
         """
         if fit.p[K] <= 0.0 or self._aliased(fit):
             return fit
-        tries = []
+        best = new = fit
         for time in self.data.statistics.longest / 2.0 ** np.arange(0, 11, 2):
             components = list(fit.components)
             components[K] = ('bounded_walk', float(time))
-            tries.append(self.fit(components, fit.p, 1e-2))
-        new = self.refined(min(tries, key=lambda each: each.value), K)
-        return new if fit.value - new.value > GAIN_BOUNDED else fit
+            new = self.fit(components, new.p)
+            if new.value > best.value + GAIN_BOUNDED:
+                break
+            best = min(best, new, key=lambda each: each.value)
+        if fit.value - best.value < PROMISING * GAIN_BOUNDED:
+            return fit
+        best = self.refined(best, [K])
+        return best if fit.value - best.value > GAIN_BOUNDED else fit
 
     def weighed(self, fit: Fit | None) -> Selection:
         """Reduce the weight of bins that sinusoids dominate.
