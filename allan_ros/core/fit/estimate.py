@@ -18,7 +18,16 @@ import numpy as np
 from ..allan.octaves import octave
 from .intervals import Interval, RampEstimate, profile_interval, ramp_estimate
 from .likelihood import TERMS, AxisData, Fit, inverse
-from .limits import CURVATURE, GAIN_RESOLVED, LACK_OF_FIT, LEAST_BINS, LOST_POWER, WHITE_NOISE
+from .limits import (
+    CURVATURE,
+    GAIN_RESOLVED,
+    LACK_OF_FIT,
+    LEAST_BINS,
+    LOST_POWER,
+    MAX_PROCESSES,
+    MORE_PROCESSES,
+    WHITE_NOISE,
+)
 from .selection import Candidates, Selection, crowded
 from .statistics import Component, Floats
 
@@ -26,6 +35,9 @@ Q, N, B, K = range(len(TERMS))
 
 TOPS = tuple(0.5 / 2**i for i in range(8))
 """Highest frequencies of a fit in cycles per sample."""
+
+FIRST_TOP = TOPS[3]
+"""The first one that is tried if the samples look low-pass filtered."""
 
 FILTER = ('Q2',)
 
@@ -91,51 +103,59 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
     rules = Selection(data, candidates, (*TERMS, *known))
     if len(data.power) < LEAST_BINS:
         return _result(rules, rules.bounded(rules.selected()), 0.5)
-    trial = None
-    if not _test(rules, rules.fit(rules.base))[1]:
-        trial = _trial(rules, 0.5)
-    best = trial if trial is not None and trial.holds else _highest(rules, trial)
-    if best is not None:
-        fit, rules = best.fit, best.rules
-        if rules.signed:  # the next power as well: no bias from what the test cannot see
-            fit = rules.data.solve(
-                (*fit.components, FILTER), None, np.append(fit.p, 0.0), signed=(Q, len(fit.p))
-            )
-            rules = replace(rules, signed=(Q, len(fit.p) - 1))
-        return _result(rules, rules.bounded(fit), best.top)
-    # No highest frequency will do: octaves that differ from the model count less.
-    fit, lack = (trial or _trial(rules, 0.5)).fit, {}
+    best = None if _test(rules, rules.fit(rules.base))[1] else _trial(rules, 0.5)
+    if best is None or not best.holds:
+        best = _highest(rules, best)
+    fit, rules, lack = best.fit, best.rules, {}
+    if not best.holds:
+        rules, fit, lack = _down_weighted(rules, fit)
+    if rules.signed:  # the next power as well: no bias from what the test cannot see
+        fit = rules.data.solve(
+            (*fit.components, FILTER), None, np.append(fit.p, 0.0), signed=(Q, len(fit.p))
+        )
+        rules = replace(rules, signed=(Q, len(fit.p) - 1))
+    return _result(rules, rules.bounded(fit), best.top, lack)
+
+
+def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int, float]]:
+    """Reduce the weight of octaves that differ from the model; return rules, fit and ratios."""
+    data, lack = rules.data, {}
     for _ in range(2):
-        dof = rules.data.dof.copy()
+        dof = data.dof.copy()
         for o, (deviance, number) in _deviances(data, fit).items():
             if _tail(deviance, number) * data.statistics.octaves < LACK_OF_FIT:
                 at = data.statistics.octave == o
-                dof[at] = data.dof[at] * number / deviance
-                lack[o] = float(np.mean(data.power[at] / (fit.spectrum()[at])))
+                dof[at] *= number / deviance
+                lack[o] = float(np.mean((data.power[data.used] / fit.spectrum())[at[data.used]]))
         rules = replace(rules, data=replace(data, dof=dof))
-        fit = rules.selected()
-    return _result(rules, rules.bounded(fit), 0.5, lack)
+        fit = rules.without_superfluous(rules.fit(fit.components, fit.p))
+    return rules, fit, lack
 
 
-def _highest(rules: Selection, whole: _Trial | None) -> _Trial | None:
-    """Return the highest frequency at which the model holds, or None if it is no filter."""
-    good: _Trial | None = None
-    fair = 0.0
-    for top in reversed(TOPS if whole is None else TOPS[1:]):
-        if np.sum(rules.data.statistics.f < top) < LEAST_BINS:
+def _highest(rules: Selection, whole: _Trial | None) -> _Trial:
+    """Return the trial with the highest frequency at which the model holds.
+
+    The search goes up until the model looks filtered twice. If it holds at low frequencies only,
+    but no filter explains the others, the result is the trial with the highest frequency at which
+    nothing looks filtered.
+    """
+    good, fair, curved = None, whole, 0
+    tops = [top for top in TOPS if np.sum(rules.data.statistics.f < top) >= LEAST_BINS]
+    begin = tops.index(FIRST_TOP) if FIRST_TOP in tops else len(tops) - 1
+    for top in (*tops[begin:], *reversed(tops[whole is not None : begin])):
+        if good is not None and (top < good.top or _loses_power(rules.data, good, top)):
             continue
-        if good is not None and _loses_power(rules.data, good, top):
-            break
+        if curved > 1 or (fair is not None and top < fair.top / 4.0):
+            continue
         trial = _trial(rules, top, good.fit if good else None)
+        curved = curved + 1 if trial.curved and top > FIRST_TOP else 0
         if trial.holds:
             good = trial
-        if not trial.curved:
-            fair = top
-    if whole is not None and not whole.curved:
-        fair = 0.5
-    if good is not None and good.top < fair / 4.0:
-        return None  # the model holds at low frequencies only, but no filter explains the others
-    return good
+        if not trial.curved and (fair is None or fair.top < top):
+            fair = trial
+    if good is not None and (fair is None or good.top >= fair.top / 4.0):
+        return good
+    return fair or _trial(rules, 0.5)
 
 
 def _loses_power(data: AxisData, good: _Trial, top: float) -> bool:
@@ -152,7 +172,7 @@ def _trial(rules: Selection, top: float, start: Fit | None = None) -> _Trial:
     rules = replace(rules, data=replace(rules.data, used=f < top), fastest=top)
     if top < 0.5:  # neither a process nor a sinusoid may imitate a filter
         rules = replace(rules, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
-    fit = rules.selected(start)
+    fit = rules.selected(start, MAX_PROCESSES if start is None else MORE_PROCESSES)
     weighed = rules.weighed(fit)
     if weighed is not rules:  # the final weights of the bins that sinusoids dominate
         rules, fit = weighed, weighed.fit(fit.components, fit.p)

@@ -16,6 +16,9 @@ LEVEL_95 = 3.841
 
 MAX_PROCESSES = 6
 
+MORE_PROCESSES = 3
+"""Largest number of processes that higher frequencies add to a model that holds below them."""
+
 SHORTEST_TIME = 8.0
 """Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
 

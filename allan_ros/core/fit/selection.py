@@ -210,8 +210,8 @@ class Selection:
         """Return the fit of some components."""
         return self.data.solve(components, None, p, signed=self.signed, tolerance=TOLERANCE)
 
-    def selected(self, start: Fit | None = None) -> Fit:
-        """Return the fit with all processes that exceed their threshold.
+    def selected(self, start: Fit | None = None, most: int = MAX_PROCESSES) -> Fit:
+        """Return the fit with all processes that exceed their threshold, at most ``most`` new ones.
 
         ``start`` is a fit to other bins, whose processes are kept as long as they are needed.
         """
@@ -220,7 +220,8 @@ class Selection:
             fit = rules.fit(self.base)
         else:
             fit = rules.fit(start.components, np.maximum(start.p, 1e-6 * start.p.max()))
-        while len(fit.components) < len(self.base) + MAX_PROCESSES:
+        most = min(len(fit.p) + most, len(self.base) + MAX_PROCESSES)
+        while len(fit.p) < most:
             more = rules._with_one_more(fit)
             if more is None:
                 break
@@ -230,7 +231,7 @@ class Selection:
             if fit.components[-1][0] == 'sinusoid':
                 rules = self.weighed(fit)
                 fit = rules.fit(fit.components, fit.p)
-        return rules._without_superfluous(fit)
+        return rules.without_superfluous(fit)
 
     def _with_one_more(self, fit: Fit) -> Fit | None:
         """Return the fit with the best further process, or None if none exceeds its threshold."""
@@ -260,7 +261,7 @@ class Selection:
             return None
         return best if fit.value - best.value > self.threshold(kind) else None
 
-    def _without_superfluous(self, fit: Fit) -> Fit:
+    def without_superfluous(self, fit: Fit) -> Fit:
         """Remove processes that later ones have made superfluous.
 
         A sinusoid in the block means goes if it may be the alias of a fast one.
