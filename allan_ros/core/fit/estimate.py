@@ -36,8 +36,8 @@ Q, N, B, K = range(len(TERMS))
 TOPS = tuple(0.5 / 2**i for i in range(8))
 """Highest frequencies of a fit in cycles per sample."""
 
-FIRST_TOP = TOPS[3]
-"""The first one that is tried if the samples look low-pass filtered."""
+FIRST_TOP = 3
+"""Index of the first one that is tried if the samples look low-pass filtered."""
 
 FILTER = ('Q2',)
 
@@ -104,8 +104,8 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
     if len(data.power) < LEAST_BINS:
         return _result(rules, rules.bounded(rules.selected()), 0.5)
     best = None if _test(rules, rules.fit(rules.base))[1] else _trial(rules, 0.5)
-    if best is None or not best.holds:
-        best = _highest(rules, best)
+    if best is None or (best.curved and not best.holds):
+        best = _highest(rules)
     fit, rules, lack = best.fit, best.rules, {}
     if not best.holds:
         rules, fit, lack = _down_weighted(rules, fit)
@@ -132,27 +132,33 @@ def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int
     return rules, fit, lack
 
 
-def _highest(rules: Selection, whole: _Trial | None) -> _Trial:
-    """Return the trial with the highest frequency at which the model holds.
+def _highest(rules: Selection) -> _Trial:
+    """Return the trial with the highest frequency at which the model of a filtered axis holds.
 
     The search goes up until the model looks filtered twice. If it holds at low frequencies only,
     but no filter explains the others, the result is the trial with the highest frequency at which
     nothing looks filtered.
     """
-    good, fair, curved = None, whole, 0
     tops = [top for top in TOPS if np.sum(rules.data.statistics.f < top) >= LEAST_BINS]
-    begin = tops.index(FIRST_TOP) if FIRST_TOP in tops else len(tops) - 1
-    for top in (*tops[begin:], *reversed(tops[whole is not None : begin])):
+    begin = min(FIRST_TOP, len(tops) - 1)
+    trial = _trial(rules, tops[begin])
+    good, fair = (trial if trial.holds else None), (None if trial.curved else trial)
+    down, up = tops[begin + 1 :], tops[:begin][::-1]
+    curved = 0
+    for top in (*down, *up) if trial.curved else (*up, *down):
         if good is not None and (top < good.top or _loses_power(rules.data, good, top)):
             continue
-        if curved > 1 or (fair is not None and top < fair.top / 4.0):
+        if good is None and (top == 0.5 or (fair is not None and top < fair.top / 4.0)):
             continue
-        trial = _trial(rules, top, good.fit if good else None)
-        curved = curved + 1 if trial.curved and top > FIRST_TOP else 0
+        if curved > 1 and top in up:
+            continue
+        start = good or fair
+        trial = _trial(rules, top, start.fit if start is not None and start.top < top else None)
         if trial.holds:
             good = trial
         if not trial.curved and (fair is None or fair.top < top):
             fair = trial
+        curved = curved + 1 if trial.curved and top in up else 0
     if good is not None and (fair is None or good.top >= fair.top / 4.0):
         return good
     return fair or _trial(rules, 0.5)
