@@ -135,22 +135,21 @@ def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int
 def _highest(rules: Selection) -> _Trial:
     """Return the trial with the highest frequency at which the model of a filtered axis holds.
 
-    The search goes up until the model looks filtered twice. If it holds at low frequencies only,
-    but no filter explains the others, the result is the trial with the highest frequency at which
-    nothing looks filtered.
+    If it holds at low frequencies only, but no filter explains the others, the result is the trial
+    with the highest frequency at which nothing looks filtered.
     """
     tops = [top for top in TOPS if np.sum(rules.data.statistics.f < top) >= LEAST_BINS]
     begin = min(FIRST_TOP, len(tops) - 1)
     trial = _trial(rules, tops[begin])
-    good, fair = (trial if trial.holds else None), (None if trial.curved else trial)
+    good = trial if trial.holds and not _is_curved_by_processes(trial) else None
+    fair = None if trial.curved else trial
     down, up = tops[begin + 1 :], tops[:begin][::-1]
-    curved = 0
-    for top in (*down, *up) if trial.curved else (*up, *down):
+    if trial.holds and good is None:
+        up = tops[: begin + 1][::-1]
+    for top in (*up, *down) if good is not None or not (trial.curved or trial.holds) else (*down, *up):
         if good is not None and (top < good.top or _loses_power(rules.data, good, top)):
             continue
         if good is None and (top == 0.5 or (fair is not None and top < fair.top / 4.0)):
-            continue
-        if curved > 1 and top in up:
             continue
         start = good or fair
         trial = _trial(rules, top, start.fit if start is not None and start.top < top else None)
@@ -158,10 +157,18 @@ def _highest(rules: Selection) -> _Trial:
             good = trial
         if not trial.curved and (fair is None or fair.top < top):
             fair = trial
-        curved = curved + 1 if trial.curved and top in up else 0
     if good is not None and (fair is None or good.top >= fair.top / 4.0):
         return good
     return fair or _trial(rules, 0.5)
+
+
+def _is_curved_by_processes(trial: _Trial) -> bool:
+    """Return whether processes near the highest frequency may imitate a filter."""
+    return any(
+        (c[0] == 'resonance' and c[1] > trial.top / 4.0)
+        or (c[0] == 'gauss_markov' and c[1] < 16.0 / trial.top)
+        for c in trial.fit.components
+    )
 
 
 def _loses_power(data: AxisData, good: _Trial, top: float) -> bool:

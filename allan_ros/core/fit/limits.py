@@ -5,8 +5,8 @@
 GAIN_PROCESS = 11.0
 """Least gain in -2 log L of one more process, plus 2 log(bins) if it has a frequency: 1 %."""
 
-GAIN_BOUNDED = 5.41
-"""Least gain in -2 log L of a bounded random walk instead of K: one-sided 1 %."""
+GAIN_BOUNDED = 7.0
+"""Least gain in -2 log L of a bounded random walk instead of K, at any correlation time: 1 %."""
 
 GAIN_RESOLVED = 5.41
 """Least gain in -2 log L from 0 for a term to be resolved: one-sided 1 %."""

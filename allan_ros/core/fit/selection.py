@@ -46,6 +46,9 @@ not allowed: they imitate a low-pass filter."""
 TOLERANCE = 0.03
 """Change of -2 log L below which the fit of a candidate ends."""
 
+SAME = 1e-5
+"""Share of its information below which a candidate cannot be told from the model."""
+
 PROMISING = 0.4
 """Share of its threshold that the approximate gain of a candidate must reach to be fitted."""
 
@@ -165,12 +168,13 @@ class Candidates:
         size = np.sqrt(np.maximum(np.diag(fit.information)[on], 1e-300))
         known = fit.information[np.ix_(on, on)] / np.outer(size, size) + 1e-9 * np.eye(len(on))
         cross = cross[:, on] / size
-        own = own - np.sum(cross * np.linalg.solve(known, cross.T).T, axis=1)
+        rest = own - np.sum(cross * np.linalg.solve(known, cross.T).T, axis=1)
         left = (fit.moment - fit.information @ fit.p)[on] / size
         score = score - cross @ np.linalg.solve(known, left)
         first = np.array([each[1] for each in self.all])
         allowed = np.where(np.arange(len(first)) < n, first >= shortest, first < fastest)
-        return np.where(allowed & (score > 0.0), score**2 / np.maximum(own, 1e-12), 0.0)
+        allowed &= (score > 0.0) & (rest > SAME * own)
+        return np.where(allowed, score**2 / np.maximum(rest, 1e-300), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
