@@ -106,7 +106,8 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
     best = None if _test(rules, rules.fit(rules.base))[1] else _trial(rules, 0.5)
     if best is None or (best.curved and not best.holds):
         best = _highest(rules)
-    fit, rules, lack = best.fit, best.rules, {}
+    fit, rules = best.fit, best.rules
+    lack: dict[int, float] = {}
     if not best.holds:
         rules, fit, lack = _down_weighted(rules, fit)
     if rules.signed:  # the next power as well: no bias from what the test cannot see
@@ -119,7 +120,8 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
 
 def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int, float]]:
     """Reduce the weight of octaves that differ from the model; return rules, fit and ratios."""
-    data, lack = rules.data, {}
+    data = rules.data
+    lack: dict[int, float] = {}
     for _ in range(2):
         dof = data.dof.copy()
         for o, (deviance, number) in _deviances(data, fit).items():
@@ -140,13 +142,16 @@ def _highest(rules: Selection) -> _Trial:
     """
     tops = [top for top in TOPS if np.sum(rules.data.statistics.f < top) >= LEAST_BINS]
     begin = min(FIRST_TOP, len(tops) - 1)
-    trial = _trial(rules, tops[begin])
-    good = trial if trial.holds and not _is_curved_by_processes(trial) else None
-    fair = None if trial.curved else trial
-    down, up = tops[begin + 1 :], tops[:begin][::-1]
-    if trial.holds and good is None:
-        up = tops[: begin + 1][::-1]
-    for top in (*up, *down) if good is not None or not (trial.curved or trial.holds) else (*down, *up):
+    good = fair = None
+    first = _trial(rules, tops[begin])
+    order = [*reversed(tops[:begin]), *tops[begin + 1 :]]
+    if first.holds and not _may_imitate(first):
+        good = fair = first
+    elif not first.curved and not first.holds:
+        fair = first
+    else:  # from the lowest frequency that is needed upward
+        order = [*tops[begin + 1 :], *reversed(tops[: begin + first.holds])]
+    for top in order:
         if good is not None and (top < good.top or _loses_power(rules.data, good, top)):
             continue
         if good is None and (top == 0.5 or (fair is not None and top < fair.top / 4.0)):
@@ -162,7 +167,7 @@ def _highest(rules: Selection) -> _Trial:
     return fair or _trial(rules, 0.5)
 
 
-def _is_curved_by_processes(trial: _Trial) -> bool:
+def _may_imitate(trial: _Trial) -> bool:
     """Return whether processes near the highest frequency may imitate a filter."""
     return any(
         (c[0] == 'resonance' and c[1] > trial.top / 4.0)

@@ -174,7 +174,7 @@ class Candidates:
         first = np.array([each[1] for each in self.all])
         allowed = np.where(np.arange(len(first)) < n, first >= shortest, first < fastest)
         allowed &= (score > 0.0) & (rest > SAME * own)
-        return np.where(allowed, score**2 / np.maximum(rest, 1e-300), 0.0)
+        return np.where(allowed, score**2 / np.where(allowed, rest, 1.0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +232,7 @@ class Selection:
             fit = more
             if crowded(fit):
                 return fit
-            if fit.components[-1][0] == 'sinusoid':
+            if any(c[0] == 'sinusoid' for c in fit.components):
                 rules = self.weighed(fit)
                 fit = rules.fit(fit.components, fit.p)
         return rules.without_superfluous(fit)
@@ -243,7 +243,7 @@ class Selection:
         if self._aliased(fit):
             first = len(self.candidates.times)
             gains[first : first + self.candidates.slow] = 0.0
-        best, most = None, -math.inf
+        best, least = None, math.inf
         at = 0
         for each in self.candidates.by_kind:
             part = gains[at : at + len(each)]
@@ -254,16 +254,24 @@ class Selection:
             seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
             new = self.fit((*fit.components, each[int(part.argmax())]), np.append(fit.p, seed))
             new = self.refined(new, [len(fit.p)], 3)
-            over = fit.value - new.value - self.threshold(kind)
-            if over > most:
-                best, most = new, over
+            if new.value + self.threshold(kind) < least:
+                best, least = new, new.value + self.threshold(kind)
         if best is None:
             return None
-        best = self.refined(best, range(len(self.base), len(best.p)))
-        kind, *shape = best.components[-1]
-        if len(shape) > 1 and shape[1] >= 0.99 * self.candidates.narrowest(shape[0]):
-            return None
-        return best if fit.value - best.value > self.threshold(kind) else None
+        best = self._with_sinusoids(self.refined(best, range(len(self.base), len(best.p))))
+        return best if best.value + self.threshold(best.components[-1][0]) < fit.value else None
+
+    def _with_sinusoids(self, fit: Fit) -> Fit:
+        """Return the fit with sinusoids instead of resonances that are as narrow in the spectra."""
+        components = [
+            ('sinusoid', c[1])
+            if c[0] == 'resonance' and c[2] >= 0.99 * self.candidates.narrowest(c[1])
+            else c
+            for c in fit.components
+        ]
+        if tuple(components) == fit.components:
+            return fit
+        return self.refined(self.fit(components, fit.p), range(len(self.base), len(fit.p)))
 
     def without_superfluous(self, fit: Fit) -> Fit:
         """Remove processes that later ones have made superfluous.
@@ -296,10 +304,7 @@ class Selection:
         for _ in range(rounds):
             n = len(fit.p)
             shapes = [
-                (k, at)
-                for k in which
-                if fit.p[k] > 0.0
-                for at in range(len(fit.components[k]) - 1)
+                (k, at) for k in which if fit.p[k] > 0.0 for at in range(len(fit.components[k]) - 1)
             ]
             full = self.data.solve(
                 fit.components,
@@ -329,9 +334,7 @@ class Selection:
         """Return a component of which the logarithm of one number of its shape is changed."""
         kind, *shape = component
         meaning, longest = PROCESS_TYPES[kind].shape[at], self.data.statistics.longest
-        low, high = (
-            (self.shortest, 4.0 * longest) if meaning == 'time' else (0.5 / longest, 0.499)
-        )
+        low, high = (self.shortest, 4.0 * longest) if meaning == 'time' else (0.5 / longest, 0.499)
         if at > 0:
             low = BANDWIDTHS[0] / shape[0]
             high = max(self.candidates.narrowest(shape[0]), low)
