@@ -28,7 +28,7 @@ from .limits import (
     MORE_PROCESSES,
     WHITE_NOISE,
 )
-from .selection import Candidates, Selection, crowded
+from .selection import Candidates, Selection
 from .statistics import Component, Floats
 
 Q, N, B, K = range(len(TERMS))
@@ -145,12 +145,12 @@ def _highest(rules: Selection) -> _Trial:
     good = fair = None
     first = _trial(rules, tops[begin])
     order = [*reversed(tops[:begin]), *tops[begin + 1 :]]
-    if first.holds and not _may_imitate(first):
+    if first.holds:
         good = fair = first
-    elif not first.curved and not first.holds:
+    elif not first.curved:
         fair = first
-    else:  # from the lowest frequency that is needed upward
-        order = [*tops[begin + 1 :], *reversed(tops[: begin + first.holds])]
+    else:
+        order = [*tops[begin + 1 :], *reversed(tops[:begin])]
     for top in order:
         if good is not None and (top < good.top or _loses_power(rules.data, good, top)):
             continue
@@ -165,15 +165,6 @@ def _highest(rules: Selection) -> _Trial:
     if good is not None and (fair is None or good.top >= fair.top / 4.0):
         return good
     return fair or _trial(rules, 0.5)
-
-
-def _may_imitate(trial: _Trial) -> bool:
-    """Return whether processes near the highest frequency may imitate a filter."""
-    return any(
-        (c[0] == 'resonance' and c[1] > trial.top / 4.0)
-        or (c[0] == 'gauss_markov' and c[1] < 16.0 / trial.top)
-        for c in trial.fit.components
-    )
 
 
 def _loses_power(data: AxisData, good: _Trial, top: float) -> bool:
@@ -224,7 +215,7 @@ def _test(rules: Selection, fit: Fit) -> tuple[bool, bool]:
     """Return whether the model holds, and whether its highest octave looks low-pass filtered.
 
     A filter shows as a significant next power of f (f^2, or f^4 where q has a sign), as white noise
-    that is not resolved, or as sinusoids that imitate its shape.
+    that is not resolved, or as processes that imitate its shape.
     """
     data = rules.data
     parts = list(_deviances(data, fit).values())
@@ -244,7 +235,7 @@ def _test(rules: Selection, fit: Fit) -> tuple[bool, bool]:
         at = 1 + int(np.searchsorted(on, N))
         white = float(fit.p[N]) / math.sqrt(covariance[at, at])
     bent = abs(z) > CURVATURE if rules.signed else fit.p[Q] == 0.0 and z < -CURVATURE
-    curved = bent or white < WHITE_NOISE or crowded(fit)
+    curved = bent or white < WHITE_NOISE or rules.imitates_filter(fit)
     return min(tails) >= LACK_OF_FIT and not curved, curved
 
 

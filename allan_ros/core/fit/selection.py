@@ -230,7 +230,7 @@ class Selection:
             if more is None:
                 break
             fit = more
-            if crowded(fit):
+            if self.imitates_filter(fit):
                 return fit
             if any(c[0] == 'sinusoid' for c in fit.components):
                 rules = self.weighed(fit)
@@ -357,6 +357,20 @@ class Selection:
         )
         return bool(sum(left) > ALIASED * fit.p[N] / step)
 
+    def imitates_filter(self, fit: Fit) -> bool:
+        """Return whether processes have the smooth spectrum of a low-pass filter.
+
+        They are sinusoids that are close together, or a broad resonance near the highest frequency.
+        """
+        f = np.log2(sorted(c[1] for c in fit.components if c[0] == 'sinusoid'))
+        near = LINES_PER_OCTAVE - 1
+        broad = self.signed and any(
+            c[1] > self.fastest / 2.0 and c[1] * c[2] < BANDWIDTHS[1]
+            for c in fit.components
+            if c[0] == 'resonance'
+        )
+        return bool(broad or np.any(f[near:] - f[:-near] < 1.0))
+
     def bounded(self, fit: Fit) -> Fit:
         """Return the fit in which the random walk is bounded, if the data show this.
 
@@ -393,10 +407,3 @@ class Selection:
         least = np.minimum(self.data.dof, LEAST_LINE_DOF)
         dof = np.maximum(self.data.dof * (1.0 - share) ** 2, least)
         return replace(self, data=replace(self.data, dof=dof))
-
-
-def crowded(fit: Fit) -> bool:
-    """Return whether sinusoids are so close together that they imitate a smooth spectrum."""
-    f = np.log2(sorted(c[1] for c in fit.components if c[0] == 'sinusoid'))
-    near = LINES_PER_OCTAVE - 1
-    return bool(np.any(f[near:] - f[:-near] < 1.0))
