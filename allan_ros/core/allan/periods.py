@@ -219,12 +219,6 @@ def bounded_means(of_each: Sequence[Sequence[BlockMeans]]) -> list[tuple[BlockMe
     return [tuple(sorted(means, key=lambda m: m.age)) for means in kept]
 
 
-def stacked(arrays: Sequence[NDArray]) -> NDArray:  # type: ignore[type-arg]
-    """Return arrays of different lengths as one array, padded with zero rows."""
-    longest = max(arrays, key=len)
-    return np.stack([add_padded(np.zeros_like(longest), a) for a in arrays])
-
-
 def totals(arrays: Iterable[NDArray]) -> NDArray:  # type: ignore[type-arg]
     """Return the sum of arrays of different lengths."""
     return reduce(add_padded, arrays)

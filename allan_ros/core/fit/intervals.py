@@ -59,16 +59,6 @@ def profile_interval(data: AxisData, fit: Fit, i: int) -> Interval:
     return Interval(low, _crossing(distance, z, estimate, high, at_high), at_zero**2)
 
 
-def standard_error(fit: Fit, i: int) -> float:
-    """Return the standard error of a coefficient from the Fisher information."""
-    on = np.union1d(fit.free, [i])
-    from .likelihood import inverse
-
-    covariance = inverse(fit.information[np.ix_(on, on)])
-    at = int(np.searchsorted(on, i))
-    return math.sqrt(max(covariance[at, at], 0.0))
-
-
 def _crossing(distance, z: float, inside: float, outside: float, at_outside: float) -> float:  # type: ignore[no-untyped-def]
     """Return the value between ``inside`` and ``outside`` whose distance is z."""
     at_inside, value = 0.0, outside

@@ -35,13 +35,6 @@ TANGENT_STEP = {'time': 1e-3, 'frequency': 1e-4}
 """Step in the logarithm of a number of a shape for the derivative of the expectation."""
 
 
-def moved(component: Component, at: int, step: float) -> Component:
-    """Return a component of which the logarithm of one number of its shape is changed."""
-    kind, *shape = component
-    shape[at] *= math.exp(step)
-    return (kind, *shape)
-
-
 class Columns(NamedTuple):
     """Expectations for unit noise of each component of a model."""
 
@@ -166,8 +159,10 @@ class AxisData:
         power = [each.power for each in columns]
         low = [[each.low[g] for each in columns] for g in range(len(self.low))]
         for i, at in tangents:
-            h = TANGENT_STEP[PROCESS_TYPES[components[i][0]].shape[at]]
-            above = self.statistics.column(moved(components[i], at, h), self.axis)
+            kind, *shape = components[i]
+            h = TANGENT_STEP[PROCESS_TYPES[kind].shape[at]]
+            shape[at] *= math.exp(h)
+            above = self.statistics.column((kind, *shape), self.axis)
             power.append((above.power - power[i]) / h)
             for group, a in zip(low, above.low):
                 group.append((a - group[i]) / h)

@@ -39,10 +39,14 @@ from .selection import Candidates
 from .statistics import Component, Statistics, statistics
 
 DAY_S = 86400.0
-"""A daily cycle is always in the model of records of more than `DAYS_WITH_CYCLE` days, because the
-temperature of most rooms follows it."""
 
-DAYS_WITH_CYCLE = 0.75
+
+def daily_cycle(samples: int, tau0: float) -> tuple[Component, ...]:
+    """Return the daily cycle, which is in the model of every segment of more than 18 h.
+
+    The temperature of most rooms follows it.
+    """
+    return (('sinusoid', tau0 / DAY_S),) if samples * tau0 > 0.75 * DAY_S else ()
 
 
 def fit_likelihood(sums: AllanSums) -> NoiseModel:
@@ -53,9 +57,7 @@ def fit_likelihood(sums: AllanSums) -> NoiseModel:
     tau0 = sums.tau0 or 1.0
     known = statistics(sums)
     candidates = Candidates(known)
-    daily: tuple[Component, ...] = ()
-    if known.longest * tau0 > DAYS_WITH_CYCLE * DAY_S:
-        daily = (('sinusoid', tau0 / DAY_S),)
+    daily = daily_cycle(known.longest, tau0)
     axes: dict[str, AxisFit] = {}
     findings: list[Finding] = []
     for a, name in enumerate(sums.axes):

@@ -262,16 +262,6 @@ class AxisFit:
     covariance: Covariance | None = field(default=None, compare=False)
 
     @property
-    def gauss_markov(self) -> GaussMarkov | None:
-        """The Gauss-Markov process with the largest standard deviation, or None."""
-        return max(self.processes.gauss_markov, key=lambda p: p.sigma, default=None)
-
-    @property
-    def sinusoid(self) -> Sinusoid | None:
-        """The sinusoid with the largest amplitude, or None."""
-        return max(self.processes.sinusoid, key=lambda p: p.amplitude, default=None)
-
-    @property
     def likely(self) -> tuple[str, ...]:
         """Terms that are not resolved, but likely."""
         return tuple(t for t, c in self.noise.items() if c.status == 'likely')

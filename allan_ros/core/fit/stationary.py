@@ -23,9 +23,9 @@ from . import TERMS, Coefficient, NoiseModel, fit_noise
 from .effects import LEAST_MEANS, BiasSteps, WarmUp, bias_steps, warm_up
 from .levels import Levels, levels, present_part
 from .limits import CERTAIN_EXCESS, LEAST_DRIFT_S
-from .method import DAY_S, DAYS_WITH_CYCLE
+from .method import daily_cycle
 from .model import Z_95
-from .statistics import Component, statistics
+from .statistics import statistics
 
 LEAST_REMAINING = 0.25
 """Smallest fraction of the samples that must remain after the early part."""
@@ -181,13 +181,6 @@ def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
 # --- warm-up --------------------------------------------------------------------------------------
 
 
-def _daily(known_longest: float, tau0: float) -> tuple[Component, ...]:
-    """Return the daily cycle if the model contains it."""
-    if known_longest * tau0 > DAYS_WITH_CYCLE * DAY_S:
-        return (('sinusoid', tau0 / DAY_S),)
-    return ()
-
-
 def _axes_by_sensor(sums: AllanSums) -> list[list[int]]:
     """Return the indices of the axes of each sensor (gyroscope, accelerometer)."""
     names = [sensor_of(axis) for axis in sums.axes]
@@ -209,7 +202,7 @@ def _warm_ups(sums: AllanSums) -> list[WarmUp]:
             or first.samples * tau0 < LEAST_DRIFT_S
         ):
             continue
-        more = _daily(first.samples, tau0)
+        more = daily_cycle(first.samples, tau0)
         each = [warm_up(known, i, first, axes, more) for axes in _axes_by_sensor(sums)]
         found += [w for w in each if w is not None]
     return found
@@ -299,7 +292,7 @@ def _steps(sums: AllanSums, model: NoiseModel, without: set[int]) -> list[Findin
     for i, axis in enumerate(sums.axes):
         if i in without:
             continue
-        steps = bias_steps(known, longest, i, tau0, _daily(longest.samples, tau0))
+        steps = bias_steps(known, longest, i, tau0, daily_cycle(longest.samples, tau0))
         if steps is not None and steps.walk_after < STEPS_RATIO * steps.walk_before:
             found.append(_steps_finding(axis, steps, longest, tau0))
     return found

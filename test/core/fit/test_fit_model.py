@@ -1,15 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-from allan_ros.core.fit.model import AxisFit, Coefficient, GaussMarkov, Processes, model_of_terms
+from allan_ros.core.fit.model import AxisFit, Coefficient, model_of_terms
 from allan_ros.core.noise import NoiseTerms, ProcessModel
-
-DRIFT = GaussMarkov(2e-4, (1e-4, 3e-4), 300.0, (200.0, 400.0))
-FAST = GaussMarkov(3e-4, (1e-4, 4e-4), 3.0, (2.0, 4.0))
-
-
-def test_the_largest_process_is_the_one_that_is_shown():
-    assert AxisFit({}, processes=Processes((FAST, DRIFT))).gauss_markov == FAST
-    assert AxisFit({}).gauss_markov is None and AxisFit({}).sinusoid is None
 
 
 def test_limits_replace_only_terms_that_are_not_resolved():
