@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .likelihood import AxisData, Fit, inverse
+from .likelihood import AxisData, Fit, flags, inverse
 from .limits import LEVEL_95
 
 
@@ -35,7 +35,7 @@ def profile_interval(data: AxisData, fit: Fit, i: int) -> Interval:
     def distance(value: float) -> float:
         start = fit.p.copy()
         start[on] += covariance / error**2 * (value - estimate)
-        start = np.where(np.isin(np.arange(len(start)), fit.signed), start, np.maximum(start, 0.0))
+        start = np.where(flags(len(start), fit.signed), start, np.maximum(start, 0.0))
         new = data.solve(
             fit.components, fit.columns, start, {i: value}, fit.signed, rounds=10, tolerance=1e-2
         )

@@ -12,7 +12,7 @@ problem with nonnegative unknowns.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -73,8 +73,7 @@ class Fit:
     @property
     def free(self) -> NDArray[np.int64]:
         """Indices of the coefficients that are not held at 0."""
-        signed = np.isin(np.arange(len(self.p)), self.signed)
-        return np.flatnonzero((self.p > 0.0) | signed)
+        return np.flatnonzero((self.p > 0.0) | flags(len(self.p), self.signed))
 
     def covariance(self) -> Floats:
         """Return the covariance of all coefficients; 0 for those that are held at 0."""
@@ -86,6 +85,13 @@ class Fit:
     def spectrum(self) -> Floats:
         """Return the expected power of the bins."""
         return np.asarray(self.columns.power @ self.p)
+
+
+def flags(size: int, chosen: Iterable[int]) -> Flags:
+    """Return an array that is True at the chosen indices."""
+    out = np.zeros(size, bool)
+    out[list(chosen)] = True
+    return out
 
 
 def inverse(information: Floats) -> Floats:
@@ -241,9 +247,9 @@ class AxisData:
         state = self.moments(columns, p)
         if state is None:
             return Fit(tuple(components), p, math.inf, columns, signed)
-        fixed = np.isin(np.arange(len(p)), list(held))
+        fixed = flags(len(p), held)
         free = np.flatnonzero(~fixed)
-        sign = np.isin(free, signed)
+        sign = flags(len(p), signed)[free]
         for _ in range(rounds):
             value, information, moment = state
             new = p.copy()
