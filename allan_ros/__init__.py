@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import analyze, compare, inflate, merge, simulate
+    from .api import analyze, common, compare, inflate, merge, simulate
     from .core.allan.curve import AxisCurve
     from .core.errors import AllanError
     from .io.axis_result import AxisResult, Quantity, adev, fit
@@ -33,6 +33,7 @@ __all__ = [
     'Results',
     'adev',
     'analyze',
+    'common',
     'compare',
     'fit',
     'inflate',

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -33,13 +33,15 @@ from .core.settings import (
     settings_from,
 )
 from .core.simulate import Faults, simulate_imu
+from .io.common import CommonResult, common_of
 from .io.comparison import REST, RUNNING, Inflation, RunComparison, Subject, compare_runs
 from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH, public
 from .io.format import check_plots
+from .io.readers import topics_of
 from .io.readers.arrays import recording_in_memory
-from .io.readers.recording import ReadOptions
+from .io.readers.recording import ReadOptions, Recording
 from .io.recorded import (
     Observer,
     ReadJob,
@@ -212,13 +214,8 @@ def analyze(
     >>> round(results['gyro_z'].N.to('deg/sqrt(h)').value, 1)
     3.4
     """
-    names = *describe(SegmenterSettings), *describe(ReadOptions)
-    # ``rate`` sets both settings excluded below
-    check_rate(rate)
-    check_names(options, [name for name in names if name not in ('rate_hz', 'declared_rate')])
-    read_options = {name: options.pop(name) for name in describe(ReadOptions) if name in options}
-    reading = ReadOptions(rate_hz=rate, gyro_unit=gyro_unit, accel_unit=accel_unit, **read_options)
-    segmenter = SegmenterSettings(declared_rate=rate, **options)
+    units = {'gyro_unit': gyro_unit, 'accel_unit': accel_unit}
+    reading, segmenter = _settings({**options, **units}, rate)
     ResultSettings(method=method, margin=margin)  # checks them before recordings are read
     expect(str, hardware_id=hardware_id)
     expect(Integral, processes=processes)
@@ -352,6 +349,69 @@ def compare(
 
 
 @public
+def common(
+    *sources: Any, labels: Sequence[str] = (), rate: float = 0.0, **options: Any
+) -> CommonResult:
+    """Separate the noise that several IMUs at rest on one body have in common from their own noise.
+
+    The samples are aligned by their stamps: the recordings must be made together, with one clock,
+    and the axes of the IMUs must be parallel.
+
+    Parameters
+    ----------
+    *sources : path, DataFrame, mapping of columns, or ImuBatch
+        One recording of each IMU, or a bag whose Imu topics are the IMUs. The axes of a single IMU
+        are compared with each other.
+    labels : sequence of str
+        Names of the IMUs in the output; by default their paths or topics, or A, B, C ...
+    rate : float
+        Sample rate in Hz, as in `analyze`.
+    **options
+        Options of `analyze` for reading and for the data at rest: ``topic``, ``skip`` ...
+
+    Returns
+    -------
+    CommonResult
+        For each axis and IMU (``rows``): N as measured; the own N of each of three or more IMUs (of
+        two, the mean of both) with its interval; and the coherence with the mean of the other IMUs
+        at each averaging time.
+
+    Raises
+    ------
+    AllanError
+        When a source cannot be read, or the sources have no axis, rate or time in common.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> vibration, *own = 1e-3 * np.random.default_rng(0).normal(size=(4, 20_000))
+    >>> three = ar.common(*({'gyro_z': 3.0 * vibration + one} for one in own), rate=100)
+    >>> row = three.rows[0]
+    >>> round(row.measured.value, 4), round(row.own.value, 4)
+    (0.0003, 0.0001)
+    >>> round(float(row.coherence.value[0]), 1)
+    0.9
+    """
+    reading, settings = _settings(options, rate)
+    expect(LIST, labels=labels)
+    recordings: dict[str, Recording] = {}
+    paths = [str(s) if isinstance(s, PATH) else chr(ord('A') + i) for i, s in enumerate(sources)]
+    for source, path, label in zip(sources, paths, labels_of(paths)):
+        if not isinstance(source, PATH):
+            recordings[label] = recording_in_memory(source, reading)
+            continue
+        topics = [] if reading.topic else topics_of(path)
+        for topic in topics if len(topics) > 1 else [reading.topic]:
+            name = topic if topics[1:] and len(sources) == 1 else f'{label} {topic}'.strip()
+            recordings[name] = ReadJob(path, replace(reading, topic=topic)).open()
+    if not recordings or len({*labels}) < len(labels) or len(labels) > len(recordings):
+        raise AllanError(f'{len(recordings)} IMUs, labels {list(labels)}: give one label for each')
+    names = [*labels, *list(recordings)[len(labels) :]]
+    return common_of(dict(zip(names, recordings.values())), settings)
+
+
+@public
 def inflate(
     rest: Results | str | os.PathLike[str],
     running: Results | str | os.PathLike[str],
@@ -476,6 +536,17 @@ def simulate(
         frame_id=frame_id,
     )
     return joined(list(batches))
+
+
+def _settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:
+    """Return the settings for reading and for the data at rest; ``rate`` belongs to both."""
+    check_rate(rate)
+    of_reading = [name for name in describe(ReadOptions) if name != 'rate_hz']
+    of_segmenter = [name for name in describe(SegmenterSettings) if name != 'declared_rate']
+    check_names(options, [*of_segmenter, *of_reading])
+    reading = {name: options[name] for name in of_reading if name in options}
+    segmenter = {name: options[name] for name in of_segmenter if name in options}
+    return ReadOptions(rate_hz=rate, **reading), SegmenterSettings(declared_rate=rate, **segmenter)
 
 
 def _noise_changes(sensor: str, given: NoiseChanges | None) -> dict[str, Mapping[str, float]]:

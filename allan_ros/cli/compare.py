@@ -10,22 +10,26 @@ to recordings and sums; a results.json is not fitted again.
   allan compare run1 run2 --label cold --label warm -o compared
   allan compare results sensor:adis16475-3 --fail-on-difference
   allan compare reference today --within 5% --fail-on-difference
+  allan compare left.mcap right.mcap top.mcap --common
 """
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from .. import api
 from ..api import ResultSettings
 from ..core.errors import AllanError
+from ..io.common import common_lines
 from ..io.comparison import (
     comparison_document,
     inflation_document,
     write_comparison,
 )
-from ..io.files import to_json, write_atomic
+from ..io.files import to_json, write_atomic, write_together
 from ..io.format import check_plots
+from ..io.result_files import made_folder
 from .console import Console, width
 from .options import Command, Settings
 from .tables import comparison_lines
@@ -41,6 +45,8 @@ def run(args: argparse.Namespace) -> int:
     """Compare the inputs, print the comparison, and write the files; return the exit code."""
     console = Console.of(args)
     _check_folder(args)
+    if args.common:
+        return _common(args, console)
     given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
     comparison = api.compare(
         *(text for text in args.inputs if text not in given),
@@ -59,6 +65,24 @@ def run(args: argparse.Namespace) -> int:
         written = write_comparison(args.output, comparison, args.units, args.plots)
         console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
+
+
+def _common(args: argparse.Namespace, console: Console) -> int:
+    """Print and write the noise that the IMUs have in common; return the exit code."""
+    common = api.common(*args.inputs, labels=args.label)
+    if console.json:
+        console.document(common.document())
+    elif not (console.quiet and args.output):
+        print('\n'.join(common_lines(common, args.units)))
+    if args.output:
+        files: dict[str, str | bytes] = {'common.json': to_json(common.document())}
+        if args.plots:
+            from ..io.plots import rendered
+
+            files |= rendered({'common': common.plot()}, args.plots)
+        write_together(made_folder(Path(args.output)), files)
+        console.say(f'written to {args.output}: {", ".join(files)}')
+    return 0
 
 
 def _check_folder(args: argparse.Namespace) -> None:
@@ -107,6 +131,8 @@ inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
 --sensor NAME...  also compare with this datasheet, like sensor:NAME; `allan sensors` lists the
     names
 --within PERCENT  also test whether the coefficients are the same up to this, such as 5%%
+--common  separate the noise that IMUs on one body have in common (vibration) from the noise of
+    each; the inputs are recordings made at the same time, or a bag with several Imu topics
 --fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a
     datasheet is exceeded; with --within, if N is not shown to be the same, or another term differs
 """

@@ -29,6 +29,7 @@ from .format import (
 )
 
 if TYPE_CHECKING:
+    from .common import CommonResult
     from .comparison import RunComparison
     from .results import Results
 
@@ -170,6 +171,26 @@ def comparison_figure(
         for panel in [row[0] for row in panels if row[0].lines][:1]:
             for text in panel.legend().get_texts():
                 text.set_parse_math(False)
+    return figure
+
+
+def common_figure(common: CommonResult) -> Figure:
+    """Return the coherence of each axis with 95 % limits, in a panel for each axis."""
+    names = list(dict.fromkeys(row.axis for row in common.rows))
+    with rc_context(RC):
+        figure, panels = _new_figure(
+            len(names), 1, 'coherence: 0 for independent, 1 for common noise'
+        )
+        for (panel,), name in zip(panels, names):
+            panel.set(xscale='log', ylim=(-1.05, 1.05), ylabel=name.replace('_', ' '))
+            panel.axhline(0.0, color='k', lw=0.8)
+            for i, row in enumerate(row for row in common.rows if row.axis == name):
+                color, _, dashes = RUN_STYLES[i % len(RUN_STYLES)]
+                tau, value, low, high = row.coherence
+                panel.plot(tau, value, color=color, ls=dashes, lw=1.0, label=row.label)
+                panel.fill_between(tau, low, high, color=color, alpha=BAND_ALPHA, lw=0)
+        for text in panels[0][0].legend().get_texts():
+            text.set_parse_math(False)
     return figure
 
 

@@ -166,8 +166,7 @@ def read_recording(
 def _read_topic(
     job: ReadJob, recording: Recording, advance: Callable[[int], None]
 ) -> RecordingSums:
-    only, *others = dict.fromkeys(map(sensor_of, recording.axes))
-    stream = ImuStream(job.segmenter, job.hardware_id, sensor='' if others else only)
+    stream = ImuStream(job.segmenter, job.hardware_id, recording.sensor)
     signal = SignalEnvelope()
     for batch in recording.batches():
         stream.update(batch)

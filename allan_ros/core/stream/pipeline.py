@@ -57,6 +57,7 @@ class ImuStream:
     depend only on the positions of samples counted from the start of the stream, with a fixed
     look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
     'accel' if the other sensor is in another stream; its values in this one are ignored.
+    ``with_samples`` also keeps all samples at rest in memory.
     """
 
     def __init__(
@@ -64,13 +65,14 @@ class ImuStream:
         settings: SegmenterSettings = SegmenterSettings(),
         hardware_id: str = '',
         sensor: str = '',
+        with_samples: bool = False,
     ) -> None:
         self._hardware_id = hardware_id
         self._settings = settings
-        self._sensor = sensor
+        self._options = settings, sensor, with_samples
         self._received = 0
         self._frames: dict[str, FrameStream] = {}
-        self._present = FrameStream(ImuIdentity('', hardware_id), settings, sensor)
+        self._present = FrameStream(ImuIdentity('', hardware_id), *self._options)
         self._frame_changes = 0
         self._dropped = Counts()  # of frames whose sums were dropped
         self._dropped_frames = 0
@@ -94,6 +96,20 @@ class ImuStream:
     def means(self) -> tuple[Means, ...]:
         """Return the latest one-second means of static data of each sensor stream."""
         return tuple(stream.means for stream in self._present.sensors)
+
+    def samples(self) -> dict[str, tuple[Stamps, Floats]]:
+        """Return stamps in ns and values of all samples at rest, (n,), by axis, after `end`.
+
+        They are those of the frame_id with the most data, since the last change of its rate. The
+        result is empty unless requested.
+        """
+        frame = max(self._frames.values(), key=lambda each: each.counts.used, default=self._present)
+        whole = [(s.axes, Block.joined(s.kept)) for s in frame.sensors if s.kept]
+        return {
+            axis: (block.stamps, row)
+            for axes, block in whole
+            for axis, row in zip(axes, block.rows)
+        }
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream is not changed."""
@@ -127,8 +143,7 @@ class ImuStream:
             del self._frames[least.identity.frame_id]
             self._dropped.other_frame += least.received
             self._dropped_frames += 1
-        identity = ImuIdentity(frame_id, self._hardware_id)
-        frame = FrameStream(identity, self._settings, self._sensor)
+        frame = FrameStream(ImuIdentity(frame_id, self._hardware_id), *self._options)
         self._frames[frame_id] = frame
         return frame
 
@@ -183,8 +198,11 @@ class FrameStream:
     until the first samples are evaluated. ``notes`` are the findings about these first samples.
     """
 
-    def __init__(self, identity: ImuIdentity, settings: SegmenterSettings, sensor: str) -> None:
+    def __init__(
+        self, identity: ImuIdentity, settings: SegmenterSettings, sensor: str, with_samples: bool
+    ) -> None:
         self.identity = identity
+        self._with_samples = with_samples
         self.sensors: tuple[SensorStream, ...] = ()
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
@@ -244,7 +262,9 @@ class FrameStream:
         plans, findings = plan_sensors(*ordered, self._sensor)
         self.notes += [note for note in (*notes, *findings) if note not in self.notes]
         self._sorter = StampSorter(chosen)
-        self.sensors = tuple(SensorStream(p, self.identity, self._settings) for p in plans)
+        self.sensors = tuple(
+            SensorStream(p, self.identity, self._settings, self._with_samples) for p in plans
+        )
         self._feed(*self._sorter.feed(chosen, first.samples.T))
 
     def _feed(self, stamps: Stamps, rows: Floats) -> None:
@@ -271,12 +291,19 @@ class SensorStream:
     repeats samples at random), `MotionGate`, `RunningSums`.
     ``gate`` is None before the sample period is learned, or if it is switched off. ``relearned``
     counts how often the sums were discarded because the IMU had been moving, and ``discarded_s`` is
-    the time from the first sample at rest to the first one that was kept.
+    the time from the first sample at rest to the first one that was kept. ``kept`` are the samples
+    at rest, if they are requested.
     """
 
     def __init__(
-        self, plan: SensorPlan, identity: ImuIdentity, settings: SegmenterSettings
+        self,
+        plan: SensorPlan,
+        identity: ImuIdentity,
+        settings: SegmenterSettings,
+        with_samples: bool = False,
     ) -> None:
+        self.axes = plan.axes
+        self._with_samples = with_samples
         self.counts = Counts()
         self.events: Longest[Event] = Longest(LISTED_EVENTS)
         self.relearned = 0
@@ -309,6 +336,7 @@ class SensorStream:
         self._engine = RunningSums(self._identity, axes)
         self._means = RunningMeans(axes)
         self._filled = FilledGaps(len(axes))
+        self.kept: list[Block] = []
         self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
         self._start_ns = self._end_ns = 0
         self._cut = ''
@@ -411,6 +439,8 @@ class SensorStream:
         interpolated = None if block.filled is None else np.asarray(block.filled.any(axis=0))
         self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns, interpolated)
         self._means.update(block.stamps, block.rows)
+        if self._with_samples:
+            self.kept.append(block.copy())
 
     def _close_segment(self) -> None:
         samples = self._engine.open_samples

@@ -9,7 +9,15 @@ from dataclasses import dataclass, replace
 
 from ...core.errors import one_line
 from ...core.findings import Finding
-from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, STAMP_UNITS, ImuBatch, sample_factors
+from ...core.imu import (
+    AXES,
+    SAMPLE_SI,
+    SAMPLE_UNITS,
+    STAMP_UNITS,
+    ImuBatch,
+    sample_factors,
+    sensor_of,
+)
 from ...core.settings import CheckedSettings, parameter
 from ..signal import TemperatureTrace
 
@@ -133,3 +141,9 @@ class Recording:
             self.findings = tuple(found)
             yield batch
         self.findings = tuple(found)
+
+    @property
+    def sensor(self) -> str:
+        """The sensor that the recording can contain; '' for both."""
+        first, *others = dict.fromkeys(map(sensor_of, self.axes))
+        return '' if others else first
