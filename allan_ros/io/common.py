@@ -75,7 +75,8 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
             rows += common_noise(axis, [samples[axis] for samples in known], labels)
     for sensor in SENSORS if len(known) == 1 else ():
         own = [axis for axis in axes if sensor_of(axis) == sensor]
-        rows += common_of_axes(own, [known[0][axis] for axis in own], labels[0])
+        if len(own) > 1:
+            rows += common_of_axes(own, [known[0][axis] for axis in own], labels[0])
     if not rows:
         raise AllanError(f'{", ".join(labels)}: no data at rest of the same axes: record longer')
     return CommonResult(tuple(rows))
