@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from ...core.errors import AllanError
 from ...core.fields import MAX_INTEGER
 from ...core.findings import finding
-from ...core.imu import AXES, SENSORS, STAMP_UNITS, ImuBatch, even_stamps
+from ...core.imu import AXES, MAX_NAME, SENSORS, STAMP_UNITS, ImuBatch, even_stamps
 from ..files import open_regular
 from .columns import Columns, columns_of, listed
 from .recording import ReadOptions, Recording, Report, SourceInfo, in_batches
@@ -46,6 +46,9 @@ ZIP_MAGIC = b'PK\x03\x04'
 
 FIRST_ROWS = 200
 """Number of rows from which the unit of the stamps is recognized."""
+
+MAX_FRAME_BYTES = 4 * MAX_NAME
+"""Largest size of a frame_id in bytes; numpy stores four for each character."""
 
 MAX_HEADER_BYTES = 1 << 16
 """Number of bytes within which the header of an array ends."""
@@ -101,8 +104,8 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
                 f'int64, one for each of the {n} samples'
             )
     frame_id = arrays.get(FRAME, np.array(''))
-    if frame_id.size != 1:
-        raise AllanError(f'{path}: array {FRAME!r} must be one string: save it as a string')
+    if frame_id.size != 1 or frame_id.itemsize > MAX_FRAME_BYTES:
+        raise AllanError(f'{path}: array {FRAME!r} must be one short string: save it as a string')
     names = tuple(options.columns or NAMES.get(width, '').split(','))
     if len(names) != width or any('=' in name for name in names):
         raise AllanError(
