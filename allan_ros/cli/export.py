@@ -145,10 +145,13 @@ HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Print one datasheet, or a list of all."""
-    from ..io.from_datasheet import measured_lines
+    """Print one datasheet, or a list of all, or the values of results for a datasheet."""
+    from ..io.from_datasheet import measured_entry, measured_lines
 
     console = Console.of(args)
+    if vars(args)['from']:
+        print(measured_entry(_load(vars(args)['from'])))
+        return 0
     if args.name:
         sheet = load_sensor(args.name)
         if console.json:
@@ -246,6 +249,7 @@ that ends in .yaml is a path.
 
   allan sensors
   allan sensors icm-42688-p
+  allan sensors --from results    (an entry for the catalogue)
   allan analyze my_bag --sensor icm-42688-p
 """
 
@@ -261,6 +265,7 @@ results RESULTS?  results.json, or its folder
 
 SENSOR_OPTIONS = """
 name NAME?  sensor to show with its sources and measured values (default: list all)
+--from RESULTS  results.json or its folder: print an entry "measured" for the file of a sensor
 """
 
 COMMANDS = {

@@ -19,7 +19,7 @@ from ..core.errors import AllanError
 from ..core.filters.bias import TurnOnBias, turn_on_bias
 from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis, sample_variance
-from ..core.filters.reductions import StateSpace
+from ..core.filters.reductions import StateSpace, state_space
 from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel, Processes
 from ..core.fit.findings import rounding_step
 from ..core.fit.interpretation import ModelLine, Region, dominant_regions, model_line
@@ -220,8 +220,7 @@ class AxisResult:
         >>> space.transition(0.02).shape == space.noise(0.02).shape == (space.size, space.size)
         True
         """
-        model = reduce_axis(self.name, self.fit, 'processes').model
-        return StateSpace(model.terms.N, model.terms.K, model.gauss_markov)
+        return state_space(reduce_axis(self.name, self.fit, 'processes').model)
 
     @property
     def growth(self) -> tuple[Growth, ...]:

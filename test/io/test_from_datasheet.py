@@ -101,6 +101,13 @@ def test_a_unit_is_compared_with_the_measured_units(
     own = measured_values(small_results)
     assert all(value.low <= value.value <= value.high for value in own.values())
     small_results.save(tmp_path / 'results')
+    assert main(['sensors', '--from', str(tmp_path / 'results')]) == 0
+    stated = yaml.safe_load(capsys.readouterr().out)
+    path = tmp_path / 'x1.yaml'
+    path.write_text(yaml.safe_dump({**SHEET, **stated}))
+    (read,) = load_sensor(str(path)).measured
+    for (kind, term), value in own.items():
+        assert read.values[kind][term] == pytest.approx(value, rel=1e-3)
     for name, factor in (('typical', 1.0), ('quieter', 2.0), ('noisier', 0.5)):
         ends = [number * factor for number in own['gyro', 'N']]
         entry = dict(zip(('value', 'low', 'high'), ends), unit='rad/s/sqrt(Hz)')

@@ -28,7 +28,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import AllanError
 from ..fit.model import AxisFit
 from ..noise import NoiseTerms, ProcessModel
 
@@ -75,11 +74,6 @@ def predicted_growth(
     -------
     float64 array
         In the unit of the samples times s (or s^2).
-
-    Raises
-    ------
-    AllanError
-        If a time is not above 0.
 
     Examples
     --------
@@ -218,12 +212,10 @@ def growth_parts(
 ) -> Iterator[tuple[str, Floats]]:
     """Yield (name, variance of the error due to it) for each process of the model that is not 0.
 
-    The parameters and errors are those of `predicted_growth`. The variance is an array over the
+    The parameters are those of `predicted_growth`. The variance is an array over the
     horizons, in the squared unit of the samples times s^2 (or s^4).
     """
     h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
-    if not (np.all(h > 0.0) and np.all(w > 0.0)):
-        raise AllanError('horizon and window must be above 0 s: give positive times')
     terms = model.terms
     if terms.N:
         yield 'N', terms.N**2 * _unit_error(_white, h, w, integrals)

@@ -25,7 +25,6 @@ from ...core.filters.reductions import (
     States,
     closest_process,
     horizon_text,
-    shortest_horizon,
 )
 from ...core.findings import Finding, finding
 from ...core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
@@ -142,7 +141,6 @@ class FilterNoise:
         elif target.rate_hz:
             self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
         self.horizon = options.horizon or target.horizon_s
-        shortest_horizon(self.horizon)
         self._reductions: dict[tuple[str, States], Reduction] = {}
 
     def rows(self) -> list[Row]:

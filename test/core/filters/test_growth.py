@@ -9,7 +9,6 @@ import math
 import numpy as np
 import pytest
 
-from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.reductions import StateSpace, flicker_processes
 from allan_ros.core.noise import NoiseTerms, ProcessModel
@@ -106,8 +105,3 @@ def test_rounding_is_negligible_at_long_correlation_times():
                 walk, 0.01, 0.5, integrals
             )
             assert ratio == pytest.approx(1.0, abs=1e-3)
-
-
-def test_a_horizon_of_zero_is_rejected():
-    with pytest.raises(AllanError, match='above 0'):
-        predicted_growth(PROCESSES['N'], 0.0, 10.0)
