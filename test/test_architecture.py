@@ -163,7 +163,7 @@ LARGE = 'scipy.optimize scipy.signal scipy.spatial scipy.stats matplotlib pandas
         (EVERY_MODULE, f'{LARGE} rclpy'),
         ('import allan_ros.core.stream.pipeline', 'scipy'),
         ('import allan_ros.io.plots', 'matplotlib.pyplot'),
-        (ANALYZE, 'matplotlib'),
+        (ANALYZE, LARGE),
         (BIAS, LARGE),
         ('import allan_ros.nodes.monitor', f'{LARGE} scipy'),
         (CHECKPOINT, 'scipy'),

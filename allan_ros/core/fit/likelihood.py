@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..noise import PROCESS_TYPES
+from .least_squares import nonnegative_least_squares
 from .statistics import Component, Floats, Statistics
 
 Flags = NDArray[np.bool_]
@@ -281,9 +282,7 @@ def _step(information: Floats, moment: Floats, sign: Flags) -> Floats:
     free = np.linalg.solve(root.T, target)
     if np.all((free >= 0.0) | sign):
         return np.asarray(free / d)
-    from scipy.optimize import nnls  # slow to import
-
-    x, _ = nnls(np.column_stack([root.T, -root.T[:, sign]]), target, maxiter=1000)
+    x = nonnegative_least_squares(np.column_stack([root.T, -root.T[:, sign]]), target)
     out = x[: len(d)]
     out[sign] -= x[len(d) :]
     return np.asarray(out / d)
