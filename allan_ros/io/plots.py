@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -294,8 +293,8 @@ def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
                 )  # fmt: skip
     # round numbers instead of powers of ten: most ratios are between 0.1 and 10
     low, high = panel.get_ylim()
-    few = math.log10(high / low) > 1.5
-    panel.yaxis.set_major_locator(LogLocator(subs=(1.0,) if few else (1.0, 2.0, 5.0)))
+    digits = (1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 7.0) if high / low < 5.0 else (1.0, 2.0, 5.0)
+    panel.yaxis.set_major_locator(LogLocator(subs=digits if high / low < 30.0 else (1.0,)))
     panel.yaxis.set_major_formatter('{x:g}')
     panel.yaxis.set_minor_formatter('')
     panel.set_ylim(low, high)
