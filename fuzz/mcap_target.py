@@ -43,6 +43,8 @@ class Plan:
     compression: str = ''
     loose: tuple[int, ...] = ()  # chunks whose messages are written outside chunks
     summary: bool = True
+    checksum: bool = False
+    channels: int = 1  # of the topic, in which its messages alternate
     encoding: str = 'cdr'
     topic: str = '/imu'
     type: str = IMU_TYPE
@@ -82,8 +84,9 @@ def build(plan: Plan) -> bytes:
     schema = record(
         3, _number('<H', 1) + _text(plan.type) + _text(plan.schema_format) + _text(plan.schema)
     )
-    channel = record(
-        4, struct.pack('<HH', 1, 1) + _text(plan.topic) + _text(plan.encoding) + _text('')
+    channel = b''.join(
+        record(4, struct.pack('<HH', n, 1) + _text(plan.topic) + _text(encoding) + _text(''))
+        for n, encoding in ((1, plan.encoding), (2, f'{plan.encoding}1'))[: plan.channels]
     )
     out = MAGIC + record(1, _text('ros2') + _text('fuzz')) + schema + channel
     indexes = []
@@ -95,7 +98,7 @@ def build(plan: Plan) -> bytes:
         for i, time_ns in enumerate(times):
             is_odd = i == each // 2
             logged = _or(plan.log_time, time_ns) if is_odd else time_ns
-            to = _or(plan.channel, 1) if is_odd else 1
+            to = _or(plan.channel, 1) if is_odd else 1 + i % plan.channels
             body = imus[number * each + i]
             if is_odd and plan.message is not None:
                 body = plan.message
@@ -128,10 +131,16 @@ def build(plan: Plan) -> bytes:
     if not plan.summary:
         return out + record(2, struct.pack('<QQI', 0, 0, 0)) + MAGIC
     start = len(out)
-    counted = struct.pack('<HQ', 1, _or(plan.counted, MESSAGES) % 2**64)
-    statistics = struct.pack('<QHIIIIQQI', MESSAGES, 1, 1, 0, 0, len(indexes), 0, 0, len(counted))
-    out += schema + channel + b''.join(indexes) + record(0x0B, statistics + counted)
-    return out + record(2, _number('<Q', _or(plan.summary_start, start)) + bytes(12)) + MAGIC
+    total = _or(plan.counted, MESSAGES) % 2**64
+    counted = b''.join(
+        struct.pack('<HQ', n, total // plan.channels) for n in range(1, plan.channels + 1)
+    )
+    numbers = MESSAGES, 1, plan.channels, 0, 0, len(indexes), 0, 0, len(counted)
+    out += schema + channel + b''.join(indexes)
+    out += record(0x0B, struct.pack('<QHIIIIQQI', *numbers) + counted)
+    footer = struct.pack('<BQ', 2, 20) + _number('<Q', _or(plan.summary_start, start)) + bytes(8)
+    checksum = zlib.crc32(out[start:] + footer) if plan.checksum else 0
+    return out + footer + struct.pack('<I', checksum) + MAGIC
 
 
 def _compressed(data: bytes, how: str) -> bytes:
