@@ -69,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _common(args: argparse.Namespace, console: Console) -> int:
     """Print and write the noise that the IMUs have in common; return the exit code."""
+    if args.sensor or args.within or args.fail_on_difference:
+        raise AllanError('--common judges nothing: omit --sensor, --within, --fail-on-difference')
     common = api.common(*args.inputs, labels=args.label)
     if console.json:
         console.document(common.document())

@@ -139,3 +139,11 @@ def test_wrong_inputs_are_rejected(three: list[ImuBatch], tmp_path: Path) -> Non
     ):
         with pytest.raises(AllanError, match=why):
             wrong()
+
+
+@pytest.mark.parametrize('option', ['--fail-on-difference', '--within=5%', '--sensor=bmi088'])
+def test_an_option_without_effect_is_rejected(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(['compare', 'a.mcap', 'b.mcap', '--common', option]) == 1
+    assert '--common judges nothing' in capsys.readouterr().err
