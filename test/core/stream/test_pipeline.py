@@ -99,7 +99,10 @@ TIMES = {
     'scatter': (None, lambda t, i, g: t + g.normal(0.0, 0.2 * PERIOD, len(t)).astype(int)),
     'disorder': (None, lambda t, i, g: t + g.integers(-6_000_000, 6_000_000, len(t))),
     'bursts': ('bursty_stamps', lambda t, i, g: START + i // 8 * 8 * PERIOD),
-    'two clocks': (None, lambda t, i, g: t + (g.random(len(t)) < 0.3) * 350_000_000),
+    'two clocks': (
+        'stamps_mixed bursty_stamps backward_stamps clock_jumps rate_assumed',
+        lambda t, i, g: t + (g.random(len(t)) < 0.3) * 350_000_000,
+    ),
     'microseconds': ('stamps_unit', lambda t, i, g: (t + 7 * 10**17) // 1000),
     'clock back': ('clock_jumps backward_stamps', lambda t, i, g: t - (i > 4000) * 3600 * 10**9),
     'clock forth': (None, lambda t, i, g: t + (i > 4000) * 3600 * 10**9),
