@@ -181,7 +181,7 @@ class StampFilter:
     def __init__(self, axes: int, counts: Counts) -> None:
         self._counts = counts
         self._latest: int | None = None
-        self._latest_row: Floats = np.full(axes, np.nan)
+        self._last = 0, np.full(axes, np.nan)  # stamp and values of the last sample received
         self._backward = 0  # consecutive samples with earlier stamps
         # how many of these mean that the clock was set back; more if it was set back recently
         self._needed = BACKWARD_RUN
@@ -200,20 +200,21 @@ class StampFilter:
         if not len(stamps):
             return stamps, rows, np.zeros(0, bool)
         latest = stamps[0] - 1 if self._latest is None else self._latest
-        number = len(stamps)
+        last, number = (int(stamps[-1]), rows[:, -1].copy()), len(stamps)
         jumped = np.zeros(number, bool)
         if stamps[0] <= latest or (stamps[1:] <= stamps[:-1]).any() or self._backward:
-            keep, jumped = self._select(stamps, rows, np.diff(stamps, prepend=latest))
+            keep, jumped = self._select(stamps, rows)
             stamps, rows, jumped = stamps[keep], rows[:, keep], jumped[keep]
-        self._position += number
+        self._last, self._position = last, self._position + number
         if len(stamps):
-            self._latest, self._latest_row = int(stamps[-1]), rows[:, -1].copy()
+            self._latest = int(stamps[-1])
         return stamps, rows, jumped
 
-    def _select(self, stamps: Stamps, rows: Floats, step: Stamps) -> tuple[Flags, Flags]:
+    def _select(self, stamps: Stamps, rows: Floats) -> tuple[Flags, Flags]:
         """Return masks (n,) of the samples that are kept and that follow a backward clock step."""
-        before = np.concatenate([self._latest_row[:, None], rows[:, :-1]], axis=1)
-        repeated = (step == 0) & (rows == before).all(axis=0)
+        stamp, row = self._last
+        equal = (rows == np.column_stack([row, rows[:, :-1]])).all(axis=0)
+        repeated = equal & (np.diff(stamps, prepend=stamp) == 0)
         self._counts.duplicate += int(np.count_nonzero(repeated))
         keep = ~repeated
         jumped = np.zeros(len(stamps), bool)

@@ -125,10 +125,6 @@ class Windows:
         variance[variance <= (ROUNDING * mean) ** 2] = 0.0
         return cls(np.stack([mean, variance, peak]))
 
-    def __getitem__(self, which: slice | Flags) -> Windows:
-        """Return the windows selected by a slice or a mask (k,)."""
-        return Windows(self.values[:, :, which])
-
     @classmethod
     def joined(cls, parts: Iterable[Windows]) -> Windows:
         """Concatenate the windows of all parts, at least one."""
@@ -276,7 +272,7 @@ class NoiseFloor:
         the floor only in their mean angular rate (``rotating``), only the mean is updated.
         """
         if np.count_nonzero(still) >= len(still) // 2:
-            rest = block if still.all() else block[still]
+            rest = block if still.all() else Windows(block.values[:, :, still])
             recent = _quantile(rest.variance, QUANTILE)
             variance = self.variance + FLOOR_GAIN * (recent - self.variance)
             return replace(self, variance=variance, mean=_quantile(rest.mean, 0.5))

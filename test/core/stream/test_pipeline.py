@@ -169,12 +169,17 @@ def test_any_chunking_of_any_stream_gives_the_same(fault, n, chunks, seed, gated
     assert np.isfinite([v for s in whole.sums for v in s.sum_sq.ravel()]).all()
 
 
-@pytest.mark.parametrize('fault', ['scatter', 'quieter', 'nan first', 'equal first', 'jump'])
+@pytest.mark.parametrize(
+    'fault', ['scatter', 'quieter', 'nan first', 'equal first', 'jump', 'twice']
+)
 def test_what_is_learned_on_the_way_does_not_depend_on_the_chunks(fault):
-    """Period, noise floor and sensors, and a clock that is set back after a change of the rate."""
+    """Period, noise floor, sensors, and backward stamps of duplicates or after a new rate."""
     t, x = still(40_000)
     rng, i = np.random.default_rng(2), np.arange(len(t))
-    if fault in FAULTS:
+    if fault == 'twice':  # samples with a backward stamp, and their duplicates
+        twice = np.sort(np.concatenate([i, i[7::500]]))
+        t, x = (t - (i % 500 == 7) * 10**9)[twice], x[twice]
+    elif fault in FAULTS:
         t, x = faulty(fault, len(t))
     elif fault == 'quieter':
         x = x * (1.0 - 2e-5 * i[:, None]) + 5e-3 * (rng.random(x.shape) < 0.002)
@@ -183,7 +188,7 @@ def test_what_is_learned_on_the_way_does_not_depend_on_the_chunks(fault):
     else:
         t = faulty('rate', len(t))[0] - (i > 12_000) * 3600 * 10**9
     whole = accumulate(t, x, (len(t),))
-    assert_same(whole, accumulate(t, x, (500,)))
+    assert_same(whole, accumulate(t, x, (32,)))
     assert whole.sums[0].samples > 20_000
 
 
