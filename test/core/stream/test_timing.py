@@ -32,12 +32,7 @@ def run(stamps, rows=None, max_bridge=3):
     joined = []
     for r in runs:
         if joined and not r.cut:
-            last = joined.pop()
-            r = Block(
-                np.concatenate([last.stamps, r.stamps]),
-                np.concatenate([last.rows, r.rows], axis=1),
-                last.cut,
-            )
+            r = Block.joined([joined.pop(), r])
         joined.append(r)
     return joined, counts, stage
 
