@@ -121,6 +121,7 @@ class _Blocks(NamedTuple):
     recording: Ints  # (n,)
     time: Floats  # middle of the block in blocks, (n,)
     celsius: Floats  # mean temperature, (n,)
+    spread: Floats  # variance of the temperature within the block, (n,)
     values: Floats  # SI, (n, axes)
 
     @property
@@ -158,7 +159,7 @@ def temperature_models(
         return {}, [finding('temperature_one_way', range=range_k)]
     low, high, reference = blocks.celsius.min(), blocks.celsius.max(), blocks.celsius.mean().round()
     warmer = blocks.celsius - reference
-    effects = np.column_stack([warmer, warmer**2, rising])
+    effects = np.column_stack([warmer, warmer**2 + blocks.spread, rising])
     trend = np.zeros((len(warmer), 2 * len(blocks.parts)))
     for r, part in enumerate(blocks.parts):
         trend[part, 2 * r] = 1.0
@@ -170,6 +171,8 @@ def temperature_models(
             continue
         contrasts = _contrasts(AxisData.of(known, i), model.axes[axis], tau0, blocks, basis)
         values = _model(contrasts, tau0, blocks, effects, basis)
+        if not np.isfinite([values['b0_ci95'], values['b1_ci95'], values['b2_ci95']]).all():
+            continue
         found[axis] = TemperatureModel(float(reference), float(low), float(high), **values)
     return found, []
 
@@ -189,15 +192,16 @@ def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
         rows.append((np.full(len(values), r), time, values))
     if not rows:
         none = np.zeros(0)
-        return _Blocks(step, np.zeros(0, np.int64), none, none, none)
+        return _Blocks(step, np.zeros(0, np.int64), none, none, none, none)
     recording, time, values = (np.concatenate(column) for column in zip(*rows))
     read = (time_ns - origin) * 1e-9 / (step * tau0)
     inside = time[:, None] + (np.arange(8) - 3.5) / 8.0
-    mean = np.interp(inside, read, celsius, np.nan, np.nan).mean(axis=1)
+    within = np.interp(inside, read, celsius, np.nan, np.nan)
+    mean, spread = within.mean(axis=1), within.var(axis=1)
     after = np.clip(np.searchsorted(read, time), 1, len(read) - 1)
     pause = max(LONGEST_PAUSE_S / (step * tau0), 2.0)
     some = np.isfinite(mean) & (read[after] - read[after - 1] < pause)
-    return _Blocks(step, recording[some], time[some], mean[some], values[some])
+    return _Blocks(step, *(each[some] for each in (recording, time, mean, spread, values)))
 
 
 def _rising(celsius: Floats, least: float) -> Floats:
@@ -327,7 +331,7 @@ class _Fitted(NamedTuple):
         fit, covariances = self.fit, self.contrasts.covariances
         noise = np.linalg.inv(np.tensordot(fit.p, covariances, 1))
         weighed = noise @ effects
-        covariance = np.linalg.inv(effects.T @ weighed)
+        covariance = inverse(effects.T @ weighed)  # singular with only two temperatures
         gain = covariance @ weighed.T
         moved = gain @ covariances  # (components, effects, contrasts)
         errors = inverse(fit.information)

@@ -101,6 +101,18 @@ def test_there_is_no_model_where_the_effect_cannot_be_told(celsius: Floats, ids:
     assert models == {} and [f.id for f in findings] == ids
 
 
+def test_two_temperatures_show_a_dependence_but_no_slope_and_curvature() -> None:
+    second = np.arange(2 * HOUR)
+    celsius = np.where(second // 1000 % 2, 36.0, 24.0)
+    sums = sums_of(drifts(8), celsius, 2.0)
+    read = second[abs(second % 1000 - 500) < 400]  # none for 200 s around each change
+    models, _ = temperature_models(sums, read * NS, celsius[read], fit_noise(sums))
+    for m in models.values():
+        assert m.resolved and m.b2_ci95[0] < 2.0 * B2 < m.b2_ci95[1]
+        warm, cold = m.bias(np.array([36.0, 24.0]))
+        assert warm - cold == pytest.approx(2.0 * 12.0 * B1, rel=0.3)
+
+
 def test_recordings_may_differ_in_their_bias() -> None:
     days = [sums_of(drifts(s) + s * 1e3 * DEG_H, CYCLES, 1.0, s * 9 * HOUR) for s in (1, 2)]
     sums = days[0] + days[1]
