@@ -35,19 +35,12 @@ N, K = TERMS.index(('N',)), TERMS.index(('K',))
 LONGEST_MOVE = {'time': 0.7, 'frequency': 0.06}
 """Longest step in the logarithm of a number of a shape: a factor of two, and half a bin."""
 
-ALIASED = 0.1
-"""Variance of the block means due to a fast sinusoid, relative to that of white noise, from which
-its alias matters."""
-
 BANDWIDTHS = (1.0, 3.0)
 """Correlation times of the candidates with a frequency, in periods. Shorter ones than the first are
 not allowed: they imitate a low-pass filter."""
 
 TOLERANCE = 0.03
 """Change of -2 log L below which the fit of a candidate ends."""
-
-SAME = 1e-5
-"""Share of its information below which a candidate cannot be told from the model."""
 
 PROMISING = 0.4
 """Share of its threshold that the approximate gain of a candidate must reach to be fitted."""
@@ -62,8 +55,8 @@ class Candidates:
     @cached_property
     def times(self) -> list[Component]:
         """Gauss-Markov processes with correlation times up to the longest segment."""
-        most = math.log2(max(self.statistics.longest, 4))
-        return [('gauss_markov', 2.0**k) for k in np.arange(1.0, most + 0.01, 0.5)]
+        most = math.log2(max(self.statistics.longest / SHORTEST_TIME, 1.0))
+        return [('gauss_markov', SHORTEST_TIME * 2.0**k) for k in np.arange(0.0, most + 0.01, 0.5)]
 
     @cached_property
     def lines(self) -> list[Component]:
@@ -173,7 +166,8 @@ class Candidates:
         score = score - cross @ np.linalg.solve(known, left)
         first = np.array([each[1] for each in self.all])
         allowed = np.where(np.arange(len(first)) < n, first >= shortest, first < fastest)
-        allowed &= (score > 0.0) & (rest > SAME * own)
+        # with less information of its own, a candidate cannot be told from the model
+        allowed &= (score > 0.0) & (rest > 1e-5 * own)
         return np.where(allowed, score**2 / np.where(allowed, rest, 1.0), 0.0)
 
 
@@ -244,18 +238,15 @@ class Selection:
             first = len(self.candidates.times)
             gains[first : first + self.candidates.slow] = 0.0
         best, least = None, math.inf
-        at = 0
-        for each in self.candidates.by_kind:
-            part = gains[at : at + len(each)]
-            at += len(each)
-            kind = each[0][0] if each else ''
-            if not each or part.max() < PROMISING * self.threshold(kind):
+        ends = np.cumsum([len(each) for each in self.candidates.by_kind])
+        for each, part in zip(self.candidates.by_kind, np.split(gains, ends[:-1])):
+            if not each or part.max() < PROMISING * self.threshold(each[0][0]):
                 continue
             seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
             new = self.fit((*fit.components, each[int(part.argmax())]), np.append(fit.p, seed))
             new = self.refined(new, [len(fit.p)], 3)
-            if new.value + self.threshold(kind) < least:
-                best, least = new, new.value + self.threshold(kind)
+            if new.value + self.threshold(each[0][0]) < least:
+                best, least = new, new.value + self.threshold(each[0][0])
         if best is None:
             return None
         best = self._with_sinusoids(self.refined(best, range(len(self.base), len(best.p))))
@@ -343,7 +334,7 @@ class Selection:
         return (kind, *shape)
 
     def _aliased(self, fit: Fit) -> bool:
-        """Return whether the alias of a fast sinusoid in the block means is comparable to noise.
+        """Return whether the alias of a fast sinusoid in the block means exceeds a tenth of noise.
 
         The averages over M samples leave 1/(M sin(pi f)) of its amplitude, at an alias that depends
         on more digits of the frequency than the spectra determine. A slow sinusoid or a bounded
@@ -355,7 +346,7 @@ class Selection:
             for p, c in zip(fit.p, fit.components)
             if c[0] == 'sinusoid' and c[1] * step > 1.0
         )
-        return bool(sum(left) > ALIASED * fit.p[N] / step)
+        return bool(sum(left) > 0.1 * fit.p[N] / step)
 
     def imitates_filter(self, fit: Fit) -> bool:
         """Return whether processes have the smooth spectrum of a low-pass filter.
