@@ -351,12 +351,12 @@ class Selection:
     def imitates_filter(self, fit: Fit) -> bool:
         """Return whether processes have the smooth spectrum of a low-pass filter.
 
-        They are sinusoids that are close together, or a broad resonance near the highest frequency.
+        They are close sinusoids, or a broad resonance near the highest frequency.
         """
         f = np.log2(sorted(c[1] for c in fit.components if c[0] == 'sinusoid'))
         near = LINES_PER_OCTAVE - 1
         broad = self.signed and any(
-            c[1] > self.fastest / 2.0 and c[1] * c[2] < BANDWIDTHS[1]
+            c[1] > self.fastest / 4.0 and c[1] * c[2] < 2.0 * BANDWIDTHS[0]
             for c in fit.components
             if c[0] == 'resonance'
         )
