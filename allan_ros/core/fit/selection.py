@@ -35,6 +35,14 @@ N, K = TERMS.index(('N',)), TERMS.index(('K',))
 LONGEST_MOVE = {'time': 0.7, 'frequency': 0.06}
 """Longest step in the logarithm of a number of a shape: a factor of two, and half a bin."""
 
+ALIASED = 0.1
+"""Variance of the block means, or power of a bin, due to the alias of a fast sinusoid, relative to
+noise, from which it matters."""
+
+WANDER, EXCLUDED = 1e-3, 1e-6
+"""Relative uncertainty of the frequency of a sinusoid, and weight of the bins that may contain its
+alias."""
+
 BANDWIDTHS = (1.0, 3.0)
 """Correlation times of the candidates with a frequency, in periods. Shorter ones than the first are
 not allowed: they imitate a low-pass filter."""
@@ -109,6 +117,20 @@ class Candidates:
         return [
             np.array([c[g][1:, 1:] for c in columns]) for g in range(len(self.statistics.groups))
         ]
+
+    def alias(self, frequency: float) -> Floats:
+        """Return the largest power that a sinusoid of unit variance may leave in bins of means.
+
+        It is 0 in bins of samples, and in those that its alias cannot reach.
+        """
+        known, n = self.statistics, len(self.times)
+        size = np.array([octave(o).length for o in known.octave.tolist()])
+        step = np.array([octave(o).step for o in known.octave.tolist()])
+        at = np.abs(frequency - np.round(frequency * step) / step)
+        near = np.abs(at - known.f) < 2.0 / size + WANDER * frequency
+        largest = self.power[n : n + len(self.lines)].max(axis=0)
+        gain = (np.sin(np.pi * known.f) / math.sin(math.pi * frequency)) ** 2
+        return np.where(near & (step > 1) & (known.f < frequency / 2.0), largest * gain, 0.0)
 
     @cached_property
     def slow(self) -> int:
@@ -267,15 +289,16 @@ class Selection:
     def without_superfluous(self, fit: Fit) -> Fit:
         """Remove processes that later ones have made superfluous.
 
-        A sinusoid in the block means goes if it may be the alias of a fast one.
+        A sinusoid goes if it may be the alias of a fast one.
         """
         k = len(self.base)
+        known = self.data.statistics
         while k < len(fit.p):
             kind, *shape = fit.components[k]
-            alias = (
-                kind == 'sinusoid'
-                and shape[0] < 2.0 * self.data.statistics.crossover
-                and self._aliased(fit)
+            alias = kind == 'sinusoid' and (
+                self._aliased(fit)
+                if shape[0] < 2.0 * known.crossover
+                else self._excludes(shape[0])
             )
             if alias or kind != 'sinusoid':
                 others = (*fit.components[:k], *fit.components[k + 1 :])
@@ -333,6 +356,12 @@ class Selection:
         shape[at] = min(max(shape[at] * math.exp(min(max(step, -most), most)), low), high)
         return (kind, *shape)
 
+    def _excludes(self, frequency: float) -> bool:
+        """Return whether the bin nearest to a frequency is excluded."""
+        known = self.data.statistics
+        at = int(np.argmin(np.abs(known.f - frequency)))
+        return bool(self.data.dof[at] < 2.0 * EXCLUDED * known.dof[at])
+
     def _aliased(self, fit: Fit) -> bool:
         """Return whether the alias of a fast sinusoid in the block means exceeds a tenth of noise.
 
@@ -383,7 +412,7 @@ class Selection:
         return best if fit.value - best.value > GAIN_BOUNDED else fit
 
     def weighed(self, fit: Fit | None) -> Selection:
-        """Reduce the weight of bins that sinusoids dominate.
+        """Reduce the weight of bins that sinusoids dominate, and exclude those with their aliases.
 
         A sinusoid is never as narrow as the model; such bins say little except its amplitude.
         """
@@ -397,4 +426,8 @@ class Selection:
         share = np.clip(parts[lines].sum(0) / parts.sum(0), 0.0, 1.0)
         least = np.minimum(self.data.dof, LEAST_LINE_DOF)
         dof = np.maximum(self.data.dof * (1.0 - share) ** 2, least)
+        other = np.maximum(parts.sum(0) - parts[lines].sum(0), 1e-300)
+        for i in lines:
+            alias = fit.p[i] * self.candidates.alias(fit.components[i][1])
+            dof = np.where(alias > ALIASED * other, EXCLUDED * dof, dof)
         return replace(self, data=replace(self.data, dof=dof))
