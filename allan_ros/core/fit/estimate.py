@@ -164,7 +164,9 @@ def _highest(rules: Selection) -> _Trial:
             fair = trial
     if good is not None and (fair is None or good.top >= fair.top / 4.0):
         return good
-    return fair or _trial(rules, 0.5)
+    # aliases of a strong sinusoid may fail every trial without it
+    full = _trial(rules, 0.5) if good is None or fair is None else fair
+    return full if full.holds or fair is None else fair
 
 
 def _loses_power(data: AxisData, good: _Trial, top: float) -> bool:

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..allan.octaves import octave
+from ..allan.octaves import LONGEST_BLOCK, octave
 from ..noise import PROCESS_TYPES
 from .likelihood import TERMS, AxisData, Fit
 from .limits import (
@@ -271,8 +271,26 @@ class Selection:
                 best, least = new, new.value + self.threshold(each[0][0])
         if best is None:
             return None
-        best = self._with_sinusoids(self.refined(best, range(len(self.base), len(best.p))))
+        best = self.refined(self._located(best), range(len(self.base), len(best.p)))
+        best = self._with_sinusoids(best)
         return best if best.value + self.threshold(best.components[-1][0]) < fit.value else None
+
+    def _located(self, fit: Fit) -> Fit:
+        """Return the fit with the best frequency of the last sinusoid within one bin.
+
+        A strong one reaches the bins of the longest blocks of samples, too, where its power has
+        many maxima. So the likelihood has many minima.
+        """
+        kind, frequency, *_ = (*fit.components[-1], 0.0)
+        if kind != 'sinusoid':
+            return fit
+        width = 1.0 / self.candidates.narrowest(frequency)
+        best = fit
+        for f in frequency + np.arange(-0.5 * width, 0.5 * width, 0.5 / LONGEST_BLOCK):
+            if 0.5 / self.data.statistics.longest < f < 0.499:
+                new = self.fit((*fit.components[:-1], (kind, float(f))), fit.p)
+                best = min(best, new, key=lambda each: each.value)
+        return best
 
     def _with_sinusoids(self, fit: Fit) -> Fit:
         """Return the fit with sinusoids instead of resonances that are as narrow in the spectra."""

@@ -99,6 +99,20 @@ def test_a_weak_sinusoid_is_found_beside_a_strong_one():
         assert fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.015)
 
 
+@pytest.mark.parametrize(
+    ('size', 'frequency'),
+    [(5.0, 4.71), (30.0, 7.216), (30.0, 16.12), (30.0, 24.5965)],
+)
+def test_a_strong_sinusoid_of_any_frequency_is_the_only_process(size, frequency):
+    """Its aliases in averages and its power in bins far from it are no processes."""
+    rng = np.random.default_rng(2)
+    y = simulated(120_000, 3, 2, FLAT) + size * WHITE * sine(120_000, frequency, rng, 3)
+    for fit in fits(y):
+        (line,) = fit.processes.sinusoid
+        assert line.frequency == pytest.approx(frequency, rel=2e-3)
+        assert not fit.filtered and not fit.processes.resonance
+
+
 def test_three_sinusoids_are_not_taken_for_a_filter():
     """Each axis has the three sinusoids and the right N."""
     rng = np.random.default_rng(6)
