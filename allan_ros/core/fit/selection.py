@@ -314,9 +314,7 @@ class Selection:
         while k < len(fit.p):
             kind, *shape = fit.components[k]
             alias = kind == 'sinusoid' and (
-                self._aliased(fit)
-                if shape[0] < 2.0 * known.crossover
-                else self._excludes(shape[0])
+                self._aliased(fit) if shape[0] < 2.0 * known.crossover else self._excludes(shape[0])
             )
             if alias or kind != 'sinusoid':
                 others = (*fit.components[:k], *fit.components[k + 1 :])
