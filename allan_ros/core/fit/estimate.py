@@ -39,6 +39,10 @@ TOPS = tuple(0.5 / 2**i for i in range(8))
 FIRST_TOP = 3
 """Index of the first one that is tried if the samples look low-pass filtered."""
 
+PEAKED = 30.0
+"""Power of a bin, relative to the third bins on either side, from which a sinusoid is certain.
+Without it in the model, its aliases would fail every fit of lower frequencies."""
+
 FILTER = ('Q2',)
 
 
@@ -103,7 +107,11 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
     rules = Selection(data, candidates, (*TERMS, *known))
     if len(data.power) < LEAST_BINS:
         return _result(rules, rules.bounded(rules.selected()), 0.5)
-    best = None if _test(rules, rules.fit(rules.base))[1] else _trial(rules, 0.5)
+    f = np.sort(data.statistics.f)
+    power = data.power[np.argsort(data.statistics.f)][f > TOPS[FIRST_TOP]]
+    peak = np.max(power[3:-3] / np.maximum(power[:-6], power[6:]), initial=0.0)
+    first = peak > PEAKED or not _test(rules, rules.fit(rules.base))[1]
+    best = _trial(rules, 0.5) if first else None
     if best is None or (best.curved and not best.holds):
         best = _highest(rules)
     fit, rules = best.fit, best.rules
@@ -164,9 +172,7 @@ def _highest(rules: Selection) -> _Trial:
             fair = trial
     if good is not None and (fair is None or good.top >= fair.top / 4.0):
         return good
-    # aliases of a strong sinusoid may fail every trial without it
-    full = _trial(rules, 0.5) if good is None or fair is None else fair
-    return full if full.holds or fair is None else fair
+    return fair or _trial(rules, 0.5)
 
 
 def _loses_power(data: AxisData, good: _Trial, top: float) -> bool:

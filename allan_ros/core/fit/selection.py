@@ -39,6 +39,9 @@ ALIASED = 0.1
 """Variance of the block means, or power of a bin, due to the alias of a fast sinusoid, relative to
 noise, from which it matters."""
 
+STRONG = 0.998
+"""Share of a sinusoid in the power of a bin from which it reaches bins far from it."""
+
 WANDER, EXCLUDED = 1e-3, 1e-6
 """Relative uncertainty of the frequency of a sinusoid, and weight of the bins that may contain its
 alias."""
@@ -282,7 +285,8 @@ class Selection:
         many maxima. So the likelihood has many minima.
         """
         kind, frequency, *_ = (*fit.components[-1], 0.0)
-        if kind != 'sinusoid':
+        share = float(np.max(fit.p[-1] * fit.columns.power[:, -1] / fit.spectrum(), initial=0.0))
+        if kind != 'sinusoid' or share < STRONG:
             return fit
         width = 1.0 / self.candidates.narrowest(frequency)
         best = fit
