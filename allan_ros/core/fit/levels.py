@@ -8,6 +8,7 @@ noise, so the last change of the level is judged by the scatter between neighbor
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -129,7 +130,19 @@ class Levels:
             found = begin = begin + at + 1
         if not found:
             return None
+        if found + 1 < len(n) and self._is_mixed(axis, found, spread):
+            found += 1
         return found if self.change(axis, found) > LEAST_CHANGE else None
+
+    def _is_mixed(self, axis: int, at: int, spread: float) -> bool:
+        """Return whether the level of a period differs from that of all later ones."""
+        n, r = self.dof, self.power[:, axis]
+        later = n[at + 1 :].sum()
+        if not (n[at] > 0.0 and later > 0.0 and r[at] > 0.0):
+            return False
+        difference = math.log(self.mean(axis, slice(at + 1, None)) / r[at])
+        square = difference**2 / (2.0 / n[at] + 2.0 / later)
+        return _tail(square, 1, spread, len(n)) < LEVEL_CHANGES
 
     def change(self, axis: int, at: int) -> float:
         """Return the relative change of N at a period, from the usual level before; at least 0."""
