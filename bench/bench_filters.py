@@ -46,7 +46,7 @@ SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', ROOT.parent / 'shared'))
 RATE, SECONDS = 100.0, 7200
 DT = 1.0 / RATE
 OUTAGES = (10, 60, 300)
-EXPORTS, MEASURES = ('bare N, K', 'N, K', 'state space'), ('NEES', 'outage')
+EXPORTS, MEASURES = ('N, K as measured', 'N, raised K', 'state space'), ('NEES', 'outage')
 GROWTH_S = (1.0, 10.0, 100.0, 300.0)
 WINDOW_S = 100.0
 
@@ -103,9 +103,9 @@ def analyzed(samples: Any) -> ar.Results:
 
 
 def exported(results: ar.Results, axis: str) -> dict[str, dict[str, Any]]:
-    """Return the filter models of one axis: bare N and K, the default export, the state space."""
+    """Return the filter models of one axis: N and K as measured, raised K, state space."""
     models = {}
-    for name, fidelity in (('bare N, K', 'coefficients'), ('N, K', 'reduction')):
+    for name, fidelity in (('N, K as measured', 'coefficients'), ('N, raised K', 'reduction')):
         read: dict[str, Any] = {}
         exec(make_export(results, 'gtsam', ExportOptions(fidelity=fidelity)).text, read)
         i = AXES.index(axis)
@@ -301,7 +301,7 @@ rests."""
 
 
 def graph(runs: int) -> None:
-    """Print the NEES of attitude and gyro bias of GTSAM with the bare and the default export.
+    """Print the NEES of attitude and gyro bias of GTSAM with N and K as measured and with raised K.
 
     A graph has one pose per second, CombinedImuFactors between them, and a measurement of every
     pose with 0.1 deg and 1 cm. The estimates of every tenth second after the first 60 s are
@@ -395,15 +395,14 @@ def figure() -> None:
     actual = np.sqrt((np.array(per_axis) ** 2).mean(axis=0)) * scale
     chart, axes = pyplot.subplots(figsize=(6.4, 4.0), layout='constrained')
     axes.loglog(times, actual, 'k.', label='actual (12 simulated axes)')
-    styles = {'bare N, K': 'C3--', 'N, K': 'C0-', 'state space': 'C2-'}
+    styles = {'N, K as measured': 'C3--', 'N, raised K': 'C0-', 'state space': 'C2-'}
     for name, style in styles.items():
         one = models[name]
         model = ProcessModel(NoiseTerms(N=one['N'], K=one['K']), tuple(one.get('gms', ())))
         predicted = predicted_growth(model, times, window) * scale
-        label = {'N, K': 'N and raised K (default)', 'bare N, K': 'bare N and K'}.get(name, name)
-        axes.loglog(times, predicted, style, label=label)
+        axes.loglog(times, predicted, style, label=name)
     axes.axvspan(1.0, 30.0, color='C0', alpha=0.08, lw=0.0)
-    axes.set(xlabel='time without correction h [s]', ylabel='angle error, 1 sigma [deg]')
+    axes.set(xlabel='time without correction t [s]', ylabel='angle error, 1 sigma [deg]')
     axes.legend(title=f'bias known from {window:g} s; shaded: 1 to 30 s')
     axes.grid(True, which='both', alpha=0.2)
     path = ROOT / 'docs' / 'images' / 'filter_growth.png'

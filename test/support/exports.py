@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parsers of exported files, and the numbers that the files must contain.
 
-The numbers are computed by hand from the bare coefficients of the fixed results.
+The numbers are computed by hand from the coefficients of the fixed results.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def warmed(results: Results, shares: Sequence[float] = (0.6, 0.8, 1.0)) -> Resul
 def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:
     """Return the numbers of an exported file as its reader parses them.
 
-    The default is the file of the bare coefficients.
+    The default is the file of the coefficients as measured.
     """
     options = {'fidelity': 'coefficients', **options}
     read, path = READERS[name]

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files that filters, calibration tools and simulators read.
 
-A `Target` describes one file: a table of its keys (`Key`) with the convention and its source, and
-the form of its text. `model` computes the `Row` of each key from the noise model. Targets are in
+A `Target` describes one file: its keys (`Key`), their convention and its source, and the text
+format. `model` computes the `Row` of each key from the noise model. Targets are in
 `targets` and `simulators`; a new one also needs a line in `TARGETS`.
 """
 
@@ -112,7 +112,7 @@ class ExportOptions(CheckedSettings):
     fidelity: str = parameter(
         'reduction',
         'N and K of the file: a reduction, in which K is raised until the predicted error growth '
-        'covers the complete model, or the bare coefficients.',
+        'covers the complete model, or the coefficients as measured.',
         choices=('reduction', 'coefficients'),
     )
     horizon: float = parameter(

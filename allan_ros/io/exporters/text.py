@@ -75,7 +75,7 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
         f'axis rule: {RULE_WORDS[noise.rule]}; inflation: {inflation if inflate > 1 else "none"}',
     ]
     if noise.options.fidelity == 'coefficients':
-        lines.append('fidelity: bare coefficients; N and K alone underestimate flicker and drift')
+        lines.append('fidelity: N and K as measured; they underestimate flicker and drift')
     elif noise.used:
         lows, highs = zip(*(one.ratio for one in noise.used.values()))
         lines.append(

@@ -76,7 +76,7 @@ def test_a_reduction_and_bare_coefficients_say_what_they_are(
     walk = target_of(name).walk
     assert ('not observable, 95 % upper limit 3.00e-05' in bare.text) == walk
     assert ('export_limits' in [said.id for said in bare.findings]) == walk
-    assert 'fidelity: bare coefficients' in bare.text and 'raised' not in bare.text
+    assert 'fidelity: N and K as measured' in bare.text and 'raised' not in bare.text
     if walk:
         with pytest.raises(AllanError, match='K of accel_z is not observable'):
             numbers(known_results, name, strict=True)
