@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _load(path: str) -> Results:
-    """Read results; raise AllanError that names what the path is instead."""
+    """Read results. If the path is something else, the AllanError says what it is."""
     from ..io.documents import RESULTS, file_in, load
 
     try:

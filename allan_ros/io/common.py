@@ -83,7 +83,7 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
 
 
 def common_lines(common: CommonResult, units: str = 'deg/h') -> Iterator[str]:
-    """Yield the lines of a table: N as measured, own N, and the coherence at some times."""
+    """Yield the lines of a table: N as measured, N without common noise, and the coherence."""
     shown = [tau for tau in SHOWN_TAU_S if any(_text(row, tau) for row in common.rows)]
     table = [['axis', 'IMU', 'N', 'own N', '', *(f'coherence at {tau:g} s' for tau in shown)]]
     for row in common.rows:

@@ -226,7 +226,7 @@ def _new_figure(rows: int, columns: int, title: str) -> tuple[Figure, Any]:
 
 
 def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
-    """Draw the deviation with its limits, the model, its parts, and the limits of other terms."""
+    """Draw the measured curve with its 68 % band, the model, its terms and their upper limits."""
     unit = shown_unit(name, 'B', units)
     panel.set_ylabel(f'{name.replace("_", " ")} [{pretty_unit(unit.name)}]')
     curve = drawn_curve(axis, unit.factor)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`Results`: the coefficients, curves and findings of one analysis; and how sums are fitted."""
+"""`Results`: the coefficients, curves and findings of one analysis. Fits sums to obtain them."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class Relay(AllanNode):
 
 
 class Monitor(AllanNode):
-    """Accumulates, estimates and relays every IMU in ``input.topics``."""
+    """Runs an accumulator, an estimator and, if enabled, a relay for each of ``input.topics``."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('allan_monitor', **options)

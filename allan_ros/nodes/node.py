@@ -234,7 +234,7 @@ class AllanNode(Node):
         self.create_timer(period, self._tick, clock=STEADY)
 
     def close(self) -> None:
-        """Close every part."""
+        """Close all parts of the node."""
         for part in self._parts:
             try:
                 part.close()

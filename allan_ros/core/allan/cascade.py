@@ -46,7 +46,7 @@ difference."""
 
 @dataclass(frozen=True)
 class Level:
-    """Averaging factors and octaves of one level."""
+    """One level of the cascade: its decimation, averaging factors and octave spectra."""
 
     stride: int  # samples between two points
     block: int  # largest number of points per block

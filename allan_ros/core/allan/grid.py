@@ -32,7 +32,7 @@ def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the averaging factors m <= samples/2 of `grid`, and their strides."""
+    """Return the factors m of `grid` up to half of the number of samples, and their strides."""
     levels = max(1, samples.bit_length() - 3)
     m, stride = grid(levels)
     keep = 2 * m <= samples

@@ -102,7 +102,7 @@ class _State:
         return self
 
     def with_block(self, segment: _OpenSegment, block: Block) -> _State:
-        """Return the state with a block of the current segment."""
+        """Return the state after a block of the current segment was added."""
         periods, age = list(self.periods), segment.age + block.begin
         if block.sums.level == 0:
             length = block.phase.shape[1] - 1

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise parameters of a filter from the noise of the axes of a sensor.
+"""Noise parameters of a filter, computed from the noise models of the axes.
 
 N and K are continuous-time noise densities: roots of two-sided power spectral densities. They are
-either the fitted coefficients (`axis_level`) or those of a reduced model (`reduce_axis`).
+the fitted coefficients (`axis_level`) or the parameters of a reduced-order model (`reduce_axis`).
 """
 
 from __future__ import annotations

@@ -305,7 +305,11 @@ def _growth(model: ProcessModel, horizon: float) -> Floats:
 
 @lru_cache(maxsize=512)
 def _unit_variance(term: str, tau: float, horizon: float) -> Floats:
-    """Return the variance for N = 1, K = 1 or, if ``term`` is '', a Gauss-Markov process."""
+    """Return the variance of the predicted error at 30 horizons, due to one unit of noise.
+
+    The noise is N = 1, K = 1 or, if ``term`` is '', a Gauss-Markov process with standard deviation
+    1 and correlation time ``tau``.
+    """
     terms = NoiseTerms(**{term: 1.0}) if term else NoiseTerms()
     variance = _growth(ProcessModel(terms, () if term else ((1.0, tau),)), horizon) ** 2
     variance.setflags(write=False)

@@ -191,7 +191,7 @@ def _drift_findings(name: tuple[str], fit: AxisFit) -> list[Finding]:
 
 
 def with_harmonics(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
-    """Return groups of sinusoids, sorted by frequency: each with its harmonics."""
+    """Return groups of one sinusoid and its harmonics; the input is sorted by frequency."""
     groups: list[list[Sinusoid]] = []
     for line in lines:
         for group in groups:

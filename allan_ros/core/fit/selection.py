@@ -122,9 +122,10 @@ class Candidates:
         ]
 
     def alias(self, frequency: float) -> Floats:
-        """Return the largest power that a sinusoid of unit variance may leave in bins of means.
+        """Return the largest power of the alias of a sinusoid with variance 1 in each bin, (bins,).
 
-        It is 0 in bins of samples, and in those that its alias cannot reach.
+        Only octave spectra of means have aliases. The power is 0 in spectra of samples, and in bins
+        far from the frequency of the alias.
         """
         known, n = self.statistics, len(self.times)
         size = np.array([octave(o).length for o in known.octave.tolist()])
@@ -137,7 +138,7 @@ class Candidates:
 
     @cached_property
     def slow(self) -> int:
-        """Number of sinusoids that reach the block means."""
+        """Number of sinusoids in `lines` that are slow enough to change the block means."""
         return sum(f < 2.0 * self.statistics.crossover for _, f in self.lines)
 
     @cached_property
@@ -198,7 +199,7 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Rules for the processes of one axis up to one highest frequency.
+    """Selects the processes of the noise model of one axis, from its data and thresholds.
 
     Attributes
     ----------

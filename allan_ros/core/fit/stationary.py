@@ -155,7 +155,7 @@ def fit_stationary(
 
 
 def _from_period(sums: AllanSums, at: int) -> AllanSums:
-    """Return the sums of the periods of all recordings from period ``at`` on."""
+    """Return the sums without the first ``at`` periods, counted over all recordings."""
     first = []
     for recording in sums.recordings:
         first.append(min(at, len(recording.periods)))

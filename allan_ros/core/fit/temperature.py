@@ -4,8 +4,8 @@
 
 The block means of the sums are y = constant + line in time + b1 (T - T0) + b2 (T - T0)^2
 + hysteresis/2 (rising) or - hysteresis/2 (falling) + noise, with a constant and a line for each
-recording. The covariance of the noise follows from gamma(M, j) of its components, whose
-coefficients are fitted by restricted likelihood with and without the terms of the temperature.
+recording. The noise is a sum of noise types, whose autocovariances `core.noise` defines. Their
+coefficients are fitted by restricted likelihood, with and without the terms of the temperature.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class TemperatureModel:
 
 
 class _Blocks(NamedTuple):
-    """Block means of all segments at one step, with their temperature."""
+    """Means of blocks of equal length from all segments, with their temperature."""
 
     step: int  # samples per block
     recording: Ints  # (n,)

@@ -137,7 +137,7 @@ class ImuStream:
         return now._health(state, sums)
 
     def _add_frame(self, frame_id: str) -> FrameStream:
-        """Add a frame_id; of the earlier ones, keep the one with the most data."""
+        """Start the stream of a new frame_id; of two earlier streams, remove the smaller one."""
         if len(self._frames) > 1:
             least = min(self._frames.values(), key=lambda frame: frame.counts.used)
             del self._frames[least.identity.frame_id]

@@ -88,7 +88,7 @@ class Clock:
 
     @property
     def look_ahead(self) -> int:
-        """Number of samples before and after a pause whose delays are compared."""
+        """Number of samples on each side of a pause that are compared to detect a loss."""
         if not self.bursty:
             return LOOK_AHEAD
         wanted = BURST_LOOK_AHEAD_S * 1e9 / self.period_ns
@@ -109,10 +109,10 @@ class Clock:
 def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> Clock | None:
     """Estimate the sample period of a stream from its first stamps, (n,), in ns.
 
-    Backward stamps are ignored. If ``polled`` is set, the stamps are those of the messages in which
-    a slower sensor had a new sample. The steps between them are multiples of the period of the
+    Backward stamps are ignored. If ``polled`` is set, a slower sensor is polled, and only messages
+    with a new sample have a stamp here. The steps between them are multiples of the period of the
     messages, and only their mean is the sample period. If samples are missing regularly, the period
-    is the mean step, unless the smallest step is that of the ``declared`` rate in Hz. Returns None
+    is the mean step, unless the smallest step agrees with the ``declared`` rate in Hz. Returns None
     if all stamps are equal.
     """
     step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)

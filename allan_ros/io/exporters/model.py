@@ -259,7 +259,7 @@ class FilterNoise:
         return {name: self.results.axes[name] for name in names}
 
     def reduction(self, axis: str, states: States = 'walk') -> Reduction:
-        """Return the noise model of one axis, reduced to the states of a filter."""
+        """Return the reduced-order model of one axis for a filter with these states."""
         if (axis, states) not in self._reductions:
             self._reductions[axis, states] = reduce_axis(
                 axis, self.results.axes[axis].fit, states, self.horizon, self.options.strict

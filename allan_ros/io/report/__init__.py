@@ -146,7 +146,7 @@ def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> I
 
 
 def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
-    """Return the elements into which scripts draw the charts of a kind; none without data."""
+    """Return the empty HTML elements in which a script draws the charts of one kind."""
     known = [of for of in charts if of[kind]]
     titles = {of['sensor']: f'<h3>{SENSOR_NAMES[of["sensor"]]}</h3>' for of in known}
     hosts = [
