@@ -20,7 +20,7 @@ from typing import Any
 
 from ..api import ResultSettings, is_document
 from ..core.errors import AllanError, one_line
-from ..core.findings import SEVERITIES, Finding, finding
+from ..core.findings import SEVERITIES, Finding, by_consequence, finding
 from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
 from ..io.documents import RESULTS, load, load_sums, results_to_document
@@ -216,9 +216,12 @@ def _unit_text(outcome: Outcome, verdict: Verdict, note: str, units: str) -> str
         noise = [a.fit.noise for axis, a in results.axes.items() if sensor_of(axis) == sensor]
         cells = [value_text(terms['N'], unit) for terms in noise]
         numbers += [f'{sensor} N {" ".join(cells)} {unit.name}'] if cells else []
-    warning = next((str(f) for f in results.findings if f.severity == 'warning'), '')
-    reason = warning if verdict.level == 'attention' else ''
-    parts = (note, *(text.rstrip('.') for text in (verdict.summary, reason)), ', '.join(numbers))
+    # a warning is stated if it caused the verdict, an error such as wrong units always
+    stated = ('error', 'warning') if verdict.level == 'attention' else ('error',)
+    found = [f for f in by_consequence(results.findings) if f.severity in stated][:1]
+    reasons = [str(f) for f in found if f.message not in verdict.summary]
+    sentences = (text.rstrip('.') for text in (verdict.summary, *reasons))
+    parts = (note, *sentences, ', '.join(numbers))
     name = f'{outcome.unit.name}, serial {serial}' if serial else outcome.unit.name
     return f'{name}: {"; ".join(filter(None, parts))}'
 

@@ -70,6 +70,19 @@ def test_the_accepted_run_is_healthy_against_itself_and_results_are_read(
     assert 'numbers are within' in capsys.readouterr().out
 
 
+@pytest.mark.parametrize('compared', [[], ['--sensor', 'bmi088']])
+def test_the_line_of_a_unit_states_wrong_units(
+    tmp_path: Path, compared: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    imu = np.random.default_rng(1).normal(scale=0.05, size=(6000, 7))
+    imu[:, 0] = np.arange(6000) / 100.0
+    imu[:, 6] += 1.0
+    path = tmp_path / 'in_deg_and_g.npy'
+    np.save(path, imu)
+    assert main(['check', str(path), *compared]) in (3, 4)
+    assert 'the unit is probably' in capsys.readouterr().out
+
+
 def test_without_a_reference_or_enough_data_nothing_is_judged(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
