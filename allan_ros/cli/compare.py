@@ -71,6 +71,11 @@ def _common(args: argparse.Namespace, console: Console) -> int:
     """Print and write the noise that the IMUs have in common; return the exit code."""
     if args.sensor or args.within or args.fail_on_difference:
         raise AllanError('--common judges nothing: omit --sensor, --within, --fail-on-difference')
+    for text in args.inputs:
+        if text.startswith(SENSOR_PREFIX) or api.is_document(text):
+            raise AllanError(
+                f'{text}: --common needs the samples: give recordings, not results or datasheets'
+            )
     common = api.common(*args.inputs, labels=args.label)
     if console.json:
         console.document(common.document())

@@ -147,3 +147,14 @@ def test_an_option_without_effect_is_rejected(
 ) -> None:
     assert main(['compare', 'a.mcap', 'b.mcap', '--common', option]) == 1
     assert '--common judges nothing' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('given', ['sensor:bmi088', 'results', 'sums.json'])
+def test_inputs_without_samples_have_no_common_noise(
+    given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path('results').mkdir()
+    Path('results/results.json').write_text('{}')
+    assert main(['compare', 'a.mcap', given, '--common']) == 1
+    assert f'{given}: --common needs the samples' in capsys.readouterr().err
