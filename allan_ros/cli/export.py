@@ -150,6 +150,8 @@ def sensors(args: argparse.Namespace) -> int:
 
     console = Console.of(args)
     if vars(args)['from']:
+        if args.name:
+            raise AllanError(f'--from prints an entry for any sensor: omit {args.name}')
         print(measured_entry(_load(vars(args)['from'])))
         return 0
     if args.name:

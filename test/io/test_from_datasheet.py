@@ -103,6 +103,8 @@ def test_a_unit_is_compared_with_the_measured_units(
     small_results.save(tmp_path / 'results')
     assert main(['sensors', '--from', str(tmp_path / 'results')]) == 0
     stated = yaml.safe_load(capsys.readouterr().out)
+    assert main(['sensors', 'bmi088', '--from', str(tmp_path / 'results')]) == 1
+    assert 'omit bmi088' in capsys.readouterr().err
     path = tmp_path / 'x1.yaml'
     path.write_text(yaml.safe_dump({**SHEET, **stated}))
     (read,) = load_sensor(str(path)).measured
