@@ -330,11 +330,16 @@ class ImuWatch(Part):
             response.message = 'nothing was saved: set checkpoint.path'
             return response
         response.success = self._checkpoint.save(total)
-        if self._accel is not None:
-            response.success &= self._accel._on_save(_request, Trigger.Response()).success
         samples = max((s.samples for s in total[0]), default=0)
-        saved = f'{self._checkpoint.path}: {samples} samples'
-        response.message = '; '.join([saved, *map(str, self._checkpoint.findings)])
+        lines = [
+            f'{self._checkpoint.path}: {samples} samples',
+            *map(str, self._checkpoint.findings),
+        ]
+        if self._accel is not None:
+            accel = self._accel._on_save(_request, Trigger.Response())
+            response.success &= accel.success
+            lines.append(accel.message)
+        response.message = '; '.join(lines)
         return response
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

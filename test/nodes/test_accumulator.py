@@ -392,7 +392,9 @@ def test_gyro_and_accelerometer_on_two_topics(graph, still_imu, tmp_path: Path):
     assert [one['axes'] for one in documents[-1]['means']] == [[*AXES[:3]], [*AXES[3:]]]
     graph.until(lambda: models and [*models[-1]['axes']] == [*AXES])
     assert not graph.value('gyro input', 'finding: sensor_all_zero')
-    assert graph.call('/allan_monitor/save').success
+    answer = graph.call('/allan_monitor/save')
+    assert answer.success
+    assert answer.message.count(' samples') == 2, 'one count for each topic'
     saved = [json.loads(p.read_text())['sums'] for p in (checkpoint, tmp_path / 'imu_accel.json')]
     assert saved == [offline(gyro), offline(accel)]
     assert graph.call('/allan_monitor/reset').success
