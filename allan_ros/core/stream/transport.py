@@ -87,7 +87,6 @@ class TransportStatistics:
     skipped_numbers: int = 0  # missing sequence numbers of the publishers
     reported_lost: int = 0  # losses reported by the middleware
     malformed: int = 0  # received messages that are not Imu messages
-    incompatible_qos: int = 0  # publishers with an incompatible QoS, whose messages do not arrive
     interruptions: int = 0  # times at least `SILENCE_S` long in which nothing was sent
     silent_s: float = 0.0  # sum of these times
     leapt_s: float = 0.0  # sum of the steps by which the clock of the stamps was set forward
