@@ -112,7 +112,10 @@ def test_notes_of_an_export_go_to_stderr(folder: Path, capsys: pytest.CaptureFix
         (['export', '{above}', '--to', 'kalibr'], 'give one of these folders'),
         (['export', '{results}', '--to', 'robot_localization'], 'the node allan_imu_relay'),
         (['export', '{results}', '--to', 'px4', '--against', '{yaml}'], 'no number of EKF2_GYR'),
-        (['export', '{results}', '--to', 'kalibr', '--strict'], 'or omit --strict'),
+        (
+            ['export', '{results}', '--to', 'kalibr', '--fidelity', 'coefficients', '--strict'],
+            'or omit --strict',
+        ),
         (['export', '{results}', '--to', 'kalibr', '--axis', 'each'], 'worst or mean'),
         (['export', '{results}', '--to', 'kalibr', '--inflate', '0.5'], 'inflate is 0.5'),
         (['export', '{results}', '--to', 'kalibr', '--horizon', '-1'], 'horizon is -1'),
