@@ -339,8 +339,11 @@ REPORTED_LEFT_OUT = 0.01
 
 def used_samples(results: Results) -> str:
     """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part is left out."""
-    used, received = results.samples, results.provenance.counts.received
-    total = f' of {received:,}' if used < (1.0 - REPORTED_LEFT_OUT) * received else ''
+    used, counts = results.samples, results.provenance.counts
+    # the counts of two topics are sums, and `used` is the number of samples of one
+    two_topics = used < (1.0 - REPORTED_LEFT_OUT) * counts.used
+    reported = not two_topics and used < (1.0 - REPORTED_LEFT_OUT) * counts.received
+    total = f' of {counts.received:,}' if reported else ''
     return f'{used:,}{total} samples'
 
 

@@ -17,7 +17,9 @@ from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.io.readers.recording import ReadOptions
 from allan_ros.io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
+from allan_ros.io.results import analyze_recorded
 from allan_ros.io.signal import STATISTICS, SignalEnvelope, summarize_signal
+from allan_ros.io.verdict import used_samples
 
 rosbag1 = pytest.importorskip('rosbags.rosbag1')
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
@@ -78,6 +80,7 @@ def test_two_topics_give_the_sums_of_each(tmp_path: Path, storage: str, unused: 
         replace(accel.sums[0], identity=gyro.sums[0].identity),
     )
     assert [s.axes for s in both.sums] == [AXES[:3], AXES[3:]]
+    assert used_samples(analyze_recorded(both, 'paper')) == '14,000 samples'
     assert [round(1.0 / (s.tau0 or 0.0)) for s in both.sums] == [200, 63]
     assert [source.topic for source in both.provenance.sources] == [GYRO, ACCEL]
     assert both.provenance.segments == gyro.provenance.segments
