@@ -6,7 +6,6 @@
     python bench/bench_filters.py nees --sensors x z --axes 8
     python bench/bench_filters.py growth                shared ADIS16405 units, about 1 min
     python bench/bench_filters.py bias                  coverage of the bias interval, 5 min
-    python bench/bench_filters.py share                 share of an unresolved K, 10 min
     python bench/bench_filters.py gtsam                 a factor graph in rest and motion, 2 min
     python bench/bench_filters.py figure                docs/images/filter_growth.png
 
@@ -24,7 +23,6 @@ import os
 import runpy
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +31,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import allan_ros as ar
-from allan_ros.core.filters import growth as growth_of
 from allan_ros.core.filters.bias import BiasFilter, BiasModel
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.reductions import reduce_model
@@ -63,7 +60,7 @@ def oracle() -> dict[str, Any]:
 REALITY = oracle()
 DEG = REALITY['deg']
 TABLE1 = REALITY['TABLE1']
-N_X, BK_X = {'N': TABLE1['x']['N']}, {'B': TABLE1['x']['B']}
+N_X = {'N': TABLE1['x']['N']}
 SENSORS: dict[str, tuple[str, dict[str, float], tuple[tuple[float, float], ...], int]] = {
     'x': ('table 1 X', TABLE1['x'], (), SECONDS),
     'y': ('table 1 Y', TABLE1['y'], (), SECONDS),
@@ -74,15 +71,9 @@ SENSORS: dict[str, tuple[str, dict[str, float], tuple[tuple[float, float], ...],
     'gm2': ('Gauss-Markov 10 + 200 s', N_X, ((9.0, 10.0), (6.0, 200.0)), SECONDS),
     'gm3': ('Gauss-Markov 3 + 30 + 300 s', N_X, ((9.0, 3.0), (6.0, 30.0), (6.0, 300.0)), SECONDS),
     'x5': ('5 min of X', TABLE1['x'], (), 300),
-    'nbk1': ('N + B + K of 8.2 deg/h^1.5', {**N_X, **BK_X, 'K': DEG(K=8.2)['K']}, (), SECONDS),
-    'nbk2': ('N + B + K of 15 deg/h^1.5', {**N_X, **BK_X, 'K': DEG(K=15.0)['K']}, (), SECONDS),
 }
 """Name -> title, five terms in SI, Gauss-Markov processes in deg/h and s, length of the record in
 s."""
-
-WEAK_K = ('nbk1', 'nbk2')
-"""Sensors with a K below and near the smallest that a record resolves."""
-
 
 def draw(
     name: str, seconds: int, rng: np.random.Generator, axes: int, rate: float = RATE
@@ -182,7 +173,7 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
     """Return the 95 % band of predicted over actual growth at `GROWTH_S` for records of this
     length.
     """
-    model = growth_of.expected_model(axis.fit)
+    model = axis.fit.model
     known = {growth.horizon: growth for growth in axis.growth if growth.window == WINDOW_S}
     rng, n = np.random.default_rng(9), round(seconds)
     terms = {name: getattr(model.terms, name) for name in 'NBK'}
@@ -232,47 +223,6 @@ def bias(records: int) -> None:
             for after, each in covered.items()
         )
         print(f'table 1 {name}: coverage {cells} ({3 * records} axes)', flush=True)
-
-
-SHARES = (0.0, 0.15, 0.3, 0.5, 1.0)
-"""Fractions of its expected variance with which an unresolved K may count."""
-
-
-def share(names: list[str], records: int) -> None:
-    """Print how the variance of an unresolved K affects predicted errors and bias intervals.
-
-    It counts with each of `SHARES` of its expected variance. Printed are the root mean square
-    ratio of actual to predicted error after 300 s without correction, and the coverage of the 95
-    % interval of the bias 600 s later.
-    """
-    print('sensor', 'K resolved', *(f'{value:.0%}' for value in SHARES), sep='  ')
-    for name in names:
-        title, _, _, seconds = SENSORS[name]
-        white, samples = draw(
-            name, SECONDS, np.random.default_rng([1, *name.encode()]), 6, BIAS_RATE
-        )
-        found: dict[float, list[tuple[float, float]]] = {value: [] for value in SHARES}
-        resolved = 0
-        for record in range(records):
-            rng = np.random.default_rng([2, record, *name.encode()])
-            own_white, own = draw(name, seconds, rng, 3, BIAS_RATE)
-            results = ar.analyze(own, rate=BIAS_RATE, motion_gate=False, skip=0.0)
-            for i, axis in enumerate(AXES[:3]):
-                resolved += results[axis].fit.model.terms.K > 0.0
-                for value in SHARES:
-                    growth_of.UNRESOLVED_SHARE = value
-                    space = results[axis].state_space()
-                    model = {'N': space.white, 'K': space.walk, 'gms': list(space.gauss_markov)}
-                    ran = REALITY['run_filter'](
-                        model, samples, 1.0 / BIAS_RATE, np.random.default_rng(1), white
-                    )
-                    hits = _bias_hits(results[axis], own[:, i], own_white[:, i], 60)[600]
-                    found[value].append((ran['outage'][300], float(np.mean(hits or [np.nan]))))
-        cells = [title, f'{resolved} of {3 * records}']
-        for value in SHARES:
-            ratio, covered = np.array(found[value]).T
-            cells.append(f'{np.sqrt((ratio**2).mean()):.2f} / {covered.mean():.3f}')
-        print(*cells, sep='  ', flush=True)
 
 
 def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> dict[int, list[bool]]:
@@ -408,27 +358,24 @@ def figure() -> None:
     path = ROOT / 'docs' / 'images' / 'filter_growth.png'
     chart.savefig(path, dpi=120)
     print(path.relative_to(ROOT))
-    reduction = reduce_model(replace(results['gyro_x'].fit.model))
+    reduction = reduce_model(results['gyro_x'].fit.model)
     print(f'predicted over model growth {reduction.ratio[0]:.2f} to {reduction.ratio[1]:.2f}')
 
 
 def main() -> None:
     """Run one of the measurements."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('what', choices=('nees', 'growth', 'bias', 'share', 'gtsam', 'figure'))
+    parser.add_argument('what', choices=('nees', 'growth', 'bias', 'gtsam', 'figure'))
     parser.add_argument('--sensors', nargs='+', choices=tuple(SENSORS))
     parser.add_argument('--axes', type=int, default=24, help='axes the filter runs on')
     parser.add_argument('--records', type=int, default=20, help='records of three axes')
     args = parser.parse_args()
     if args.what == 'nees':
-        nees(args.sensors or [name for name in SENSORS if name not in WEAK_K], args.axes)
+        nees(args.sensors or list(SENSORS), args.axes)
     elif args.what == 'growth':
         growth()
     elif args.what == 'bias':
         bias(args.records)
-    elif args.what == 'share':
-        names = args.sensors or ['x', 'y', *WEAK_K, 'nb', 'gm2', 'x5']
-        share(names, args.records)
     elif args.what == 'gtsam':
         graph(GRAPH_RUNS)
     else:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.linalg import toeplitz
 
-from allan_ros.core.fit.model import RANDOM_TERMS, phase_covariance
+from allan_ros.core.fit.model import RANDOM_TERMS
+from allan_ros.core.noise import gamma_of
 
 Floats = NDArray[np.float64]
 
@@ -34,11 +35,12 @@ LAGS = 1 << 15
 def second_difference_covariance(lags: int, step: int) -> Floats:
     """Return the autocovariances of second differences of the phase over ``step``, (4, lags).
 
-    A row belongs to a variance coefficient (q, w, b, k) of 1.
+    A row belongs to a variance coefficient (q, w, b, k) of 1. The second difference of the phase is
+    ``step`` times the difference of two successive means, whose autocovariance is gamma.
     """
-    at = np.arange(-2.0, lags + 2.0) * step
-    fourth = np.convolve([1.0, -2.0, 1.0], [1.0, -2.0, 1.0])
-    rows = [np.convolve(g, fourth, mode='valid') for g in phase_covariance(at)]
+    lag = np.abs(np.arange(-1, lags + 1))
+    second = np.array([-1.0, 2.0, -1.0]) * step**2
+    rows = [np.convolve(gamma_of(t)(step, lag), second, mode='valid') for t in RANDOM_TERMS]
     if step == 1:
         # For large lags the difference of t^2 ln t / (2 pi) loses its digits: use an expansion.
         t = np.arange(lags, dtype=float)
