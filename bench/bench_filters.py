@@ -75,6 +75,7 @@ SENSORS: dict[str, tuple[str, dict[str, float], tuple[tuple[float, float], ...],
 """Name -> title, five terms in SI, Gauss-Markov processes in deg/h and s, length of the record in
 s."""
 
+
 def draw(
     name: str, seconds: int, rng: np.random.Generator, axes: int, rate: float = RATE
 ) -> tuple[Any, Any]:
@@ -365,7 +366,8 @@ def figure() -> None:
 def main() -> None:
     """Run one of the measurements."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument('what', choices=('nees', 'growth', 'bias', 'gtsam', 'figure'))
+    choices = ('nees', 'growth', 'bias', 'gtsam', 'figure')
+    parser.add_argument('what', choices=choices, nargs='?', default='growth')
     parser.add_argument('--sensors', nargs='+', choices=tuple(SENSORS))
     parser.add_argument('--axes', type=int, default=24, help='axes the filter runs on')
     parser.add_argument('--records', type=int, default=20, help='records of three axes')

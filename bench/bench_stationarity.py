@@ -154,7 +154,7 @@ SHOWS = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('what', choices=SHOWS)
+    parser.add_argument('what', choices=SHOWS, nargs='?', default='alarms')
     parser.add_argument('--records', type=int, default=20)
     parser.add_argument('--seed', type=int, default=1)
     args = parser.parse_args()
