@@ -27,6 +27,7 @@ from .allan.running import RunningSums
 from .allan.sums import AllanSums
 from .errors import AllanError
 from .fit import Coefficient
+from .fit.least_squares import nonnegative_least_squares
 from .fit.model import Z_95
 from .imu import ImuIdentity
 
@@ -231,9 +232,7 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Coefficient | 
 
 def _level(terms: Floats, curve: Floats, error: Floats) -> float:
     """Return the difference of the first two coefficients in a fit without negative ones."""
-    from scipy.optimize import nnls
-
     matrix = terms / error[:, None]
     scale = np.linalg.norm(matrix, axis=0)
-    found = nnls(matrix / scale, curve / error)[0] / scale
+    found = nonnegative_least_squares(matrix / scale, curve / error) / scale
     return float(found[0] - found[1])
