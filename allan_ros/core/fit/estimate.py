@@ -3,9 +3,9 @@
 """Estimate of the noise of one axis: highest frequency of the model, processes, lack of fit.
 
 A low-pass filter in the sensor removes power at high frequencies, which no noise type describes.
-The highest frequency of the fit is therefore halved until the model holds; below it, q and a term
-f^4 may have either sign, which describes what remains of the filter. If the model holds at no
-frequency, octaves that differ from it count less.
+The fit of such an axis therefore has a highest frequency: the highest one at which the model holds.
+Below it, q and a term f^4 may have either sign, which describes what remains of the filter. If the
+model holds at no frequency, octaves that differ from it count less.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
     peak = np.max(power[3:-3] / np.maximum(power[:-6], power[6:]), initial=0.0)
     first = peak > PEAKED or not _test(rules, rules.fit(rules.base))[1]
     best = _trial(rules, 0.5) if first else None
-    if best is None or (best.curved and not best.holds):
+    if best is None or best.curved:
         best = _highest(rules)
     fit, rules = best.fit, best.rules
     lack: dict[int, float] = {}
@@ -299,6 +299,7 @@ def _result(
     errors = {
         (k, at): math.sqrt(max(covariance[n + i, n + i], 0.0)) / float(fit.p[k])
         for i, (k, at) in enumerate(shaped)
+        if fit.p[k] > 0.0
     }
     ramp = ramp_estimate(data, fit)
     scale = data.scale

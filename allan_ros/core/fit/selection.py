@@ -285,7 +285,7 @@ class Selection:
         A strong one reaches the bins of the longest blocks of samples, too, where its power has
         many maxima. So the likelihood has many minima.
         """
-        kind, frequency, *_ = (*fit.components[-1], 0.0)
+        kind, frequency, *_ = fit.components[-1]
         share = float(np.max(fit.p[-1] * fit.columns.power[:, -1] / fit.spectrum(), initial=0.0))
         if kind != 'sinusoid' or share < STRONG:
             return fit
@@ -384,7 +384,7 @@ class Selection:
         return bool(self.data.dof[at] < 2.0 * EXCLUDED * known.dof[at])
 
     def _aliased(self, fit: Fit) -> bool:
-        """Return whether the alias of a fast sinusoid in the block means exceeds a tenth of noise.
+        """Return whether the alias of a fast sinusoid in the block means is comparable to noise.
 
         The averages over M samples leave 1/(M sin(pi f)) of its amplitude, at an alias that depends
         on more digits of the frequency than the spectra determine. A slow sinusoid or a bounded
@@ -396,7 +396,7 @@ class Selection:
             for p, c in zip(fit.p, fit.components)
             if c[0] == 'sinusoid' and c[1] * step > 1.0
         )
-        return bool(sum(left) > 0.1 * fit.p[N] / step)
+        return bool(sum(left) > ALIASED * fit.p[N] / step)
 
     def imitates_filter(self, fit: Fit) -> bool:
         """Return whether processes have the smooth spectrum of a low-pass filter.
