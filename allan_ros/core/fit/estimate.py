@@ -109,7 +109,7 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
         return _result(rules, rules.bounded(rules.selected()), 0.5)
     f = np.sort(data.statistics.f)
     power = data.power[np.argsort(data.statistics.f)][f > TOPS[FIRST_TOP]]
-    peak = np.max(power[3:-3] / np.maximum(power[:-6], power[6:]), initial=0.0)
+    peak = np.max(power[3:-3] / np.maximum(np.maximum(power[:-6], power[6:]), 1e-300), initial=0.0)
     first = peak > PEAKED or not _test(rules, rules.fit(rules.base))[1]
     best = _trial(rules, 0.5) if first else None
     if best is None or best.curved:

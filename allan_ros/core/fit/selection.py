@@ -380,6 +380,8 @@ class Selection:
     def _excludes(self, frequency: float) -> bool:
         """Return whether the bin nearest to a frequency is excluded."""
         known = self.data.statistics
+        if not len(known.f):
+            return False
         at = int(np.argmin(np.abs(known.f - frequency)))
         return bool(self.data.dof[at] < 2.0 * EXCLUDED * known.dof[at])
 
