@@ -15,6 +15,9 @@ import urllib.request
 from collections.abc import Iterator
 
 import pytest
+
+pytest.importorskip('rclpy')
+
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
