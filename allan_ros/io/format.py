@@ -181,7 +181,10 @@ def temperature_text(models: Mapping[str, TemperatureModel], units: str) -> str:
         ', '.join(value_text(one, walk) for one in each)
         for each in ([m.corrected.K for m in known], [m.measured.K for m in known])
     )
-    return f'{text}. After subtraction of b(T), K is {without} instead of {with_it} {walk.name}.'
+    return (
+        f'{text}. K of the complete recording: {with_it} {walk.name}, after subtraction of b(T): '
+        f'{without}. The coefficients above are without warm-up and slow cycles.'
+    )
 
 
 def _plus_minus(value: float, ends: tuple[float, float], unit: ShownUnit) -> str:

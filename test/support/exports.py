@@ -134,7 +134,7 @@ ardupilot EK3_GYRO_P_NSE 9.12871e-3 EK3_ACC_P_NSE 0.0182574
 ardupilot EK3_GBIAS_P_NSE 9.12871e-5 EK3_ABIAS_P_NSE 2.73861e-4
 # -1e-5, times 0.6, 0.8 and 1; 1e-7 for each
 temperature reference 25 gyro_b0 6e-4,8e-4,1e-3
-temperature gyro_b1 -6e-6,-8e-6,-1e-5 gyro_b2 1e-7,1e-7,1e-7
+temperature gyro_b1 -6e-6,0,-1e-5 gyro_b2 1e-7,0,1e-7
 temperature accel_b1 -6e-6,-8e-6,-1e-5 accel_b2 1e-7,1e-7,1e-7
 # sqrt(3/4 (1e-6/10 + 0.441271 1e-8 + 1e-10 10/3)) and sqrt(3/4) 1e-5 / sqrt(10)
 imu_filter_madgwick gain 2.80285e-4 zeta 2.73861e-6

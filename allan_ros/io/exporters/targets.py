@@ -144,7 +144,10 @@ def _madgwick(noise: FilterNoise) -> Iterator[Row]:
 
 
 def _temperature(noise: FilterNoise) -> Iterator[Row]:
-    """Yield T0, and b0, b1 and b2 of the sensors whose three axes have a model of the bias."""
+    """Yield T0, and b0, b1 and b2 of the sensors whose three axes have a model of the bias.
+
+    Where the temperature has no effect that is resolved, b1 and b2 are 0.
+    """
     sensors = noise.results.temperature_models
     complete = {s: models for s, models in sensors.items() if len(models) == len(AXES) / 2}
     if not complete:
@@ -161,13 +164,14 @@ def _temperature(noise: FilterNoise) -> Iterator[Row]:
         for i, what in enumerate(('b0', 'b1', 'b2')[sensor == 'accel' :], sensor == 'accel'):
             unit = SI_UNITS[sensor]['B'] + ('', '/K', '/K^2')[i]
             pairs = [(getattr(m, what), getattr(m, f'{what}_ci95')) for m in models.values()]
+            used = [not i or model.resolved for model in models.values()]
             text = (
                 f'{name} {significant(value, VALUE_DIGITS)}, 95 % interval '
                 f'{significant(low, LIMIT_DIGITS)}..{significant(high, LIMIT_DIGITS)}'
-                f'{"" if model.resolved or not i else " (not resolved)"}'
-                for (name, model), (value, (low, high)) in zip(models.items(), pairs)
+                f'{"" if use else " (not resolved: written as 0)"}'
+                for name, use, (value, (low, high)) in zip(models, used, pairs)
             )
-            values = rounded([value for value, _ in pairs])
+            values = rounded([value if use else 0.0 for use, (value, _) in zip(used, pairs)])
             widest = max((ends for _, ends in pairs), key=lambda ends: ends[1] - ends[0])
             yield Row((f'{sensor}_{what}',), values, f'[{unit}]: {"; ".join(text)}', unit, widest)
 

@@ -54,8 +54,9 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
     limits = dict.fromkeys(row.key for row in rows if row.is_limit)
     unsure = dict.fromkeys(row.key for row in rows if row.no_interval)
     first = (*WRONG_UNITS, 'from_datasheet')
+    subject = 'Bias of an IMU over' if name == 'temperature' else 'IMU noise for'
     title = [
-        f'IMU noise for {name}, measured by allan_ros {__version__} (method {results.method})',
+        f'{subject} {name}, measured by allan_ros {__version__} (method {results.method})',
         f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '
         f'{significant(results.rate_hz, 5)} Hz',
         f'date: {_recorded(results)}',
