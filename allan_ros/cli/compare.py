@@ -47,6 +47,8 @@ def run(args: argparse.Namespace) -> int:
     _check_folder(args)
     if args.common:
         return _common(args, console)
+    if args.topic or args.accel_topic:
+        raise AllanError('--topic and --accel-topic need --common: analyze one topic, then compare')
     given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
     comparison = api.compare(
         *(text for text in args.inputs if text not in given),
@@ -69,14 +71,20 @@ def run(args: argparse.Namespace) -> int:
 
 def _common(args: argparse.Namespace, console: Console) -> int:
     """Print and write the noise that the IMUs have in common; return the exit code."""
-    if args.sensor or args.within or args.fail_on_difference:
-        raise AllanError('--common judges nothing: omit --sensor, --within, --fail-on-difference')
+    default = ResultSettings()
+    judged = args.sensor or args.within or args.fail_on_difference or args.margin != default.margin
+    if judged or args.method != default.method:
+        raise AllanError(
+            '--common judges and fits nothing: omit --sensor, --within, --fail-on-difference, '
+            '--margin and --method'
+        )
     for text in args.inputs:
         if text.startswith(SENSOR_PREFIX) or api.is_document(text):
             raise AllanError(
                 f'{text}: --common needs the samples: give recordings, not results or datasheets'
             )
-    common = api.common(*args.inputs, labels=args.label)
+    topics = {'topic': args.topic, 'accel_topic': args.accel_topic}
+    common = api.common(*args.inputs, labels=args.label, **topics)
     if console.json:
         console.document(common.document())
     elif not (console.quiet and args.output):
@@ -140,6 +148,8 @@ inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
 --within PERCENT  also test whether the coefficients are the same up to this, such as 5%%
 --common  separate the noise that IMUs on one body have in common (vibration) from the noise of
     each; the inputs are recordings made at the same time, or a bag with several Imu topics
+--topic TOPIC []  with --common: Imu topic, if a bag has several (default: all of them are IMUs)
+--accel-topic TOPIC []  with --common: topic of the accelerometer, if it is not on that of the gyro
 --fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a
     datasheet is exceeded; with --within, if N is not shown to be the same, or another term differs
 """

@@ -78,17 +78,26 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
         if len(own) > 1:
             rows += common_of_axes(own, [known[0][axis] for axis in own], labels[0])
     if not rows:
-        raise AllanError(f'{", ".join(labels)}: no data at rest of the same axes: record longer')
+        found = (
+            f'{label} has {", ".join(samples) or "none"}' for label, samples in zip(labels, known)
+        )
+        raise AllanError(
+            f'no two axes to compare: of data at rest, {"; ".join(found)}: choose topics with --topic '
+            'and --accel-topic, or record longer'
+        )
     return CommonResult(tuple(rows))
 
 
 def common_lines(common: CommonResult, units: str = 'deg/h') -> Iterator[str]:
     """Yield the lines of a table: N as measured, N without common noise, and the coherence."""
     shown = [tau for tau in SHOWN_TAU_S if any(_text(row, tau) for row in common.rows)]
-    table = [['axis', 'IMU', 'N', 'own N', '', *(f'coherence at {tau:g} s' for tau in shown)]]
+    has_noise = any(row.measured or row.own for row in common.rows)
+    own = 'own N' if len({row.label for row in common.rows}) > 2 else 'own N, mean of both'
+    noise = ['N', own, ''] if has_noise else []
+    table = [['axis', 'IMU', *noise, *(f'coherence at {tau:g} s' for tau in shown)]]
     for row in common.rows:
         unit = shown_unit(row.axis, 'N', units)
-        cells = [row.axis, row.label, '', '', '']
+        cells = [row.axis, row.label, *([''] * len(noise))]
         if row.measured is not None:
             cells[2] = f'{value_text(row.measured, unit)} {unit.name}'
         if row.own is not None:
@@ -108,4 +117,5 @@ def _text(row: CommonNoise, tau: float) -> str:
     at = int(np.argmin(distance))
     if distance[at] > np.log(NEAR):
         return ''
-    return '{:.2f} ({:.2f} to {:.2f})'.format(*(number[at] for number in numbers))
+    # 0.0 is added to write -0.00 as 0.00
+    return '{:.2f} ({:.2f} to {:.2f})'.format(*(round(number[at], 2) + 0.0 for number in numbers))

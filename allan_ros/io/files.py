@@ -36,19 +36,28 @@ ABANDONED_S = 3600.0
 """Age in s after which a temporary file is removed: the process that wrote it was killed."""
 
 
+LONGEST_NAME = 255
+"""Longest name of a file in bytes (NAME_MAX of Linux)."""
+
+
 def public(function: Callable[P, T]) -> Callable[P, T]:
     """Decorate a public function: errors of the operating system become AllanError.
 
-    Also raises AllanError for an argument with a null character, which no path can contain.
+    Also raises AllanError for an argument that no path can be: with a null character, or too long,
+    which not every version of Python reports.
     """
 
     @wraps(function)
     def checked(*args: P.args, **given: P.kwargs) -> T:
         for value in (*args, *given.values()):
             for text in value if isinstance(value, (tuple, list)) else (value,):
-                if isinstance(text, PATH) and '\0' in str(text):
-                    shown = one_line(repr(text))
-                    raise AllanError(f'{shown:.60} has a null character: give a name without it')
+                if not isinstance(text, PATH):
+                    continue
+                shown, parts = f'{one_line(repr(text)):.60}', str(text).split('/')
+                if '\0' in str(text):
+                    raise AllanError(f'{shown} has a null character: give a name without it')
+                if max(len(part.encode(errors='replace')) for part in parts) > LONGEST_NAME:
+                    raise AllanError(f'{shown}: File name too long: check the path')
         try:
             return function(*args, **given)
         except OSError as error:

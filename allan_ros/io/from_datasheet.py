@@ -26,7 +26,7 @@ from ..core.settings import expect
 from .axis_result import AxisResult
 from .datasheets import Datasheet, MeasuredValue, load_sensor, sensor_names
 from .exporters import FROM_DATASHEET
-from .files import PATH
+from .files import PATH, public
 from .format import significant
 from .readers.recording import SourceInfo
 from .recorded import Provenance
@@ -125,6 +125,7 @@ class Sensor:
         )
 
 
+@public
 def sensor(name: str | os.PathLike[str]) -> Sensor:
     """Return a type of IMU, given the name of its datasheet or the path of its .yaml file.
 

@@ -51,6 +51,7 @@ CALLS = [
     (lambda r: ar.simulate(0.01, low_pass=float('inf')), 'low_pass is inf'),
     (lambda r: ar.simulate(0.01, sensor='a' * 5000), 'File name too long'),
     (lambda r: ar.analyze('a' * 5000), 'File name too long'),
+    (lambda r: ar.sensor('a' * 5000), 'File name too long'),
     (lambda r: ar.analyze(np.ones(900), rate=1e-300), 'rate is 1e-300: it must lie between'),
     (lambda r: ar.analyze(np.ones(900), rate=9, sensor='a' * 5000), 'File name too long'),
     (lambda r: ar.analyze('x', baseline='\0'), r"^'\\x00' has a null character"),

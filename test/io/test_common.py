@@ -99,6 +99,11 @@ def test_files_and_topics_give_the_same_rows(
         assert [row.own for row in found.rows] == [row.own for row in common.rows]
     two = ar.common(tmp_path / 'bag', tmp_path / 'left.npz')
     assert [row.label for row in two.rows[:4]] == ['bag /left', 'bag /right', 'bag /top', 'left']
+    one = ar.common(tmp_path / 'bag', topic='/left')
+    assert {row.label for row in one.rows} == {'bag /left'} and 'own N' not in repr(one)
+    pair = repr(ar.common(*three[:2])).splitlines()
+    assert 'own N, mean of both' in pair[0] and '-0.00' not in ' '.join(pair)
+    assert main(['compare', str(tmp_path / 'bag'), 'b', '--topic', '/left']) == 1  # not --common
     words = ['compare', str(tmp_path / 'bag'), '--common', '-o', str(tmp_path / 'out')]
     assert main([*words, '--plots', 'png', '-q']) == 0
     assert {path.name for path in (tmp_path / 'out').iterdir()} == {'common.json', 'common.png'}
@@ -128,8 +133,8 @@ def test_wrong_inputs_are_rejected(three: list[ImuBatch], tmp_path: Path) -> Non
     gyro = {'gyro_x': np.random.default_rng(3).normal(scale=1e-3, size=3000)}
     accel = {'accel_x': np.random.default_rng(4).normal(scale=1e-2, size=3000)}
     for wrong, why in (
-        (lambda: ar.common(gyro, accel, rate=100), 'A, B: no data at rest of the same axes'),
-        (lambda: ar.common(gyro, rate=100), 'no data at rest of the same axes'),
+        (lambda: ar.common(gyro, accel, rate=100), 'A has gyro_x; B has accel_x: choose topics'),
+        (lambda: ar.common(gyro, rate=100), 'no two axes to compare'),
         (lambda: ar.common(three[0], three[1], labels='abc'), 'labels'),
         (lambda: ar.common(three[0], three[1], labels=['a', 'a']), 'give one label for each'),
         (ar.common, '0 IMUs'),
@@ -141,12 +146,15 @@ def test_wrong_inputs_are_rejected(three: list[ImuBatch], tmp_path: Path) -> Non
             wrong()
 
 
-@pytest.mark.parametrize('option', ['--fail-on-difference', '--within=5%', '--sensor=bmi088'])
+@pytest.mark.parametrize(
+    'option',
+    [*'--fail-on-difference --within=5% --sensor=bmi088 --margin=.5 --method=paper'.split()],
+)
 def test_an_option_without_effect_is_rejected(
     option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['compare', 'a.mcap', 'b.mcap', '--common', option]) == 1
-    assert '--common judges nothing' in capsys.readouterr().err
+    assert '--common judges and fits nothing' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('given', ['sensor:bmi088', 'results', 'sums.json'])
