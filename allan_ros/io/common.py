@@ -82,8 +82,8 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
             f'{label} has {", ".join(samples) or "none"}' for label, samples in zip(labels, known)
         )
         raise AllanError(
-            f'no two axes to compare: of data at rest, {"; ".join(found)}: choose topics with --topic '
-            'and --accel-topic, or record longer'
+            f'no two axes to compare: of data at rest, {"; ".join(found)}: choose topics with '
+            '--topic and --accel-topic, or record longer'
         )
     return CommonResult(tuple(rows))
 

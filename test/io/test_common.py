@@ -148,7 +148,7 @@ def test_wrong_inputs_are_rejected(three: list[ImuBatch], tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     'option',
-    [*'--fail-on-difference --within=5% --sensor=bmi088 --margin=.5 --method=paper'.split()],
+    ['--fail-on-difference', '--within=5%', '--sensor=bmi088', '--margin=.5', '--method=paper'],
 )
 def test_an_option_without_effect_is_rejected(
     option: str, capsys: pytest.CaptureFixture[str]
