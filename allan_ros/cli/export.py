@@ -134,8 +134,8 @@ DIGITS = 3
 """Significant digits of a limit."""
 
 SEEN = {
-    'datasheet': 'read in the document itself',
-    'secondary': 'quoted by another document',
+    'datasheet': 'read in the document itself:',
+    'secondary': 'not read, but quoted by',
     '': '',
 }
 """Where the figures of a source were read -> text."""
@@ -219,8 +219,7 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
             yield from wrapped(f'  {text}', columns, '    ')
     yield ''
     for key, source in sheet.sources.items():
-        via = f': {source.via}' if source.via else ''
-        parts = (str(source), source.url, f'{SEEN[source.seen]}{via}')
+        parts = (str(source), source.url, f'{SEEN[source.seen]} {source.via}'.strip())
         yield from wrapped(f'{key}: {"; ".join(filter(None, parts))}', columns, '  ')
 
 
