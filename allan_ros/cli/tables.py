@@ -329,7 +329,9 @@ def _comparison_rows(
             subject.label: [_coefficient(subject.results, axis, term) for axis in axes]
             for subject in comparison.runs
         }
-        unit = row_unit(sensor, term, units, [c for row in fitted.values() for c in row])
+        unit = row_unit(sensor, term, units, known := [c for row in fitted.values() for c in row])
+        if all(value_text(c, unit) == NOTHING for c in known):
+            continue
         for i, (run, row) in enumerate(fitted.items()):
             label = '' if i else f'{term} {unit.name}'
             cells = [(value_text(c, unit), interval_text(c, unit)) for c in row]

@@ -114,9 +114,11 @@ class ImuWatch(Part):
         self._monitor.set_received(now, self._input.received)
         if self._update_due.due(now):
             self._update()
-        if self._sums_due.due(now):
+        if self._sums_due.due(now) and self._sensor != 'accel':
             self._update()
-            self._publish(self._total())
+            last = self._accel or self  # which publishes the sums of both
+            last._update()
+            last._publish(last._total())
         elif self._publisher.get_subscription_count() > self._subscribers:
             self._publish(self._total())  # a new subscriber does not wait for the period
         self._subscribers = self._publisher.get_subscription_count()

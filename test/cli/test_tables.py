@@ -208,3 +208,10 @@ def test_a_comparison_with_a_datasheet_has_no_two_empty_lines_in_a_row(
     comparison = compare_runs([Subject('a', small_results)], [load_sensor('mpu-6050')])
     lines = list(comparison_lines(comparison, 'deg/h', 100))
     assert '' in lines and ('', '') not in pairwise(lines)
+
+
+def test_a_term_that_neither_recording_resolves_has_no_row(small_results: Results) -> None:
+    runs = compare_runs([Subject('a', small_results), Subject('b', small_results)])
+    lines = list(comparison_lines(runs, 'deg/h', 100))
+    headings = [i for i, line in enumerate(lines) if line.startswith(('gyro ', 'accel '))]
+    assert headings and all(lines[i + 1][:1].isalpha() for i in headings)

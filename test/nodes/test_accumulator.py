@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -370,6 +371,17 @@ def test_two_publishers_on_one_topic_are_reported(graph, still_imu):
     graph.send(graph.publisher(), still_imu(100))
     status = graph.until(lambda: (s := graph.status('input')) and s.level == WARN and s)
     assert '2 publishers on /imu/data (/test_client, /test_client)' in status.message
+
+
+def test_two_topics_are_published_once_per_period(graph):
+    topics = {'input.topics': ('gyro',), 'input.accel_topics': ('accel',)}
+    node = graph.run('accumulator', **topics, **{'publish.sums_period': 3600.0})
+    gyro, accel = node._parts
+    published = []
+    gyro._listener = published.append
+    for watch in (gyro, accel):
+        watch.tick(time.monotonic() + 3600.0)
+    assert len(published) == 1
 
 
 def test_gyro_and_accelerometer_on_two_topics(graph, still_imu, tmp_path: Path):
