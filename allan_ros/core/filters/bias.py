@@ -37,6 +37,10 @@ LONGEST_S = 1e6
 KEPT_MEANS = 600
 """Number of means of an axis that are stored to restart the filter when its model changes."""
 
+STEP_MEANS, STEP_SIGMA = 30, 6.0
+"""The filter restarts from the latest means, at most this many, if the sum of their prediction
+errors exceeds its standard deviation by this factor: the bias has made a step."""
+
 
 @dataclass(frozen=True)
 class TurnOnBias:
@@ -160,9 +164,25 @@ class BiasFilter:
         self._known = False  # whether a mean was added
         self._state = np.zeros(self._space.size)
         self._covariance = np.zeros((self._space.size, self._space.size))
+        # latest means and their prediction errors in standard deviations
+        self._errors: deque[tuple[float, float]] = deque(maxlen=STEP_MEANS)
 
     def update(self, mean: float) -> None:
-        """Predict the state over one period, and update it with the mean of the samples over it."""
+        """Predict the state over one period, and update it with the mean of the samples over it.
+
+        If the bias has made a step, the state is estimated from the means after it alone.
+        """
+        self._update(mean)
+        sums = np.cumsum([error for _, error in self._errors][::-1])
+        excess = np.abs(sums) / np.sqrt(np.arange(1, len(sums) + 1))
+        if excess.max() > STEP_SIGMA:
+            since = [mean for mean, _ in self._errors][-1 - int(excess.argmax()) :]
+            self._known = False
+            self._errors.clear()
+            for each in since:
+                self._update(each)
+
+    def _update(self, mean: float) -> None:
         if not self._known:  # the prior of the constant part of the bias is vague
             spread = [sigma for sigma, _ in self._space.gauss_markov]
             vague = 1e3 * (sum(spread) + self._space.white + self._space.walk + self._slope_std)
@@ -171,7 +191,9 @@ class BiasFilter:
         self._predict(self._phi, self._noise)
         variance = self._covariance[0, 0]
         gain = self._covariance[:, 0] / variance
-        self._state = self._state + gain * (mean * self.period - self._state[0])
+        error = mean * self.period - self._state[0]
+        self._errors.append((mean, float(error / math.sqrt(variance))))
+        self._state = self._state + gain * error
         self._covariance = self._covariance - np.outer(gain, self._covariance[0])
         self._known = True
 

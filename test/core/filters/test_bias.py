@@ -101,6 +101,20 @@ def test_white_noise_averages_out_and_a_pause_widens_the_interval():
     assert drifting.estimate() == pytest.approx(later)
 
 
+@pytest.mark.parametrize('step, within', [(5.0, 10), (1.5, 40)])
+def test_a_step_of_the_bias_is_followed_at_once(step: float, within: int):
+    """Without a restart, the mean of all data follows within hours: a filter would diverge."""
+    rng = np.random.default_rng(3)
+    bias = BiasFilter(BiasModel(ProcessModel(NoiseTerms(N=1.0))))
+    for mean in rng.normal(0.0, 1.0, 3600):
+        bias.update(mean)
+    assert bias.estimate().std < 0.02  # no restart on constant bias
+    for mean in rng.normal(step, 1.0, within):
+        bias.update(mean)
+    low, high = bias.estimate().ci95
+    assert low < step < high < step + 1.5
+
+
 def test_the_optimal_average_balances_noise_and_drift():
     white_and_walk = ProcessModel(NoiseTerms(N=1.0, K=0.01))
     # e over 10 s with W: 100 N^2/W + 100 K^2 W/3 has its minimum at sqrt(3) N/K
