@@ -235,7 +235,7 @@ class AllanNode(Node):
 
     def close(self) -> None:
         """Close all parts of the node."""
-        for part in self._parts:
+        for part in reversed(self._parts):
             try:
                 part.close()
             except Exception as error:  # the other checkpoints must still be written

@@ -10,10 +10,10 @@ so a value is set only if
 - its 95 % interval is narrow (``push.ratio``);
 - it differs from the value that was found by at most ``push.max_factor``.
 
-When the noise model is invalidated or the input has a fault, the values that were found are set
-again. The node uses the parameter services of the other node. Before each update it reads the
-present values, also to notice a restart of the node. A value that the node rejects is not sent
-again.
+When the noise model is invalidated, the input has a fault, or this node ends, the values that were
+found are set again. The node uses the parameter services of the other node. Before each update it
+reads the present values, also to notice a restart of the node. A value that the node rejects is not
+sent again, and a value that an operator or another node has changed is left as it is.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -118,6 +119,8 @@ class Proposal:
 
     def refusal(self, found: Sequence[float], factor: float) -> str:
         """Return why the value must not replace the one that was found; '' if it may."""
+        if len(found) != len(self.values):
+            return f'has {len(found)} numbers in the node, the model gives {len(self.values)}'
         for value, before in zip(self.values, found):
             if not before or not value > 0.0:
                 return f'is {before:.4g} in the node and stays so; the model gives {value:.4g}'
@@ -151,6 +154,7 @@ class ParameterPush(Part):
         self._invalid = ''  # why there are no results
         self._former: dict[str, ParameterValue] = {}
         self._current: dict[str, ParameterValue] = {}
+        self._sent: dict[str, tuple[float, ...]] = {}  # perhaps without an answer
         self._set_by: dict[str, Proposal] = {}
         self._rejected: dict[str, Proposal] = {}
         self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> warning, text
@@ -194,9 +198,9 @@ class ParameterPush(Part):
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
             return
         settings = self._settings.value
-        if self._plan is None or not settings.enabled or now < self._due_at:
+        if self._plan is None or now < self._due_at:
             return
-        if self._results is None and not self._former:
+        if not (self._former if self._results is None else settings.enabled):
             return
         self._due_at = now + RETRY_S
         ready = self._proposals(self._plan, self._results, settings) if self._results else []
@@ -224,6 +228,7 @@ class ParameterPush(Part):
         done = [
             f'{name} = {_text(_numbers(self._current[name]))} (was {_text(_numbers(value))})'
             for name, value in self._former.items()
+            if self._current[name] != value
         ]
         said = f'set {", ".join(done)}' if done else 'nothing set yet'
         pairs = {name: _text(_numbers(value)) for name, value in self._current.items()}
@@ -237,6 +242,20 @@ class ParameterPush(Part):
             values=key_values(pairs.items()),
         )
         return [status]
+
+    def close(self) -> None:
+        """Restore the values that were found: nothing would undo the others after this node."""
+        self._cancel_calls()
+        self._plan = None
+        if not (self._former and self._set.service_is_ready()):
+            return
+        answer = self._set.call_async(self._restoration())
+        executor = SingleThreadedExecutor(context=self._owner.context)
+        executor.add_node(self._owner)
+        executor.spin_until_future_complete(answer, RETRY_S)
+        executor.remove_node(self._owner)
+        if answer.done():
+            self._on_restored('this node ends', [answer.result()])
 
     # --- setting ----------------------------------------------------------------------------------
 
@@ -286,10 +305,21 @@ class ParameterPush(Part):
 
     def _on_read(self, proposals: list[Proposal], answers: list[Any]) -> None:
         """Store the present values of the node, and set those that differ from the proposals."""
+        if self._results is None:  # invalidated in the meantime
+            return
         wanted, settings = [], self._settings.value
         for proposal, answer in zip(proposals, answers):
             name, value = proposal.name, next(iter(answer.values), ParameterValue())
             if not self._has_right_type(proposal, value):
+                continue
+            if name in self._former and _numbers(value) not in (
+                *(_numbers(known[name]) for known in (self._current, self._former)),
+                self._sent[name],
+            ):
+                self._rejected[name] = proposal
+                for known in (self._former, self._current, self._set_by):
+                    known.pop(name, None)
+                self._note(name, f'was changed to {_text(_numbers(value))}, and is left so')
                 continue
             self._current[name] = value
             found = _numbers(self._former.get(name, value))
@@ -300,6 +330,9 @@ class ParameterPush(Part):
             if proposal.differs(_numbers(value), settings.change):
                 wanted.append(proposal)
         if wanted:
+            for p in wanted:  # before they are sent: an answer may be lost
+                self._former.setdefault(p.name, self._current[p.name])
+                self._sent[p.name] = p.values
             messages = [_message(p, self._current[p.name]) for p in wanted]
             request = SetParameters.Request(parameters=messages)
             self._call(self._set, [request], partial(self._on_set, wanted))
@@ -323,11 +356,12 @@ class ParameterPush(Part):
             name, value = proposal.name, _text(proposal.values)
             if not result.successful:
                 self._rejected[name] = proposal
+                if self._current[name] == self._former[name]:
+                    del self._former[name]
                 self._note(name, f'{self.node} refused {value}: {result.reason or "no reason"}')
                 continue
             self._rejected.pop(name, None)
             before = self._current[name]
-            self._former.setdefault(name, before)
             self._current[name] = _message(proposal, before).value
             self._set_by[name] = proposal
             low, high = proposal.interval

@@ -132,6 +132,109 @@ def test_the_push_does_not_make_a_filter_diverge(graph, still_imu, filter_node):
     assert values(graph, '/imu_filter_madgwick', 'gain') == [0.1]
 
 
+class SlowFilter:
+    """The parameter services of a filter, on the client node; requests wait until `release`."""
+
+    def __init__(self, graph: Any, gain: float = 0.1) -> None:
+        from rcl_interfaces.msg import ParameterValue, SetParametersResult
+        from rcl_interfaces.srv import GetParameters, SetParameters
+        from rclpy.callback_groups import ReentrantCallbackGroup
+        from rclpy.task import Future
+
+        self.gain, self.held, self.holds = gain, [], ''
+
+        async def respond(what: str, response: Any) -> Any:
+            if what == self.holds:
+                self.held.append(Future())
+                await self.held[-1]
+            return response
+
+        async def on_get(_: Any, response: Any) -> Any:
+            response.values = [ParameterValue(type=3, double_value=self.gain)]
+            return await respond('get', response)
+
+        async def on_set(request: Any, response: Any) -> Any:
+            (self.gain,) = (p.value.double_value for p in request.parameters)
+            response.results = [SetParametersResult(successful=True)]
+            return await respond('set', response)
+
+        for kind, name, answer in (
+            (GetParameters, 'get_parameters', on_get),
+            (SetParameters, 'set_parameters', on_set),
+        ):
+            group = ReentrantCallbackGroup()
+            graph.node.create_service(kind, f'/slow/{name}', answer, callback_group=group)
+
+    def release(self) -> None:
+        self.holds = ''
+        for future in self.held:
+            future.set_result(None)
+
+
+@pytest.fixture
+def pushing(graph, still_imu, tmp_path) -> tuple[SlowFilter, Any]:
+    """Return a filter, and a monitor with a noise model that pushes the gain to it."""
+    slow, plan = SlowFilter(graph), tmp_path / 'plan.yaml'
+    head, *_ = PLAN.partition('  accelerometer')
+    plan.write_text(head)
+    push = {'push.node': '/slow', 'push.filter': str(plan), 'push.max_factor': 1e5}
+    node = graph.run('monitor', **QUICK, **push)
+    graph.send(graph.publisher(), still_imu(6000))
+    return slow, node
+
+
+def test_a_value_whose_answer_was_lost_is_restored(graph, pushing, monkeypatch):
+    """The filter is busy for longer than the monitor waits; then the model is invalidated."""
+    monkeypatch.setattr('allan_ros.nodes.parameter_push.ANSWER_S', 0.3)
+    slow, _ = pushing
+    slow.holds = 'set'
+    graph.model_of(6000)
+    assert '(was 0.1)' in said(graph, 'set gain = ').message
+    assert slow.gain == pytest.approx(N, rel=0.15)
+    slow.holds = ''
+    graph.call('/allan_monitor/reset')
+    graph.until(lambda: slow.gain == 0.1)
+
+
+def test_no_value_of_an_invalidated_model_is_set(graph, pushing):
+    slow, _ = pushing
+    slow.holds = 'get'
+    graph.model_of(6000)
+    graph.until(lambda: slow.held)
+    models = graph.latched('/allan_monitor/noise_model')
+    graph.call('/allan_monitor/reset')
+    graph.until(lambda: models and not models[-1]['axes'])
+    slow.release()
+    graph.spin(1.5)
+    assert slow.gain == 0.1
+
+
+def test_a_value_that_an_operator_changes_is_left_as_it_is(graph, pushing):
+    slow, _ = pushing
+    graph.model_of(6000)
+    said(graph, 'set gain = ')
+    slow.gain = 0.5
+    assert 'gain was changed to 0.5' in said(graph, 'left so').message.replace(':', '')
+    graph.call('/allan_monitor/reset')
+    graph.spin(1.5)
+    assert slow.gain == 0.5
+
+
+@pytest.mark.parametrize('how', ['the node ends', 'disabled and invalidated'])
+def test_nothing_stays_set_without_a_model_behind_it(graph, pushing, how):
+    from rclpy.parameter import Parameter
+
+    slow, node = pushing
+    graph.model_of(6000)
+    said(graph, 'set gain = ')
+    if how == 'the node ends':
+        graph.stop(node)
+    else:
+        node.set_parameters([Parameter('push.enabled', value=False)])
+        graph.call('/allan_monitor/reset')
+    graph.until(lambda: slow.gain == 0.1)
+
+
 def test_a_value_far_from_the_one_that_was_found_is_refused():
     def refusal(value: float, found: float) -> str:
         return Proposal('gain', (value,), (value, value), '').refusal((found,), 10.0)
@@ -140,6 +243,8 @@ def test_a_value_far_from_the_one_that_was_found_is_refused():
     assert '11.1 times below the 0.1' in refusal(0.009, 0.1)
     assert '20 times above the 0.1' in refusal(2.0, 0.1)
     assert 'is 0 in the node and stays so' in refusal(1e-5, 0.0)
+    three = Proposal('gain', (0.1, 0.1, 0.1), (0.1, 0.1), '')
+    assert 'has 0 numbers in the node' in three.refusal((), 10.0)
 
 
 def test_every_plan_of_the_package_can_be_read():
