@@ -14,7 +14,8 @@ import numpy as np
 from ..findings import Finding, finding
 from ..imu import AXES, LARGEST, NANOSECONDS, STAMP_UNITS, ImuBatch, even_stamps, joined
 from .health import Counts
-from .timing import Flags, Floats, Stamps
+from .sensors import SensorPlan
+from .timing import Block, Flags, Floats, Stamps
 
 BACKWARD_RUN = 16
 """If this number of consecutive samples is stamped earlier than the latest stamp, the clock was set
@@ -72,7 +73,7 @@ class StampChoice:
             return []
         what = 'all equal' if stamps.any() else 'all zero'
         if len(stamps) < 2 or stamps.min() != stamps.max():
-            backward = np.diff(StampSorter.all_sorted(stamps, first.samples.T)[0]) < 0
+            backward = np.diff(StampSorter.all_sorted(Block(stamps, first.samples.T)).stamps) < 0
             if np.count_nonzero(backward) <= DISORDERED_SHARE * len(stamps):
                 unit = unit_of_stamps(stamps)
                 self._unit = STAMP_UNITS[unit]
@@ -86,8 +87,11 @@ class StampChoice:
             return [finding('stamps_from_rate', what=what, rate=self._rate)]
         return [finding('stamps_missing', what=what)]
 
-    def of(self, batch: ImuBatch) -> Stamps:
-        """Return the chosen stamps of the next batch, (n,), in ns."""
+    def of(self, batch: ImuBatch) -> Block:
+        """Return the next samples with the chosen stamps."""
+        return Block(self._stamps_of(batch), batch.samples.T)
+
+    def _stamps_of(self, batch: ImuBatch) -> Stamps:
         if self.use_record and batch.record_ns is not None:
             return batch.record_ns
         if self._computed is None:
@@ -116,44 +120,37 @@ class StampSorter:
         ordered = np.sort(stamps)
         # largest delay that is sorted
         self._longest_ns = np.median(ordered[places:] - ordered[:-places]) if places > 0 else 0.0
-        self._stamps: Stamps = np.empty(0, np.int64)  # buffered
-        self._rows: Floats = np.empty((len(AXES), 0))
+        self._pending = Block.empty(len(AXES))
         self._latest: int | None = None  # the last stamp that was returned
 
-    def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
-        """Add samples: stamps (n,) in ns, values (6, n); return those whose place is known."""
-        start = 0
-        if not self.sorting and len(stamps):
+    def feed(self, samples: Block) -> Block:
+        """Add samples of the six axes, and return those whose place is known."""
+        start, stamps = 0, samples.stamps
+        if not self.sorting and len(samples):
             latest = stamps[0] if self._latest is None else self._latest
             if stamps[0] >= latest and (stamps[1:] >= stamps[:-1]).all():
                 self._latest = int(stamps[-1])
-                return stamps, rows
+                return samples
             self.sorting = True
             start = int(np.argmax(np.diff(stamps, prepend=latest) < 0))
             self._latest = int(stamps[start - 1]) if start else self._latest
-        self._stamps = np.concatenate([self._stamps, stamps[start:]])
-        self._rows = np.concatenate([self._rows, rows[:, start:]], axis=1)
-        groups = max(0, len(self._stamps) // REORDER - 1)
-        out = self._take(groups * REORDER)
-        if not start:
-            return out
-        before = stamps[:start], rows[:, :start]
-        return np.concatenate([before[0], out[0]]), np.concatenate([before[1], out[1]], axis=1)
+        self._pending = Block.joined([self._pending, samples.part(slice(start, None)).copy()])
+        groups = max(0, len(self._pending) // REORDER - 1)
+        return Block.joined([samples.part(slice(start)), self._take(groups * REORDER)])
 
-    def flush(self) -> tuple[Stamps, Floats]:
+    def flush(self) -> Block:
         """Return the buffered samples at the end of the input."""
-        return self._take(len(self._stamps))
+        return self._take(len(self._pending))
 
     @classmethod
-    def all_sorted(cls, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
+    def all_sorted(cls, samples: Block) -> Block:
         """Return complete data sorted in the same way."""
-        sorter = cls(stamps)
-        (s1, r1), (s2, r2) = sorter.feed(stamps, rows), sorter.flush()
-        return np.concatenate([s1, s2]), np.concatenate([r1, r2], axis=1)
+        sorter = cls(samples.stamps)
+        return Block.joined([sorter.feed(samples), sorter.flush()])
 
-    def _take(self, number: int) -> tuple[Stamps, Floats]:
+    def _take(self, number: int) -> Block:
         """Return the first buffered samples, sorted."""
-        stamps = self._stamps
+        stamps, rows = self._pending.stamps, self._pending.rows
         for at in range(0, number, REORDER):
             window = stamps[at : at + 2 * REORDER]
             reached = np.maximum.accumulate(window)
@@ -164,86 +161,92 @@ class StampSorter:
                 order = at + np.argsort(window, kind='stable')
                 self.sorted += int(np.count_nonzero(delay))
                 stamps[at : at + len(order)] = stamps[order]
-                self._rows[:, at : at + len(order)] = self._rows[:, order]
+                rows[:, at : at + len(order)] = rows[:, order]
             self._latest = int(stamps[min(at + REORDER, len(stamps)) - 1])
-        out = stamps[:number], self._rows[:, :number]
-        self._stamps, self._rows = stamps[number:].copy(), self._rows[:, number:].copy()
+        out = self._pending.part(slice(number))
+        self._pending = self._pending.part(slice(number, None)).copy()
         return out
 
 
-class StampFilter:
-    """Drops samples that are not finite, are duplicates, or have a backward stamp.
+class SampleFilter:
+    """Selects the axes of a sensor stream, and drops samples that cannot be used.
 
-    A duplicate has the stamp and the values of the previous sample. Each sample has ``axes``
-    values. The dropped samples are added to ``counts``.
+    These are the samples that the plan drops, and samples that are not finite, are duplicates, or
+    have a backward stamp. A duplicate has the stamp and the values of the previous sample. Where
+    the stamps of the kept samples decrease, the clock was set back. ``counts`` is changed in place.
     """
 
-    def __init__(self, axes: int, counts: Counts) -> None:
+    def __init__(self, plan: SensorPlan, counts: Counts) -> None:
+        self._drop = plan.drop
+        self._axes = [AXES.index(axis) for axis in plan.axes]
+        self._measured: Floats = np.full(len(self._axes), np.nan)  # last values received
         self._counts = counts
         self._latest: int | None = None
-        self._last = 0, np.full(axes, np.nan)  # stamp and values of the last sample received
+        self._last = 0, self._measured  # stamp and values of the last sample that is finite
         self._backward = 0  # consecutive samples with earlier stamps
         # how many of these mean that the clock was set back; more if it was set back recently
         self._needed = BACKWARD_RUN
         self._position = self._last_jump = 0  # number of samples
 
-    def feed(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats, Flags]:
-        """Return stamps (k,), values (axes, k) and flags (k,) of the samples that are kept.
-
-        A flag is True if the clock was set back just before the sample. ``stamps``, (n,), are in
-        ns, and ``rows`` are the values, (axes, n).
-        """
-        if len(stamps) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
+    def feed(self, samples: Block) -> Block:
+        """Return the samples to keep of the next ones of the six-axis stream."""
+        if len(self._axes) < len(AXES):
+            samples = Block(samples.stamps, samples.rows[self._axes])
+        if self._drop == 'zero':
+            samples = samples.part(np.asarray(samples.rows.any(axis=0)))
+        elif self._drop and len(samples):
+            rows, before = samples.rows, self._measured
+            self._measured = rows[:, -1].copy()
+            changed: Flags = (rows != np.column_stack([before, rows[:, :-1]])).any(axis=0)
+            samples = samples.part(changed)
+        rows = samples.rows
+        if len(samples) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
             finite = (np.abs(rows) <= LARGEST).all(axis=0)
             self._counts.not_finite += int(np.count_nonzero(~finite))
-            stamps, rows = stamps[finite], rows[:, finite]
-        if not len(stamps):
-            return stamps, rows, np.zeros(0, bool)
+            samples = samples.part(finite)
+        if not len(samples):
+            return samples
+        stamps, number = samples.stamps, len(samples)
+        last = int(stamps[-1]), samples.rows[:, -1].copy()
         latest = stamps[0] - 1 if self._latest is None else self._latest
-        last, number = (int(stamps[-1]), rows[:, -1].copy()), len(stamps)
-        jumped = np.zeros(number, bool)
         if stamps[0] <= latest or (stamps[1:] <= stamps[:-1]).any() or self._backward:
-            keep, jumped = self._select(stamps, rows)
-            stamps, rows, jumped = stamps[keep], rows[:, keep], jumped[keep]
+            samples = samples.part(self._select(samples))
         self._last, self._position = last, self._position + number
-        if len(stamps):
-            self._latest = int(stamps[-1])
-        return stamps, rows, jumped
+        if len(samples):
+            self._latest = int(samples.stamps[-1])
+        return samples
 
-    def _select(self, stamps: Stamps, rows: Floats) -> tuple[Flags, Flags]:
-        """Return masks (n,) of the samples that are kept and that follow a backward clock step."""
+    def _select(self, samples: Block) -> Flags:
+        """Return which of the samples to keep, (n,), if the stamps may repeat or decrease."""
+        stamps, rows = samples.stamps, samples.rows
         stamp, row = self._last
         equal = (rows == np.column_stack([row, rows[:, :-1]])).all(axis=0)
-        repeated = equal & (np.diff(stamps, prepend=stamp) == 0)
-        self._counts.duplicate += int(np.count_nonzero(repeated))
-        keep = ~repeated
-        jumped = np.zeros(len(stamps), bool)
+        duplicate = equal & (np.diff(stamps, prepend=stamp) == 0)
+        self._counts.duplicate += int(np.count_nonzero(duplicate))
+        keep = np.asarray(~duplicate)
         latest = stamps[0] if self._latest is None else self._latest
         for i in np.flatnonzero(keep):
-            if stamps[i] >= latest:
-                self._backward = 0
-                latest = stamps[i]
-                continue
-            self._backward += 1
-            if self._backward < self._needed:
-                keep[i] = False
-                self._counts.backward += 1
-                continue
+            if stamps[i] < latest:
+                self._backward += 1
+                if self._backward < self._needed:
+                    keep[i] = False
+                    self._counts.backward += 1
+                    continue
+                self._counts.splits['clock jump'] += 1
+                at = self._position + int(i)
+                recently = at - self._last_jump < JUMP_DISTANCE
+                self._needed = 2 * self._needed if recently else BACKWARD_RUN
+                self._last_jump = at
             self._backward = 0
-            jumped[i] = True
             latest = stamps[i]
-            at = self._position + int(i)
-            recently = at - self._last_jump < JUMP_DISTANCE
-            self._needed = 2 * self._needed if recently else BACKWARD_RUN
-            self._last_jump = at
-        return keep, jumped
+        return keep
 
 
 class PassSplitter:
     """Splits a stream where its stamps jump back permanently, as in a looped recording.
 
     Each part is a pass. Samples stamped before the latest stamp are buffered. If `BACKWARD_RUN` of
-    them are consecutive, the first one begins a new pass; if not, `StampFilter` drops them later.
+    them are consecutive, the first one begins a new pass; if not, `SampleFilter` drops them later.
     ``latest_ns`` is the latest stamp in the checkpoint from which the stream continues, if any.
     """
 

@@ -22,7 +22,7 @@ from ..errors import AllanError
 from ..findings import Finding
 from ..imu import AXES, ImuBatch, ImuIdentity, joined
 from ..settings import SegmenterSettings
-from .cleaning import StampChoice, StampFilter, StampSorter
+from .cleaning import SampleFilter, StampChoice, StampSorter
 from .health import (
     LISTED_EVENTS,
     LISTED_SEGMENTS,
@@ -39,7 +39,7 @@ from .health import (
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
-from .sensors import RepeatFilter, SampleHoldFilter, SensorPlan, plan_sensors
+from .sensors import RepeatFilter, SensorPlan, plan_sensors
 from .timing import LEARN, Block, Floats, SampleClock, Stamps
 
 
@@ -243,13 +243,13 @@ class FrameStream:
             if self._learned == LEARN:
                 self._learn()
             batch = batch[take:]
-        self._feed(*self._sorter.feed(self.stamps.of(batch), batch.samples.T))
+        self._feed(self._sorter.feed(self.stamps.of(batch)))
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
         if not self.sensors and self._learned:
             self._learn()
-        self._feed(*self._sorter.flush())
+        self._feed(self._sorter.flush())
         for sensor in self.sensors:
             sensor.flush()
 
@@ -257,38 +257,36 @@ class FrameStream:
         """Choose the stamps and the sensor streams from the first samples, then process these."""
         first, self._learning, self._learned = joined(self._learning), [], 0
         notes = self.stamps.learn(first)
-        chosen = self.stamps.of(first)
-        ordered = StampSorter.all_sorted(chosen, first.samples.T)
-        plans, findings = plan_sensors(*ordered, self._sensor)
+        samples = self.stamps.of(first)
+        plans, findings = plan_sensors(StampSorter.all_sorted(samples), self._sensor)
         self.notes += [note for note in (*notes, *findings) if note not in self.notes]
-        self._sorter = StampSorter(chosen)
+        self._sorter = StampSorter(samples.stamps)
         self.sensors = tuple(
             SensorStream(p, self.identity, self._settings, self._with_samples) for p in plans
         )
-        self._feed(*self._sorter.feed(chosen, first.samples.T))
+        self._feed(self._sorter.feed(samples))
 
-    def _feed(self, stamps: Stamps, rows: Floats) -> None:
-        """Pass samples to the sensor streams: stamps (n,) in ns, values (6, n)."""
-        if not len(stamps):
+    def _feed(self, samples: Block) -> None:
+        if not len(samples):
             return
         if self.first_ns is None:
-            self.first_ns = int(stamps[0])
+            self.first_ns = int(samples.stamps[0])
         if self._skip_ns:
-            late = stamps >= self.first_ns + self._skip_ns
-            start = int(np.argmax(late)) if late.any() else len(stamps)
+            late = samples.stamps >= self.first_ns + self._skip_ns
+            start = int(np.argmax(late)) if late.any() else len(samples)
             self._skip_ns *= not late.any()
             self._skipped += start
-            stamps, rows = stamps[start:], rows[:, start:]
+            samples = samples.part(slice(start, None))
         for sensor in self.sensors:
-            sensor.feed(stamps, rows)
+            sensor.feed(samples)
 
 
 class SensorStream:
     """Computes the sums of axes that are sampled together, from their samples at rest.
 
     These are all six axes, or the axes of one sensor if the sensors have different rates. The
-    stages are: `SampleHoldFilter`, `StampFilter`, `SampleClock`, `RepeatFilter` (if the driver
-    repeats samples at random), `MotionGate`, `RunningSums`.
+    stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if the driver repeats samples at
+    random), `MotionGate`, `RunningSums`.
     ``gate`` is None before the sample period is learned, or if it is switched off. ``relearned``
     counts how often the sums were discarded because the IMU had been moving, and ``discarded_s`` is
     the time from the first sample at rest to the first one that was kept. ``kept`` are the samples
@@ -314,8 +312,7 @@ class SensorStream:
         self._former: StreamSums | None = None  # at the earlier rate with the most data
         self._identity = identity
         self._settings = settings
-        self._hold_filter = SampleHoldFilter(plan)
-        self._stamp_filter = StampFilter(len(plan.axes), self.counts)
+        self._filter = SampleFilter(plan, self.counts)
         self._start()
 
     def _start(self) -> None:
@@ -348,7 +345,7 @@ class SensorStream:
             return self.gate.state
         if self.clock.clock is not None and not self._settings.motion_gate:
             return 'at_rest'
-        return 'learning' if len(self.clock.pending[0]) else 'waiting'
+        return 'learning' if len(self.clock.pending) else 'waiting'
 
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at the present sample rate and at the earlier one with the most data."""
@@ -372,10 +369,9 @@ class SensorStream:
         """The latest one-second means of static data."""
         return self._means.means
 
-    def feed(self, stamps: Stamps, rows: Floats) -> None:
-        """Process samples of the six-axis stream: stamps (n,) in ns, values (6, n)."""
-        kept = self._stamp_filter.feed(*self._hold_filter.select(stamps, rows))
-        self._pass_on(self.clock.feed(*kept))
+    def feed(self, samples: Block) -> None:
+        """Process samples of the six-axis stream."""
+        self._pass_on(self.clock.feed(self._filter.feed(samples)))
         while self.clock.rate_changed:
             self._pass_on(self._change_rate())
 
@@ -394,7 +390,7 @@ class SensorStream:
         self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
         pending = self.clock.pending
         self._start()
-        return self.clock.feed(*pending)
+        return self.clock.feed(pending)
 
     def _pass_on(self, blocks: list[Block], at_end: bool = False) -> None:
         """Pass evenly spaced blocks through the stages to the sums."""

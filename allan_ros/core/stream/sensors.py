@@ -17,7 +17,7 @@ import numpy as np
 
 from ..findings import Finding, finding
 from ..imu import AXES, LARGEST, SENSORS
-from .timing import Block, Flags, Floats, Stamps
+from .timing import Block, Flags, Floats
 
 REPEATED_SHARE = 0.1
 """Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled
@@ -54,32 +54,6 @@ class SensorPlan:
     axes: tuple[str, ...]
     drop: Literal['', 'repeated', 'zero'] = ''
     random_repeats: tuple[tuple[str, ...], ...] = ()
-
-
-class SampleHoldFilter:
-    """Selects the axes of a sensor stream, and drops its repeated or zero-filled samples."""
-
-    def __init__(self, plan: SensorPlan) -> None:
-        self._drop = plan.drop
-        self._rows = [AXES.index(axis) for axis in plan.axes]
-        self._all = self._rows == list(range(len(AXES)))
-        self._last: Floats = np.full(len(self._rows), np.nan)
-
-    def select(self, stamps: Stamps, rows: Floats) -> tuple[Stamps, Floats]:
-        """Return stamps (k,) and values (axes, k) of the samples that are kept.
-
-        ``stamps``, (n,), and ``rows``, (6, n), are the next samples of the six-axis stream.
-        """
-        rows = rows if self._all else rows[self._rows]
-        if not self._drop or not len(stamps):
-            return stamps, rows
-        if self._drop == 'zero':
-            keep = rows.any(axis=0)
-        else:
-            before = np.concatenate([self._last[:, None], rows[:, :-1]], axis=1)
-            keep = (rows != before).any(axis=0)
-            self._last = rows[:, -1].copy()
-        return stamps[keep], rows[:, keep]
 
 
 MIN_CLIPPED = 0.05
@@ -151,17 +125,16 @@ def are_interleaved(rows: Floats) -> bool:
     return False
 
 
-def plan_sensors(
-    stamps: Stamps, rows: Floats, only: str = ''
-) -> tuple[list[SensorPlan], list[Finding]]:
-    """Decide from the first samples whether gyro and accelerometer need separate streams.
+def plan_sensors(first: Block, only: str = '') -> tuple[list[SensorPlan], list[Finding]]:
+    """Decide from the first samples, at least one, whether the sensors need separate streams.
 
-    Returns a plan for each stream, and the findings about the sensors. ``stamps``, (n,), are in ns.
-    ``rows``, (6, n), are NaN where a sensor is absent. ``only`` is the sensor to use; '' for both.
+    Returns a plan for each stream, and the findings about the sensors. The six axes are NaN where a
+    sensor is absent. ``only`` is the sensor to use; '' for both.
     """
     # without duplicate messages, which are dropped later
-    duplicate = (np.diff(stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
-    rows = rows[:, np.concatenate([[True], ~duplicate])] if len(stamps) else rows
+    rows = first.rows
+    duplicate = (np.diff(first.stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
+    rows = rows[:, np.concatenate([[True], ~duplicate])]
     repeats = rows[:, 1:] == rows[:, :-1]
     findings: list[Finding] = []
     used = [sensor for sensor in SENSORS if only in ('', sensor)]
@@ -302,7 +275,7 @@ class RepeatFilter:
 
     def __init__(self, groups: list[list[int]], axes: int) -> None:
         self._groups = groups
-        self._empty = Block(np.empty(0, np.int64), np.empty((axes, 0)))
+        self._empty = Block.empty(axes)
         self._restart()
 
     def _restart(self) -> None:

@@ -182,10 +182,11 @@ def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> flo
 
 @dataclass(frozen=True)
 class Block:
-    """Evenly spaced samples: stamps in ns, (n,), and values, (axes, n).
+    """Samples: stamps in ns, (n,), and values, (axes, n).
 
-    ``cut`` is '' if the block directly follows the previous one, else the reason for the gap
-    between them. ``filled``, (axes, n), flags interpolated values; None if there are none.
+    The blocks of `SampleClock` and of later stages are evenly spaced. ``cut`` is '' if the block
+    directly follows the previous one, else the reason for the gap between them. ``filled``, (axes,
+    n), flags interpolated values; None if there are none.
     """
 
     stamps: Stamps
@@ -196,13 +197,18 @@ class Block:
     def __len__(self) -> int:
         return len(self.stamps)
 
-    def part(self, which: slice, cut: str = '') -> Block:
-        """Return a slice of the samples as views; ``cut`` is the reason for a gap before it."""
+    @classmethod
+    def empty(cls, axes: int) -> Block:
+        """Return a block without samples."""
+        return cls(np.empty(0, np.int64), np.empty((axes, 0)))
+
+    def part(self, which: slice | Flags, cut: str = '') -> Block:
+        """Return some samples (views for a slice); ``cut`` is the reason for a gap before them."""
         filled = None if self.filled is None else self.filled[:, which]
         return Block(self.stamps[which], self.rows[:, which], cut, filled)
 
     def copy(self) -> Block:
-        """Return a block that shares no memory with this one."""
+        """Return a block that shares no memory with this one, with contiguous rows."""
         filled = None if self.filled is None else self.filled.copy()
         return Block(self.stamps.copy(), self.rows.copy(), self.cut, filled)
 
@@ -242,9 +248,9 @@ class SampleClock:
     """Converts samples to evenly spaced blocks; at most one block and the look-ahead are buffered.
 
     ``clock`` is None until the period is learned from the first samples; it is then updated from
-    the stamps. ``polled`` tells whether these are stamps of new samples of a slower sensor.
-    ``counts`` is changed in place. Once ``rate_changed`` is set, `pending` contains the samples
-    from the change on, and no more samples are accepted.
+    the stamps, which decrease only where the clock was set back. ``polled`` tells whether these are
+    stamps of new samples of a slower sensor. ``counts`` is changed in place. Once ``rate_changed``
+    is set, `pending` contains the samples from the change on, and no more samples are accepted.
     """
 
     def __init__(
@@ -258,9 +264,7 @@ class SampleClock:
         self._counts = counts
         self._reach = 0
         # the first `_past` samples, at most `_reach`, are already processed
-        self._stamps: Stamps = np.empty(0, np.int64)
-        self._rows: Floats = np.empty((axes, 0))
-        self._jumped: Flags = np.empty(0, bool)
+        self._samples = Block.empty(axes)
         self._past = 0
         self._steps: Ints = np.empty(0, np.int64)  # index steps of the processed samples
         self._blocks = 0
@@ -270,22 +274,14 @@ class SampleClock:
         self._tracked_steps = 0
 
     @property
-    def pending(self) -> tuple[Stamps, Floats, Flags]:
-        """Samples that are not processed yet, in the form of `feed`."""
-        begin = self._past
-        return self._stamps[begin:], self._rows[:, begin:], self._jumped[begin:]
+    def pending(self) -> Block:
+        """Samples that are not processed yet."""
+        return self._samples.part(slice(self._past, None))
 
-    def feed(self, stamps: Stamps, rows: Floats, jumped: Flags) -> list[Block]:
-        """Add samples, and return the blocks whose look-ahead is complete.
-
-        ``stamps``, (n,), are in ns, and ``rows`` are the values, (axes, n). ``jumped``, (n,), is
-        True where the clock was set back before the sample.
-        """
-        self._stamps = np.concatenate([self._stamps, stamps])
-        # the order in memory determines the order of later sums, and so their rounding
-        self._rows = np.concatenate([self._rows, np.ascontiguousarray(rows)], axis=1)
-        self._jumped = np.concatenate([self._jumped, jumped])
-        while self.clock is None and len(self._stamps) >= LEARN:
+    def feed(self, samples: Block) -> list[Block]:
+        """Add samples, and return the blocks whose look-ahead is complete."""
+        self._samples = Block.joined([self._samples, samples.copy()])
+        while self.clock is None and len(self._samples) >= LEARN:
             self._learn()
         return self._process_ready(self._reach)
 
@@ -297,7 +293,7 @@ class SampleClock:
 
     def _learn(self) -> None:
         """Learn the period from the first samples; if they contain no time, drop them."""
-        first = self._stamps[:LEARN]
+        first = self._samples.stamps[:LEARN]
         self.clock = learn_clock(first, self._polled, self._settings.declared_rate)
         if self.clock is None:
             self._counts.untimed += len(first)
@@ -310,7 +306,7 @@ class SampleClock:
         """Process the samples before the look-ahead: complete blocks, or all if it is 0."""
         begin, steps = self._past, [np.empty(0, np.int64)]
         while self.clock is not None and not self.rate_changed:
-            ready = len(self._stamps) - self._past - look_ahead
+            ready = len(self._samples) - self._past - look_ahead
             room = (TRACK_BLOCKS - self._blocks % TRACK_BLOCKS) * CLOCK_BLOCK
             n = min(ready - ready % CLOCK_BLOCK if look_ahead else ready, room)
             if n < 1:
@@ -323,8 +319,7 @@ class SampleClock:
     def _release(self) -> None:
         """Drop processed samples that are not needed to detect a later gap."""
         old = max(0, self._past - self._reach)
-        self._stamps, self._jumped = self._stamps[old:].copy(), self._jumped[old:].copy()
-        self._rows = self._rows[:, old:].copy()
+        self._samples = self._samples.part(slice(old, None)).copy()
         self._past -= old
 
     def _process(self, n: int, clock: Clock) -> Ints:
@@ -333,35 +328,31 @@ class SampleClock:
         Returns the steps of the sample index up to a change: above 1 where samples are
         interpolated, 0 where the data are split.
         """
-        begin = self._past
-        before = self._stamps[begin - 1] if begin else self._stamps[0] - round(clock.period_ns)
-        stamps, jumped = self._stamps[begin : begin + n], self._jumped[begin : begin + n]
-        step = np.diff(stamps, prepend=before)
-        lost, split = self._find_gaps(step, jumped, clock)
+        begin, stamps = self._past, self._samples.stamps
+        before = stamps[begin - 1] if begin else stamps[0] - round(clock.period_ns)
+        step = np.diff(stamps[begin : begin + n], prepend=before)
+        lost, split = self._find_gaps(step, clock)
         steps = np.where(split, 0, 1 + lost)
         same = self._count_same_rate(step, steps, clock)
         self.rate_changed = same < n
-        lost, steps = lost[:same], steps[:same]
-        split, jumped = split[:same], jumped[:same]
+        lost, steps, split = lost[:same], steps[:same], split[:same]
         if same:
-            jumps = int(np.count_nonzero(jumped))
-            gaps = int(np.count_nonzero(split)) - jumps
             self._counts.lost += int(lost.sum())
             self._counts.interpolated += int(lost[~split].sum())
-            self._counts.splits += Counter({'clock jump': jumps, 'gap': gaps})
-            self._track(stamps[:same], steps, clock)
+            self._counts.splits += Counter(gap=int(np.count_nonzero(split & (step[:same] >= 0))))
+            self._track(stamps[begin : begin + same], steps, clock)
             self._steps = np.concatenate([self._steps, steps])[-self._reach :]
             self._past += same
         return steps
 
-    def _find_gaps(self, step: Stamps, jumped: Flags, clock: Clock) -> tuple[Ints, Flags]:
+    def _find_gaps(self, step: Stamps, clock: Clock) -> tuple[Ints, Flags]:
         """Return the number of samples lost before each of the next n, and where to split them.
 
         ``step``, (n,), are the steps of the stamps in ns. Short gaps are interpolated, not split.
         """
-        lost, split = np.zeros(len(step), np.int64), jumped.copy()
+        lost, split = np.zeros(len(step), np.int64), step < 0
         interpolated: Counter[int] = Counter()  # number of interpolated samples of each clock block
-        for j in np.flatnonzero((step > clock.pause_ns) & ~split).tolist():
+        for j in np.flatnonzero(step > clock.pause_ns).tolist():
             lost[j] = number = self._count_lost(np.where(split, 0, 1 + lost)[:j], clock)
             total = interpolated[j // CLOCK_BLOCK] + number
             split[j] = number > self._settings.max_bridge or total > BRIDGED_SHARE * CLOCK_BLOCK
@@ -403,14 +394,16 @@ class SampleClock:
             return 0
         steps = np.concatenate([self._steps, steps])[-self._reach :]
         index = np.cumsum(steps[int(np.argmax(np.cumsum(steps == 0))) :])  # since the last gap
-        jumps = np.flatnonzero(self._jumped[at + 1 : at + self._reach])
-        after = self._stamps[at : at + (int(jumps[0]) + 1 if len(jumps) else self._reach)]
-        period, origin = clock.period_ns, self._stamps[at - 1]
-        delay = (self._stamps[at - len(index) : at] - origin) - period * (index - index[-1])
+        stamps = self._samples.stamps
+        after = stamps[at : at + self._reach]
+        jumps = np.flatnonzero(np.diff(after) < 0)
+        after = after[: int(jumps[0]) + 1 if len(jumps) else None]
+        period, origin = clock.period_ns, stamps[at - 1]
+        delay = (stamps[at - len(index) : at] - origin) - period * (index - index[-1])
         # as if no sample were lost
         delay_after = (after - origin) - period * np.arange(1, len(after) + 1)
         increase = (float(delay_after.min()) - float(delay.min())) / period
-        pause = (self._stamps[at] - origin) / period - 1.0
+        pause = (stamps[at] - origin) / period - 1.0
         return round(increase) if increase > max(0.5 * pause, clock.smallest_loss) else 0
 
     def _blocks_of(self, begin: int, steps: Ints) -> list[Block]:
@@ -419,13 +412,14 @@ class SampleClock:
         ``steps``, (n,), are their index steps.
         """
         n = len(steps)
-        samples = Block(self._stamps[begin : begin + n], self._rows[:, begin : begin + n])
+        samples = self._samples.part(slice(begin, begin + n))
         groups: list[list[Block]] = []  # a list for each block, with the parts to be joined
         edges = sorted({0, *np.flatnonzero(steps != 1).tolist(), n})
         for first, last in itertools.pairwise(edges):
             cut = ''
             if steps[first] == 0:
-                cut = 'clock jump' if self._jumped[begin + first] else 'gap'
+                before, here = self._samples.stamps[begin + first - 1 : begin + first + 1]
+                cut = 'clock jump' if here < before else 'gap'
             if cut or not groups:
                 groups.append([])
             if steps[first] > 1:
@@ -436,9 +430,9 @@ class SampleClock:
     def _interpolated(self, at: int, step: int) -> Block:
         """Return the step - 1 samples lost before the sample at buffer position ``at``."""
         fraction = np.arange(1, step) / step
-        gap_ns = self._stamps[at] - self._stamps[at - 1]
-        stamps = self._stamps[at - 1] + np.rint(fraction * gap_ns).astype(np.int64)
-        left, right = self._rows[:, at - 1, None], self._rows[:, at, None]
+        first, last = self._samples.stamps[at - 1 : at + 1]
+        stamps = first + np.rint(fraction * (last - first)).astype(np.int64)
+        left, right = self._samples.rows[:, at - 1, None], self._samples.rows[:, at, None]
         rows = left + fraction * (right - left)
         return Block(stamps, rows, filled=np.ones(rows.shape, bool))
 

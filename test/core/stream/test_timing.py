@@ -28,7 +28,7 @@ def run(stamps, rows=None, max_bridge=3):
     counts = Counts()
     rows = np.arange(float(len(stamps)))[None, :] if rows is None else rows
     stage = SampleClock(len(rows), SegmenterSettings(max_bridge=max_bridge), False, counts)
-    runs = stage.feed(stamps, rows, np.zeros(len(stamps), bool)) + stage.flush()
+    runs = stage.feed(Block(stamps, rows)) + stage.flush()
     joined = []
     for r in runs:
         if joined and not r.cut:
@@ -122,6 +122,7 @@ def test_a_pause_followed_by_a_burst_is_not_a_gap(silence_ms):
     late = stamps[3000] + silence_ms * MS
     held = (stamps >= stamps[3000]) & (stamps < late)
     stamps[held] = late + np.arange(held.sum()) * 200_000
+    stamps = np.maximum.accumulate(stamps)
     runs, counts, stage = run(stamps)
     assert len(runs) == 1 and counts.lost == 0 and not stage.rate_changed
 
@@ -150,7 +151,7 @@ def test_another_rate_is_reported(factor):
     runs, _, stage = run(np.unique(stamps))
     assert stage.rate_changed
     assert 3000 - 256 <= sum(len(r.stamps) for r in runs) <= 3256
-    assert len(stage.pending[0]) > 1700
+    assert len(stage.pending) > 1700
 
 
 def test_learning_the_rate_always_ends(monkeypatch):
@@ -159,4 +160,4 @@ def test_learning_the_rate_always_ends(monkeypatch):
     clock = Clock(10.0 * MS, 10.0 * MS, bursty=False)
     monkeypatch.setattr(timing, 'learn_clock', lambda *_: clock)
     _, _, stage = run(stamps)
-    assert len(stage.pending[0]) <= len(stamps) - 1024
+    assert len(stage.pending) <= len(stamps) - 1024
