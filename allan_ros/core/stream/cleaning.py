@@ -197,11 +197,11 @@ class SampleFilter:
         elif self._drop and len(samples):
             rows, before = samples.rows, self._measured
             self._measured = rows[:, -1].copy()
-            changed: Flags = (rows != np.column_stack([before, rows[:, :-1]])).any(axis=0)
-            samples = samples.part(changed)
+            changed = rows != np.column_stack([before, rows[:, :-1]])
+            samples = samples.part(np.asarray(changed.any(axis=0)))
         rows = samples.rows
         if len(samples) and not (rows.max() <= LARGEST and rows.min() >= -LARGEST):
-            finite = (np.abs(rows) <= LARGEST).all(axis=0)
+            finite = np.asarray((np.abs(rows) <= LARGEST).all(axis=0))
             self._counts.not_finite += int(np.count_nonzero(~finite))
             samples = samples.part(finite)
         if not len(samples):

@@ -8,13 +8,9 @@ noise floor, the noise of the sensor at rest. A window of white noise is classif
 probability below 1e-12, so N has no bias. Motion begins at higher limits than it ends (hysteresis).
 Some windows before and after a motion are dropped, too.
 
-A shock is a short motion after which all means are as before. Its samples are replaced by a line
-between these means and flagged, so that the segment continues: the flagged samples are excluded
-from short averages and only contribute to long ones.
-
-First, isolated spikes are replaced by the mean of their neighbors. If the noise has heavy tails,
-they are noise: they stay in the data and are not regarded as motion. If the noise increases
-while the IMU stays at rest, the samples are dropped and counted separately.
+First, isolated spikes are replaced. If the noise has heavy tails, they are noise: they stay in the
+data and are not regarded as motion. The samples of a shock are replaced, too. If the noise
+increases while the IMU stays at rest, the samples are dropped and counted separately.
 
 The noise floor is learned from the first windows in which the IMU can be at rest, and then updated
 from the quietest quarter of each block of windows. Windows are counted from the start of the
@@ -23,23 +19,22 @@ stream or the last gap, so the decisions do not depend on how the samples are di
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from ..settings import SegmenterSettings
-from .health import Counts, Event, Longest, State
-from .noise_floor import (
-    EXAMINED,
-    LEAST_WINDOW,
+from .disturbances import (
+    LONGEST_SHOCK,
+    LONGEST_SHOCK_S,
     SPIKE_NEIGHBORS,
-    NoiseFloor,
-    WindowClass,
-    Windows,
+    Level,
+    Motion,
     without_spikes,
 )
+from .health import Counts, Event, Longest, State
+from .noise_floor import EXAMINED, LEAST_WINDOW, NoiseFloor, WindowClass, Windows
 from .timing import Block, Flags, Floats
 
 WINDOW_S = 0.5
@@ -63,106 +58,6 @@ classified as increased noise instead of motion."""
 
 MOST_FILLED = 0.1
 """Largest share of interpolated samples in a window that is searched for outliers."""
-
-
-LONGEST_SHOCK_S, LONGEST_SHOCK = 10.0, 20
-"""Longest shock, in s and in windows."""
-
-LEVEL_WINDOWS, LEAST_LEVEL = 4, 2
-"""Number of windows before and after a motion whose means are compared, and the smallest number."""
-
-LEVEL_SIGMAS = 5.0
-"""Smallest change of a mean, in standard deviations, that is not due to noise."""
-
-TURNED = 0.035
-"""Angle in rad (2 degrees) by which an IMU does not turn during a shock."""
-
-REPLACED_SHARE = 0.5
-"""Largest ratio of replaced samples to samples at rest in a segment."""
-
-
-class Level:
-    """Mean over the last windows at rest, and number of samples at rest, in a segment."""
-
-    def __init__(self) -> None:
-        self.rest = self.replaced = 0  # samples
-        # one more than needed: the last window before a motion is not used
-        self._means: deque[Floats] = deque(maxlen=LEVEL_WINDOWS + 1)
-
-    def add(self, means: Floats, size: int) -> None:
-        """Add the means, (axes, k), of windows of ``size`` samples at rest."""
-        self.rest += means.shape[1] * size
-        self._means.extend(means[:, -LEVEL_WINDOWS - 1 :].T)
-
-    def before(self) -> Floats:
-        """Return the means of the windows before a motion that begins now, (k, axes)."""
-        return np.array(list(self._means)[:-1])
-
-
-class Motion:
-    """A motion; its windows are kept in ``held`` while it may be a shock, else this is None.
-
-    ``level`` is that of the segment before it, or None if no shock is possible.
-    """
-
-    def __init__(self, kind: str, began_ns: int, level: Level | None, margin: list[Block]) -> None:
-        self.kind = kind  # 'motion', 'stuck' or 'noise_increased'
-        self.began_ns, self.ended_ns = began_ns, began_ns
-        self.level = level
-        self.held = None if level is None else margin
-        self.windows = self.quiet = 0  # number of windows, and of quiet ones at the end
-        # means of the last windows before it
-        self.before = level.before() if level is not None else np.empty((0, 0))
-        self._after: deque[Floats] = deque(maxlen=LEVEL_WINDOWS)
-        self._samples = 0
-        self._total: float | Floats = 0.0  # sum of the samples
-
-    def add(self, window: Block, mean: Floats, quiet: bool) -> None:
-        """Add the next window and its mean, (axes,)."""
-        if self.held is not None:
-            self.held.append(window)
-        self.quiet = self.quiet + 1 if quiet else 0
-        if not quiet:
-            self.ended_ns = int(window.stamps[-1])
-        self._after.append(mean)
-        self.windows += 1
-        self._samples += len(window)
-        self._total = self._total + len(window) * mean
-
-    def change(self, floor: NoiseFloor) -> Floats:
-        """Return the change of the mean of each axis, (axes,): 0 if noise explains it.
-
-        It is NaN if the mean before or after the motion is not known.
-        """
-        counts = len(self.before), min(self.quiet, len(self._after))
-        if min(counts) < LEAST_LEVEL:
-            return np.full(len(floor.mean), np.nan)
-        after = np.array(list(self._after)[-counts[1] :]).mean(axis=0)
-        step = np.maximum(np.sqrt(2.0 / floor.size * floor.scale), floor.step)
-        limit = LEVEL_SIGMAS * np.sqrt(0.5 / counts[0] + 0.5 / counts[1]) * step
-        limit += np.where(floor.variance < 0.25 * floor.lsb**2, floor.lsb, 0.0)
-        change = after - self.before.mean(axis=0)
-        return np.asarray(np.where(np.abs(change) > limit, change, 0.0))
-
-    def replaced(self, floor: NoiseFloor, period_s: float) -> list[Block]:
-        """Return the windows with the samples of the shock replaced; empty if it is no shock.
-
-        All windows are replaced except the last quiet ones.
-        """
-        if self.held is None or self.level is None or self.change(floor).any():
-            return []
-        first, last = self.before.mean(axis=0), np.mean(self._after, axis=0)
-        turned = (self._total - self._samples * first)[floor.gyro] * period_s
-        block = Block.joined(self.held[: 1 - self.quiet])
-        n = len(block)
-        allowed = REPLACED_SHARE * self.level.rest - self.level.replaced
-        if np.linalg.norm(turned) > TURNED or n > allowed:
-            return []
-        share = (np.arange(n) + 0.5) / n
-        rows = first[:, None] + (last - first)[:, None] * share
-        self.level.replaced += n
-        flagged = np.ones(rows.shape, bool)
-        return [Block(block.stamps, rows, block.cut, flagged), *self.held[1 - self.quiet :]]
 
 
 class _Part(NamedTuple):
@@ -206,8 +101,8 @@ class MotionGate:
         self._floor: NoiseFloor | None = None
         self._learning: list[Block] = []  # buffered until the noise floor is known
         # buffered until they fill a window, with their look-ahead
-        self._pending = Block(np.empty(0, np.int64), np.empty((len(axes), 0)))
-        self._before = np.empty((len(axes), 0))  # the last samples before them
+        self._pending = Block.empty(len(axes))
+        self._before = self._pending.rows  # the last samples before them
         self._last_mean: Floats | None = None
         self._motion: Motion | None = None
         self._level = Level()
@@ -215,7 +110,6 @@ class MotionGate:
         self._cut = ''  # reason for the gap before the next still block
         self._margin: list[Block] = []  # still windows, dropped if a motion begins after them
         self._block: list[_Part] = []
-        self._in_block = 0  # number of windows in it
         self._noisy_blocks = 0
 
     @property
@@ -244,19 +138,21 @@ class MotionGate:
 
     def feed(self, blocks: list[Block]) -> list[Block]:
         """Add consecutive blocks, and return the samples that are confirmed to be at rest."""
-        for contiguous in _contiguous(blocks):
-            if self._floor is not None:
-                self._add(contiguous)
-                continue
-            self._learning += contiguous
-            while self._floor is None and _samples(self._learning) >= BLOCK_WINDOWS * self.size:
-                self._learn()
+        for block in blocks:
+            while self._floor is None and len(block):
+                room = BLOCK_WINDOWS * self.size - _samples(self._learning)
+                self._learning.append(block.part(slice(room), block.cut))
+                if len(block) >= room:
+                    self._learn()
+                block = block.part(slice(room, None))
+            if len(block):
+                self._add(block)
         out, self._out = self._out, []
         return out
 
     def flush(self) -> list[Block]:
         """Return the buffered blocks that are at rest, at the end of the input."""
-        while self._floor is None and self._learning:
+        if self._learning:
             self._learn()
         self._flush_pending()
         return self.feed([])
@@ -265,17 +161,20 @@ class MotionGate:
 
     def _learn(self) -> None:
         """Learn the noise floor from the first windows, or drop these if the IMU moved."""
-        first, rest = _split(self._learning, BLOCK_WINDOWS * self.size)
-        parts = [Block.joined(blocks) for blocks in _contiguous(first)]
+        groups: list[list[Block]] = []  # blocks with no gap between them
+        for block in self._learning:
+            if block.cut or not groups:
+                groups.append([])
+            groups[-1].append(block)
+        parts, self._learning = [Block.joined(group) for group in groups], []
         gyro = np.array([axis.startswith('gyro') for axis in self._axes])
         floor = NoiseFloor.learned([part.rows for part in parts], self.size, gyro, self._settings)
         if not floor.is_plausible():
-            self._learning = rest
-            self._counts.moving += _samples(first)
+            self._counts.moving += _samples(parts)
             if self._motion is None:
-                self._motion = Motion('motion', int(first[0].stamps[0]), None, [])
+                self._motion = Motion('motion', int(parts[0].stamps[0]), None, [])
                 self._counts.splits['motion'] += 1
-            self._motion.ended_ns = int(first[-1].stamps[-1])
+            self._motion.ended_ns = int(parts[-1].stamps[-1])
             self._cut = 'motion'
             return
         for part in parts:
@@ -284,17 +183,16 @@ class MotionGate:
             floor = floor.with_outliers(_usable(part, self.size, ~found.moving))
         self._floor = floor
         self._log_motion()
-        blocks, self._learning = self._learning, []
-        for contiguous in _contiguous(blocks):
-            self._add(contiguous)
+        for part in parts:
+            self._add(part)
 
     # --- windows ----------------------------------------------------------------------------------
 
-    def _add(self, blocks: list[Block]) -> None:
-        """Classify the windows of blocks without a gap between them."""
-        if blocks[0].cut:
+    def _add(self, block: Block) -> None:
+        """Classify the complete windows of the buffered samples and the next block."""
+        if block.cut:
             self._flush_pending()
-        have = Block.joined([self._pending, *blocks])
+        have = Block.joined([self._pending, block])
         ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
         self._classify(have, ready, self.size)
         self._pending = have.part(slice(ready, None), '' if ready else have.cut).copy()
@@ -316,7 +214,8 @@ class MotionGate:
         at = 0
         while at < samples:
             # up to the end of a block, after which the noise floor is another one
-            k = min((samples - at) // size, BLOCK_WINDOWS - self._in_block)
+            in_block = sum(len(part.still) for part in self._block)
+            k = min((samples - at) // size, BLOCK_WINDOWS - in_block)
             end = at + k * size
             block = have.part(slice(at, end), '' if at else have.cut)
             after = have.rows[:, end : end + SPIKE_NEIGHBORS]
@@ -325,10 +224,8 @@ class MotionGate:
             self._counts.spikes += spikes
             self._keep_still(block, size, windows)
             at = end
-            if size == self.size:
-                self._in_block += k
-                if self._in_block == BLOCK_WINDOWS:
-                    self._end_block()
+            if size == self.size and in_block + k == BLOCK_WINDOWS:
+                self._end_block()
 
     # --- still or moving --------------------------------------------------------------------------
 
@@ -432,7 +329,7 @@ class MotionGate:
         """Update the noise floor after a block; start again if it was learned during a motion."""
         floor = self._floor
         assert floor is not None
-        block, self._block, self._in_block = self._block, [], 0
+        block, self._block = self._block, []
         windows = Windows.joined(part.windows for part in block)
         lower = floor.replacement(windows)
         if lower is not None:
@@ -488,16 +385,6 @@ def _samples(blocks: Iterable[Block]) -> int:
     return sum(map(len, blocks))
 
 
-def _contiguous(blocks: list[Block]) -> list[list[Block]]:
-    """Group consecutive blocks that have no gap between them."""
-    groups: list[list[Block]] = []
-    for block in blocks:
-        if block.cut or not groups:
-            groups.append([])
-        groups[-1].append(block)
-    return groups
-
-
 def _usable(block: Block, size: int, chosen: Flags) -> Floats:
     """Return the chosen windows without those that contain many interpolated samples."""
     samples = len(chosen) * size
@@ -506,14 +393,3 @@ def _usable(block: Block, size: int, chosen: Flags) -> Floats:
         share = block.filled[:, :samples].reshape(cube.shape).mean(axis=2).max(axis=0)
         chosen = chosen & (share <= MOST_FILLED)
     return cube[:, chosen].reshape(len(cube), -1)
-
-
-def _split(blocks: list[Block], samples: int) -> tuple[list[Block], list[Block]]:
-    """Split consecutive blocks after a number of samples."""
-    for i, block in enumerate(blocks):
-        if len(block) > samples:
-            before = [block.part(slice(samples), block.cut)] if samples else []
-            after = block.part(slice(samples, None), '' if samples else block.cut)
-            return [*blocks[:i], *before], [after, *blocks[i + 1 :]]
-        samples -= len(block)
-    return blocks, []

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The noise floor: the noise of a sensor at rest, and what short windows of samples tell about it.
 
-Windows are classified as at rest or moving, and isolated spikes are replaced.
+Windows are classified as at rest or moving.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..settings import SegmenterSettings
-from .timing import Block, Flags, Floats
+from .timing import Flags, Floats
 
 LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
@@ -85,16 +85,6 @@ floor is a mechanical knock."""
 STEP_SIGMAS = 8.0
 """Means of neighboring windows that differ by this many standard deviations of the difference
 indicate motion."""
-
-SPIKE_SIGMAS = 7.0
-"""An isolated sample is a spike if it deviates from the mean of its window by more than this number
-of standard deviations of the noise floor. This holds for 1e-10 of the samples of white noise, so
-the variance of white noise changes by less than 1e-8."""
-
-SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
-"""Number of samples before and after a spike that are examined. The spike is isolated if its direct
-neighbors, and all others except one, deviate less than this fraction of the smallest possible
-spike. After a mechanical knock, in contrast, several samples deviate."""
 
 PLAUSIBLE_DEVIATION, PLAUSIBLE_STEP = (0.1, 1.5), (0.0087, 0.15)
 """Limits at rest for a gyro (rad/s) and an accelerometer (m/s^2): standard deviation in a window if
@@ -347,59 +337,6 @@ class NoiseFloor:
         moving = ((windows.variance > max_variance) | knocked | rotating).any(axis=0) | stuck
         disturbed = (noisy | knocked).any(axis=0) | stuck
         return WindowClass(moving, ~(moving | disturbed), stuck, rotating.any(axis=0) & ~disturbed)
-
-
-def without_spikes(
-    block: Block, size: int, before: Floats, after: Floats, floor: NoiseFloor
-) -> tuple[Block, Windows, int]:
-    """Replace isolated spikes by the mean of the two samples next to them.
-
-    ``size`` is the number of samples in a window. ``before`` and ``after``, (axes, n), are up to
-    `SPIKE_NEIGHBORS` samples on either side of the block. Returns the block, the statistics of its
-    windows, and the number of replaced values. On axes with heavy tails, spikes are only removed
-    from the statistics, and the block keeps them.
-    """
-    rows = block.rows
-    windows = Windows.of(rows, size)
-    threshold = SPIKE_SIGMAS * np.sqrt(floor.scale)
-    flagged = (windows.peak > threshold[:, None]) & (threshold > 0.0)[:, None]
-    if not flagged.any() or size < LEAST_WINDOW:
-        return block, windows, 0
-    axes, at = np.nonzero(flagged)
-    cube = rows.reshape(len(rows), -1, size)[axes, at]
-    level = np.median(cube, axis=1)
-    sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
-    # a higher threshold if the noise exceeds its floor by more than the error of sigma
-    increased = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
-    height = np.where(increased, SPIKE_SIGMAS * sigma, threshold[axes])
-    far = np.abs(cube - level[:, None]) > height[:, None]
-    few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more than this are a motion
-    around = np.concatenate([before, rows, after], axis=1)
-    without = rows.copy()
-    found = np.zeros(rows.shape, bool)
-    for n, k in zip(*np.nonzero(far & few[:, None])):
-        axis, i = axes[n], at[n] * size + k
-        x, j = around[axis], i + before.shape[1]
-        first = max(0, j - SPIKE_NEIGHBORS)
-        near = np.abs(x[first : j + SPIKE_NEIGHBORS + 1] - level[n])
-        if _is_isolated(near > NEIGHBOR_RATIO * height[n], j - first):
-            without[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
-            found[axis, i] = True
-    changed = found.any(axis=0).reshape(-1, size).any(axis=1)
-    if not changed.any():
-        return block, windows, 0
-    some = without.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
-    windows.values[:, :, changed] = Windows.of(some, size).values
-    found[floor.heavy] = False
-    filled = found if block.filled is None else block.filled | found
-    replaced = np.where(found, without, rows)
-    return Block(block.stamps, replaced, block.cut, filled), windows, int(np.count_nonzero(found))
-
-
-def _is_isolated(far: Flags, at: int) -> bool:
-    """Return whether the neighbors of ``far[at]`` are not set, and at most one other flag is."""
-    inside = 0 < at < len(far) - 1
-    return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2
 
 
 def _quantile(values: Floats, share: float) -> Floats:

@@ -1,0 +1,180 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Short disturbances, whose samples are replaced: isolated spikes and shocks.
+
+An isolated spike is replaced by the mean of its neighbors. A shock is a short motion after which
+all means are as before. Its samples are replaced by a line between these means and flagged, so that
+the segment continues: the flagged samples are excluded from short averages and only contribute to
+long ones.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, NoiseFloor, Windows
+from .timing import Block, Flags, Floats
+
+SPIKE_SIGMAS = 7.0
+"""An isolated sample is a spike if it deviates from the mean of its window by more than this number
+of standard deviations of the noise floor. This holds for 1e-10 of the samples of white noise, so
+the variance of white noise changes by less than 1e-8."""
+
+SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
+"""Number of samples before and after a spike that are examined. The spike is isolated if its direct
+neighbors, and all others except one, deviate less than this fraction of the smallest possible
+spike. After a mechanical knock, in contrast, several samples deviate."""
+
+LONGEST_SHOCK_S, LONGEST_SHOCK = 10.0, 20
+"""Longest shock, in s and in windows."""
+
+LEVEL_WINDOWS, LEAST_LEVEL = 4, 2
+"""Number of windows before and after a motion whose means are compared, and the smallest number."""
+
+LEVEL_SIGMAS = 5.0
+"""Smallest change of a mean, in standard deviations, that is not due to noise."""
+
+TURNED = 0.035
+"""Angle in rad (2 degrees) by which an IMU does not turn during a shock."""
+
+REPLACED_SHARE = 0.5
+"""Largest ratio of replaced samples to samples at rest in a segment."""
+
+
+def without_spikes(
+    block: Block, size: int, before: Floats, after: Floats, floor: NoiseFloor
+) -> tuple[Block, Windows, int]:
+    """Replace isolated spikes by the mean of the two samples next to them.
+
+    ``size`` is the number of samples in a window. ``before`` and ``after``, (axes, n), are up to
+    `SPIKE_NEIGHBORS` samples on either side of the block. Returns the block, the statistics of its
+    windows, and the number of replaced values. On axes with heavy tails, spikes are only removed
+    from the statistics, and the block keeps them.
+    """
+    rows = block.rows
+    windows = Windows.of(rows, size)
+    threshold = SPIKE_SIGMAS * np.sqrt(floor.scale)
+    flagged = (windows.peak > threshold[:, None]) & (threshold > 0.0)[:, None]
+    if not flagged.any() or size < LEAST_WINDOW:
+        return block, windows, 0
+    axes, at = np.nonzero(flagged)
+    cube = rows.reshape(len(rows), -1, size)[axes, at]
+    level = np.median(cube, axis=1)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(cube - level[:, None]), axis=1)
+    # a higher threshold if the noise exceeds its floor by more than the error of sigma
+    increased = SPIKE_SIGMAS * sigma > (1.0 + 5.0 / np.sqrt(size)) * threshold[axes]
+    height = np.where(increased, SPIKE_SIGMAS * sigma, threshold[axes])
+    far = np.abs(cube - level[:, None]) > height[:, None]
+    few = np.count_nonzero(far, axis=1) <= 1 + size // LEAST_WINDOW  # more than this are a motion
+    around = np.concatenate([before, rows, after], axis=1)
+    without = rows.copy()
+    found = np.zeros(rows.shape, bool)
+    for n, k in zip(*np.nonzero(far & few[:, None])):
+        axis, i = axes[n], at[n] * size + k
+        x, j = around[axis], i + before.shape[1]
+        first = max(0, j - SPIKE_NEIGHBORS)
+        near = np.abs(x[first : j + SPIKE_NEIGHBORS + 1] - level[n])
+        if _is_isolated(near > NEIGHBOR_RATIO * height[n], j - first):
+            without[axis, i] = 0.5 * (x[j - 1] + x[j + 1])
+            found[axis, i] = True
+    changed = found.any(axis=0).reshape(-1, size).any(axis=1)
+    if not changed.any():
+        return block, windows, 0
+    some = without.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
+    windows.values[:, :, changed] = Windows.of(some, size).values
+    found[floor.heavy] = False
+    filled = found if block.filled is None else block.filled | found
+    replaced = np.where(found, without, rows)
+    return Block(block.stamps, replaced, block.cut, filled), windows, int(np.count_nonzero(found))
+
+
+def _is_isolated(far: Flags, at: int) -> bool:
+    """Return whether the neighbors of ``far[at]`` are not set, and at most one other flag is."""
+    inside = 0 < at < len(far) - 1
+    return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2
+
+
+class Level:
+    """Mean over the last windows at rest, and number of samples at rest, in a segment."""
+
+    def __init__(self) -> None:
+        self.rest = self.replaced = 0  # samples
+        # one more than needed: the last window before a motion is not used
+        self._means: deque[Floats] = deque(maxlen=LEVEL_WINDOWS + 1)
+
+    def add(self, means: Floats, size: int) -> None:
+        """Add the means, (axes, k), of windows of ``size`` samples at rest."""
+        self.rest += means.shape[1] * size
+        self._means.extend(means[:, -LEVEL_WINDOWS - 1 :].T)
+
+    def before(self) -> Floats:
+        """Return the means of the windows before a motion that begins now, (k, axes)."""
+        return np.array(list(self._means)[:-1])
+
+
+class Motion:
+    """A motion; its windows are kept in ``held`` while it may be a shock, else this is None.
+
+    ``level`` is that of the segment before it, or None if no shock is possible.
+    """
+
+    def __init__(self, kind: str, began_ns: int, level: Level | None, margin: list[Block]) -> None:
+        self.kind = kind  # 'motion', 'stuck' or 'noise_increased'
+        self.began_ns, self.ended_ns = began_ns, began_ns
+        self.level = level
+        self.held = None if level is None else margin
+        self.windows = self.quiet = 0  # number of windows, and of quiet ones at the end
+        # means of the last windows before it
+        self.before = level.before() if level is not None else np.empty((0, 0))
+        self._after: deque[Floats] = deque(maxlen=LEVEL_WINDOWS)
+        self._samples = 0
+        self._total: float | Floats = 0.0  # sum of the samples
+
+    def add(self, window: Block, mean: Floats, quiet: bool) -> None:
+        """Add the next window and its mean, (axes,)."""
+        if self.held is not None:
+            self.held.append(window)
+        self.quiet = self.quiet + 1 if quiet else 0
+        if not quiet:
+            self.ended_ns = int(window.stamps[-1])
+        self._after.append(mean)
+        self.windows += 1
+        self._samples += len(window)
+        self._total = self._total + len(window) * mean
+
+    def change(self, floor: NoiseFloor) -> Floats:
+        """Return the change of the mean of each axis, (axes,): 0 if noise explains it.
+
+        It is NaN if the mean before or after the motion is not known.
+        """
+        counts = len(self.before), min(self.quiet, len(self._after))
+        if min(counts) < LEAST_LEVEL:
+            return np.full(len(floor.mean), np.nan)
+        after = np.array(list(self._after)[-counts[1] :]).mean(axis=0)
+        step = np.maximum(np.sqrt(2.0 / floor.size * floor.scale), floor.step)
+        limit = LEVEL_SIGMAS * np.sqrt(0.5 / counts[0] + 0.5 / counts[1]) * step
+        limit += np.where(floor.variance < 0.25 * floor.lsb**2, floor.lsb, 0.0)
+        change = after - self.before.mean(axis=0)
+        return np.asarray(np.where(np.abs(change) > limit, change, 0.0))
+
+    def replaced(self, floor: NoiseFloor, period_s: float) -> list[Block]:
+        """Return the windows with the samples of the shock replaced; empty if it is no shock.
+
+        All windows are replaced except the last quiet ones.
+        """
+        if self.held is None or self.level is None or self.change(floor).any():
+            return []
+        first, last = self.before.mean(axis=0), np.mean(self._after, axis=0)
+        turned = (self._total - self._samples * first)[floor.gyro] * period_s
+        block = Block.joined(self.held[: 1 - self.quiet])
+        n = len(block)
+        allowed = REPLACED_SHARE * self.level.rest - self.level.replaced
+        if np.linalg.norm(turned) > TURNED or n > allowed:
+            return []
+        share = (np.arange(n) + 0.5) / n
+        rows = first[:, None] + (last - first)[:, None] * share
+        self.level.replaced += n
+        flagged = np.ones(rows.shape, bool)
+        return [Block(block.stamps, rows, block.cut, flagged), *self.held[1 - self.quiet :]]
