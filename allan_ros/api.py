@@ -39,9 +39,8 @@ from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH, public
 from .io.format import check_plots
-from .io.readers import topics_of
+from .io.readers import ReadOptions, Recording, topics_of
 from .io.readers.arrays import recording_in_memory
-from .io.readers.recording import ReadOptions, Recording
 from .io.recorded import (
     Observer,
     ReadJob,

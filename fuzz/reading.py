@@ -11,9 +11,8 @@ import numpy as np
 
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.readers import open_recordings
+from allan_ros.io.readers import ReadOptions, open_recordings
 from allan_ros.io.readers.cdr import encode_imus
-from allan_ros.io.readers.recording import ReadOptions
 
 from .harness import BrokenRule, check_line, refused_or_valid
 

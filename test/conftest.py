@@ -21,7 +21,7 @@ from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.readers.recording import SourceInfo
+from allan_ros.io.readers import SourceInfo
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results, analyze_sums
 

@@ -31,7 +31,7 @@ from ..core.settings import SegmenterSettings, check_rate
 from ..io.datasheets import load_sensor
 from ..io.documents import load, load_sums, results_to_document
 from ..io.exporters import target_of
-from ..io.readers.recording import ReadOptions
+from ..io.readers import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
 from ..io.verdict import verdict_of
 from .batch import (

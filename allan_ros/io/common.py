@@ -17,7 +17,7 @@ from ..core.imu import AXES, SENSORS, sensor_of
 from ..core.settings import SegmenterSettings
 from ..core.stream.pipeline import ImuStream
 from .format import interval_text, shown_unit, value_text
-from .readers.recording import Recording
+from .readers import Recording
 from .threads import one_thread
 
 SHOWN_TAU_S = (0.1, 1.0, 10.0, 100.0)

@@ -35,7 +35,7 @@ from ..core.stream.health import Counts, Segment
 from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
 from .files import PATH, public, read_json, to_json
-from .readers.recording import SourceInfo
+from .readers import SourceInfo
 from .recorded import Provenance, RecordingSums
 from .results import Results, analyze_recorded
 from .verdict import verdict_of

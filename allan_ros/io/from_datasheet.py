@@ -28,7 +28,7 @@ from .datasheets import Datasheet, MeasuredValue, load_sensor, sensor_names
 from .exporters import FROM_DATASHEET
 from .files import PATH, public
 from .format import significant
-from .readers.recording import SourceInfo
+from .readers import SourceInfo
 from .recorded import Provenance
 from .results import Results
 

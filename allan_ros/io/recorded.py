@@ -28,8 +28,7 @@ from ..core.imu import ImuIdentity, sensor_of
 from ..core.settings import SegmenterSettings
 from ..core.stream.health import Counts, Event, Segment
 from ..core.stream.pipeline import ImuStream
-from .readers import open_recordings
-from .readers.recording import ReadOptions, Recording, SourceInfo
+from .readers import ReadOptions, Recording, SourceInfo, open_recordings
 from .signal import SignalEnvelope, TemperatureTrace
 
 

@@ -18,10 +18,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..core.errors import AllanError
-from ..core.imu import ImuBatch
+from ..core.imu import AXES, NANOSECONDS, ImuBatch
 from .readers.cdr import IMU_TYPE, encode_imus
 from .readers.storage import optional_package
+from .readers.tables import FRAME_COMMENT
 
 COMPRESSIONS: dict[str, tuple[str, ...]] = {
     'mcap': ('none', 'chunk', 'message', 'file'),
@@ -103,12 +106,8 @@ def _write(
             _keep_storage_file(path)
         return written
     if storage == 'csv':
-        from .readers.tables import write_table
-
         return write_table(path, batches)
-    from .readers.arrays import write_npz
-
-    return write_npz(path, batches, deflate=compression == 'deflate')
+    return _write_npz(path, batches, deflate=compression == 'deflate')
 
 
 def _keep_storage_file(bag: Path) -> None:
@@ -167,3 +166,60 @@ def _write_bag(
                 writer.write(connection, time_ns, payload)
             written += len(batch)
     return written
+
+
+MIXED = '{}: some batches have record times and some do not: write a bag'
+
+
+def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
+    """Write the batches as a table, and return the number of rows.
+
+    The delimiter is a tab if the suffix is .tsv, else a comma. Raises AllanError when only some of
+    the batches have record times.
+    """
+    delimiter = '\t' if path.suffix.lower() == '.tsv' else ','
+    written = 0
+    frame_id: str | None = None
+    with_record: bool | None = None
+    with path.open('w', encoding='utf-8', newline='\n') as file:
+        for batch in batches:
+            if batch.frame_id != frame_id:
+                frame_id = batch.frame_id
+                file.write(f'{FRAME_COMMENT} {" ".join(frame_id.split())}\n')
+            if with_record is None:
+                with_record = batch.record_ns is not None
+                names = ['stamp_ns', *AXES] + ['record_ns'] * with_record
+                file.write(delimiter.join(names) + '\n')
+            if with_record != (batch.record_ns is not None):
+                raise AllanError(MIXED.format(path))
+            columns = [map(str, batch.stamps_ns.tolist())]
+            columns += [map(repr, axis) for axis in batch.samples.T.tolist()]
+            if batch.record_ns is not None:
+                columns.append(map(str, batch.record_ns.tolist()))
+            file.writelines(delimiter.join(row) + '\n' for row in zip(*columns))
+            written += len(batch)
+    return written
+
+
+def _write_npz(path: Path, batches: Iterable[ImuBatch], deflate: bool) -> int:
+    """Write the arrays ``imu`` (with t in s), ``stamps_ns``, ``frame_id`` and, if known,
+    ``record_ns``, of which all are in memory; return the number of samples."""
+    parts = list(batches)
+    frames = list(dict.fromkeys(batch.frame_id for batch in parts)) or ['']
+    if len(frames) > 1:
+        raise AllanError(f'{path}: npz stores one frame_id, not {len(frames)}: write a bag')
+    record = [batch.record_ns for batch in parts if batch.record_ns is not None]
+    if len(record) not in (0, len(parts)):
+        raise AllanError(MIXED.format(path))
+    stamps = np.concatenate([np.empty(0, np.int64), *(batch.stamps_ns for batch in parts)])
+    samples = np.concatenate([np.empty((0, len(AXES))), *(batch.samples for batch in parts)])
+    arrays: dict[str, Any] = {
+        'imu': np.column_stack([stamps / NANOSECONDS, samples]),
+        'stamps_ns': stamps,
+        'frame_id': np.array(frames[0]),
+    }
+    if record:
+        arrays['record_ns'] = np.concatenate(record)
+    with path.open('wb') as file:
+        (np.savez_compressed if deflate else np.savez)(file, **arrays)
+    return len(stamps)

@@ -24,7 +24,7 @@ from ..core.stream.health import StreamHealth
 from ..core.stream.pipeline import ImuStream
 from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor, faults_of
 from ..io.checkpoint import Checkpoint, Total
-from ..io.readers.recording import SourceInfo
+from ..io.readers import SourceInfo
 from ..io.recorded import Provenance
 from .diagnostics import input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput

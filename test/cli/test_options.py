@@ -13,7 +13,7 @@ from allan_ros.cli.main import build_parser
 from allan_ros.cli.options import add_options, add_settings, settings_of
 from allan_ros.core.errors import AllanError
 from allan_ros.core.settings import CheckedSettings, SegmenterSettings, parameter
-from allan_ros.io.readers.recording import ReadOptions
+from allan_ros.io.readers import ReadOptions
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ import pytest
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch
-from allan_ros.io.readers import open_recordings
-from allan_ros.io.readers.recording import ReadOptions, Recording
+from allan_ros.io.readers import ReadOptions, Recording, open_recordings
 
 START_NS = 1_700_000_000_123_456_789
 

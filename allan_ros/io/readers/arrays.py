@@ -14,7 +14,7 @@ import struct
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
 from math import prod
@@ -29,23 +29,18 @@ from numpy.typing import NDArray
 from ...core.errors import AllanError
 from ...core.fields import MAX_INTEGER
 from ...core.findings import finding
-from ...core.imu import AXES, MAX_NAME, SENSORS, STAMP_UNITS, ImuBatch, even_stamps
+from ...core.imu import AXES, MAX_NAME, SENSORS, ImuBatch, even_stamps
 from ..files import open_regular
-from .columns import Columns, columns_of, listed
-from .recording import ReadOptions, Recording, Report, SourceInfo, in_batches
+from . import ReadOptions, Recording, Report, SourceInfo, in_batches
+from .columns import EXAMPLE, FIRST_ROWS, Columns, columns_of
 from .storage import MAX_CHUNK_BYTES, MAX_FILE_RATIO, first_bytes, translated
 
-COLUMNS = 't, gx, gy, gz, ax, ay, az'
-
-NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: 't,gx,gy,gz,ax,ay,az'}
+NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE}
 """Number of columns of an array -> their names."""
 
 SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 
 ZIP_MAGIC = b'PK\x03\x04'
-
-FIRST_ROWS = 200
-"""Number of rows from which the unit of the stamps is recognized."""
 
 MAX_FRAME_BYTES = 4 * MAX_NAME
 """Largest size of a frame_id in bytes; numpy stores four for each character."""
@@ -91,7 +86,7 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
     samples = arrays[SAMPLES]
     if samples.ndim not in (1, 2):
         raise AllanError(
-            f'{path} has shape {samples.shape}: give one row per sample with columns {COLUMNS}'
+            f'{path} has shape {samples.shape}: give one row per sample with columns {EXAMPLE}'
         )
     n, width = len(samples), prod(samples.shape[1:])
     if not n:
@@ -133,7 +128,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
                 raise AllanError(
                     f'{path}: has no array {SAMPLES!r} (it has '
                     f'{", ".join(members[:10]) or "none"}): save the samples as {SAMPLES!r} with '
-                    f'columns {COLUMNS}'
+                    f'columns {EXAMPLE}'
                 )
             arrays = {}
             for name in (name for name in (SAMPLES, STAMPS, RECORD, FRAME) if name in members):
@@ -162,36 +157,6 @@ def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
     if len(data) != size:
         raise AllanError(f'{where} ends early: the file is truncated; copy it again')
     return np.ndarray(shape, dtype, data, order='F' if fortran else 'C')
-
-
-def write_npz(path: Path, batches: Iterable[ImuBatch], *, deflate: bool = False) -> int:
-    """Write the batches to a .npz file, and return the number of samples.
-
-    With ``deflate`` it is compressed. The arrays are ``imu`` (column t in s), ``stamps_ns``,
-    ``frame_id`` and, if known, ``record_ns``. All samples are in memory while it is written.
-
-    Raises AllanError when the batches have several frame_ids, or only some of them have record
-    times.
-    """
-    parts = list(batches)
-    frames = list(dict.fromkeys(batch.frame_id for batch in parts)) or ['']
-    if len(frames) > 1:
-        raise AllanError(f'{path}: npz stores one frame_id, not {len(frames)}: write a bag')
-    record = [batch.record_ns for batch in parts if batch.record_ns is not None]
-    if len(record) not in (0, len(parts)):
-        raise AllanError(f'{path}: some batches have record times and some do not: write a bag')
-    stamps = np.concatenate([np.empty(0, np.int64), *(batch.stamps_ns for batch in parts)])
-    samples = np.concatenate([np.empty((0, len(AXES))), *(batch.samples for batch in parts)])
-    arrays: dict[str, Any] = {
-        SAMPLES: np.column_stack([stamps / STAMP_UNITS['s'], samples]),
-        STAMPS: stamps,
-        FRAME: np.array(frames[0]),
-    }
-    if record:
-        arrays[RECORD] = np.concatenate(record)
-    with path.open('wb') as file:
-        (np.savez_compressed if deflate else np.savez)(file, **arrays)
-    return len(stamps)
 
 
 # --- samples in memory --------------------------------------------------------------------------
@@ -311,10 +276,7 @@ def _batch(
     ``stamps`` replace the columns of times. Raises AllanError when there is no axis or no time, a
     column is not numeric, or the columns have different lengths.
     """
-    if not found.axes:
-        raise AllanError(
-            f'{where}: no column ({listed(names)}) is an axis: name them {", ".join(AXES)}'
-        )
+    found.check(where, names, stamps is not None or bool(options.rate_hz))
     with np.errstate(all='ignore'):  # a damaged file may contain any value
         values = {at: _numbers(columns[i])[:, 0] * scale for at, (i, scale) in found.axes.items()}
     n = len(next(iter(values.values())))
@@ -324,25 +286,15 @@ def _batch(
     for axis, column in values.items():
         rows[:, axis] = column
     if stamps is None and found.stamp:
-        found = _with_time_unit(where, found, columns, options)
+        first = np.asarray(columns[found.stamp[0][0]][:FIRST_ROWS])
+        if first.dtype.kind not in 'Mm' and len(found.stamp) == 1:  # neither dates nor durations
+            times = _numbers(first)[:, 0]
+            found = found.with_time_unit(where, times, options.stamp_unit)
         parts = [_nanoseconds(where, columns[at], size) for at, size in found.stamp]
         stamps = np.asarray(np.sum(parts, axis=0), np.int64)
-    elif stamps is None and options.rate_hz:
-        stamps = even_stamps(0, n, options.rate_hz)
     elif stamps is None:
-        raise AllanError(
-            f'{where}: no column ({listed(names)}) contains the time: name one t, or state the '
-            'sample rate (--rate 200, rate=200)'
-        )
+        stamps = even_stamps(0, n, options.rate_hz)
     return ImuBatch(stamps, rows), found
-
-
-def _with_time_unit(where: object, found: Columns, columns: Any, options: ReadOptions) -> Columns:
-    """Return the columns with the unit of the stamps, unless these are dates or durations."""
-    first = np.asarray(columns[found.stamp[0][0]][:FIRST_ROWS])
-    if first.dtype.kind in 'Mm' or len(found.stamp) > 1:
-        return found
-    return found.with_time_unit(where, _numbers(first)[:, 0], options.stamp_unit)
 
 
 def _nanoseconds(where: object, times: Any, scale: int) -> NDArray[np.int64]:

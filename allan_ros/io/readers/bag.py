@@ -1,6 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a bag: a folder with or without metadata.yaml, or a single file."""
+"""The files of a bag: a folder with or without metadata.yaml, or a single file.
+
+ROS 1 bags, which must be closed and indexed, are read with the package ``rosbags``; it does not
+limit the memory for a chunk.
+"""
 
 from __future__ import annotations
 
@@ -8,26 +12,35 @@ import os
 import re
 import tempfile
 import weakref
-from contextlib import ExitStack
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from importlib import import_module
+from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from ...core.errors import AllanError
 from ..files import read_bounded
 from .storage import (
     METADATA,
+    Messages,
     Storage,
+    Topic,
+    Truncation,
     damaged,
     decompress_file,
     first_bytes,
     frame_compression,
     normal_type,
+    optional_package,
     translated,
 )
 
 _FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
-"""First bytes of a bag file -> its format, which is also the name of the module that reads it."""
+"""First bytes of a bag file -> its format. The modules `mcap` and `sqlite3` read theirs."""
 
 METADATA_KEY = 'rosbag2_bagfile_information'
 
@@ -87,8 +100,10 @@ class Bag:
         if not found:
             raise damaged(file, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
         (self.format,) = found
-        module = import_module(f'.{self.format}', __package__)
-        return cast(Storage, stack.enter_context(module.open_storage(plain, file)))
+        opener = _open_ros1
+        if self.format != 'ros1':
+            opener = import_module(f'.{self.format}', __package__).open_storage
+        return stack.enter_context(opener(plain, file))
 
     def close(self) -> None:
         """Close the open file."""
@@ -171,3 +186,66 @@ def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
             f'({missing[0]}): copy the whole folder'
         )
     return tuple(files), described
+
+
+# --- ROS 1 ----------------------------------------------------------------------------------------
+
+ROS1_MAGIC = b'#ROSBAG V2.0\n'
+
+ROS1_MESSAGES = 2048
+"""Number of messages that are read at a time."""
+
+ROS1_REMEDY = 'copy it again, or repair it with "rosbag reindex" or "rosbag fix"'
+
+
+class Ros1Storage:
+    """A ROS 1 bag that ``reader`` has opened; error messages name it ``path``."""
+
+    truncation: Truncation | None = None
+
+    def __init__(self, path: Path, reader: Any) -> None:
+        self._path = path
+        self._reader = reader
+        self.topics = [Topic(c.id, c.topic, c.msgtype, 'ros1') for c in reader.connections]
+
+    def counts(self) -> dict[int, int]:
+        """Return topic id -> number of messages."""
+        return {connection.id: connection.msgcount for connection in self._reader.connections}
+
+    def stated(self, ids: set[int], read: int) -> int:
+        """Return the number of messages of these topics according to the list of chunks."""
+        stated: Counter[int] = Counter()
+        for chunk in self._reader.chunk_infos:
+            stated.update(chunk.connection_counts)
+        return sum(stated[number] for number in ids)
+
+    def blocks(self, ids: set[int]) -> Iterator[Messages]:
+        """Yield the next messages of these topics, in the order of record time."""
+        with translated(self._path, (Exception,), ROS1_REMEDY):
+            messages = self._reader.messages([c for c in self._reader.connections if c.id in ids])
+            while batch := list(islice(messages, ROS1_MESSAGES)):
+                connections, times, payloads = zip(*batch)
+                topics = np.array([connection.id for connection in connections])
+                yield Messages(topics, np.array(times, np.int64), list(payloads))
+
+
+@contextmanager
+def _open_ros1(path: Path, shown: Path) -> Iterator[Storage]:
+    """Open a ROS 1 bag for reading.
+
+    Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
+    when it is of another version or damaged, or the package ``rosbags`` is missing.
+    """
+    with path.open('rb') as file:
+        magic = file.read(len(ROS1_MAGIC))
+    if magic != ROS1_MAGIC:
+        version = magic.split(b'\n')[0].decode(errors='replace')
+        raise damaged(shown, f'{version!r} is not ROS bag 2.0', 'update it with "rosbag fix"')
+    rosbag1 = optional_package('rosbags.rosbag1', f'{shown}: reading a ROS 1 bag')
+    with translated(shown, (Exception,), ROS1_REMEDY):
+        reader = rosbag1.Reader(path)
+        reader.open()
+    with closing(reader):
+        with translated(shown, (Exception,), ROS1_REMEDY):
+            storage = Ros1Storage(shown, reader)
+        yield storage

@@ -19,10 +19,15 @@ from numpy.typing import NDArray
 
 from ...core.errors import AllanError
 from ...core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
-from .recording import ReadOptions
+from . import ReadOptions
 
 LEFT_OUT = '-'
 """Name of a column that is not used."""
+
+EXAMPLE = 't,gx,gy,gz,ax,ay,az'
+
+FIRST_ROWS = 200
+"""Number of rows from which the unit of the stamps is recognized."""
 
 UNKNOWN, DATES = 0, -1
 """In place of a factor to ns: times whose unit is not stated, and dates such as 2026-01-31T12:00.
@@ -86,6 +91,19 @@ class Columns:
     def given(self) -> tuple[str, ...]:
         """The names of the axes that have a column."""
         return tuple(AXES[axis] for axis in sorted(self.axes))
+
+    def check(self, where: object, names: Sequence[str], with_times: bool) -> None:
+        """Raise AllanError if no column is an axis or, unless ``with_times``, the time."""
+        if not self.axes:
+            raise AllanError(
+                f'{where}: no column ({listed(names)}) is a gyro or accel axis: name them, such as '
+                f'--columns {EXAMPLE} ({LEFT_OUT} leaves one out), or t=NAME,gx=NAME,...'
+            )
+        if not self.stamp and not with_times:
+            raise AllanError(
+                f'{where}: no column ({listed(names)}) contains the time: name one t, or state the '
+                'sample rate (--rate 200, rate=200)'
+            )
 
     def with_time_unit(self, where: object, times: NDArray[np.float64], stated: str) -> Columns:
         """Return the columns with the unit of the stamps.

@@ -20,10 +20,10 @@ from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch, joined
 from ..signal import Decimated, TemperatureTrace, trace_of
+from . import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
 from .bag import Bag, bag_of
 from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
 from .columns import listed
-from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
 from .storage import (
     MAX_MESSAGE_BYTES,
     METADATA,

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads and writes tables of samples: CSV, TSV, and columns separated by spaces.
+"""Reads tables of samples: CSV, TSV, and columns separated by spaces.
 
-Tables are written without loss of precision, with stamps in ns, samples in SI, and the frame_id in
-a comment::
+`write_recording` writes tables without loss of precision, with stamps in ns, samples in SI, and
+the frame_id in a comment::
 
     # frame_id: imu_link
     stamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z
@@ -31,24 +31,19 @@ from ...core.findings import finding
 from ...core.imu import AXES, SAMPLE_SI, ImuBatch, even_stamps
 from ..files import open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
-from .columns import DATES, LEFT_OUT, Columns, columns_of, listed, picked_names
-from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
+from . import BATCH, ReadOptions, Recording, Report, SourceInfo
+from .columns import DATES, EXAMPLE, FIRST_ROWS, LEFT_OUT, Columns, columns_of, picked_names
 
 T = TypeVar('T')
 
-FRAME_COMMENT = '# frame_id:'
-
-COMMENT = '#'
+COMMENT, FRAME_COMMENT = '#', '# frame_id:'
 
 INT64 = np.iinfo(np.int64)
 
 MAX_LINE = 1 << 20
 """Longest line of a table, in characters."""
 
-EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
-
-FIRST_ROWS = 200
-"""Number of rows from which the unit of the stamps is recognized."""
+QUOTED = re.compile('"[^"]*"')
 
 DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
 """Start of a date with a time (ISO 8601)."""
@@ -62,9 +57,21 @@ TOPIC_NAMES += tuple(f'linear_acceleration_{axis}' for axis in 'xyz') + (LEFT_OU
 """Columns of ``ros2 topic echo --csv``, which writes no header. The third is the frame_id."""
 
 
-@dataclass(frozen=True)
+def open_table(path: Path, options: ReadOptions) -> Recording:
+    """Open a table of numbers in a text file as a recording.
+
+    Raises AllanError when it has no rows, when it has no axis, or when the times are unknown.
+    """
+    with _text(path) as file:
+        table = _layout(path, file, options)
+    info = SourceInfo(str(path), '', 'table', 'tsv' if table.delimiter == '\t' else 'csv')
+    known = options.with_units(table.columns.units)
+    return Recording(info, None, table.read, table.temperature, known, table.columns.given)
+
+
+@dataclass
 class _Table:
-    """The layout of a table."""
+    """A table: its layout, and the temperatures of the rows that were read."""
 
     path: Path
     delimiter: str  # ',', ';' or tab; '' for white space
@@ -73,28 +80,64 @@ class _Table:
     header_line: int  # number of the line with the names; 0 without a header
     columns: Columns
     rate_hz: float  # sample rate if there are no stamps
+    _kept: Decimated[tuple[int, float]] = field(default_factory=Decimated)
+
+    def read(self, report: Report) -> Iterator[ImuBatch]:
+        """Yield the samples in order."""
+        self._kept = Decimated()
+        for sensor, name in self.columns.assumed.items():
+            unit = SAMPLE_SI[sensor]
+            report(finding('unit_assumed', path=self.path, sensor=sensor, unit=unit, name=name))
+        if unit := self.columns.time_unit:
+            name = self.names[self.columns.stamp[0][0]]
+            report(finding('stamp_unit_assumed', path=self.path, unit=unit, name=name))
+        column = self.columns.temperature
+        with _text(self.path) as file:
+            for rows in self._rows(file, report):
+                batch = rows.batch()
+                if column is not None:
+                    celsius = (row[column] for row in rows.cells)
+                    for stamp, cell in zip(batch.stamps_ns.tolist(), celsius):
+                        self._kept.add((stamp, _number(cell) if _is_number(cell) else np.nan))
+                yield batch
+
+    def temperature(self, frame_id: str = '') -> TemperatureTrace | None:
+        """Return the temperature over time; None if the table has no such column."""
+        column = self.columns.temperature
+        if column is None:
+            return None
+        readings = [(stamp, stamp, celsius) for stamp, celsius in self._kept]
+        return trace_of(self.names[column].strip(), readings)
+
+    def _rows(self, file: TextIO, report: Report) -> Iterator[_Rows]:
+        """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
+
+        The last line is not used if it has no line end, because its last number may be truncated.
+        """
+        lines, rows = _Lines(self, file), _Rows(self)
+        try:
+            for cells in _split(lines, self.delimiter):
+                if not lines.complete:
+                    report(finding('table_cut', path=self.path, line=lines.number))
+                    break
+                if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
+                    if rows.cells:
+                        yield rows
+                    rows = _Rows(self, rows.first + len(rows.cells), lines.frame_id)
+                rows.numbers.append(lines.number)
+                rows.cells.append(cells)
+        except csv.Error as error:
+            if lines.complete:
+                raise AllanError(
+                    f'{self.path}: line {lines.number} is not a row of a table ({error}): '
+                    'correct or remove it'
+                ) from error
+            report(finding('table_cut', path=self.path, line=lines.number))
+        if rows.cells:
+            yield rows
 
 
-def open_table(path: Path, options: ReadOptions) -> Recording:
-    """Open a table of numbers in a text file as a recording.
-
-    Raises AllanError when it has no rows, when it has no axis, or when the times are unknown.
-    """
-    with _text(path) as file:
-        table = _read_layout(path, file, options)
-    info = SourceInfo(str(path), '', 'table', 'tsv' if table.delimiter == '\t' else 'csv')
-    reader = _Reader(table)
-    return Recording(
-        info,
-        None,
-        reader.read,
-        lambda frame_id: reader.temperature(),
-        options.with_units(table.columns.units),
-        table.columns.given,
-    )
-
-
-def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
+def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
     """Return the layout of a table, from its first lines and the options."""
     comment = ''
     lines = _bounded_lines(path, file)
@@ -108,7 +151,7 @@ def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         raise AllanError(f'{path}: has no line of data: record or export it again')
     if '\0' in line:
         raise AllanError(f'{path}: is UTF-16 or not text: save the table as UTF-8')
-    delimiter = next((mark for mark in '\t;,' if mark in line), '')
+    delimiter = next((mark for mark in '\t;,' if mark in QUOTED.sub('', line)), '')
     more = (one for one in lines if not one.startswith(COMMENT) and not one.isspace())
     rows = _split(chain([line], more), delimiter)
     try:
@@ -121,16 +164,22 @@ def _read_layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         ) from error
     names, header_line = _names(path, first, above, number, options.columns)
     next_rows = [] if header_line else [list(first)]
-    empty = False
-    with suppress(csv.Error):  # reported when the line is read
+    try:
         next_rows += islice(rows, FIRST_ROWS)
-        empty = not next_rows
-    if empty:
+    except csv.Error:  # reported when the line is read
+        next_rows = next_rows or [[]]
+    if not next_rows:
         raise AllanError(f'{path}: has no line after its header: record or export it again')
     columns = columns_of(path, names, options)
-    _check_complete(path, names, columns, options)
+    columns.check(path, names, bool(options.rate_hz))
     if len(columns.stamp) == 1:
-        columns = _with_times(path, columns, next_rows, options.stamp_unit)
+        ((column, _),) = columns.stamp
+        cells = [row[column] for row in next_rows if len(row) > column]
+        if cells and DATE.match(cells[0]):
+            columns = replace(columns, stamp=((column, DATES),))
+        else:
+            times = list(map(_number, takewhile(_is_number, cells))) or [0.0]
+            columns = columns.with_time_unit(path, np.array(times), options.stamp_unit)
     return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz)
 
 
@@ -152,90 +201,36 @@ def _names(
             )
         used = [cell for name, cell in zip(given, first) if name != LEFT_OUT]
         return given, 0 if all(map(_is_value, used)) else number
-    if not all(map(_is_value, first)):
-        values = [_is_value(cell) for cell in first]
-        if len(first) == len(TOPIC_NAMES) and values.index(False) == 2 and sum(values) == 39:
-            return TOPIC_NAMES, 0
+    values = [_is_value(cell) for cell in first]
+    if len(first) == len(TOPIC_NAMES) and values.count(False) == 1 and not values[2]:
+        return TOPIC_NAMES, 0
+    if not all(values):
         names, line = first, number
     elif len(above) == len(first) and not all(map(_is_value, above)):
         names, line = tuple(cell.strip() for cell in above), 0
     else:
         raise AllanError(
             f'{path}: has {len(first)} columns of numbers and no header: '
-            f'name them, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out)'
+            f'name them, such as --columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
         )
     return (picked_names(path, names, given) if picked else names), line
 
 
-def _is_number(text: str) -> bool:
+def _number(cell: str) -> float:
+    """Convert a cell to a number; a quoted one may have a decimal comma."""
+    return float(cell.replace(',', '.'))
+
+
+def _is_number(cell: str) -> bool:
     try:
-        float(text)
+        _number(cell)
     except ValueError:
         return False
     return True
 
 
 def _is_value(cell: str) -> bool:
-    """Return whether a cell is a number or a date."""
     return _is_number(cell) or bool(DATE.match(cell))
-
-
-def _with_times(path: Path, columns: Columns, rows: list[list[str]], stated: str) -> Columns:
-    """Return the columns with the unit of the stamps, which is recognized from the first rows."""
-    ((column, _),) = columns.stamp
-    cells = [row[column] for row in rows if len(row) > column]
-    if cells and DATE.match(cells[0]):
-        return replace(columns, stamp=((column, DATES),))
-    times = list(map(float, takewhile(_is_number, cells)))
-    return columns.with_time_unit(path, np.array(times or [0.0]), stated)
-
-
-def _check_complete(
-    path: Path, names: tuple[str, ...], columns: Columns, options: ReadOptions
-) -> None:
-    """Raise AllanError if there is no axis, or if the times are missing."""
-    if not columns.axes:
-        raise AllanError(
-            f'{path}: no column ({listed(names)}) is a gyro or accel axis: name them, such as '
-            f'--columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out), or t=NAME,gx=NAME,...'
-        )
-    if not columns.stamp and not options.rate_hz:
-        raise AllanError(
-            f'{path}: no column ({listed(names)}) contains the time: state the sample rate '
-            'with --rate, or name the column with --columns'
-        )
-
-
-def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
-    """Write the batches as a table, and return the number of rows.
-
-    The delimiter is a tab if the suffix is .tsv, else a comma. Raises AllanError when only some of
-    the batches have record times.
-    """
-    delimiter = '\t' if path.suffix.lower() == '.tsv' else ','
-    written = 0
-    frame_id: str | None = None
-    with_record: bool | None = None
-    with path.open('w', encoding='utf-8', newline='\n') as file:
-        for batch in batches:
-            if batch.frame_id != frame_id:
-                frame_id = batch.frame_id
-                file.write(f'{FRAME_COMMENT} {" ".join(frame_id.split())}\n')
-            if with_record is None:
-                with_record = batch.record_ns is not None
-                names = ['stamp_ns', *AXES] + ['record_ns'] * with_record
-                file.write(delimiter.join(names) + '\n')
-            if with_record != (batch.record_ns is not None):
-                raise AllanError(
-                    f'{path}: some batches have record times and some do not: write a bag'
-                )
-            columns = [map(str, batch.stamps_ns.tolist())]
-            columns += [map(repr, axis) for axis in batch.samples.T.tolist()]
-            if batch.record_ns is not None:
-                columns.append(map(str, batch.record_ns.tolist()))
-            file.writelines(delimiter.join(row) + '\n' for row in zip(*columns))
-            written += len(batch)
-    return written
 
 
 def _text(path: Path) -> TextIO:
@@ -257,7 +252,7 @@ def _bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
 
 
 def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
-    """Yield the cells of each row; a quoted cell may contain line breaks.
+    """Yield the cells of each row; a quoted cell may contain line breaks and delimiters.
 
     Without a delimiter, cells are separated by white space. A comma that is no delimiter is a
     decimal mark. Raises csv.Error when a quote is not closed, or a cell is longer than 128 kB.
@@ -266,7 +261,7 @@ def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
         lines = (line.replace(',', '.') for line in lines)
     if not delimiter:
         return map(str.split, lines)
-    return csv.reader(lines, delimiter=delimiter, strict=True)
+    return csv.reader(lines, delimiter=delimiter, skipinitialspace=True, strict=True)
 
 
 class _Lines:
@@ -337,10 +332,8 @@ class _Rows:
         if scale == 1:
             with suppress(ValueError, OverflowError):
                 return np.array([int(row[column]) for row in self.cells], dtype=np.int64)
-        date = scale == DATES
-        times = self._converted(
-            column, _date if date else lambda cell: round(Decimal(cell) * scale)
-        )
+        in_ns = _date if scale == DATES else lambda cell: round(Decimal(cell) * scale)
+        times = self._converted(column, in_ns)
         for row, time in enumerate(times):
             if not INT64.min <= time <= INT64.max:
                 raise AllanError(
@@ -354,19 +347,16 @@ class _Rows:
         """Convert each cell of a column; raise AllanError for the first invalid one."""
         converted = []
         for row, cells in enumerate(self.cells):
+            cell = cells[column].strip().replace(',', '.')
             try:
-                converted.append(convert(cells[column].strip()))
+                converted.append(convert(cell))
             except (DecimalException, ValueError, OverflowError):
-                raise self._not_a_number(row, column) from None
+                name = f' ({self.table.names[column]})' if self.table.names else ''
+                raise AllanError(
+                    f'{self.table.path}: line {self.numbers[row]}, column {column + 1}{name}: '
+                    f'{cell[:40]!r} is not a number: correct or remove the line'
+                ) from None
         return converted
-
-    def _not_a_number(self, row: int, column: int) -> AllanError:
-        cell = self.cells[row][column].strip()[:40]
-        name = f' ({self.table.names[column]})' if self.table.names else ''
-        return AllanError(
-            f'{self.table.path}: line {self.numbers[row]}, column {column + 1}{name}: {cell!r} is '
-            'not a number: correct or remove the line'
-        )
 
 
 def _date(text: str) -> int:
@@ -378,67 +368,3 @@ def _date(text: str) -> int:
     if zone and zone[1]:
         stamp -= int(zone[1] + '1') * (60 * int(zone[2]) + int(zone[3])) * 60 * 10**9
     return stamp
-
-
-class _Reader:
-    """Reads the samples of a table, and keeps rows for the temperature."""
-
-    def __init__(self, table: _Table) -> None:
-        self._table = table
-        self._kept: Decimated[tuple[int, float]] = Decimated()
-
-    def read(self, report: Report) -> Iterator[ImuBatch]:
-        """Yield the samples in order."""
-        table = self._table
-        self._kept = Decimated()
-        for sensor, name in table.columns.assumed.items():
-            unit = SAMPLE_SI[sensor]
-            report(finding('unit_assumed', path=table.path, sensor=sensor, unit=unit, name=name))
-        if unit := table.columns.time_unit:
-            name = table.names[table.columns.stamp[0][0]]
-            report(finding('stamp_unit_assumed', path=table.path, unit=unit, name=name))
-        column = table.columns.temperature
-        with _text(table.path) as file:
-            for rows in self._rows(file, report):
-                batch = rows.batch()
-                if column is not None:
-                    celsius = (row[column] for row in rows.cells)
-                    for stamp, cell in zip(batch.stamps_ns.tolist(), celsius):
-                        self._kept.add((stamp, float(cell) if _is_number(cell) else np.nan))
-                yield batch
-
-    def temperature(self) -> TemperatureTrace | None:
-        """Return the temperature over time; None if the table has no such column."""
-        column = self._table.columns.temperature
-        if column is None:
-            return None
-        readings = [(stamp, stamp, celsius) for stamp, celsius in self._kept]
-        return trace_of(self._table.names[column].strip(), readings)
-
-    def _rows(self, file: TextIO, report: Report) -> Iterator[_Rows]:
-        """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
-
-        The last line is not used if it has no line end, because its last number may be truncated.
-        """
-        table = self._table
-        lines, rows = _Lines(table, file), _Rows(table)
-        try:
-            for cells in _split(lines, table.delimiter):
-                if not lines.complete:
-                    report(finding('table_cut', path=table.path, line=lines.number))
-                    break
-                if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
-                    if rows.cells:
-                        yield rows
-                    rows = _Rows(table, rows.first + len(rows.cells), lines.frame_id)
-                rows.numbers.append(lines.number)
-                rows.cells.append(cells)
-        except csv.Error as error:
-            if lines.complete:
-                raise AllanError(
-                    f'{table.path}: line {lines.number} is not a row of a table ({error}): '
-                    'correct or remove it'
-                ) from error
-            report(finding('table_cut', path=table.path, line=lines.number))
-        if rows.cells:
-            yield rows

@@ -25,7 +25,7 @@ from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch
 from ..files import open_regular
 from ..signal import MAX_BINS, TemperatureTrace, trace_of
-from .recording import ReadOptions, Recording, Report, SourceInfo, in_batches
+from . import ReadOptions, Recording, Report, SourceInfo, in_batches
 from .storage import damaged, optional_package
 
 TOPICS = ('sensor_combined', 'vehicle_imu')

@@ -16,7 +16,7 @@ from allan_ros.core.stream.health import Segment
 from allan_ros.io.axis_result import AxisResult
 from allan_ros.io.documents import results_from_document, results_to_document
 from allan_ros.io.files import to_json
-from allan_ros.io.readers.recording import SourceInfo
+from allan_ros.io.readers import SourceInfo
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results
 

@@ -12,8 +12,8 @@ import pytest
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, STANDARD_GRAVITY, joined
-from allan_ros.io.readers import arrays, recording
-from allan_ros.io.readers.recording import ReadOptions
+from allan_ros.io import readers
+from allan_ros.io.readers import ReadOptions, arrays
 
 RNG = np.random.default_rng(3)
 N = 1000
@@ -24,7 +24,7 @@ STAMPS = 1_700_000_000_000_000_001 + np.arange(N) * 5_000_000
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read every file in several blocks, of which the last is shorter."""
-    monkeypatch.setattr(recording, 'BATCH', 300)
+    monkeypatch.setattr(readers, 'BATCH', 300)
 
 
 @pytest.mark.parametrize('order', ['C', 'F'])

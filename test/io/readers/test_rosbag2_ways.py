@@ -15,10 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from allan_ros.core.imu import ImuBatch
-from allan_ros.io.readers import open_recordings
+from allan_ros.io.readers import ReadOptions, open_recordings
 from allan_ros.io.readers import sqlite3 as bag_sqlite3
 from allan_ros.io.readers.cdr import IMU_TYPE, decode_imus, encode_imus
-from allan_ros.io.readers.recording import ReadOptions
 
 rosbag2 = pytest.importorskip('rosbags.rosbag2')
 highlevel = pytest.importorskip('rosbags.highlevel')

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from allan_ros.core.imu import STANDARD_GRAVITY, ImuBatch
+from allan_ros.io import writing
 from allan_ros.io.readers import tables
 
 DEG = np.pi / 180
@@ -52,6 +53,8 @@ def echoed(name: str) -> str:
             1_700_000_000_123_456_789,
         ),
         ('t,"gx","gy","gz",ax,ay,az', '"1","1",2,3,4,5,6', 10**9),
+        ('"t; s",gx,gy,gz,ax,ay,az', '"0,005","1,0", "2,0",3,4,5,6', 5_000_000),
+        ('t,gx,gy,gz,ax,ay,az', f'"2023-11-14 22:13:20,125",{ROW}', 1_700_000_000_125_000_000),
         ('\ufefft,gx,gy,gz,ax,ay,az', f'1,{ROW}', 10**9),
         ('t,gx,gy,gz,ax,ay,az\r', f'1,{ROW}\r', 10**9),
         (
@@ -221,7 +224,7 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
         ('time,z,y,x\n1,2,3,4\n', {}, 'or t=NAME,gx=NAME'),
         (f'1,{ROW}\n', {}, 'has 7 columns of numbers and no header'),
         (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, 2 are named by --columns'),
-        ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate with --rate'),
+        ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate (--rate'),
         ('t,a,b\n1,2,3\n', {}, 'no column (t, a, b) is a gyro or accel axis'),
         ('t,gx [mph],gy,gz\n1,2,3,4\n', {}, "the unit of column 'gx [mph]' is unknown"),
         ('t,gx,gy,gz\n1,"2,3,4\n', {}, 'line 2 is not a row of a table'),
@@ -282,7 +285,7 @@ def test_any_batch_is_read_back_bit_for_bit(
 
     stamps, samples, record = drawn
     path = tmp_path_factory.mktemp('table') / 'imu.csv'
-    tables.write_table(path, [ImuBatch(stamps, samples, record, 'imu')])
+    writing.write_table(path, [ImuBatch(stamps, samples, record, 'imu')])
     [batch] = open_recordings([path])[0].batches()
     np.testing.assert_array_equal(batch.stamps_ns, stamps)
     np.testing.assert_array_equal(batch.samples, samples)

@@ -19,7 +19,7 @@ import yaml
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Event, Segment
-from allan_ros.io.readers.recording import SourceInfo
+from allan_ros.io.readers import SourceInfo
 from allan_ros.io.report import ReportContext, render_report
 from allan_ros.io.report.chart_data import sensor_charts, to_script
 from allan_ros.io.report.tables import coefficients_tsv, filter_table
