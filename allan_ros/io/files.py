@@ -169,7 +169,12 @@ def write_together(
         finally:
             for draft in drafts.values():
                 draft.unlink(missing_ok=True)
-        _sync_folder(folder)
+        if os.name == 'posix':  # so that renames survive a power failure
+            handle = os.open(folder, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
     except OSError as error:
         raise unwritable(path, error) from error
     for path in drafts:
@@ -207,17 +212,6 @@ def unwritable(path: Path, error: OSError) -> AllanError:
     )
 
 
-def _sync_folder(folder: Path) -> None:
-    """Sync the folder, so that renames survive a power failure; does nothing on Windows."""
-    if os.name != 'posix':
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 MAX_BYTES = 16 * 2**20
 """Largest size of a document in bytes; real documents are far smaller."""
 
@@ -231,15 +225,13 @@ def to_json(document: Mapping[str, Any]) -> str:
     Bytes of a file name that are not UTF-8 are written as ``\\xff``.
     """
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + '\n'
-    return text if text.isascii() else SURROGATE.sub(_escaped, text)
+    if text.isascii():
+        return text
+    return SURROGATE.sub(lambda found: f'\\\\x{ord(found[0]) & 0xFF:02x}', text)
 
 
 SURROGATE = re.compile('[\ud800-\udfff]')
 """Characters by which Python represents bytes of a file name that are not UTF-8 (PEP 383)."""
-
-
-def _escaped(match: re.Match[str]) -> str:
-    return f'\\\\x{ord(match[0]) & 0xFF:02x}'
 
 
 def parse_json(text: str, where: str) -> object:
@@ -321,9 +313,9 @@ def parse_yaml(text: str) -> Any:
 MAX_YAML_BYTES = 100_000
 """Largest size of a YAML file in bytes."""
 
-NEAREST, LISTED, CLOSE = 3, 8, 0.8
-"""For an unknown name: largest number of similar names that are suggested, number of names that are
-listed if none is similar, and smallest similarity (0 to 1)."""
+NEAREST, LISTED = 3, 8
+"""For an unknown name: largest number of similar names that are suggested, and number of names that
+are listed if none is similar."""
 
 
 def read_yaml(path: Path) -> Any:
@@ -378,30 +370,20 @@ def config_folders(kind: str) -> list[Path]:
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
     """Return the part of a message that suggests known names for an unknown one."""
-    word = _simplified(name)
-    digits = '.*'.join(re.findall(r'\d', name))
-    plain = {_simplified(known): known for known in names}
-    close = difflib.get_close_matches(word, plain, NEAREST, CLOSE)
+    word, plain = _simplified(name), {_simplified(known): known for known in names}
     near = [known for key, known in plain.items() if word and key.startswith(word)]
     # a name with other digits is another model; digits may be missing
-    near = near or [plain[key] for key in close if re.search(digits, key)]
+    close, digits = difflib.get_close_matches(word, plain, NEAREST, 0.8), re.findall(r'\d', name)
+    near = near or [plain[key] for key in close if re.search('.*'.join(digits), key)]
     if near:
         return f'did you mean {" or ".join(near[:NEAREST])}'
-    letters = re.match('[a-z]*', word)
-    start = letters[0] if letters else ''
-    family = [known for key, known in plain.items() if start and key.startswith(start)]
-    listed = family or names
-    more = f' (and {len(listed) - LISTED} more)' if len(listed) > LISTED else ''
-    return f'choose one of {", ".join(listed[:LISTED])}{more}'
+    more = f' (and {len(names) - LISTED} more)' if len(names) > LISTED else ''
+    return f'choose one of {", ".join(names[:LISTED])}{more}'
 
 
 def _simplified(name: str) -> str:
     """Return a name in lower case, without spaces and punctuation."""
     return re.sub(r'[\W_]', '', name.lower())
-
-
-OWNER_BYTES = 20
-"""Number of bytes that are read from a lock file, which contains a process number."""
 
 
 class PathLock:
@@ -425,13 +407,15 @@ class PathLock:
             handle = self._open_lock_file()
             if not _try_to_lock(handle):
                 os.lseek(handle, 0, os.SEEK_SET)
-                owner = os.read(handle, OWNER_BYTES).decode(errors='replace').strip()
+                owner = os.read(handle, 20).decode(errors='replace').strip()  # process number
                 os.close(handle)
                 return f'process {owner}' if owner.isdigit() else 'another process'
-            if not _is_file_at(handle, self._lock_file):
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(handle), os.stat(self._lock_file)):
+                    self._handle = handle
+            if self._handle is None:
                 os.close(handle)  # the lock file was released and removed before it was locked
                 continue
-            self._handle = handle
             # if the disk is full, the number of the process is missing
             with contextlib.suppress(OSError):
                 self._lock_file.write_text(f'{os.getpid()}\n')
@@ -476,11 +460,3 @@ def _try_to_lock(handle: int) -> bool:
     except (ImportError, OSError):
         pass
     return True
-
-
-def _is_file_at(handle: int, path: Path) -> bool:
-    """Return whether the open file is the file that is now at the path."""
-    try:
-        return os.path.samestat(os.fstat(handle), os.stat(path))
-    except FileNotFoundError:
-        return False

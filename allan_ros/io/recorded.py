@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime, timezone
 from functools import reduce
 from itertools import product
 from operator import add
@@ -24,12 +25,15 @@ from numpy.typing import NDArray
 from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding, finding
-from ..core.imu import ImuIdentity, sensor_of
+from ..core.imu import NANOSECONDS, ImuIdentity, sensor_of
 from ..core.settings import SegmenterSettings
 from ..core.stream.health import Counts, Event, Segment
 from ..core.stream.pipeline import ImuStream
 from .readers import ReadOptions, Recording, SourceInfo, open_recordings
 from .signal import SignalEnvelope, TemperatureTrace
+
+EARLIEST_S = 978_307_200
+"""2001-01-01 in Unix time; smaller stamps count from the start of a machine or a simulation."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,12 @@ class Provenance:
             self.settings,
             max(stamps, default=None),
         )
+
+    @property
+    def start(self) -> datetime | None:
+        """Time of the first sample in UTC; None if the stamps are not dates."""
+        start_s = min((s.start_ns for s in self.segments), default=0) // NANOSECONDS
+        return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EARLIEST_S else None
 
     def with_accel(self, accel: Provenance) -> Provenance:
         """Return the combined provenance of two topics; the segments are those of the gyro."""

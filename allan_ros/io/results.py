@@ -33,10 +33,13 @@ from .datasheets import (
 )
 from .exporters import ExportOptions, make_export, target_of
 from .files import PATH, public, write_atomic
-from .format import shown_unit
+from .format import check_plots, shown_unit
 from .recorded import Provenance, RecordingSums
 from .threads import one_thread
 from .verdict import TOO_SHORT_S, Verdict, summary_lines, verdict_of
+
+COLUMNS = ('axis', 'term', 'value', 'ci95_low', 'ci95_high', 'upper95', 'unit')
+"""Columns of the table of all coefficients."""
 
 
 @dataclass(frozen=True)
@@ -182,9 +185,6 @@ class Results:
     def __iter__(self) -> Iterator[str]:
         return iter(self.axes)
 
-    def __contains__(self, axis: object) -> bool:
-        return axis in self.axes
-
     def __repr__(self) -> str:
         return '\n'.join(summary_lines(self))
 
@@ -203,7 +203,13 @@ class Results:
             pandas is installed. Unknown numbers are None, or NaN in a DataFrame.
         """
         choose(UNIT_SYSTEMS, units=units)
-        rows = [_table_row(axis, term, units) for axis in self.axes.values() for term in TERMS]
+        rows = []
+        for name, axis in self.axes.items():
+            for term in TERMS:
+                unit = shown_unit(name, term, units).name
+                found = axis.quantity(term).to(unit)
+                numbers = (found.value, *(found.ci95 or (None, None)), found.upper95)
+                rows.append(dict(zip(COLUMNS, (name, term, *numbers, unit))))
         try:
             import pandas
         except ImportError:
@@ -239,10 +245,10 @@ class Results:
         if not names:
             raise AllanError(f'there is no {what!r}: choose one of {", ".join(self.axes)}')
         axes = {name: self.axes[name] for name in names}
-        if ax is not None and not hasattr(ax, 'loglog'):
-            raise AllanError(f'ax is {ax!r:.60}: a matplotlib Axes is expected')
         if ax is None:
             return sensor_figure(replace(self, axes=axes), sensor_of(names[0]), units=units)
+        if not hasattr(ax, 'loglog'):
+            raise AllanError(f'ax is {ax!r:.60}: a matplotlib Axes is expected')
         draw_axes(ax, axes, units)
         return ax
 
@@ -308,7 +314,6 @@ class Results:
             When the sums are not known, an argument is invalid, the folder has results of another
             recording, or a file cannot be written.
         """
-        from .format import check_plots
         from .result_files import write_result_files
 
         expect(PATH, 'a path', folder=folder)
@@ -372,20 +377,7 @@ class Results:
     ) -> Results:
         """Return a copy that is compared with a datasheet, an earlier run, or both.
 
-        Parameters
-        ----------
-        sensor : str or Datasheet
-            A name that `allan sensors` lists, or the path of a .yaml file; '' for no datasheet.
-        baseline : Results or path
-            An earlier run, or the path of its results; '' for none.
-        margin : float, optional
-            Fraction by which a complete 95 % interval must lie above a limit to exceed it. By
-            default 0.2; an existing comparison with a datasheet keeps its margin.
-
-        Raises
-        ------
-        AllanError
-            When the datasheet or the earlier run cannot be read, or the margin is negative.
+        The arguments and the errors are those of `check`.
         """
         from .documents import labels_of, load
 
@@ -401,11 +393,10 @@ class Results:
         elif str(baseline):
             (label,) = labels_of([str(baseline)])
             results = replace(results, baselines={label: load(baseline)})
+        sheet = self.datasheet.datasheet if self.datasheet else None
         if sensor:
             sheet = sensor if isinstance(sensor, Datasheet) else load_sensor(str(sensor))
-            return results.against_datasheet(sheet, stated)
-        known = self.datasheet
-        return results if known is None else results.against_datasheet(known.datasheet, stated)
+        return results if sheet is None else results.against_datasheet(sheet, stated)
 
     def against_datasheet(self, datasheet: Datasheet, margin: float) -> Results:
         """Return a copy that is compared with this datasheet instead of any earlier one.
@@ -474,18 +465,3 @@ def analyze_sums(
     AllanError if there are too few data.
     """
     return analyze_recorded(RecordingSums('', tuple(sums), provenance), method)
-
-
-def _table_row(axis: AxisResult, term: str, units: str) -> dict[str, Any]:
-    unit = shown_unit(axis.name, term, units).name
-    quantity = axis.quantity(term).to(unit)
-    low, high = quantity.ci95 or (None, None)
-    return {
-        'axis': axis.name,
-        'term': term,
-        'value': quantity.value,
-        'ci95_low': low,
-        'ci95_high': high,
-        'upper95': quantity.upper95,
-        'unit': unit,
-    }

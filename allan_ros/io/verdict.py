@@ -12,11 +12,7 @@ from ..core.compare import Comparison
 from ..core.findings import Finding, by_consequence, duration_text, grouped, is_note
 from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of
-from .format import (
-    shown_unit,
-    significant,
-    value_text,
-)
+from .format import shown_unit, significant, value_text
 
 if TYPE_CHECKING:
     from .results import Results
@@ -94,7 +90,7 @@ def verdict_of(
     comparisons = results.comparisons if comparisons is None else comparisons
     level = _level(results, comparisons)
     summary = _summary(results, comparisons, units, spelled)
-    warnings = _warnings(results, units)
+    warnings = (finding_text(found, results, units) for found in warnings_and_errors(results))
     reasons = (*_axis_differences(results), *warnings)
     steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
     return Verdict(level, summary, reasons, steps)
@@ -117,7 +113,9 @@ def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
         return 'unknown'
     if 'exceeds' in {c.verdict for c in comparisons}:
         return 'failed'
-    if 'error' in severities or (comparisons and not _within_limits(comparisons)):
+    # without a limit of N, all other terms must be within; they often need a longer recording
+    required = [c for c in comparisons if c.term == 'N'] or comparisons
+    if 'error' in severities or any(c.verdict != 'within' for c in required):
         return 'unknown'
     if not comparisons:
         return 'measured'
@@ -127,13 +125,6 @@ def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
 def too_short(results: Results) -> bool:
     """Return whether there is too little data at rest for a verdict."""
     return not measured(results) or results.duration_s < TOO_SHORT_S
-
-
-def _within_limits(comparisons: Sequence[Comparison]) -> bool:
-    """Return whether all N with limits are within them; if no N has one, all other terms."""
-    # the other terms often need a longer recording
-    required = [c for c in comparisons if c.term == 'N'] or comparisons
-    return bool(required) and all(c.verdict == 'within' for c in required)
 
 
 def _summary(
@@ -244,11 +235,9 @@ def _axis_differences(results: Results) -> Iterator[str]:
             )
 
 
-def _warnings(results: Results, units: str) -> Iterator[str]:
-    """Yield the warnings and errors, one for each cause."""
-    for finding in grouped(results.findings):
-        if finding.severity != 'info':
-            yield finding_text(finding, results, units)
+def warnings_and_errors(results: Results) -> list[Finding]:
+    """Return the warnings and errors, one for each cause."""
+    return [found for found in grouped(results.findings) if found.severity != 'info']
 
 
 def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
@@ -330,9 +319,6 @@ def _joined(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f'{", ".join(words[:-1])} and {words[-1]}'
 
 
-IN_SUMMARY = ('N', 'B', 'K')
-"""Terms of the text summary: those that filters use."""
-
 REPORTED_LEFT_OUT = 0.01
 """Fraction of unused samples above which the number of received samples is shown."""
 
@@ -362,13 +348,9 @@ def summary_lines(results: Results) -> Iterator[str]:
     yield headline(results)
     for name, axis in results.axes.items():
         cells = []
-        for term in IN_SUMMARY:
+        for term in ADVISED_TERMS:
             unit = shown_unit(name, term, 'deg/h')
             cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
         yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
-    for each in _warnings_and_errors(results):
+    for each in warnings_and_errors(results):
         yield f'  {each.severity}: {each}'
-
-
-def _warnings_and_errors(results: Results) -> list[Finding]:
-    return [each for each in grouped(results.findings) if each.severity != 'info']

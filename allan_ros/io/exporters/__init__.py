@@ -3,8 +3,8 @@
 """Files that filters, calibration tools and simulators read.
 
 A `Target` describes one file: its keys (`Key`), their convention and its source, and the text
-format. `model` computes the `Row` of each key from the noise model. Targets are in
-`targets` and `simulators`; a new one also needs a line in `TARGETS`.
+format. `model` computes the `Row` of each key from the noise model. Targets are in `targets` and,
+if their rows are not in a table, in `computed`; a new one also needs a line in `TARGETS`.
 """
 
 from __future__ import annotations
@@ -73,6 +73,9 @@ INS_HORIZON_S = 100.0
 
 SIMULATOR_HORIZON_S = 1000.0
 """Time in s up to which a simulated sensor should drift like the real one."""
+
+ANY_NODE = ('/**', 'ros__parameters')
+"""Top-level keys of ROS 2 parameters for any node that loads the file by --params-file."""
 
 Value = Any
 """The value of a key in a file: a number, a string, a list or a mapping of these."""
@@ -165,7 +168,7 @@ class Row:
     @property
     def name(self) -> str:
         """Name of the ROS parameter: the keys below ``ros__parameters``, joined by dots."""
-        path = self.path[2:] if self.path[1:2] == ('ros__parameters',) else self.path
+        path = self.path[2:] if self.path[:2] == ANY_NODE else self.path
         return '.'.join(path)
 
     @property
@@ -254,9 +257,9 @@ def target_of(name: str) -> Target:
         near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)
         meant = f'did you mean {near[0]}? Known are' if near else 'choose one of'
         raise AllanError(f'target {name!r} is unknown: {meant} {", ".join(TARGETS)}')
-    from . import simulators, targets
+    from . import computed, targets
 
-    return {**targets.FILTERS, **simulators.SIMULATORS}[name]
+    return {**targets.FILTERS, **computed.COMPUTED}[name]
 
 
 def target_rows(

@@ -19,13 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...core.errors import AllanError
 from ...core.filters.noise_parameters import axis_level, reduce_axis, sensor_levels
-from ...core.filters.reductions import (
-    Level,
-    Reduction,
-    States,
-    closest_process,
-    horizon_text,
-)
+from ...core.filters.reductions import Level, Reduction, States, closest_process, horizon_text
 from ...core.findings import Finding, finding
 from ...core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
@@ -182,7 +176,8 @@ class FilterNoise:
             f'[{unit}]{f" = {formula}" if formula else ""}: {"; ".join(map(level_words, named))}'
         )
         values = [rounded(notation.number(inflate * one.value, self.rate)) for one in levels]
-        widest = max((one.interval for one in levels), key=_width)
+        intervals = (one.interval for one in levels)
+        widest = max(intervals, key=lambda ends: ends[1] / ends[0] if ends[0] else math.inf)
         low, high = (notation.number(inflate * end, self.rate) for end in widest)
         return Row(path, self._value(values), words, unit, (low, high), tuple(named))
 
@@ -318,10 +313,6 @@ def _origin(walk: Level | None) -> str:
     if walk is None or not (walk.is_limit or walk.no_interval):
         return ''
     return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'
-
-
-def _width(interval: tuple[float, float]) -> float:
-    return interval[1] / interval[0] if interval[0] else math.inf
 
 
 def clamped(row: Row, low: float, high: float) -> Row:

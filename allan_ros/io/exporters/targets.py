@@ -8,26 +8,12 @@ continuous densities, f is the rate in Hz.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from ...core.errors import AllanError
-from ...core.filters.growth import drift_model, interval_models
-from ...core.filters.noise_parameters import sensor_levels
-from ...core.filters.reductions import Level
-from ...core.imu import AXES, SI_UNITS
-from ...core.noise import ProcessModel
-from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
-from . import INS_HORIZON_S, Key, Row, Target, Value, keys_of, noise_keys
-from .model import FilterNoise, Notation, clamped, rounded
+from . import ANY_NODE, INS_HORIZON_S, Key, Target, Value, keys_of, noise_keys
 from .text import json_form, line_form, matlab_literal, opencv_form, yaml_form
-
-ANY_NODE = ('/**', 'ros__parameters')
-"""Top-level keys of ROS 2 parameters for any node that loads the file by --params-file."""
 
 KALIBR_KEYS = keys_of("""
 accelerometer_noise_density  accel  N
@@ -99,81 +85,6 @@ abstd     accel  sigma       mGal
 corrtime  -      common_tau  h
 """)
 """Keys of KF-GINS and OB_GINS."""
-
-
-MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
-"""Ratio of the filter gain to the gyro error (S. O. H. Madgwick, An efficient orientation filter
-for inertial and inertial/magnetic sensor arrays, 2010, section on filter gains)."""
-
-
-def _madgwick(noise: FilterNoise) -> Iterator[Row]:
-    """Yield the parameters gain and zeta of the Madgwick filter at the horizon h.
-
-    The gain is sqrt(3/4) times the error of the gyro: its Allan deviation at h without quantization
-    and vibration, and its bias if this is known, because the filter estimates no bias without a
-    magnetometer. zeta is sqrt(3/4) times the drift per second: R if every axis has a ramp, else
-    K / sqrt(h), because a random walk moves by K sqrt(h) within h.
-    """
-    horizon, axes = noise.horizon, noise.axes_of('gyro')
-    factor = MADGWICK_FACTOR * noise.options.inflate
-    gains = []
-    for axis, result in axes.items():
-        bias, white = noise.bias.get(axis, 0.0), noise.level(axis, 'N')
-
-        def gain(model: ProcessModel, n: float, bias: float = bias) -> float:
-            drift = drift_model(replace(model, terms=replace(model.terms, N=n)))
-            return factor * math.hypot(math.sqrt(float(drift.avar([horizon])[0])), bias)
-
-        ends = interval_models(result.fit)
-        low, high = map(gain, ends, white.interval) if ends else (0.0, math.inf)
-        value = gain(result.fit.model, white.value)
-        gains.append(Level(axis, 'gain', value, (low, high), white.is_limit))
-    (worst,) = sensor_levels(gains, noise.rule)
-    words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s'
-    words += f'{" and the bias" if noise.bias else ""}: '
-    words += ', '.join(f'{level.axis} {level.value:.3g}' for level in gains)
-    row = Row((*ANY_NODE, 'gain'), rounded(worst.value), words, 'rad/s', worst.interval)
-    yield clamped(row, 0.0, 1.0)
-    term, formula, scale = 'R', 'sqrt(3/4) |R|', MADGWICK_FACTOR
-    if not all(result.fit.noise['R'].status == 'estimated' for result in axes.values()):
-        term, formula = 'K', f'sqrt(3/4) K / sqrt(h) with h = {horizon:g} s'
-        scale = MADGWICK_FACTOR / math.sqrt(horizon)
-    notation = Notation(formula, 'rad/s^2', factor=1.0 / scale)
-    zeta = noise.level_row((*ANY_NODE, 'zeta'), 'gyro', term, notation)
-    yield clamped(zeta, -1.0, 1.0)
-
-
-def _temperature(noise: FilterNoise) -> Iterator[Row]:
-    """Yield T0, and b0, b1 and b2 of the sensors whose three axes have a model of the bias.
-
-    Where the temperature has no effect that is resolved, b1 and b2 are 0.
-    """
-    sensors = noise.results.temperature_models
-    complete = {s: models for s, models in sensors.items() if len(models) == len(AXES) / 2}
-    if not complete:
-        raise AllanError(
-            'no bias over temperature in these results: record while the temperature rises and '
-            'falls by 3 K or more'
-        )
-    first = next(iter(next(iter(complete.values())).values()))
-    where = f'{first.lowest:.1f} to {first.highest:.1f} degC'
-    words = f'[degC]: T0 of the model, which was measured from {where}'
-    yield Row(('reference',), first.reference, words, 'degC', (first.lowest, first.highest))
-    for sensor, models in complete.items():
-        # the level of an accelerometer contains gravity
-        for i, what in enumerate(('b0', 'b1', 'b2')[sensor == 'accel' :], sensor == 'accel'):
-            unit = SI_UNITS[sensor]['B'] + ('', '/K', '/K^2')[i]
-            pairs = [(getattr(m, what), getattr(m, f'{what}_ci95')) for m in models.values()]
-            used = [not i or model.resolved for model in models.values()]
-            text = (
-                f'{name} {significant(value, VALUE_DIGITS)}, 95 % interval '
-                f'{significant(low, LIMIT_DIGITS)}..{significant(high, LIMIT_DIGITS)}'
-                f'{"" if use else " (not resolved: written as 0)"}'
-                for name, use, (value, (low, high)) in zip(models, used, pairs)
-            )
-            values = rounded([value if use else 0.0 for use, (value, _) in zip(used, pairs)])
-            widest = max((ends for _, ends in pairs), key=lambda ends: ends[1] - ends[0])
-            yield Row((f'{sensor}_{what}',), values, f'[{unit}]: {"; ".join(text)}', unit, widest)
 
 
 _ins = partial(Target, horizon_s=INS_HORIZON_S, walk=False)
@@ -453,35 +364,6 @@ FILTERS = {
         noise_keys('gyro_noise accel_noise gyro_bias_walk accel_bias_walk'),
         three=True,
         horizon_s=INS_HORIZON_S,
-    ),
-    'imu_filter_madgwick': Target(
-        'imu_filter_madgwick.yaml',
-        "Madgwick's beta (rad/s) and zeta (rad/s^2): sqrt(3/4) times the error and the drift "
-        'of the gyro (imu_filter_madgwick/src/imu_filter.cpp; ranges of imu_filter_ros.cpp)',
-        yaml_form,
-        rows=_madgwick,
-        notes=(
-            'the gain covers noise, not the bias of the gyro: it must exceed 0.87 times the bias '
-            'in rad/s unless the bias is subtracted before; the default of 0.1 covers 6 deg/s',
-            'zeta has an effect only with a magnetometer (use_mag); without one, the filter '
-            'estimates no bias',
-        ),
-        horizon_s=10.0,
-        walk=False,
-    ),
-    'temperature': Target(
-        'temperature.yaml',
-        'SI and K: the bias at T degC is b0 + b1 (T - reference) + b2 (T - reference)^2, and a '
-        'filter subtracts it from the samples x, y, z',
-        yaml_form,
-        rows=_temperature,
-        notes=(
-            'the noise remains: N and K are in the file of the filter',
-            'b0 is the mean of this recording; it contains the rotation of the Earth and differs '
-            'after each switch-on. The level of an accelerometer contains gravity and is not here',
-        ),
-        three=True,
-        walk=False,
     ),
 }
 """Name -> target."""

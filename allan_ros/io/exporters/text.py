@@ -8,7 +8,6 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime, timedelta, timezone
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,10 +32,6 @@ if TYPE_CHECKING:
 NAMED_SOURCES = 3
 """Largest number of recordings that the header comment names; others are counted."""
 
-EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
-FIRST_DATE = datetime(2000, 1, 1, tzinfo=timezone.utc)
-"""Earlier stamps are not dates, but count from the start of a machine or a simulation."""
-
 RULE_WORDS = {
     'worst': 'worst (the largest of x, y, z)',
     'mean': 'mean (root mean square of x, y, z)',
@@ -55,11 +50,12 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
     unsure = dict.fromkeys(row.key for row in rows if row.no_interval)
     first = (*WRONG_UNITS, 'from_datasheet')
     subject = 'Bias of an IMU over' if name == 'temperature' else 'IMU noise for'
+    start = results.provenance.start
     title = [
         f'{subject} {name}, measured by allan_ros {__version__} (method {results.method})',
         f'source: {_sources(results)}; {duration_text(results.duration_s, 3)} at rest, '
         f'{significant(results.rate_hz, 5)} Hz',
-        f'date: {_recorded(results)}',
+        f'date: recorded from {start:%Y-%m-%d %H:%M:%S} UTC on' if start else 'date: not known',
     ]
     if results.method == FROM_DATASHEET:
         title = [
@@ -107,25 +103,9 @@ def _sources(results: Results) -> str:
     return named or 'sums without a recording'
 
 
-def _recorded(results: Results) -> str:
-    starts = [s.start_ns for s in results.provenance.segments]
-    if not starts:
-        return 'not known'
-    try:
-        start = EPOCH + timedelta(microseconds=min(starts) // 1000)
-    except OverflowError:
-        return 'unknown: the stamps are not dates'
-    if start < FIRST_DATE:
-        return 'unknown: the stamps do not count from 1970'
-    return f'recorded from {start:%Y-%m-%d %H:%M:%S} UTC on'
-
-
 # --- formats --------------------------------------------------------------------------------------
 
 INDENT = 2
-
-HEADER_KEY = 'allan_ros'
-"""Key of the header lines in JSON, which has no comments."""
 
 INNERMOST_LIST = re.compile(r'\[\s+([^][{}"]*?)\s+\]')
 """A list of numbers on several lines."""
@@ -143,9 +123,9 @@ def nested(rows: Sequence[Row]) -> dict[str, Value]:
 
 
 def json_form(rows: Sequence[Row], header: Sequence[str]) -> str:
-    """Return a JSON file; the header is the value of a key at the end."""
+    """Return a JSON file; it has no comments, so the header is the value of a key."""
     # last, because a reader may expect one of its keys first
-    document = {**nested(rows), HEADER_KEY: list(header)}
+    document = {**nested(rows), 'allan_ros': list(header)}
     text = json.dumps(document, indent=INDENT, ensure_ascii=False, allow_nan=False)
     return INNERMOST_LIST.sub(lambda found: f'[{" ".join(found[1].split())}]', text) + '\n'
 

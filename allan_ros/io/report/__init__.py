@@ -10,7 +10,6 @@ the page contains, which is how a chart is saved as PNG.
 from __future__ import annotations
 
 import base64
-import datetime
 import hashlib
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -66,10 +65,6 @@ ICONS = {
     'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
 }
 """Level of the verdict -> SVG path of its symbol."""
-
-EARLIEST_S = 978_307_200
-"""2001-01-01 in Unix time. Smaller first stamps count from the start of a machine and are not shown
-as a date."""
 
 
 @dataclass(frozen=True)
@@ -188,12 +183,11 @@ def _page(title: str, body: str, data: str) -> str:
 
 
 def _header(results: Results, name: str, units: str) -> Iterator[str]:
-    start = min((s.start_ns for s in results.provenance.segments), default=0) // 10**9
-    when = datetime.datetime.fromtimestamp(max(start, 0), datetime.timezone.utc)
+    start = results.provenance.start
     facts = [
         f'{used_samples(results)} at {significant(results.rate_hz, 4)} Hz',
         f'{duration_text(results.duration_s, 3)} at rest in {_segments(results)}',
-        f'{when:%Y-%m-%d %H:%M} UTC' if start >= EARLIEST_S else '',
+        f'{start:%Y-%m-%d %H:%M} UTC' if start else '',
     ]
     items = ''.join(f'<li>{escape(fact)}</li>' for fact in facts if fact)
     switch = ''.join(
