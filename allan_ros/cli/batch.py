@@ -193,14 +193,16 @@ def _judged(
         code = EXIT_FAILED
     elif verdict.level in ('measured', 'unknown'):
         code = EXIT_UNJUDGED
-    words = {EXIT_FAILED: WORDS['failed'], EXIT_UNJUDGED: WORDS['unknown']}
-    word = words.get(code, word).lower()
     note = ''
     values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
     samples = (results.samples, *values) if any(values) else None
     for key, what in ((samples, 'the samples'), (results.identity.hardware_id, 'the serial')):
         if key and known.setdefault(key, outcome.unit.name) != outcome.unit.name:
             note = note or f'duplicate: it has {what} of {known[key]}'
+    if note and not code:
+        code = EXIT_UNJUDGED  # one of the two was not measured
+    words = {EXIT_FAILED: WORDS['failed'], EXIT_UNJUDGED: WORDS['unknown']}
+    word = words.get(code, word).lower()
     return code, word, verdict, note
 
 

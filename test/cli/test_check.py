@@ -140,18 +140,18 @@ def test_units_are_never_pooled(how: str, units: Path, capsys: pytest.CaptureFix
     *lines, totals = capsys.readouterr().out.splitlines()
     assert [line.split(': ')[1] for line in lines] == files
     assert [line.split(':')[0] for line in lines] == [
-        'healthy', 'healthy', 'healthy', 'healthy', 'healthy', 'failed', 'healthy', 'error',
+        'healthy', 'healthy', 'healthy', 'healthy', 'healthy', 'failed', 'not judged', 'error',
     ]  # fmt: skip
     assert f'duplicate: it has the samples of {files[2]}' in lines[6]
     assert 'gyro N' in lines[5] and 'Above TEST' in lines[5]
-    assert totals == '8 units: 6 healthy, 1 failed, 1 error'
+    assert totals == '8 units: 5 healthy, 1 failed, 1 not judged, 1 error'
     assert main([*words, '--json']) == 3
     *documents, last = map(json.loads, capsys.readouterr().out.splitlines())
-    assert [document['exit_code'] for document in documents] == [0, 0, 0, 0, 0, 3, 0, 1]
+    assert [document['exit_code'] for document in documents] == [0, 0, 0, 0, 0, 3, 4, 1]
     assert documents[0]['axes']['gyro_x']['N'] == pytest.approx(1e-4, rel=0.1)
     assert last == {
         'units': 8,
-        'totals': {'healthy': 6, 'failed': 1, 'error': 1},
+        'totals': {'healthy': 5, 'failed': 1, 'not judged': 1, 'error': 1},
         'exit_code': 3,
     }
 
