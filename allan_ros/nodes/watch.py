@@ -39,15 +39,15 @@ REFRESH_S = 0.5
 SETTLE_S = 1.5
 """Time in s from the first status until every node has published once."""
 
-PATIENCE_S, NOBODY_S = 10.0, 3.0
+PATIENCE_S, NOBODY_S = 10.0, 6.5
 """Time in s for which ``--once`` waits for the first status: if a node publishes on `TOPIC`, and if
-none has been discovered."""
+none has been discovered. Fast DDS announces a process every 3 s; a busy computer can miss one."""
 
 HINT_S = 8.0
 """Time in s without a status after which the hint is shown. Nodes need some seconds to start."""
 
-DISCOVERY_S = 5.0
-"""Longest time in s to wait for a service, and then for its answer."""
+CALL_S, ANSWER_S = 5.0, 15.0
+"""Time in s after which a call is repeated, and longest time to wait for its answer."""
 
 EXIT_LEVEL = {'ok': 0, 'WARN': 3, 'STALE': 4, 'ERROR': 4}
 """Exit code of ``--check`` by the most severe level."""
@@ -188,7 +188,12 @@ def make_parser() -> argparse.ArgumentParser:
         help=f'also serve the report as a web page on this machine (default port {WEB_PORT})',
     )
     parser.add_argument(
-        '--seconds', type=float, default=0.0, metavar='S', help='exit after this time'
+        '--seconds',
+        type=float,
+        default=0.0,
+        metavar='S',
+        help='exit after this time; with --once, wait so long for the first status (default '
+        f'{NOBODY_S:g}, or {PATIENCE_S:g} if a node publishes)',
     )
     return parser
 
@@ -238,38 +243,53 @@ def call_services(verb: str, args: Sequence[str]) -> int:
     }[verb]
     parser = argparse.ArgumentParser(prog=f'ros2 allan {verb}', description=doc)
     parser.add_argument('--node', default='', help='only this node or IMU, such as /allan_monitor')
-    wanted = parser.parse_args(list(args)).node
+    parser.add_argument(
+        '--seconds',
+        type=float,
+        default=0.0,
+        metavar='S',
+        help=f'longest time to wait for a node (default {NOBODY_S:g}), and then for its answer '
+        f'(default {ANSWER_S:g})',
+    )
+    options = parser.parse_args(list(args))
+    wanted, patience = options.node, options.seconds
     rclpy.init(args=[])
     node, executor = Node(f'allan_{verb}'), SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        deadline = time.monotonic() + DISCOVERY_S
-        while not (found := services_of(node, verb, wanted)) and time.monotonic() < deadline:
+        found: list[str] = []
+        deadline = time.monotonic() + (patience or NOBODY_S)
+        while (now := time.monotonic()) < deadline:
             executor.spin_once(timeout_sec=0.1)
+            known, found = found, services_of(node, verb, wanted)
+            if found and not known:  # other nodes may follow
+                deadline = min(deadline, now + SETTLE_S)
         if not found:
             named = f' {wanted}' if wanted else ''
             remedy = 'check --node' if wanted else 'start allan_monitor'
             print(f'no allan_ros node{named} with a service {verb} is running: {remedy}')
-        return max((_call(node, executor, name) for name in found), default=EXIT_FAILED)
+        codes = [_call(node, executor, name, patience or ANSWER_S) for name in found]
+        return max(codes, default=EXIT_FAILED)
     finally:
         executor.shutdown()
         node.destroy_node()
         rclpy.shutdown()
 
 
-def _call(node: Node, executor: SingleThreadedExecutor, name: str) -> int:
+def _call(node: Node, executor: SingleThreadedExecutor, name: str, patience: float) -> int:
     """Call one service and print its answer; return 0 on success."""
     client = node.create_client(Trigger, name)
-    client.wait_for_service(DISCOVERY_S)
+    client.wait_for_service(patience)
     # An answer to a client that the service has not discovered yet is lost: repeat the call.
-    for _ in range(3):
+    deadline = time.monotonic() + patience
+    while time.monotonic() < deadline:
         future = client.call_async(Trigger.Request())
-        executor.spin_until_future_complete(future, DISCOVERY_S)
+        executor.spin_until_future_complete(future, CALL_S)
         answer = future.result() if future.done() else None
         if answer is not None:
             print(f'{name}: {answer.message or "done"}')
             return 0 if answer.success else EXIT_FAILED
-    print(f'{name}: no answer within {3 * DISCOVERY_S:g} s')
+    print(f'{name}: no answer within {patience:g} s')
     return EXIT_FAILED
 
 

@@ -34,7 +34,7 @@ try:
 except PackageNotFoundError:
     pytest.skip('skipped: allan_ros is not installed', allow_module_level=True)
 
-PATIENCE_S = 60.0
+PATIENCE_S = 240.0
 
 CASES = {
     'defaults': ({}, {'/allan_monitor': {'input.topics': ['imu/data']}}, {'/imu/data'}),

@@ -9,7 +9,6 @@ ports from 7000 in every domain, so tests that kill nodes could disturb other te
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import itertools
 import json
@@ -31,6 +30,9 @@ from allan_ros.io.readers.cdr import encode_imus
 ROOT = Path(__file__).resolve().parents[2]
 DOMAINS = range(1, 101)
 """Domains whose UDP ports stay below the ephemeral ones (docs.ros.org, The ROS_DOMAIN_ID)."""
+
+FIRST_PORT, PORTS_OF_DOMAIN = 7400, 250
+"""First UDP port of domain 0, and number of ports of each domain."""
 
 _WORKER = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
 _WORKERS = int(os.environ.get('PYTEST_XDIST_WORKER_COUNT', '1'))
@@ -61,24 +63,23 @@ RELIABLE = {'reliability': 'reliable', 'history': 'keep_all'}
 """QoS of the inputs: no message is lost, because the publisher waits while the queue is full."""
 
 
-def _domains_of_processes() -> set[int]:
-    """Return the domains of running processes, including nodes left behind by a killed test run."""
-    found = set()
-    for environ in Path('/proc').glob('[0-9]*/environ'):
-        with contextlib.suppress(OSError):
-            for variable in environ.read_bytes().split(b'\0'):
-                name, _, value = variable.partition(b'=')
-                if name == b'ROS_DOMAIN_ID' and value.isdigit():
-                    found.add(int(value))
-    return found
+def _domains_in_use() -> set[int]:
+    """Return the domains with a participant on this machine, by its UDP ports (RTPS 2.5, 9.6.2)."""
+    lines = Path('/proc/net/udp').read_text().splitlines()[1:]
+    ports = (int(line.split()[1].partition(':')[2], 16) for line in lines)
+    return {(port - FIRST_PORT) // PORTS_OF_DOMAIN for port in ports}
 
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """Reserve a ROS domain that no other process uses, restricted to the loopback interface."""
-    taken = _domains_of_processes()
+    taken = _domains_in_use()
     for domain in (d for d in itertools.islice(_ROUND, len(DOMAINS)) if d not in taken):
-        lock = (Path(tempfile.gettempdir()) / f'allan_ros_test_domain_{domain}').open('w')
+        file = Path(tempfile.gettempdir()) / f'allan_ros_test_domain_{domain}'
+        try:
+            lock = file.open('w')
+        except PermissionError:  # reserved by another user
+            continue
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             break

@@ -327,9 +327,11 @@ def test_every_message_is_in_one_count_at_any_time(graph, still_imu):
     batch = with_gap_and_knock(still_imu)
     batch.samples[9000:9010] = np.nan
     batch.samples[10_500:, :3] += np.random.default_rng(4).normal(0.0, 0.5, (999, 3))
+    graph.until(lambda: graph.value('input', 'received') == '0')
     for at in range(0, len(batch), 900):
         graph.send(publisher, batch[at : at + 900])
-        graph.spin(0.25)
+        sent = str(min(at + 900, len(batch)))
+        graph.until(lambda sent=sent: graph.value('input', 'received') == sent)
     publisher.publish(b'\x00\x01\x00\x00 not an Imu')
     graph.until(lambda: graph.value('input', 'received') == '11500')
     held, told = [], [s for _, s in graph.history if s.name.endswith('input')]

@@ -64,8 +64,7 @@ def test_the_executor_never_runs_a_drained_subscription(graph, still_imu):
     graph.send(publisher, still_imu(20))
     graph.spin(0.5)
     assert imu_input.statistics().received == 0
-    imu_input.drain()
-    assert imu_input.statistics().received == 20
+    assert sum(map(len, receive(graph, imu_input, 20))) == 20
 
 
 def test_messages_lost_by_a_full_queue_are_counted(graph, still_imu):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
-import os
+import re
 import socket
 import threading
 import time
@@ -23,6 +23,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import String
 from support.chromium import Chromium
+from support.node_server import PATIENCE_S
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.files import to_json
@@ -32,10 +33,10 @@ from allan_ros.nodes.messages import Snapshot
 TOPIC = '/allan_monitor/sums'
 
 
-@pytest.fixture(scope='module')
-def node() -> Iterator[Node]:
+@pytest.fixture
+def node(ros_domain: int) -> Iterator[Node]:
     context = Context()
-    rclpy.init(context=context, domain_id=100 + os.getpid() % 100)
+    rclpy.init(context=context, domain_id=ros_domain)
     made = Node('page', context=context)
     yield made
     made.destroy_node()
@@ -50,7 +51,7 @@ def page(node: Node) -> Iterator[LivePage]:
 
 
 def read(address: str) -> str:
-    with urllib.request.urlopen(address, timeout=30.0) as answer:
+    with urllib.request.urlopen(address, timeout=PATIENCE_S) as answer:
         assert answer.headers['Refresh'] == str(REFRESH_S)
         text: str = answer.read().decode()
         return text
@@ -75,7 +76,7 @@ def test_the_report_follows_the_sums(page: LivePage, small_run) -> None:
 def test_other_hosts_and_unknown_paths_are_rejected(page: LivePage) -> None:
     port = int(page.address.rsplit(':', 1)[1].strip('/'))
     for host, path, code in (('evil.example', '/', 403), ('localhost', '/none', 404)):
-        connection = http.client.HTTPConnection('127.0.0.1', port, timeout=10.0)
+        connection = http.client.HTTPConnection('127.0.0.1', port, timeout=PATIENCE_S)
         connection.request('GET', path, headers={'Host': host})
         assert connection.getresponse().status == code
         connection.close()
@@ -84,15 +85,20 @@ def test_other_hosts_and_unknown_paths_are_rejected(page: LivePage) -> None:
 def test_half_requests_do_not_exhaust_the_threads(page: LivePage) -> None:
     port = int(page.address.rsplit(':', 1)[1].strip('/'))
     before = threading.active_count()
-    halves = [socket.create_connection(('127.0.0.1', port)) for _ in range(200)]
+    halves = [socket.create_connection(('127.0.0.1', port)) for _ in range(2 * MOST_REQUESTS)]
     for half in halves:
         with contextlib.suppress(OSError):
             half.sendall(b'GET / HT')
-    time.sleep(0.5)
+    for half in halves[MOST_REQUESTS:]:  # closed by the server
+        with contextlib.suppress(ConnectionError):
+            assert half.recv(1) == b''
     assert threading.active_count() - before <= MOST_REQUESTS
     for half in halves:
         half.close()
-    time.sleep(0.5)
+    deadline = time.monotonic() + PATIENCE_S
+    while threading.active_count() > before:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
     assert 'No accumulator' in read(page.address)
 
 
@@ -121,19 +127,16 @@ def test_a_closed_connection_does_not_stop_the_live_page(
 
 
 def test_a_browser_follows_a_live_monitor(graph, still_imu, browser: Chromium) -> None:
-    with socket.socket() as free:
-        free.bind(('127.0.0.1', 0))
-        port = free.getsockname()[1]
     graph.run('monitor')
-    watch = graph.start('watch', '--web', str(port))
+    watch = graph.start('watch', '--web', '0')
     publisher = graph.publisher()
     batch = still_imu(12_000)
     graph.send(publisher, batch[:6000])
-    address = f'http://127.0.0.1:{port}/'
+    address = graph.until(lambda: re.search(r'http://127\.0\.0\.1:\d+/', watch.output))[0]
 
     def shows(text: str) -> bool:
         try:
-            return text in urllib.request.urlopen(address, timeout=60.0).read().decode()
+            return text in urllib.request.urlopen(address, timeout=PATIENCE_S).read().decode()
         except OSError:  # not yet served
             return False
 

@@ -62,7 +62,7 @@ def relayed_rates(graph: Any, payloads: list[bytes], bias: Any, **parameters: An
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import Imu
 
-    graph.run('relay', **parameters)
+    (relay,) = graph.run('relay', **parameters)._parts
     received: list[bytes] = []
     graph.node.create_subscription(
         Imu, 'imu/data_with_covariance', received.append, QoSProfile(depth=100), raw=True
@@ -71,7 +71,7 @@ def relayed_rates(graph: Any, payloads: list[bytes], bias: Any, **parameters: An
     source = graph.node.create_publisher(TwistWithCovarianceStamped, 'bias', 10)
     graph.introduce(source)
     source.publish(bias)
-    graph.spin(0.5)
+    graph.until(lambda: relay._bias is not None)
     for payload in payloads:
         publisher.publish(payload)
     graph.until(lambda: len(received) == len(payloads))

@@ -15,6 +15,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from support.node_server import PATIENCE_S
+
 from allan_ros.cli.main import VERBS
 from allan_ros.ros2_command import NODE_VERBS, AllanCommand
 
@@ -68,11 +70,14 @@ def test_verbs_for_running_nodes(graph: Any, still_imu: Any, tmp_path: Path) -> 
     graph.start('monitor', **reliable, **given)
     graph.send(graph.publisher(), still_imu(2000))
     graph.until(lambda: graph.value('input', 'used') == '2000')
-    saved = ros2_allan('save', '--node', 'allan_monitor')
+    wait = ('--seconds', str(PATIENCE_S))
+    saved = ros2_allan('save', '--node', 'allan_monitor', *wait)
     assert saved.returncode == 0, saved.stdout + saved.stderr
     assert saved.stdout == f'/allan_monitor/save: {checkpoint}: 2000 samples\n'
     assert checkpoint.exists()
-    other = ros2_allan('fit', '--node', '/other')
+    other = ros2_allan('fit', '--node', '/other', '--seconds', '0.5')
     assert other.returncode == 1 and 'no allan_ros node /other' in other.stdout
-    checked = ros2_allan('check', '--plain')  # the publisher is silent
-    assert checked.returncode == 4 and 'No message on /imu/data' in checked.stdout
+    graph.until(lambda: 'No message on /imu/data' in graph.status('input').message)
+    checked = ros2_allan('check', '--plain', *wait)
+    assert checked.returncode == 4, checked.stdout + checked.stderr
+    assert 'No message on /imu/data' in checked.stdout
