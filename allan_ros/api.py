@@ -97,6 +97,7 @@ class ResultSettings(CheckedSettings):
         'above it by this fraction.',
         low=0.0,
         high=100.0,
+        percent=True,
     )
 
     def __post_init__(self) -> None:
@@ -485,7 +486,8 @@ def simulate(
     preset : str
         Name of predefined noise: 'paper' (the ADIS16475-3 of Cong et al. 2019), or '' for none.
     sensor : str
-        Name of a datasheet, whose N and B are used instead of the preset.
+        Name of a datasheet, whose N and B are used instead of the preset; a term that it does not
+        state is 0.
     gyro, accel : mapping or list of mappings, optional
         Coefficients that replace those of the preset, in datasheet units (gyro N in deg/sqrt(h), B
         in deg/h; accelerometer N in m/s/sqrt(h), B in ug). For all axes: ``{'N': 0.3, 'B': 7}``.

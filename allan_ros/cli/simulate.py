@@ -75,6 +75,13 @@ def run(args: argparse.Namespace) -> int:
     if args.seed < 0:
         raise AllanError(f'--seed is {args.seed}: give 0 or more')
     console = Console.of(args)
+    for sensor in SENSORS if args.sensor else ():
+        axes = [noise[axis] for axis in AXES[SENSORS[sensor]]]
+        if unstated := [term for term in 'NB' if not any(getattr(one, term) for one in axes)]:
+            console.say(
+                f'{args.sensor} states no {" and ".join(unstated)} of the {sensor}, so the recording has none: '
+                f'add --{sensor} {",".join(f"{term}=.." for term in unstated)}'
+            )
     seconds = args.hours * HOUR
     terms = list(noise.values())
     batches = simulate_imu(

@@ -127,3 +127,6 @@ def test_each_imu_topic_of_a_bag_has_its_results(
     assert (out / 'summary.csv').is_file()
     assert main([*words, '--topic', '/right/imu']) == 0
     assert (out / 'results.json').is_file()
+    failing = [word for word in words if word not in ('-o', str(out))]
+    for more in ([], ['--json'], ['-o', str(tmp_path / 'failed')]):
+        assert main([*failing, '--skip', '1h', *more]) == 1  # every topic is too short

@@ -139,6 +139,8 @@ def test_equality_is_answered_and_sets_the_exit_code(
     assert main([*copy, '--within', '0.01%', '--json']) == 3
     document = json.loads(capsys.readouterr().out)
     assert document['within'] == pytest.approx(1e-4)
-    with pytest.raises(SystemExit):
-        main([*copy, '--within', '5'])
-    assert 'write a percentage such as 5%' in capsys.readouterr().err
+    assert main([*copy, '--within', '0.2', '--margin', '30%']) == 0
+    for wrong in (['--within', '5'], ['--margin', '5'], ['--margin', '5%%'], ['--within', 'x%']):
+        with pytest.raises(SystemExit):
+            main([*copy, *wrong])
+        assert 'write a percentage such as 5%' in capsys.readouterr().err
