@@ -78,9 +78,10 @@ def run(args: argparse.Namespace) -> int:
     for sensor in SENSORS if args.sensor else ():
         axes = [noise[axis] for axis in AXES[SENSORS[sensor]]]
         if unstated := [term for term in 'NB' if not any(getattr(one, term) for one in axes)]:
+            terms_text = ','.join(f'{term}=..' for term in unstated)
             console.say(
-                f'{args.sensor} states no {" and ".join(unstated)} of the {sensor}, so the recording has none: '
-                f'add --{sensor} {",".join(f"{term}=.." for term in unstated)}'
+                f'{args.sensor} states no {" and ".join(unstated)} of the {sensor}, so the '
+                f'recording has none: add --{sensor} {terms_text}'
             )
     seconds = args.hours * HOUR
     terms = list(noise.values())
