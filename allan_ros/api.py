@@ -33,6 +33,7 @@ from .core.settings import (
     settings_from,
 )
 from .core.simulate import Faults, simulate_imu
+from .io.analysis import analyze_recorded
 from .io.common import CommonResult, common_of
 from .io.comparison import REST, RUNNING, Inflation, RunComparison, Subject, compare_runs
 from .io.datasheets import load_sensor
@@ -51,7 +52,7 @@ from .io.recorded import (
     read_in_turn,
     read_recording,
 )
-from .io.results import Results, analyze_recorded
+from .io.results import Results
 from .io.user_files import stated_noise
 
 NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]

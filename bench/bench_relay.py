@@ -27,10 +27,10 @@ from online_nodes import Client, Process, node
 
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.analysis import analyze_sums
 from allan_ros.io.documents import results_to_document
 from allan_ros.io.readers.cdr import CovariancePatch, encode_imus
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import analyze_sums
 
 RATES_HZ = (200, 1000)
 MEASURE_S = 10.0

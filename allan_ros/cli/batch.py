@@ -23,12 +23,13 @@ from ..core.errors import AllanError, one_line
 from ..core.findings import SEVERITIES, Finding, by_consequence, finding
 from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
+from ..io.analysis import analyze_recorded
 from ..io.documents import RESULTS, load, load_sums, results_to_document
 from ..io.files import write_atomic
 from ..io.format import known_numbers, shown_unit, value_text
 from ..io.readers import topics_of
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
-from ..io.results import Results, analyze_recorded
+from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
 from .console import Console, colored, painted
 from .main import RECORDINGS

@@ -5,24 +5,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.allan.curve import AllanCurve, AxisCurve, allan_curve
+from ..core.allan.curve import AxisCurve, allan_curve
 from ..core.allan.running import RunningSums
-from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError
-from ..core.filters.bias import TurnOnBias, turn_on_bias
+from ..core.filters.bias import TurnOnBias
 from ..core.filters.growth import Growth, growth_table
-from ..core.filters.noise_parameters import reduce_axis, sample_variance
+from ..core.filters.noise_parameters import reduce_axis
 from ..core.filters.reductions import StateSpace, state_space
-from ..core.fit import TERMS, AxisFit, Coefficient, NoiseModel, Processes
-from ..core.fit.findings import rounding_step
-from ..core.fit.interpretation import ModelLine, Region, dominant_regions, model_line
+from ..core.fit import TERMS, AxisFit, Coefficient, Processes
+from ..core.fit.interpretation import ModelLine, Region, model_line
 from ..core.fit.least_squares import fit_curve
 from ..core.fit.model import Status
 from ..core.fit.temperature import TemperatureModel
@@ -294,32 +291,6 @@ class AxisResult:
         (factors,)."""
         total: NDArray[np.float64] = np.sqrt(self.fit.model.avar(self._tau(m), self.tau0))
         return total
-
-
-def axis_results(
-    fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
-) -> Iterable[tuple[str, AxisResult]]:
-    """Yield the name and the result of each axis, given the sums, curve and fit of each sensor."""
-    for sums, curve, model in fitted:
-        means = np.array([one.mean for one in sums.recordings])
-        lengths = np.array([one.samples * model.tau0 for one in sums.recordings])
-        for i, name in enumerate(curve.axes):
-            fit = model.axes[name]
-            variance = sample_variance(curve.m, curve.adev[:, i], model.tau0)
-            white = (fit.noise['N'].value or 0.0) ** 2 / model.tau0
-            axis = AxisResult(
-                model.tau0,
-                fit,
-                curve.axis(i),
-                tuple(dominant_regions(curve, name, fit)),
-                None if variance is None else math.sqrt(variance),
-                name,
-                rounding_step(sums, i, white) if white else None,
-                turn_on_bias(means[:, i], float(fit.model.avar(lengths).mean()))
-                if len(means) > 1
-                else None,
-            )
-            yield name, axis
 
 
 def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:

@@ -16,9 +16,9 @@ from ..core.fields import plain
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..core.settings import SegmenterSettings
 from ..core.stream.pipeline import ImuStream
+from .analysis import one_thread
 from .format import interval_text, shown_unit, value_text
 from .readers import Recording
-from .threads import one_thread
 
 SHOWN_TAU_S = (0.1, 1.0, 10.0, 100.0)
 """Averaging times in s at which the table shows the coherence."""

@@ -17,11 +17,7 @@ from ..core.fields import plain
 from ..core.filters.noise_parameters import TermInflation
 from ..core.filters.reductions import horizon_text, shortest_horizon
 from ..core.imu import SENSORS, SI_UNITS, sensor_of
-from .datasheets import (
-    Datasheet,
-    DatasheetComparison,
-    comparison_to_document,
-)
+from .datasheets import Datasheet, DatasheetComparison, comparison_to_document
 from .documents import results_to_document
 from .files import to_json, write_together
 from .format import significant
@@ -96,11 +92,9 @@ class RunComparison:
 
         With ``within``, equality up to this fraction is required instead.
         """
-        if self.within:
-            return not self.equivalent or any(c.verdict == 'exceeds' for _, c in self.datasheets)
-        return any(pair.significant for pair in self.pairs) or any(
-            comparison.verdict == 'exceeds' for _, comparison in self.datasheets
-        )
+        if any(comparison.verdict == 'exceeds' for _, comparison in self.datasheets):
+            return True
+        return not self.equivalent if self.within else any(p.significant for p in self.pairs)
 
 
 def compare_runs(
@@ -323,8 +317,6 @@ def write_comparison(
     return [place / name for name in contents]
 
 
-INFLATION_SCHEMA = 'allan_ros/inflation/1'
-
 REST, RUNNING = 'at rest', 'at rest, motors on'
 """Labels of the recordings with motors off and on."""
 
@@ -362,7 +354,7 @@ class Inflation:
 def inflation_document(inflation: Inflation) -> dict[str, Any]:
     """Return the result as a JSON object of the schema ``allan_ros/inflation/1``, in SI."""
     return {
-        'schema': INFLATION_SCHEMA,
+        'schema': 'allan_ros/inflation/1',
         'horizon_s': [shortest_horizon(inflation.horizon), inflation.horizon],
         'factor': inflation.factor,
         'axes': {
@@ -386,7 +378,8 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
     yield f'N and K for a filter, over {horizon_text(inflation.horizon)}'
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():
-        n, k = (f'{value} {unit:16}' for value, unit in _filter_values(name, axis))
+        units = SI_UNITS[sensor_of(name)]
+        n, k = (f'{significant(t.use, 4)} {units[term]:16}' for term, t in axis.items())
         factors = axis['N'].factor, axis['K'].factor
         yield f'{name:9}{n:>34}  {factors[0]:6.2f}{k:>36}  {factors[1]:6.2f}'.rstrip()
     yield ''
@@ -396,11 +389,6 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
         nearest = {d.tau: d for tau in SHOWN_TAU_S if (d := _nearest(ratios, tau)) is not None}
         cells = [f'{tau:g} s: {_ratio(d)}' for tau, d in nearest.items()]
         yield f'{name:9}{"  ".join(cells)}'
-
-
-def _filter_values(name: str, axis: dict[str, TermInflation]) -> list[tuple[str, str]]:
-    units = SI_UNITS[sensor_of(name)]
-    return [(significant(t.use, 4), units[term]) for term, t in axis.items()]
 
 
 def _nearest(ratios: list[Difference], tau: float) -> Difference | None:

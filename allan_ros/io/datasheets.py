@@ -30,9 +30,6 @@ from .files import config_file, config_names, read_yaml
 
 SCHEMA = 'allan_ros/sensor/1'
 
-WALK_KEY = {'gyro': 'arw', 'accel': 'vrw'}
-"""Sensor -> key of N in datasheets: angle or velocity random walk."""
-
 FROM_MINIMUM = 1.0 / math.sqrt(FLICKER_FLOOR)
 """Factor from the minimum of a curve to the largest possible B. The minimum is at least
 sqrt(2 ln2/pi) B = 0.664 B, because white noise and random walk add to it."""
@@ -376,7 +373,7 @@ def _source(fields: Fields) -> Source:
 
 def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, Limit]:
     """Return term -> limit of one sensor or axis."""
-    walk, units = WALK_KEY[sensor], SI_UNITS[sensor]
+    walk, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
     fields.only(walk, 'noise_density', 'bias_instability', 'range')
     limits = {}
     # If both are stated, the random walk is N itself, and no assumption is needed.

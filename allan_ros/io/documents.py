@@ -32,12 +32,13 @@ from ..core.fit.model import Covariance
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
+from .analysis import analyze_recorded
 from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
 from .files import PATH, public, read_json, to_json
 from .readers import SourceInfo
 from .recorded import Provenance, RecordingSums
-from .results import Results, analyze_recorded
+from .results import Results
 from .verdict import verdict_of
 
 RESULTS_SCHEMA = 'allan_ros/results/2'
@@ -47,8 +48,7 @@ RESULTS, SUMS = 'results.json', 'sums.json'
 """Names of the documents in the folder of an analysis: the results, and the sums from which they
 are computed."""
 
-FINGERPRINT_DIGITS = 16
-"""Number of hexadecimal digits of a fingerprint: 64 bits."""
+TOOL = {'name': 'allan_ros', 'version': __version__}
 
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
 """Range of sample periods in s: stamps are in ns, and the upper bound is thirty years."""
@@ -60,22 +60,8 @@ LISTED_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
 
 SIGNED = (
-    'last_stamp_ns',
-    'start_ns',
-    'sign',
-    'gof_z',
-    'relative',
-    'slope',
-    'mean',
-    'R',
-    'low_pass',
-    'reference',
-    'lowest',
-    'highest',
-    'b0',
-    'b1',
-    'b2',
-    'hysteresis',
+    *('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'mean', 'R', 'low_pass'),
+    *('reference', 'lowest', 'highest', 'b0', 'b1', 'b2', 'hysteresis'),
 )
 """Keys of numbers that may be negative."""
 
@@ -94,7 +80,7 @@ def results_to_document(
     judged = {'verdict': verdict_of(results, units=units).to_document()} if curves else {}
     return {
         'schema': RESULTS_SCHEMA,
-        'tool': _tool(),
+        'tool': TOOL,
         'frame_id': results.identity.frame_id,
         'hardware_id': results.identity.hardware_id,
         'method': results.method,
@@ -145,7 +131,7 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
     """Return sums and their provenance as the document of a sums.json."""
     return {
         'schema': SUMS_SCHEMA,
-        'tool': _tool(),
+        'tool': TOOL,
         **_provenance_to_document(provenance),
         'last_stamp_ns': provenance.last_stamp_ns,
         'findings': [each.document() for each in provenance.findings],
@@ -156,7 +142,7 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
 def fingerprint(document: Mapping[str, Any]) -> str:
     """Return a hash of the sums in the document of a sums.json; equal samples have equal hashes."""
     text = to_json({'sums': document.get('sums')})
-    return hashlib.sha256(text.encode()).hexdigest()[:FINGERPRINT_DIGITS]
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def sums_file_from_document(
@@ -261,10 +247,6 @@ def labels_of(paths: Sequence[str]) -> list[str]:
     ]
     unique = len(set(short)) == len(short) and all(short)
     return short if unique else [str(path) for path in paths]
-
-
-def _tool() -> dict[str, str]:
-    return {'name': 'allan_ros', 'version': __version__}
 
 
 def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
@@ -385,13 +367,16 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
 
 
 def _axis_from_document(name: str, fields: Fields) -> AxisResult:
-    noise, stated = fields.fields('noise'), fields.optional_fields('covariance')
+    noise, stated, covariance = fields.fields('noise'), fields.optional_fields('covariance'), None
+    if stated is not None:
+        names = stated.typed('names', tuple[str, ...])
+        covariance = Covariance(names, stated.table('matrix', len(names), len(names)))
     fit = fields.record(
         AxisFit,
         noise={term: noise.fields(term).record(Coefficient) for term in TERMS},
         m_min=fields.integer('m_min', least=1),
         processes=fields.fields('processes').record(Processes),
-        covariance=None if stated is None else _covariance_from_document(stated),
+        covariance=covariance,
     )
     return fields.record(
         AxisResult,
@@ -400,11 +385,6 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         curve=_curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
         name=name,
     )
-
-
-def _covariance_from_document(fields: Fields) -> Covariance:
-    names = fields.typed('names', tuple[str, ...])
-    return Covariance(names, fields.table('matrix', len(names), len(names)))
 
 
 def _scaled(coefficient: Coefficient, factor: float) -> float | None:

@@ -215,9 +215,6 @@ def unwritable(path: Path, error: OSError) -> AllanError:
 MAX_BYTES = 16 * 2**20
 """Largest size of a document in bytes; real documents are far smaller."""
 
-MAX_DIGITS = 20
-"""Largest number of digits of an integer: one with a million digits takes minutes to read."""
-
 
 def to_json(document: Mapping[str, Any]) -> str:
     """Return a document as JSON text; raises ValueError if it contains NaN or infinity.
@@ -269,27 +266,20 @@ def _reject_constant(name: str) -> object:
 
 
 def _integer(digits: str) -> int:
-    if len(digits) > MAX_DIGITS:
+    if len(digits) > 20:  # one with a million digits takes minutes to read
         raise ValueError(f'an integer of {len(digits)} digits')
     return int(digits)
 
 
-MOST_BRACKETS = 50
-"""Largest nesting depth of brackets: the time to read YAML increases with its square."""
-
-MERGE = 'tag:yaml.org,2002:merge'
-"""Tag of the key ``<<``, which is rejected: nested merges are copied, so a short file can fill the
-memory."""
-
-
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
     def fetch_flow_collection_start(self, token: Any) -> None:
-        if self.flow_level >= MOST_BRACKETS:
-            raise yaml.YAMLError(f'more than {MOST_BRACKETS} nested brackets')
+        if self.flow_level >= 50:  # the time to read increases with the square of the depth
+            raise yaml.YAMLError('more than 50 nested brackets')
         super().fetch_flow_collection_start(token)
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        if any(key.tag == MERGE for key, _ in node.value):
+        # nested merges are copied, so a short file can fill the memory
+        if any(key.tag == 'tag:yaml.org,2002:merge' for key, _ in node.value):
             raise yaml.YAMLError('it has a merge key "<<", which is not supported')
 
 
@@ -310,18 +300,15 @@ def parse_yaml(text: str) -> Any:
         loader.dispose()
 
 
-MAX_YAML_BYTES = 100_000
-"""Largest size of a YAML file in bytes."""
-
 NEAREST, LISTED = 3, 8
 """For an unknown name: largest number of similar names that are suggested, and number of names that
 are listed if none is similar."""
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML or JSON file of at most `MAX_YAML_BYTES`; raises AllanError if it is invalid."""
+    """Read a YAML or JSON file of at most 100 kB; raises AllanError if it is invalid."""
     try:
-        return parse_yaml(read_text(path, MAX_YAML_BYTES))
+        return parse_yaml(read_text(path, 100_000))
     except yaml.YAMLError as error:
         where = ' '.join(str(error).split())
         raise AllanError(f'{path}: is not YAML ({where[:120]}): correct the file') from error
@@ -382,7 +369,6 @@ def _suggestion(name: str, names: Sequence[str]) -> str:
 
 
 def _simplified(name: str) -> str:
-    """Return a name in lower case, without spaces and punctuation."""
     return re.sub(r'[\W_]', '', name.lower())
 
 

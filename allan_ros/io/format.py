@@ -55,10 +55,6 @@ READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
 RESOLVED_HALF_WIDTHS = 2.58 / 1.96
 """Least size of a hysteresis in half widths of its interval to be stated: two-sided 1 %."""
 
-SHARP = 0.02
-"""If the width of an interval is below this fraction of its upper end, its ends are printed with as
-many digits as a value."""
-
 
 def pretty_unit(name: str) -> str:
     """Return a unit in typographic spelling.
@@ -89,8 +85,8 @@ def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
     if coefficient.status != 'estimated' or coefficient.ci95 is None:
         return ''
     low, high = _signed_interval(coefficient)
-    sharp = high - low < SHARP * max(abs(low), abs(high))
-    digits = VALUE_DIGITS if sharp else LIMIT_DIGITS
+    narrow = high - low < 0.02 * max(abs(low), abs(high))
+    digits = VALUE_DIGITS if narrow else LIMIT_DIGITS
     return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))
 
 
@@ -100,24 +96,18 @@ def _signed_interval(coefficient: Coefficient) -> tuple[float, float]:
     return (-high, -low) if coefficient.sign < 0 else (low, high)
 
 
-NUMBER_DIGITS = 6
-"""Significant digits of a number for other programs: more than the accuracy of any interval."""
-
-
 def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
     """Return the signed value, the two ends of its interval, and the upper limit.
 
-    All are in ``unit``, and None if unknown. A coefficient that is not resolved has only a limit,
-    and one that is resolved has no limit.
+    All are in ``unit`` with six digits, and None if unknown. A coefficient that is not resolved has
+    only a limit, and one that is resolved has no limit.
     """
     resolved = c.status == 'estimated'
     low, high = _signed_interval(c) if resolved and c.ci95 is not None else (None, None)
     sign = -1.0 if c.sign < 0 else 1.0
     value = c.value * sign if resolved and c.value is not None else None
     numbers = (value, low, high, None if resolved else c.upper95)
-    return tuple(
-        None if n is None else float(f'{n * unit.factor:.{NUMBER_DIGITS}g}') for n in numbers
-    )
+    return tuple(None if n is None else float(f'{n * unit.factor:.6g}') for n in numbers)
 
 
 def part_text(part: str, likely: Collection[str]) -> str:
@@ -133,10 +123,7 @@ def part_text(part: str, likely: Collection[str]) -> str:
 
 
 def region_text(region: Region, likely: Collection[str] = ()) -> str:
-    """Return a region as text: its averaging times, the dominant noise and the slope of the curve.
-
-    The terms in ``likely``, which the model contains although they are not resolved, get a '?'.
-    """
+    """Return a region as text: its averaging times, `part_text`, and the slope of the curve."""
     low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
     return f'{low}..{high} s {part_text(region.term, likely)} (slope {region.slope:+.2f})'
 
@@ -209,9 +196,6 @@ TERM_STYLES: dict[str, tuple[str, Any]] = {
 The colors of Okabe and Ito ("Color universal design", 2008) can be distinguished by color-blind
 readers, the dashes without colors."""
 
-BELOW_CURVE = 0.2
-"""A part of the model is drawn above this fraction of the lowest point of the curve."""
-
 
 class DrawnCurve(NamedTuple):
     """The curve and the model of one axis as they are drawn.
@@ -241,7 +225,8 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
     if curve is None:
         return None
     positive = curve.adev[curve.adev > 0.0]
-    floor = BELOW_CURVE * positive.min() if len(positive) else np.inf
+    # parts of the model are drawn above a fifth of the lowest point of the curve
+    floor = 0.2 * positive.min() if len(positive) else np.inf
 
     def above(values: Floats, least: float = 0.0) -> Floats:
         return np.where(values > least, factor * values, np.nan)

@@ -47,17 +47,8 @@ RC: dict[str, Any] = {
 WIDTH_IN, ROW_IN, HEAD_IN = 7.16, 1.9, 0.7
 """Width of a page of IEEE journals, height of a panel, and height of title and labels (inches)."""
 
-PNG_DPI = 200
-"""Dots per inch of a PNG."""
-
 BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
 """Opacity of the 68 % limits, and of the possible contribution of unresolved terms."""
-
-LIMIT_STYLE = (0, (1, 3))
-"""Dashes of the 95 % upper limit of a term that is not resolved."""
-
-PROCESS_STYLE = ('0.5', (0, (2, 1)))
-"""Color and dashes of a Gauss-Markov process or a sinusoid."""
 
 TAU_LABEL = 'averaging time τ [s]'
 
@@ -70,9 +61,6 @@ RUN_STYLES: tuple[tuple[str, str, Any], ...] = (
     ('#E69F00', 'P', (0, (8, 2))),
 )
 """Color of Okabe and Ito (2008), marker and dashes of each recording."""
-
-OFFSET = 1.05
-"""Factor in averaging time between the ratios of two recordings, which would overlap otherwise."""
 
 
 class _ShownFigure(Figure):
@@ -112,7 +100,7 @@ def render_figure(figure: Figure, form: str) -> bytes:
     }
     file = io.BytesIO()
     with rc_context(RC):
-        figure.savefig(file, format=form, dpi=PNG_DPI, metadata=metadata[form])
+        figure.savefig(file, format=form, dpi=200, metadata=metadata[form])
     return file.getvalue()
 
 
@@ -177,9 +165,8 @@ def common_figure(common: CommonResult) -> Figure:
     """Return the coherence of each axis with 95 % limits, in a panel for each axis."""
     names = list(dict.fromkeys(row.axis for row in common.rows))
     with rc_context(RC):
-        figure, panels = _new_figure(
-            len(names), 1, 'coherence: 0 for independent, 1 for common noise'
-        )
+        title = 'coherence: 0 for independent, 1 for common noise'
+        figure, panels = _new_figure(len(names), 1, title)
         for (panel,), name in zip(panels, names):
             panel.set(xscale='log', ylim=(-1.05, 1.05), ylabel=name.replace('_', ' '))
             panel.axhline(0.0, color='k', lw=0.8)
@@ -240,8 +227,8 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
     )
     panel.plot(curve.tau, curve.model, 'k-', lw=0.9, label='model')
     for part, adev in (*curve.parts.items(), *curve.limits.items()):
-        color, dashes = TERM_STYLES.get(part, PROCESS_STYLE)
-        dashes = dashes if part in curve.parts else LIMIT_STYLE
+        color, dashes = TERM_STYLES.get(part, ('0.5', (0, (2, 1))))  # or a process, or a sinusoid
+        dashes = dashes if part in curve.parts else (0, (1, 3))
         text = _part_text(part, name, axis, units)
         panel.plot(curve.tau, adev, color=color, ls=dashes, lw=1.1, label=text)
     label = 'unresolved terms,\nup to 95 % limits' if curve.limits else ''
@@ -282,12 +269,13 @@ def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
     panel.set(xscale='log', yscale='log', ylabel='ratio')
     panel.axhline(1.0, color='k', lw=0.8)
     for run, pair in enumerate(comparison.pairs, 1):
+        shift = 1.05 ** (run - 1)  # otherwise the ratios would overlap
         color, marker, _ = RUN_STYLES[run % len(RUN_STYLES)]
         for d in pair.differences:
             if d.axis == axis and d.tau and d.ratio and d.ci95 and d.ci95[0] > 0.0:
                 low, high = d.ratio - d.ci95[0], d.ci95[1] - d.ratio
                 panel.errorbar(
-                    *([d.tau * OFFSET ** (run - 1)], [d.ratio], [[low], [high]]),
+                    *([d.tau * shift], [d.ratio], [[low], [high]]),
                     color=color, marker=marker, ms=4.0, lw=0.9, capsize=1.5,
                     mfc=color if d.significant else 'none',
                 )  # fmt: skip

@@ -16,13 +16,7 @@ from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
 from ..core.findings import finding
 from ..core.imu import SENSORS
-from .documents import (
-    RESULTS,
-    SUMS,
-    fingerprint,
-    results_to_document,
-    sums_file_to_document,
-)
+from .documents import RESULTS, SUMS, fingerprint, results_to_document, sums_file_to_document
 from .exporters import TARGETS, make_export, target_of
 from .files import PathLock, read_json, to_json, write_together
 from .format import FORMATS

@@ -11,19 +11,14 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from ..core.allan.curve import allan_curve
-from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN, Comparison, Measured, Run, differences
 from ..core.errors import AllanError
 from ..core.findings import Finding
 from ..core.fit import TERMS, Coefficient
-from ..core.fit.findings import with_deviations
-from ..core.fit.stationary import fit_stationary
-from ..core.fit.temperature import TemperatureModel, temperature_models
-from ..core.imu import AXES, ImuIdentity, sensor_of
-from ..core.settings import AUTO, LIST, UNIT_SYSTEMS, choose, expect, settings_from
-from ..core.stream.health import sums_findings
-from .axis_result import AxisResult, axis_results
+from ..core.fit.temperature import TemperatureModel
+from ..core.imu import ImuIdentity, sensor_of
+from ..core.settings import LIST, UNIT_SYSTEMS, choose, expect, settings_from
+from .axis_result import AxisResult
 from .datasheets import (
     Datasheet,
     DatasheetComparison,
@@ -35,7 +30,6 @@ from .exporters import ExportOptions, make_export, target_of
 from .files import PATH, public, write_atomic
 from .format import check_plots, shown_unit
 from .recorded import Provenance, RecordingSums
-from .threads import one_thread
 from .verdict import TOO_SHORT_S, Verdict, summary_lines, verdict_of
 
 COLUMNS = ('axis', 'term', 'value', 'ci95_low', 'ci95_high', 'upper95', 'unit')
@@ -411,57 +405,3 @@ class Results:
             if c.verdict == 'exceeds'
         )
         return replace(self, datasheet=comparison, margin=margin, findings=(*others, *found))
-
-
-@one_thread()
-def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Results:
-    """Fit the Allan variance sums of one IMU, and return the results.
-
-    A warm-up at the start is excluded, unless the settings of the recordings state a time to skip.
-    Raises AllanError if there are too few data.
-    """
-    skip = recorded.provenance.settings.get('skip', AUTO)
-    exclude_warm_up = isinstance(skip, (int, float)) and skip < 0.0
-    fitted = [fit_stationary(s, method, exclude_warm_up) for s in recorded.sums]
-    sums = [s for s, _ in fitted]
-    curves = [allan_curve(s) for s in sums]
-    fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]
-    axes = dict(axis_results(zip(recorded.sums, curves, fits)))
-    time_ns, celsius = recorded.temperature_readings()
-    warmed: list[Finding] = []
-    if len(celsius) > 1:
-        for complete, fit in zip(recorded.sums, fits):
-            models, found = temperature_models(complete, time_ns, celsius, fit)
-            axes |= {name: replace(axes[name], temperature=m) for name, m in models.items()}
-            warmed += found
-    longest = max(sums, key=lambda s: s.samples)
-    tau0 = longest.tau0 or float('nan')
-    findings = (
-        *recorded.provenance.findings,
-        *(f for s in sums for f in sums_findings(s)),
-        *(f for fit in fits for f in fit.findings),
-        *warmed,
-    )
-    return Results(
-        longest.identity,
-        method,
-        tau0,
-        longest.samples,
-        longest.samples * tau0,
-        longest.segment_count,
-        {name: axes[name] for name in AXES if name in axes},
-        recorded.provenance,
-        tuple(dict.fromkeys(findings)),
-        recorded=recorded,
-    )
-
-
-def analyze_sums(
-    sums: Sequence[AllanSums], provenance: Provenance, method: str = 'likelihood'
-) -> Results:
-    """Fit sums that are in memory, for example those of a running node, and return the results.
-
-    ``sums`` has one item with all axes, or one item for each sensor if their rates differ. Raises
-    AllanError if there are too few data.
-    """
-    return analyze_recorded(RecordingSums('', tuple(sums), provenance), method)

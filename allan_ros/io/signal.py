@@ -57,7 +57,12 @@ class SignalEnvelope:
         while len(batch):
             room = MAX_BINS * self._step - self._samples
             if not room:
-                self._join_neighbors()
+                half = MAX_BINS // 2
+                for name, join in STATISTICS.items():
+                    values = self._bins[name]
+                    values[:half] = join(values[::2], values[1::2])
+                self._start_ns[:half] = self._start_ns[::2]
+                self._step *= 2
                 continue
             self._add_to_bins(batch[:room])
             batch = batch[room:]
@@ -131,14 +136,6 @@ class SignalEnvelope:
             self._bins[name][filled] = joined
         self._samples += len(batch)
 
-    def _join_neighbors(self) -> None:
-        half = MAX_BINS // 2
-        for name, join in STATISTICS.items():
-            values = self._bins[name]
-            values[:half] = join(values[::2], values[1::2])
-        self._start_ns[:half] = self._start_ns[::2]
-        self._step *= 2
-
 
 Item = TypeVar('Item')
 
@@ -205,10 +202,6 @@ class Decimated(Generic[Item]):
 
 GAP = 3.0
 """Duration of a bin, relative to the median, above which it contains a gap."""
-
-LEAST_SHARE = 1e-3
-"""Smallest length of a marked gap, relative to the recording: shorter ones are narrower than a
-line."""
 
 
 class Excluded(NamedTuple):
@@ -335,7 +328,7 @@ def _recording(
         used &= (time >= out.end) | (np.append(time[1:], length) <= out.start)
     if offset:
         low[0] = high[0] = np.nan  # no line from the previous recording
-    least = LEAST_SHARE * length
+    least = 1e-3 * length  # shorter gaps are narrower than a line
     summary = SignalSummary(
         time + offset,
         low,
@@ -370,9 +363,9 @@ def _excluded(
 ) -> Iterator[Excluded]:
     """Yield the periods of one recording that are neither in a segment nor in a gap."""
     before = 0.0
-    for start, end in [*sorted(used), (length, length)] if used else ():
-        for part in _subtracted((before, start), holes) if start > before else ():
-            yield Excluded(*part)
+    for start, end in sorted([*used, *holes, (length, length)]) if used else ():
+        if start > before:
+            yield Excluded(before, start)
         before = max(before, end)
 
 
@@ -387,19 +380,6 @@ def _marked(excluded: list[Excluded], event: Excluded) -> list[Excluded]:
         else out
         for out in excluded
     ]
-
-
-def _subtracted(
-    interval: tuple[float, float], others: Sequence[tuple[float, float]]
-) -> list[tuple[float, float]]:
-    """Return an interval minus other intervals, as a list of intervals."""
-    left = [interval]
-    for low, high in others:
-        parts = [
-            p for start, end in left for p in ((start, min(end, low)), (max(start, high), end))
-        ]
-        left = [part for part in parts if part[1] > part[0]]
-    return left
 
 
 def _temperature(

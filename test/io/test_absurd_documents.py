@@ -15,6 +15,7 @@ import pytest
 from allan_ros.cli.tables import results_lines
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
+from allan_ros.io.analysis import analyze_sums
 from allan_ros.io.comparison import (
     Subject,
     compare_runs,
@@ -29,7 +30,7 @@ from allan_ros.io.documents import (
 from allan_ros.io.exporters import make_export
 from allan_ros.io.files import to_json
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results, analyze_sums
+from allan_ros.io.results import Results
 from allan_ros.io.verdict import verdict_of
 
 ABSURD = [0, -1, 1, 1e-300, 1e12, 1e150, -1e150, 2**61, None, '\x1b[31m', [], {}, True]

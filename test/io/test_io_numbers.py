@@ -11,6 +11,7 @@ import pytest
 from support.numbers import NO_NUMBER, check_numbers, noiseless_sums, noisy_sums
 
 from allan_ros.core.errors import AllanError
+from allan_ros.io.analysis import analyze_sums
 from allan_ros.io.documents import (
     results_from_document,
     results_to_document,
@@ -21,7 +22,7 @@ from allan_ros.io.exporters import TARGETS, ExportOptions, make_export
 from allan_ros.io.files import parse_json, to_json
 from allan_ros.io.plots import render_figure, sensor_figure
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results, analyze_sums
+from allan_ros.io.results import Results
 from fuzz.harness import check_line
 
 SUMS = {'noisy': noisy_sums, 'noiseless': noiseless_sums}

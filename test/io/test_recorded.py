@@ -14,10 +14,10 @@ import allan_ros as ar
 from allan_ros.cli.main import main
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch
+from allan_ros.io.analysis import analyze_recorded
 from allan_ros.io.readers import ReadOptions
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
-from allan_ros.io.results import analyze_recorded
 from allan_ros.io.signal import STATISTICS, SignalEnvelope, summarize_signal
 from allan_ros.io.verdict import used_samples
 

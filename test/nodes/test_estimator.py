@@ -15,9 +15,9 @@ pytest.importorskip('rclpy')
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.analysis import analyze_sums
 from allan_ros.io.documents import results_from_document, results_to_document
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import analyze_sums
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 N = 1e-3 * 200.0**-0.5

@@ -17,8 +17,8 @@ from allan_ros.core.allan.recent import recent_noise
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.transport import TransportStatistics
+from allan_ros.io.analysis import analyze_sums
 from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import analyze_sums
 from allan_ros.nodes.diagnostics import AxisView, axis_status, input_status
 
 

@@ -21,9 +21,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 
 from ...core.errors import AllanError
-from ..files import read_bounded
+from ..files import MAX_BYTES, parse_yaml, read_bounded
 from .storage import (
     METADATA,
     Messages,
@@ -41,11 +42,6 @@ from .storage import (
 
 _FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
 """First bytes of a bag file -> its format. The modules `mcap` and `sqlite3` read theirs."""
-
-METADATA_KEY = 'rosbag2_bagfile_information'
-
-MAX_METADATA = 16 * 2**20
-"""Largest size in bytes of metadata.yaml; that of a bag of 50,000 files is smaller."""
 
 SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
 
@@ -156,18 +152,14 @@ def _no_bag_in(path: Path) -> AllanError:
 
 def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
     """Return the files and topics that metadata.yaml in the folder ``path`` states."""
-    import yaml
-
-    from ..files import parse_yaml
-
     first_bytes(path / METADATA)
     remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
     described: Described = {}
     # all exceptions that unexpected content can cause
     errors = (yaml.YAMLError, LookupError, TypeError, ValueError, AttributeError, OSError)
     with translated(path / METADATA, errors, remedy):
-        text = read_bounded(path / METADATA, MAX_METADATA).decode()
-        info: dict[str, Any] = parse_yaml(text)[METADATA_KEY]
+        text = read_bounded(path / METADATA, MAX_BYTES).decode()  # 50,000 files need less
+        info: dict[str, Any] = parse_yaml(text)['rosbag2_bagfile_information']
         # in older bags, the file names include the folder
         files = [path / PurePosixPath(name).name for name in info.get('relative_file_paths') or []]
         for entry in info.get('topics_with_message_count') or []:

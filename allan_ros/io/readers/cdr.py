@@ -45,9 +45,6 @@ frame_id."""
 MAX_FRAME_BYTES = MAX_NAME + 1
 """Largest serialized length of a frame_id, in CDR with the final NUL."""
 
-_LAYOUT_FIELDS = {'cdr': ('representation', 'frame_bytes'), 'ros1': ('frame_bytes',)}
-"""Fields that must be equal in messages of equal length, so that their layout is the same."""
-
 _DOUBLE = 8
 
 _IMU_BYTES = 400
@@ -167,7 +164,9 @@ def _grouped_by_layout(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
 ) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
     """Yield the indices and the records of each group of messages with the same layout."""
-    n, fields = len(payloads), _LAYOUT_FIELDS[encoding]
+    n = len(payloads)
+    # fields that must be equal in messages of equal length, so that their layout is the same
+    fields = ('frame_bytes',) if encoding == 'ros1' else ('frame_bytes', 'representation')
     several = not isinstance(payloads, np.ndarray) and len(set(map(len, payloads))) > 1
     if n and not several:
         dtype = _layout_of(bytes(payloads[0]), encoding).dtype

@@ -208,10 +208,6 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
     return recording(topic, AXES[SENSORS['gyro']], recording(other, AXES[SENSORS['accel']], None))
 
 
-Message = tuple[int, bytes]
-"""Record time in ns, and serialized bytes."""
-
-
 @dataclass
 class _Reader:
     """Reads the Imu of one topic, and messages of its possible temperature topics beside it."""
@@ -220,7 +216,8 @@ class _Reader:
     topic: Topic
     options: ReadOptions
     thermometers: list[Topic]
-    _temperatures: list[Decimated[Message]] = field(default_factory=list)
+    # record time in ns and serialized bytes, of each topic
+    _temperatures: list[Decimated[tuple[int, bytes]]] = field(default_factory=list)
     # sensor -> number of messages that wrongly declare it absent
     _kept: Counter[str] = field(default_factory=Counter)
 

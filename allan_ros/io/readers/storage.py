@@ -10,7 +10,6 @@ import threading
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -29,11 +28,6 @@ MAX_MESSAGE_BYTES = 4 * 2**20
 
 MAX_FILE_RATIO = 250
 """Largest expansion of a compressed bag file; `MAX_CHUNK_BYTES` more are always allowed."""
-
-MAX_FRAME_HEADER = 18
-"""Longest header of a zstd frame in bytes (RFC 8878, section 3.1.1)."""
-
-_COPY_BYTES = 1 << 20
 
 _FRAME_MAGIC = {b'\x28\xb5\x2f\xfd': 'zstd', b'\x04\x22\x4d\x18': 'lz4'}
 
@@ -158,25 +152,20 @@ def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> 
         raise damaged(path, error, remedy) from error
 
 
-DEBIAN_PACKAGES = ('lz4', 'zstandard')
-"""Packages that apt can install, because Ubuntu blocks pip (PEP 668)."""
-
-
 def optional_package(module: str, purpose: str) -> Any:
     """Import and return a module; if missing, raise AllanError with the command to install it."""
     try:
         return importlib.import_module(module)
     except ImportError:
         package = module.split('.')[0]
-        by_apt = f' or "apt install python3-{package}"' if package in DEBIAN_PACKAGES else ''
+        # Ubuntu blocks pip (PEP 668)
+        by_apt = f' or "apt install python3-{package}"' if package in ('lz4', 'zstandard') else ''
         raise AllanError(
             f'{purpose} needs the Python package {package!r}: "pip install {package}"{by_apt}'
         ) from None
 
 
 METADATA = 'metadata.yaml'
-
-_LFS_MAGIC = b'version https://git-lfs'
 
 
 def first_bytes(path: Path) -> bytes:
@@ -196,7 +185,7 @@ def first_bytes(path: Path) -> bytes:
         ) from error
     if not head:
         raise AllanError(f'{path}: is empty (0 bytes): record or copy it again')
-    if head.startswith(_LFS_MAGIC):
+    if head.startswith(b'version https://git-lfs'):
         raise AllanError(
             f'{path}: is a Git-LFS pointer, not the recording: fetch it with "git lfs pull"'
         )
@@ -222,7 +211,9 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     try:
         size = _stated_size(data, compression)
         if 0 <= size <= limit:
-            return bytes(_local().zstd.decompress(data))
+            if not hasattr(_local, 'zstd'):
+                _local.zstd = _zstd().ZstdDecompressor()
+            return bytes(_local.zstd.decompress(data))
         if size < 0:
             plain = bytes(_expanding(BytesIO(data), compression).read(limit + 1))
             size = len(plain)
@@ -262,11 +253,11 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
         target.open('wb') as out,
     ):
         limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
-        stated = _stated_size(file.read(MAX_FRAME_HEADER), compression)
+        stated = _stated_size(file.read(18), compression)  # longest header, RFC 8878, 3.1.1
         file.seek(0)
         plain = _expanding(file, compression)
         size = 0
-        while data := plain.read(_COPY_BYTES):
+        while data := plain.read(1 << 20):
             size += len(data)
             if size > limit:
                 raise ValueError(f'it expands more than {MAX_FILE_RATIO} times')
@@ -279,11 +270,5 @@ def _zstd() -> Any:
     return optional_package('zstandard', 'reading zstd data')
 
 
-class _Local(threading.local):
-    """The decompressor of each thread, which is slow to create and must not be shared."""
-
-    def __init__(self) -> None:
-        self.zstd = _zstd().ZstdDecompressor()
-
-
-_local = lru_cache(_Local)
+_local = threading.local()
+"""The decompressor of each thread, which is slow to create and must not be shared."""

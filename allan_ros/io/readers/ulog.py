@@ -42,15 +42,6 @@ MAX_BYTES = 4 * 2**30
 MAX_SEEKS = 50_000
 """Number of damaged bytes (about a second of processing) after which reading stops."""
 
-INVALID = 0x7FFFFFFF
-"""Value of accelerometer_timestamp_relative in a sample without acceleration."""
-
-MICROSECOND = 1000
-"""Length of a microsecond in ns."""
-
-DECIMATED = 1.5
-"""Ratio of sample period to integration time above which the logger left out samples."""
-
 REMEDY = 'copy the log again'
 
 
@@ -77,7 +68,7 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
             seconds = sum(dropout.duration for dropout in log.dropouts) / 1e3
             report(finding('log_dropouts', path=path, count=count, seconds=seconds))
         period_s = float(np.median(np.diff(batch.stamps_ns))) * 1e-9 if len(batch) > 1 else 0.0
-        if period_s > DECIMATED * integration_s > 0.0:
+        if period_s > 1.5 * integration_s > 0.0:  # the logger left out samples
             rate, full = 1.0 / period_s, 1.0 / integration_s
             report(finding('log_decimated', path=path, topic=name, rate=rate, full=full))
         yield from in_batches(batch)
@@ -159,7 +150,8 @@ def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]
         samples[:, SENSORS['gyro']] = _vectors(data, 'gyro_rad')
         samples[:, SENSORS['accel']] = _vectors(data, 'accelerometer_m_s2')
         relative = data.get('accelerometer_timestamp_relative', np.zeros(1))
-        samples[np.flatnonzero(relative == INVALID), SENSORS['accel']] = np.nan
+        absent = np.flatnonzero(relative == 0x7FFFFFFF)  # of a sample without acceleration
+        samples[absent, SENSORS['accel']] = np.nan
         integration = data.get('gyro_integral_dt', np.zeros(1))
     unit = 1.0 if integration.dtype.kind == 'f' else 1e-6  # older logs state it in s
     return ImuBatch(stamps, samples, record, name), float(np.median(integration)) * unit
@@ -178,7 +170,7 @@ def _temperature(log: Any, data: Any) -> TemperatureTrace | None:
     for topic in sorted(topics, key=lambda topic: THERMOMETERS.index(topic.name)):
         stamps, celsius = topic.data['timestamp'], topic.data.get('temperature', np.zeros(0))
         rows = slice(None, None, max(1, -(-len(celsius) // MAX_BINS)))
-        times = (stamps[rows].astype(np.int64) * MICROSECOND).tolist()
+        times = (stamps[rows].astype(np.int64) * 1000).tolist()
         trace = trace_of(_label(topic, log), zip(times, times, celsius[rows].tolist()))
         if trace is not None:
             return trace
@@ -190,6 +182,6 @@ def _vectors(data: dict[str, NDArray[Any]], field: str) -> NDArray[np.float64]:
 
 
 def _nanoseconds(microseconds: NDArray[Any]) -> NDArray[np.int64]:
-    if (microseconds > np.iinfo(np.int64).max // MICROSECOND).any():
+    if (microseconds > np.iinfo(np.int64).max // 1000).any():
         raise ValueError('a timestamp is out of range')
-    return microseconds.astype(np.int64) * MICROSECOND
+    return microseconds.astype(np.int64) * 1000

@@ -52,8 +52,6 @@ from .tables import (
 if TYPE_CHECKING:
     from ..results import Results
 
-STYLE = 'report.css'
-
 SCRIPTS = ('chart.js', 'charts.js', 'page.js')
 """Script files in the order in which they run."""
 
@@ -164,7 +162,7 @@ def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
 def _page(title: str, body: str, data: str) -> str:
     here = files(__package__)
     scripts = [here.joinpath(name).read_text('utf-8') for name in SCRIPTS]
-    style = here.joinpath(STYLE).read_text('utf-8')
+    style = here.joinpath('report.css').read_text('utf-8')
     digests = (hashlib.sha256(script.encode()).digest() for script in scripts)
     hashes = ' '.join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
     policy = (
@@ -189,16 +187,20 @@ def _header(results: Results, name: str, units: str) -> Iterator[str]:
         f'{duration_text(results.duration_s, 3)} at rest in {_segments(results)}',
         f'{start:%Y-%m-%d %H:%M} UTC' if start else '',
     ]
-    items = ''.join(f'<li>{escape(fact)}</li>' for fact in facts if fact)
     switch = ''.join(
         f'<label><input type="radio" name="units" value="{system}"'
         f'{" checked" if system == units else ""}>{system}</label>'
         for system in UNIT_SYSTEMS
     )
     yield (
-        f'<header><h1>Noise of {escape(name)}</h1><ul class="plain">{items}</ul>'
+        f'<header><h1>Noise of {escape(name)}</h1>'
+        f'<ul class="plain">{_items(filter(None, facts))}</ul>'
         f'<fieldset class="switch"><legend>Units</legend>{switch}</fieldset></header>'
     )
+
+
+def _items(texts: Iterable[str]) -> str:
+    return ''.join(f'<li>{escape(text)}</li>' for text in texts)
 
 
 def _verdict_section(results: Results, verdict: Verdict) -> str:
@@ -250,10 +252,6 @@ def _comparisons(
         yield from _fold(
             f'baseline-{i}', f'Compared with {escape(run)}', _pair(sensors, parts), True
         )
-
-
-def _items(texts: Iterable[str]) -> str:
-    return ''.join(f'<li>{escape(text)}</li>' for text in texts)
 
 
 def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:

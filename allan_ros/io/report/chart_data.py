@@ -28,20 +28,11 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-CHART_DIGITS = 5
-"""Significant digits of a value in a chart, better than a tenth of a pixel on any screen."""
-
 MEANS = 128
 """Largest number of points in the charts of the bias and of the noise over time."""
 
 LEAST_POINTS = 4
 """Smallest number of points of a chart over time."""
-
-PASS_BAND = 4.0
-"""Product of the highest frequency and the shortest averaging time that a model describes."""
-
-LEAST_RANGE_C = 0.5
-"""Temperature range in degC above which the bias is shown against the temperature."""
 
 
 def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) -> dict[str, Any]:
@@ -66,8 +57,11 @@ def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) 
     }
 
 
-def rounded(values: ArrayLike, digits: int = CHART_DIGITS) -> list[float | None]:
-    """Return the values rounded to ``digits`` significant digits, None for NaN and infinity."""
+def rounded(values: ArrayLike, digits: int = 5) -> list[float | None]:
+    """Return the values rounded to ``digits`` significant digits, None for NaN and infinity.
+
+    Five digits are better than a tenth of a pixel on any screen.
+    """
     numbers = np.asarray(values, float).tolist()
     return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
 
@@ -238,7 +232,8 @@ def model_density(axis: AxisResult, frequency: Floats) -> Floats:
     for sigma, center, time in (*processes, *axis.fit.model.resonances):
         for offset in (omega - 2.0 * np.pi * center, omega + 2.0 * np.pi * center):
             density = density + sigma**2 * time / (1.0 + (offset * time) ** 2)
-    band = PASS_BAND / (axis.fit.m_min * axis.tau0) if axis.fit.m_min > 1 else math.inf
+    # a model describes frequencies up to 4 / (its shortest averaging time)
+    band = 4.0 / (axis.fit.m_min * axis.tau0) if axis.fit.m_min > 1 else math.inf
     return np.where(frequency <= band, 2.0 * density, np.nan)
 
 
@@ -310,7 +305,7 @@ def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | 
     some = np.isfinite(trace.celsius)
     celsius = np.interp(bias.x, trace.time_s[some], trace.celsius[some], np.nan, np.nan)
     known = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
-    if known.sum() < LEAST_POINTS or np.ptp(celsius[known]) <= LEAST_RANGE_C:
+    if known.sum() < LEAST_POINTS or np.ptp(celsius[known]) <= 0.5:  # degC
         return None
     order = np.argsort(celsius[known], kind='stable')
     return Trend(celsius[known][order], bias.values[known][order], bias.tau)

@@ -53,9 +53,6 @@ ERRORS = {
 }
 """Sensor -> system of units -> unit of the integrated error (an angle or a velocity)."""
 
-COLUMNS = ('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit')
-"""Columns of the coefficients as tab-separated values."""
-
 
 def in_units(html_of: Callable[[str], str]) -> str:
     """Return HTML with a text in datasheet units and in SI; the page shows one of them.
@@ -175,8 +172,8 @@ def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
             known = axis.turn_on
             size = _size(known.std, known.ci95, units) if known.std else 'not resolved'
             yield (
-                f'<p class="note">Bias of {name[-1]} between {axis.turn_on.recordings} '
-                f'recordings: standard deviation {size}</p>'
+                f'<p class="note">Bias of {name[-1]} between {known.recordings} recordings: '
+                f'standard deviation {size}</p>'
             )
 
 
@@ -342,7 +339,7 @@ def _note(text: str) -> str:
 
 def coefficients_tsv(results: Results, axes: Sequence[str], units: str) -> str:
     """Return the coefficients of some axes as tab-separated values, with ASCII names of units."""
-    lines = ['\t'.join(COLUMNS)]
+    lines = ['axis\tterm\tvalue\tlow95\thigh95\tupper95\tunit']
     for axis in axes:
         for term, c in results.axes[axis].fit.noise.items():
             unit = shown_unit(axis, term, units)

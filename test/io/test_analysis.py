@@ -9,7 +9,7 @@ import sys
 
 SCRIPT = """
 import numpy, threading
-from allan_ros.io.threads import _openblas, one_thread
+from allan_ros.io.analysis import _openblas, one_thread
 import scipy.linalg
 libraries = list(_openblas())
 for _, set_number in libraries:

@@ -1,0 +1,169 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fit the sums of recordings, which gives `Results`.
+
+Linear algebra is limited to one thread during a fit: its matrices have about a hundred rows, so
+more threads do not make it faster, and their busy-waiting multiplies the CPU time. OpenBLAS is set
+on Linux, which the wheels of numpy and scipy contain.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.allan.curve import AllanCurve, allan_curve
+from ..core.allan.sums import AllanSums
+from ..core.filters.bias import turn_on_bias
+from ..core.filters.noise_parameters import sample_variance
+from ..core.findings import Finding
+from ..core.fit import NoiseModel
+from ..core.fit.findings import rounding_step, with_deviations
+from ..core.fit.interpretation import dominant_regions
+from ..core.fit.stationary import fit_stationary
+from ..core.fit.temperature import temperature_models
+from ..core.imu import AXES
+from ..core.settings import AUTO
+from ..core.stream.health import sums_findings
+from .axis_result import AxisResult
+from .recorded import Provenance, RecordingSums
+from .results import Results
+
+PREFIXES = ('scipy_openblas', 'openblas')
+SUFFIXES = ('64_', '')
+"""Parts of the function names in the builds of OpenBLAS."""
+
+_lock = threading.Lock()
+_users = 0
+_restore = ExitStack()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Limit BLAS to one thread within the context; several threads may be in it at once."""
+    global _users
+    with _lock:
+        if not _users:
+            _limit()
+        _users += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _users -= 1
+            if not _users:
+                _restore.close()
+
+
+def _limit() -> None:
+    """Set one thread, and register in `_restore` how to undo it."""
+    import scipy.linalg  # noqa: F401  # loads its own BLAS library
+
+    for get, set_number in _openblas():
+        _restore.callback(set_number, get())
+        set_number(1)
+
+
+def _openblas() -> Iterator[tuple[Callable[[], int], Callable[[int], Any]]]:
+    """Yield the functions that get and set the number of threads of each loaded OpenBLAS."""
+    paths: set[str] = set()
+    with suppress(OSError):  # not Linux
+        for line in Path('/proc/self/maps').read_text(errors='surrogateescape').splitlines():
+            path = line.split(maxsplit=5)[-1]
+            if 'openblas' in path.rpartition('/')[2]:
+                paths.add(path)
+    for path in sorted(paths):
+        with suppress(OSError):
+            library = ctypes.CDLL(path)
+            for name in (f'{p}_{{}}_num_threads{s}' for p in PREFIXES for s in SUFFIXES):
+                if hasattr(library, name.format('set')):
+                    yield getattr(library, name.format('get')), getattr(library, name.format('set'))
+                    break
+
+
+@one_thread()
+def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Results:
+    """Fit the Allan variance sums of one IMU, and return the results.
+
+    A warm-up at the start is excluded, unless the settings of the recordings state a time to skip.
+    Raises AllanError if there are too few data.
+    """
+    skip = recorded.provenance.settings.get('skip', AUTO)
+    exclude_warm_up = isinstance(skip, (int, float)) and skip < 0.0
+    fitted = [fit_stationary(s, method, exclude_warm_up) for s in recorded.sums]
+    sums = [s for s, _ in fitted]
+    curves = [allan_curve(s) for s in sums]
+    fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]
+    axes = dict(_axis_results(zip(recorded.sums, curves, fits)))
+    time_ns, celsius = recorded.temperature_readings()
+    warmed: list[Finding] = []
+    if len(celsius) > 1:
+        for complete, fit in zip(recorded.sums, fits):
+            models, found = temperature_models(complete, time_ns, celsius, fit)
+            axes |= {name: replace(axes[name], temperature=m) for name, m in models.items()}
+            warmed += found
+    longest = max(sums, key=lambda s: s.samples)
+    tau0 = longest.tau0 or float('nan')
+    findings = (
+        *recorded.provenance.findings,
+        *(f for s in sums for f in sums_findings(s)),
+        *(f for fit in fits for f in fit.findings),
+        *warmed,
+    )
+    return Results(
+        longest.identity,
+        method,
+        tau0,
+        longest.samples,
+        longest.samples * tau0,
+        longest.segment_count,
+        {name: axes[name] for name in AXES if name in axes},
+        recorded.provenance,
+        tuple(dict.fromkeys(findings)),
+        recorded=recorded,
+    )
+
+
+def analyze_sums(
+    sums: Sequence[AllanSums], provenance: Provenance, method: str = 'likelihood'
+) -> Results:
+    """Fit sums that are in memory, for example those of a running node, and return the results.
+
+    ``sums`` has one item with all axes, or one item for each sensor if their rates differ. Raises
+    AllanError if there are too few data.
+    """
+    return analyze_recorded(RecordingSums('', tuple(sums), provenance), method)
+
+
+def _axis_results(
+    fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
+) -> Iterable[tuple[str, AxisResult]]:
+    """Yield the name and the result of each axis, given the sums, curve and fit of each sensor."""
+    for sums, curve, model in fitted:
+        means = np.array([one.mean for one in sums.recordings])
+        lengths = np.array([one.samples * model.tau0 for one in sums.recordings])
+        for i, name in enumerate(curve.axes):
+            fit = model.axes[name]
+            variance = sample_variance(curve.m, curve.adev[:, i], model.tau0)
+            white = (fit.noise['N'].value or 0.0) ** 2 / model.tau0
+            axis = AxisResult(
+                model.tau0,
+                fit,
+                curve.axis(i),
+                tuple(dominant_regions(curve, name, fit)),
+                None if variance is None else math.sqrt(variance),
+                name,
+                rounding_step(sums, i, white) if white else None,
+                turn_on_bias(means[:, i], float(fit.model.avar(lengths).mean()))
+                if len(means) > 1
+                else None,
+            )
+            yield name, axis
