@@ -173,7 +173,7 @@ def add_settings(
         metavar = 'A,B,..' if isinstance(default, tuple) else 'NUMBER'
         if isinstance(default, str):
             metavar = 'TEXT'
-        if info.percent:
+        if info.percent and isinstance(default, float):
             metavar, word = 'PERCENT', f'{100.0 * default:g}%%'
         if info.choices:
             metavar = f'{{{",".join(filter(None, info.choices))}}}'
