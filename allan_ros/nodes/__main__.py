@@ -9,14 +9,7 @@ from collections.abc import Sequence
 from functools import partial
 from importlib import import_module
 
-EXECUTABLES = {
-    'accumulator': ('monitor', 'accumulator'),
-    'estimator': ('monitor', 'estimator'),
-    'monitor': ('monitor', 'main'),
-    'relay': ('monitor', 'relay'),
-    'watch': ('watch', 'main'),
-}
-"""Command line argument -> module, and the function in it that runs the node."""
+EXECUTABLES = ('accumulator', 'estimator', 'monitor', 'relay', 'watch')
 
 
 def ros_is_missing(program: str) -> bool:
@@ -37,9 +30,13 @@ def start(name: str, args: Sequence[str] | None = None) -> int:
     """Run a node and return its exit code; without ROS, print one line and return 1."""
     if ros_is_missing(f'allan_{name}'):
         return 1
-    module, function = EXECUTABLES[name]
-    code: int = getattr(import_module(f'.{module}', __package__), function)(args)
-    return code
+    if name == 'watch':
+        from . import watch
+
+        return watch.main(args)
+    from . import monitor
+
+    return monitor.main(name, args)
 
 
 accumulator = partial(start, 'accumulator')

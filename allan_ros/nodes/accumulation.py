@@ -30,25 +30,11 @@ from .diagnostics import input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput
 from .messages import REPLACED_SHARE, Snapshot, replaced_share
 from .node import AllanNode, Part, Periodic
-from .settings import CheckpointSettings, InputSettings, WatchedImu
+from .settings import CheckpointSettings, InputSettings, WatchedImu, home_of
 from .shell import LATCHED
 
 NEW_PASS_SHARE = 0.1
 """If stamps jump back to a point within this share of the pass, the recording is played again."""
-
-
-class AccumulatorParameters:
-    """The ROS parameters of a node that accumulates Imu messages, by group."""
-
-    def __init__(self, node: AllanNode) -> None:
-        self.input = node.parameters.group('input', InputSettings)
-        self.segmenter = node.parameters.group('segmenter', SegmenterSettings)
-        self.publish = node.publish
-        self.checkpoint = node.parameters.group('checkpoint', CheckpointSettings)
-
-    def imus(self) -> list[WatchedImu]:
-        """Return the topic, label, serial number and checkpoint of each IMU."""
-        return self.input.value.imus(self.checkpoint.value.path)
 
 
 class ImuWatch(Part):
@@ -64,19 +50,21 @@ class ImuWatch(Part):
         self,
         node: AllanNode,
         imu: WatchedImu,
-        settings: AccumulatorParameters,
         listener: Callable[[Snapshot], None] | None = None,
         sensor: str = '',
         accel: ImuWatch | None = None,
     ) -> None:
-        self._node, self._imu, self._settings, self._listener = node, imu, settings, listener
+        self._node, self._imu, self._listener = node, imu, listener
+        self._settings = node.parameters.group('input', InputSettings)
+        self._segmenter = node.parameters.group('segmenter', SegmenterSettings)
+        checkpoint = node.parameters.group('checkpoint', CheckpointSettings)
         self._sensor, self._accel = sensor, accel
         self._usable_axes = AXES[SENSORS[sensor]] if sensor else AXES
         self._latest: Snapshot | None = None
         if accel is not None:
             accel._listener = lambda _: self._publish(self._total())
         self._log = node.get_logger()
-        self._input = ImuInput(node, imu.topic, settings.input.value)
+        self._input = ImuInput(node, imu.topic, self._settings.value)
         self._checkpoint = Checkpoint(imu.checkpoint, self._log)
         self._noted: tuple[Finding, ...] = ()
         now = time.monotonic()
@@ -92,14 +80,14 @@ class ImuWatch(Part):
         self._passes = 0
         self._begin(self._checkpoint.last_stamp_ns)
 
-        home = f'~/{imu.label}/' if imu.label else '~/'
+        home = home_of(imu.label)
         self._publisher = node.create_publisher(String, f'{home}sums', LATCHED)
         self._subscribers = 0
         node.create_service(Trigger, f'{home}reset', self._on_reset)
         node.create_service(Trigger, f'{home}save', self._on_save)
-        self._update_due = Periodic(lambda: settings.input.value.update_period)
-        self._sums_due = Periodic(lambda: settings.publish.value.sums_period)
-        self._save_due = Periodic(lambda: settings.checkpoint.value.period)
+        self._update_due = Periodic(lambda: self._settings.value.update_period)
+        self._sums_due = Periodic(lambda: node.publish.value.sums_period)
+        self._save_due = Periodic(lambda: checkpoint.value.period)
 
     @property
     def description(self) -> str:
@@ -132,7 +120,7 @@ class ImuWatch(Part):
         self._checkpoint.tick()
         health, stream_findings = self._health_and_findings()
         statistics, (publishers, graph) = self._input.statistics(), self._input.publishers()
-        stale_after = self._settings.input.value.stale_after
+        stale_after = self._settings.value.stale_after
         stuck = self._input.constant.stuck(health.rate_hz) if health.rate_hz else ()
         if stuck := tuple(axis for axis in stuck if axis in self._usable_axes):
             stream_findings = (finding('stuck_now', stuck), *stream_findings)
@@ -152,7 +140,7 @@ class ImuWatch(Part):
             stamp_age = (self._node.get_clock().now().nanoseconds - self._last_stamp_ns) * 1e-9
         others: list[tuple[str, object]] = [
             ('topic', self._input.topic),
-            ('declared rate [Hz]', self._settings.segmenter.value.declared_rate or None),
+            ('declared rate [Hz]', self._segmenter.value.declared_rate or None),
             ('segments', max((s.segment_count for s in self._sums), default=0)),
             ('message age [s]', self._monitor.silence_s(now) if statistics.received else None),
             ('stamp age [s]', stamp_age),
@@ -218,7 +206,7 @@ class ImuWatch(Part):
         ``latest_ns`` is the latest stamp in the checkpoint. With simulated time, samples with
         earlier stamps mean that the recording is played again.
         """
-        segmenter, hardware_id = self._settings.segmenter.value, self._imu.hardware_id
+        segmenter, hardware_id = self._segmenter.value, self._imu.hardware_id
         self._stream = ImuStream(segmenter, hardware_id, self._sensor)
         self._splitter = PassSplitter(latest_ns)
         self._first_ns: int | None = None  # first and latest stamp of this pass
@@ -290,7 +278,7 @@ class ImuWatch(Part):
             known.segments,
             known.findings,
             known.health.counts,
-            asdict(self._settings.segmenter.value),
+            asdict(self._segmenter.value),
             self._latest_ns,
         )
         total = self._checkpoint.total(known.sums, provenance)
@@ -361,14 +349,19 @@ class ImuWatch(Part):
 def watches(
     node: AllanNode,
     imu: WatchedImu,
-    settings: AccumulatorParameters,
     listener: Callable[[Snapshot], None] | None = None,
 ) -> list[ImuWatch]:
     """Return the inputs of one IMU: one, or those of its gyro and its accelerometer."""
     if not imu.accel_topic:
-        return [ImuWatch(node, imu, settings, listener)]
-    accel = ImuWatch(node, imu.accel, settings, sensor='accel')
-    return [ImuWatch(node, imu, settings, listener, 'gyro', accel), accel]
+        return [ImuWatch(node, imu, listener)]
+    accel = ImuWatch(node, imu.accel, sensor='accel')
+    return [ImuWatch(node, imu, listener, 'gyro', accel), accel]
+
+
+def watched_imus(node: AllanNode) -> list[WatchedImu]:
+    """Return the IMUs that the parameters ``input.*`` and ``checkpoint.path`` name."""
+    checkpoint = node.parameters.group('checkpoint', CheckpointSettings)
+    return node.parameters.group('input', InputSettings).value.imus(checkpoint.value.path)
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:

@@ -31,8 +31,8 @@ from ..io.documents import load, results_to_document
 from ..io.results import Results
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
 from .messages import REPLACED_SHARE, AllanPlot, BiasPublisher, Snapshot, replaced_share
-from .node import AllanNode, ParameterGroup, Part
-from .settings import EstimatorSettings
+from .node import AllanNode, Part
+from .settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
@@ -56,8 +56,9 @@ class References:
     baselines: Mapping[str, Results]
 
 
-def load_references(settings: EstimatorSettings) -> References:
+def load_references(node: AllanNode) -> References:
     """Read the datasheet and the baseline; raise AllanError if one cannot be read."""
+    settings = node.parameters.group('estimator', EstimatorSettings).value
     path = settings.baseline and str(Path(settings.baseline).expanduser())
     return References(
         load_sensor(settings.sensor) if settings.sensor else None,
@@ -78,12 +79,12 @@ class ImuEstimate(Part):
         self,
         node: AllanNode,
         label: str,
-        settings: ParameterGroup[EstimatorSettings],
         references: References,
         worker: Worker,
         listener: Callable[[Results, Mapping[str, float]], None] | None = None,
     ) -> None:
-        self._node, self._label, self._settings = node, label, settings
+        self._node, self._label = node, label
+        self._settings = settings = node.parameters.group('estimator', EstimatorSettings)
         self._references, self._worker, self._listener = references, worker, listener
         self._snapshot: Snapshot | None = None
         self._results: Results | None = None
@@ -97,7 +98,7 @@ class ImuEstimate(Part):
         self._fit_ended = self._next_fit = 0.0
         self._recent: dict[str, RecentNoise] = {}
         self._changes: dict[str, tuple[Difference, ...]] = {}
-        home = f'~/{label}/' if label else '~/'
+        home = home_of(label)
         self._publisher = node.create_publisher(String, f'{home}noise_model', LATCHED)
         self._bias = BiasPublisher(node, home, settings.value)
         self._plot = AllanPlot(node, home, lambda: settings.value.plot_period, worker)

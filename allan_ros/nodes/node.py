@@ -79,15 +79,17 @@ class Parameters:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._groups: list[ParameterGroup[Any]] = []
+        self._groups: dict[str, ParameterGroup[Any]] = {}
         node.add_on_set_parameters_callback(self._on_set)
 
     def group(self, prefix: str, settings_type: type[T]) -> ParameterGroup[T]:
-        """Declare a parameter ``<prefix>.<field>`` for each field of the settings.
+        """Return a group; at its first use, declare ``<prefix>.<field>`` for each field.
 
         Raises AllanError if a value given at start is invalid or has the wrong type, and
         ParameterException (rclpy) if it is outside its range.
         """
+        if prefix in self._groups:
+            return self._groups[prefix]
         defaults, given = settings_type(), {}
         for name, info in describe(settings_type).items():
             default = getattr(defaults, name)
@@ -101,7 +103,7 @@ class Parameters:
                 ) from error
             given[name] = _from_ros(declared.value)
         group = ParameterGroup(prefix, settings_type(**given))
-        self._groups.append(group)
+        self._groups[prefix] = group
         return group
 
     def unknown(self) -> list[str]:
@@ -118,7 +120,7 @@ class Parameters:
         """Return ``name=value`` for each parameter that differs from its default."""
         return [
             f'{group.prefix}.{f.name}={to_ros(value)}'
-            for group in self._groups
+            for group in self._groups.values()
             for f in fields(group.value)
             if (value := getattr(group.value, f.name)) != f.default
         ]
@@ -126,7 +128,7 @@ class Parameters:
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Apply all parameters or none."""
         try:
-            changed = [(group, group.changed(parameters)) for group in self._groups]
+            changed = [(group, group.changed(parameters)) for group in self._groups.values()]
         except AllanError as error:
             return SetParametersResult(successful=False, reason=str(error))
         for p in parameters:  # rclpy itself rejects this one after this callback

@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistWithCovarianceStamped
@@ -38,8 +38,8 @@ from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, sub
 from ..io.results import Results
 from .diagnostics import status_name, status_of
 from .imu_input import full_name, qos_text, subscribe_raw
-from .node import AllanNode, ParameterGroup, Part
-from .settings import RelaySettings
+from .node import AllanNode, Part
+from .settings import RelaySettings, WatchedImu
 from .shell import LATCHED
 
 WAIT_NS = 100_000_000
@@ -72,25 +72,20 @@ RECEIVED, FILLED, PASSED, HELD, MALFORMED, UNPUBLISHED, UNBIASED = COUNTS = (
 """Names of the message counts in diagnostics."""
 
 
-class RelayTopics(NamedTuple):
-    """Topic names of a relay; ``label`` and ``hardware_id`` identify its IMU in diagnostics."""
-
-    source: str
-    model: str
-    sink: str
-    label: str = ''
-    hardware_id: str = ''
-    bias: str = 'bias'
-
-
 def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
     """Return the variances of the axes of each sensor without a fault, in (rad/s)^2 or (m/s^2)^2.
 
     They do not cover the bias.
     """
+    if settings.variance == 'sample':
+        stds = {name: axis.sample_std for name, axis in results.axes.items()}
+        found = measured_variances(stds, settings.inflate)
+    else:
+        fits = {name: axis.fit for name, axis in results.axes.items()}
+        rate = settings.rate or results.rate_hz
+        found = white_variances(fits, rate, settings.inflate, settings.horizon)
     faults = faults_of(results.findings)
     bad = {sensor_of(axis) for fault in faults for axis in fault.axes}
-    found = _noise_variances(results, settings)
     return {sensor: variances for sensor, variances in found.items() if sensor not in bad}
 
 
@@ -111,25 +106,16 @@ def cover_bias(
     return {**variances, 'gyro': (x, y, z)}
 
 
-def _noise_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
-    if settings.variance == 'sample':
-        stds = {name: axis.sample_std for name, axis in results.axes.items()}
-        return measured_variances(stds, settings.inflate)
-    fits = {name: axis.fit for name, axis in results.axes.items()}
-    rate = settings.rate or results.rate_hz
-    return white_variances(fits, rate, settings.inflate, settings.horizon)
-
-
 class ImuRelay(Part):
-    """Republishes the messages of one Imu topic on another topic, with covariances.
+    """Republishes the messages of one IMU on ``<topic>_with_covariance``, with covariances.
 
+    ``home`` is the prefix of the topics ``noise_model`` and ``bias``, which it subscribes to.
     Raises AllanError if both topics have the same name after remapping.
     """
 
-    def __init__(
-        self, node: AllanNode, topics: RelayTopics, settings: ParameterGroup[RelaySettings]
-    ) -> None:
-        self._node, self._topics, self._settings = node, topics, settings
+    def __init__(self, node: AllanNode, imu: WatchedImu, home: str = '') -> None:
+        self._node, self._imu = node, imu
+        self._settings = settings = node.parameters.group('relay', RelaySettings)
         self._began = time.monotonic()
         self._invalidated = False
         self._counts = dict.fromkeys(COUNTS, 0)
@@ -145,16 +131,21 @@ class ImuRelay(Part):
         overriding = QoSOverridingOptions.with_default_policies()
         depth = settings.value.queue_depth
         self._publisher = node.create_publisher(
-            Imu, topics.sink, QoSProfile(depth=depth), qos_overriding_options=overriding
+            Imu,
+            f'{imu.topic}_with_covariance',
+            QoSProfile(depth=depth),
+            qos_overriding_options=overriding,
         )
-        self._model = node.create_subscription(String, topics.model, self._on_model, LATCHED)
+        self._model = node.create_subscription(
+            String, f'{home}noise_model', self._on_model, LATCHED
+        )
         self._bias: TwistWithCovarianceStamped | None = None
-        node.create_subscription(TwistWithCovarianceStamped, topics.bias, self._on_bias, 10)
+        node.create_subscription(TwistWithCovarianceStamped, f'{home}bias', self._on_bias, 10)
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         wait_set = None if settings.value.plain_callback else self._wait_set()
         self._subscription, drained = subscribe_raw(
-            node, topics.source, self._relay, depth, plain=wait_set is None
+            node, imu.topic, self._relay, depth, plain=wait_set is None
         )
         if self._subscription.topic_name == self._publisher.topic_name:
             raise AllanError(
@@ -220,8 +211,8 @@ class ImuRelay(Part):
         ]
         filled = f'covariances of {" and ".join(self._variances)} are filled'
         identity = self._results.identity if self._results else ImuIdentity()
-        hardware_id = self._topics.hardware_id or identity.hardware_id or identity.frame_id
-        name = status_name(self._node, self._topics.label, 'relay')
+        hardware_id = self._imu.hardware_id or identity.hardware_id or identity.frame_id
+        name = status_name(self._node, self._imu.label, 'relay')
         text = filled if self._variances else str(findings[0]) if findings else 'nothing to fill'
         return [status_of(name, findings, text, pairs, hardware_id=one_line(hardware_id))]
 

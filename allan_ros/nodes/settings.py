@@ -17,6 +17,11 @@ from ..core.imu import SAMPLE_UNITS
 from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter, parameter
 
 
+def home_of(label: str) -> str:
+    """Return the prefix of topics and services of an IMU; one IMU alone has no label."""
+    return f'~/{label}/' if label else '~/'
+
+
 class WatchedImu(NamedTuple):
     """One IMU of a node. ``label`` is '' for a single IMU; ``checkpoint`` is a path, or ''.
 
@@ -24,9 +29,9 @@ class WatchedImu(NamedTuple):
     """
 
     topic: str
-    label: str
-    hardware_id: str
-    checkpoint: str
+    label: str = ''
+    hardware_id: str = ''
+    checkpoint: str = ''
     accel_topic: str = ''
 
     @property

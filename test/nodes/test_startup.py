@@ -19,18 +19,9 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
 from allan_ros.core.errors import AllanError
-from allan_ros.nodes import monitor, watch
+from allan_ros.nodes.__main__ import EXECUTABLES, start
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
-
-
-EXECUTABLES = {
-    'accumulator': monitor.accumulator,
-    'estimator': monitor.estimator,
-    'monitor': monitor.main,
-    'relay': monitor.relay,
-    'watch': watch.main,
-}
 
 
 @pytest.mark.parametrize('name', EXECUTABLES)
@@ -42,7 +33,7 @@ def test_help_is_printed_and_unknown_arguments_are_rejected(
         ('--typo', 2, 'unrecognized arguments: --typo'),
     ):
         with pytest.raises(SystemExit) as stop:
-            EXECUTABLES[name]([word])
+            start(name, [word])
         shown = capsys.readouterr()
         assert stop.value.code == code and said in shown.out + shown.err
 
