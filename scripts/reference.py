@@ -86,8 +86,8 @@ Results go to stdout, all else to stderr. `analyze --json` prints the content of
 **Completion** of verbs, options, datasheets, targets and topics of a bag, by
 [argcomplete](https://kislyuk.github.io/argcomplete/), where `allan` is on the PATH:
 
-    eval "$(allan --completion bash)"      # in ~/.bashrc; for zsh in ~/.zshrc, after compinit
-    allan --completion fish | source       # in ~/.config/fish/config.fish
+    eval "$(register-python-argcomplete allan)"            # in ~/.bashrc, or ~/.zshrc
+    register-python-argcomplete --shell fish allan | source  # in ~/.config/fish/config.fish
 """
 
 

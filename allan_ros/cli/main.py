@@ -59,9 +59,6 @@ Measure the noise of an IMU by its Allan variance.
 """
 """Description above the list of verbs."""
 
-SHELLS = ('bash', 'zsh', 'fish')
-"""Shells whose completion can be set up."""
-
 EXIT_ERROR, EXIT_USAGE, EXIT_FAULT, EXIT_INTERRUPTED, EXIT_NO_READER = 1, 2, 70, 130, 141
 """Exit codes: 70 is EX_SOFTWARE of sysexits.h, 130 is 128 + SIGINT, 141 is 128 + SIGPIPE."""
 
@@ -165,13 +162,6 @@ def build_parser(verb: str = '') -> AllanParser:
         version=f'allan_ros {__version__}',
         help='show the version and exit',
     )
-    options.add_argument(
-        '--completion',
-        action=_Completion,
-        choices=SHELLS,
-        help='print the completion script of a shell; add eval "$(allan --completion bash)" to '
-        '~/.bashrc, or allan --completion fish | source to config.fish',
-    )
     for name, what in VERBS.items():
         sub = verbs.add_parser(name, help=what)
         if name == verb:
@@ -191,20 +181,6 @@ def command_of(verb: str) -> Command:
     return command
 
 
-class _Completion(argparse.Action):
-    """An option that prints the completion script of a shell, and exits."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        _namespace: argparse.Namespace,
-        values: object,
-        _option: str | None = None,
-    ) -> None:
-        print(registration(str(values)))
-        parser.exit()
-
-
 def _exits_text(exits: dict[int, str]) -> str:
     lines = (f'  {code:<4} {exits[code]}' for code in sorted(exits))
     return '\n'.join(['exit codes:', *lines])
@@ -218,21 +194,6 @@ NAMED = ('sensor', 'name', 'to', 'export', 'topic', 'accel_topic')
 
 DOCUMENTS = ('.json',)
 """Suffix of results and sums."""
-
-
-def registration(shell: str) -> str:
-    """Return the shell code that registers the completion of ``allan``."""
-    try:
-        from argcomplete import shellcode
-    except ImportError as error:
-        raise AllanError(
-            '--completion needs argcomplete: pip install argcomplete, or apt install '
-            'python3-argcomplete'
-        ) from error
-    code: str = shellcode(['allan'], shell='fish' if shell == 'fish' else 'bash')
-    if shell == 'zsh' and 'compdef' not in code:  # argcomplete before 3.0 supports bash only
-        code = f'autoload -U bashcompinit\nbashcompinit\n{code}'
-    return code
 
 
 def complete() -> None:
