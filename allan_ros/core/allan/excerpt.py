@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sums of some periods of a recording: of its settled part, or of its recent part."""
+"""Sums of the later periods of a recording: of its settled part."""
 
 from __future__ import annotations
 
@@ -9,9 +9,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .cascade import level_of
-from .grid import grid
-from .octaves import SAMPLE_OCTAVES
 from .periods import MIN_MEANS, BlockMeans, Recording, add_padded, nonzero_length
 from .sums import AllanSums, Lengths, add_lengths
 
@@ -19,27 +16,19 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-def part(sums: AllanSums, first: int = 0, last: int | None = None) -> AllanSums:
-    """Return the sums of the periods ``first`` to ``last`` - 1 of each recording.
+def part(sums: AllanSums, first: int) -> AllanSums:
+    """Return the sums of each recording from its period ``first`` on; it may be negative.
 
-    The indices are those of a slice: they may be negative, and None is the end. Block means outside
-    of these periods are removed, and the result has no non-overlapping differences.
-
-    A block of a high level of the cascade is long, and belongs to the period in which it begins.
-    Averaging factors at which more differences follow from the block means use those. If the part
-    ends before its recording, factors and octaves whose blocks are longer than a quarter of the
-    part are left out, because the blocks contain later samples.
+    Block means outside of these periods are removed, and the result has no non-overlapping
+    differences. A block of a high level of the cascade is long, and belongs to the period in which
+    it begins. Averaging factors at which more differences follow from the block means use those.
     """
-    kept = [r for r in (_excerpt(r, sums.tau0, first, last) for r in sums.recordings) if r.periods]
+    kept = [r for r in (_excerpt(r, sums.tau0, first) for r in sums.recordings) if r.periods]
     samples, most = sum(r.samples for r in kept), len(sums.count)
-    if last is not None and kept:
-        longest = max(r.samples for r in kept) // 4
-        kept = [_without_long_blocks(r, longest) for r in kept]
     count, sum_sq = np.zeros(most, np.int64), np.zeros((most, len(sums.axes)))
-    for recording in kept:
-        for period in recording.periods:
-            count = add_padded(count, period.count)
-            sum_sq = add_padded(sum_sq, period.sum_sq)
+    for period in (p for r in kept for p in r.periods):
+        count = add_padded(count, period.count)
+        sum_sq = add_padded(sum_sq, period.sum_sq)
     for i, (m, stride) in enumerate(zip(sums.m.tolist(), sums.stride.tolist())):
         number, squares = _from_means(kept, m, stride)
         if number > count[i]:
@@ -61,40 +50,26 @@ def part(sums: AllanSums, first: int = 0, last: int | None = None) -> AllanSums:
     )
 
 
-def _excerpt(recording: Recording, tau0: float | None, first: int, last: int | None) -> Recording:
-    """Return a recording with some of its periods, and the means in them."""
-    periods = recording.periods[first:last]
+def _excerpt(recording: Recording, tau0: float | None, first: int) -> Recording:
+    """Return a recording without its first periods, and the means in the others."""
+    periods = recording.periods[first:]
     means: tuple[BlockMeans, ...] = ()
     if periods:
-        begin, end = periods[0].begin, periods[-1].end
-        clipped = (_clipped(m, tau0 or 0.0, begin, end) for m in recording.means)
+        clipped = (_clipped(m, tau0 or 0.0, periods[0].begin) for m in recording.means)
         means = tuple(m for m in clipped if len(m.values) >= MIN_MEANS)
     return replace(recording, periods=periods, means=means)
 
 
-def _without_long_blocks(recording: Recording, longest: int) -> Recording:
-    """Return a recording without factors and octaves of levels with blocks above ``longest``."""
-    levels = max((longest // level_of(1).block).bit_length(), 1)
-    factors, octaves = len(grid(levels)[0]), SAMPLE_OCTAVES + levels - 1
-    periods = tuple(
-        replace(p, count=p.count[:factors], blocks=p.blocks[:octaves]).stored()
-        for p in recording.periods
-    )
-    return replace(recording, periods=periods)
-
-
-def _clipped(means: BlockMeans, tau0: float, begin: int, end: int) -> BlockMeans:
-    """Return the means over blocks that lie in the range of ages from ``begin`` to ``end``."""
+def _clipped(means: BlockMeans, tau0: float, begin: int) -> BlockMeans:
+    """Return the means over blocks that start at the age ``begin`` or later."""
     step = means.step
-    low = max(-((means.age - begin) // step), 0)
-    high = max(min((end - means.age) // step, len(means.values)), low)
-    age = means.age + low * step
+    low = min(max(-((means.age - begin) // step), 0), len(means.values))
     return replace(
         means,
-        age=age,
+        age=means.age + low * step,
         start_ns=means.start_ns + round(low * step * tau0 * 1e9),
-        samples=max(min(end, means.age + means.samples) - age, 0),
-        values=means.values[low:high],
+        samples=means.samples - low * step,
+        values=means.values[low:],
     )
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +25,6 @@ from .limits import (
     LACK_OF_FIT,
     LEAST_BINS,
     LOST_POWER,
-    MAX_PROCESSES,
-    MORE_PROCESSES,
     WHITE_NOISE,
 )
 from .selection import Candidates, Selection
@@ -35,13 +34,6 @@ Q, N, B, K = range(len(TERMS))
 
 TOPS = tuple(0.5 / 2**i for i in range(8))
 """Highest frequencies of a fit in cycles per sample."""
-
-FIRST_TOP = 3
-"""Index of the first one that is tried if the samples look low-pass filtered."""
-
-PEAKED = 30.0
-"""Power of a bin, relative to the third bins on either side, from which a sinusoid is certain.
-Without it in the model, its aliases would fail every fit of lower frequencies."""
 
 FILTER = ('Q2',)
 
@@ -88,15 +80,30 @@ class Estimate:
     shape_errors: dict[tuple[int, int], float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """Selected model up to one highest frequency, and whether it holds there."""
+class _Verdict(NamedTuple):
+    """Result of the tests of a model."""
+
+    fits: bool  # no octave differs from it
+    bent: bool  # its highest octave looks low-pass filtered
+    hidden: bool  # its processes may imitate a filter
+
+    @property
+    def holds(self) -> bool:
+        return self.fits and not self.bent and not self.hidden
+
+    @property
+    def is_fair(self) -> bool:
+        """Whether only one test has failed, which may be chance or a lack of fit."""
+        return not self.hidden and (self.fits or not self.bent)
+
+
+class _Trial(NamedTuple):
+    """Selected model up to one highest frequency."""
 
     top: float
     rules: Selection
     fit: Fit
-    holds: bool
-    curved: bool  # whether the shortest averages look low-pass filtered
+    verdict: _Verdict
 
 
 def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...] = ()) -> Estimate:
@@ -106,17 +113,12 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
     """
     rules = Selection(data, candidates, (*TERMS, *known))
     if len(data.power) < LEAST_BINS:
-        return _result(rules, rules.bounded(rules.selected()), 0.5)
-    f = np.sort(data.statistics.f)
-    power = data.power[np.argsort(data.statistics.f)][f > TOPS[FIRST_TOP]]
-    peak = np.max(power[3:-3] / np.maximum(np.maximum(power[:-6], power[6:]), 1e-300), initial=0.0)
-    first = peak > PEAKED or not _test(rules, rules.fit(rules.base))[1]
-    best = _trial(rules, 0.5) if first else None
-    if best is None or best.curved:
-        best = _highest(rules)
+        rules, fit = rules.selected()
+        return _result(rules, rules.bounded(fit), 0.5)
+    best = _highest(rules)
     fit, rules = best.fit, best.rules
     lack: dict[int, float] = {}
-    if not best.holds:
+    if not best.verdict.holds:
         rules, fit, lack = _down_weighted(rules, fit)
     if rules.signed:  # the next power as well: no bias from what the test cannot see
         fit = rules.data.solve(
@@ -143,57 +145,45 @@ def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int
 
 
 def _highest(rules: Selection) -> _Trial:
-    """Return the trial with the highest frequency at which the model of a filtered axis holds.
+    """Return the trial with the highest frequency at which the model holds.
 
-    If it holds at low frequencies only, but no filter explains the others, the result is the trial
-    with the highest frequency at which nothing looks filtered.
+    If it holds only far below a frequency at which it may be right, no filter is the reason: the
+    result is the trial with that frequency.
     """
-    tops = [top for top in TOPS if np.sum(rules.data.statistics.f < top) >= LEAST_BINS]
-    begin = min(FIRST_TOP, len(tops) - 1)
-    good = fair = None
-    first = _trial(rules, tops[begin])
-    order = [*reversed(tops[:begin]), *tops[begin + 1 :]]
-    if first.holds:
-        good = fair = first
-    elif not first.curved:
-        fair = first
-    else:
-        order = [*tops[begin + 1 :], *reversed(tops[:begin])]
-    for top in order:
-        if good is not None and (top < good.top or _loses_power(rules.data, good, top)):
-            continue
-        if good is None and (top == 0.5 or (fair is not None and top < fair.top / 4.0)):
-            continue
-        start = good or fair
-        trial = _trial(rules, top, start.fit if start is not None and start.top < top else None)
-        if trial.holds:
-            good = trial
-        if not trial.curved and (fair is None or fair.top < top):
+    f = rules.data.statistics.f
+    tops = [top for top in TOPS if np.sum(f < top) >= LEAST_BINS]
+    if _loses_power(rules.data) and _test(rules, rules.fit(rules.base)).bent:
+        tops = tops[1:]
+    fair = None
+    for top in tops:
+        if fair is not None and top < fair.top / 4.0:
+            break
+        trial = _trial(rules, top)
+        if trial.verdict.holds:
+            return trial
+        if fair is None and trial.verdict.is_fair:
             fair = trial
-    if good is not None and (fair is None or good.top >= fair.top / 4.0):
-        return good
-    return fair or _trial(rules, 0.5)
+    return fair or _trial(rules, tops[0])
 
 
-def _loses_power(data: AxisData, good: _Trial, top: float) -> bool:
-    """Return whether a filter removes a fifth of the power in the octave above a good model."""
-    above = (data.statistics.f >= good.top) & (data.statistics.f < top)
-    p = np.where(np.arange(len(good.fit.p)) == Q, 0.0, good.fit.p)  # its sign says nothing there
-    power = data.columns(good.fit.components).power[above] @ p
-    return bool(np.median(data.power[above] / power) < LOST_POWER)
+def _loses_power(data: AxisData) -> bool:
+    """Return whether the highest octave has less power than every bin of two lower ones.
+
+    Some of these bins contain no sinusoid.
+    """
+    f, power = data.statistics.f, data.power
+    high, low = power[f > TOPS[1]], power[(f > TOPS[4]) & (f < TOPS[2])]
+    return bool(len(low) and np.median(high) < LOST_POWER * np.min(low))
 
 
-def _trial(rules: Selection, top: float, start: Fit | None = None) -> _Trial:
+def _trial(rules: Selection, top: float) -> _Trial:
     """Select a model up to the frequency ``top`` and test it."""
     f = rules.data.statistics.f
     rules = replace(rules, data=replace(rules.data, used=f < top), fastest=top)
     if top < 0.5:  # neither a process nor a sinusoid may imitate a filter
         rules = replace(rules, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
-    fit = rules.selected(start, MAX_PROCESSES if start is None else MORE_PROCESSES)
-    weighed = rules.weighed(fit)
-    if weighed is not rules:  # the final weights of the bins that sinusoids dominate
-        rules, fit = weighed, weighed.fit(fit.components, fit.p)
-    return _Trial(top, rules, fit, *_test(rules, fit))
+    rules, fit = rules.selected()
+    return _Trial(top, rules, fit, _test(rules, fit))
 
 
 def _deviances(data: AxisData, fit: Fit) -> dict[int, tuple[float, float]]:
@@ -219,8 +209,8 @@ def _tail(deviance: float, number: float) -> float:
     return float(gammaincc(number / 2.0, deviance / 2.0))
 
 
-def _test(rules: Selection, fit: Fit) -> tuple[bool, bool]:
-    """Return whether the model holds, and whether its highest octave looks low-pass filtered.
+def _test(rules: Selection, fit: Fit) -> _Verdict:
+    """Test the model of an axis.
 
     A filter shows as a significant next power of f (f^2, or f^4 where q has a sign), as white noise
     that is not resolved, or as processes that imitate its shape.
@@ -243,8 +233,8 @@ def _test(rules: Selection, fit: Fit) -> tuple[bool, bool]:
         at = 1 + int(np.searchsorted(on, N))
         white = float(fit.p[N]) / math.sqrt(covariance[at, at])
     bent = abs(z) > CURVATURE if rules.signed else fit.p[Q] == 0.0 and z < -CURVATURE
-    curved = bent or white < WHITE_NOISE or rules.imitates_filter(fit)
-    return min(tails) >= LACK_OF_FIT and not curved, curved
+    hidden = white < WHITE_NOISE or rules.imitates_filter(fit)
+    return _Verdict(min(tails) >= LACK_OF_FIT, bent, hidden)
 
 
 def _low_pass(data: AxisData, fit: Fit, top: float) -> float:

@@ -234,28 +234,18 @@ class Selection:
         """Return the fit of some components."""
         return self.data.solve(components, None, p, signed=self.signed, tolerance=TOLERANCE)
 
-    def selected(self, start: Fit | None = None, most: int = MAX_PROCESSES) -> Fit:
-        """Return the fit with all processes that exceed their threshold, at most ``most`` new ones.
-
-        ``start`` is a fit to other bins, whose processes are kept as long as they are needed.
-        """
-        rules = self.weighed(start)
-        if start is None:
-            fit = rules.fit(self.base)
-        else:
-            fit = rules.fit(start.components, np.maximum(start.p, 1e-6 * start.p.max()))
-        most = min(len(fit.p) + most, len(self.base) + MAX_PROCESSES)
-        while len(fit.p) < most:
+    def selected(self) -> tuple[Selection, Fit]:
+        """Return the fit with all processes that exceed their threshold, and its rules."""
+        rules, fit = self, self.fit(self.base)
+        while len(fit.p) < len(self.base) + MAX_PROCESSES:
             more = rules._with_one_more(fit)
             if more is None:
                 break
-            fit = more
+            rules, fit = self.weighed(more)
             if self.imitates_filter(fit):
-                return fit
-            if any(c[0] == 'sinusoid' for c in fit.components):
-                rules = self.weighed(fit)
-                fit = rules.fit(fit.components, fit.p)
-        return rules.without_superfluous(fit)
+                return rules, fit
+        fewer = rules.without_superfluous(fit)
+        return (rules, fit) if fewer is fit else self.weighed(fewer)
 
     def _with_one_more(self, fit: Fit) -> Fit | None:
         """Return the fit with the best further process, or None if none exceeds its threshold."""
@@ -434,18 +424,15 @@ class Selection:
         best = self.refined(best, [K])
         return best if fit.value - best.value > GAIN_BOUNDED else fit
 
-    def weighed(self, fit: Fit | None) -> Selection:
+    def weighed(self, fit: Fit) -> tuple[Selection, Fit]:
         """Reduce the weight of bins that sinusoids dominate, and exclude those with their aliases.
 
-        A sinusoid is never as narrow as the model; such bins say little except its amplitude.
+        A sinusoid is never as narrow as the model; such bins say little except its amplitude. The
+        result is the selection with these weights, and its fit of the same components.
         """
-        if fit is None:
-            return self
+        lines = [i for i, c in enumerate(fit.components) if c[0] == 'sinusoid']
         columns = [self.data.statistics.column(c, self.data.axis).power for c in fit.components]
         parts = fit.p[:, None] * np.array(columns)
-        lines = [i for i, c in enumerate(fit.components) if c[0] == 'sinusoid']
-        if not lines:
-            return self
         share = np.clip(parts[lines].sum(0) / parts.sum(0), 0.0, 1.0)
         least = np.minimum(self.data.dof, LEAST_LINE_DOF)
         dof = np.maximum(self.data.dof * (1.0 - share) ** 2, least)
@@ -453,4 +440,5 @@ class Selection:
         for i in lines:
             alias = fit.p[i] * self.candidates.alias(fit.components[i][1])
             dof = np.where(alias > ALIASED * other, EXCLUDED * dof, dof)
-        return replace(self, data=replace(self.data, dof=dof))
+        rules = replace(self, data=replace(self.data, dof=dof))
+        return rules, rules.fit(fit.components, fit.p)

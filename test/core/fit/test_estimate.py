@@ -12,7 +12,7 @@ from support.sums import sums_of
 from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.estimate import estimate
 from allan_ros.core.fit.likelihood import TERMS, AxisData
-from allan_ros.core.fit.selection import Candidates
+from allan_ros.core.fit.selection import Candidates, Selection
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
@@ -123,6 +123,28 @@ def test_three_sinusoids_are_not_taken_for_a_filter():
         found = [line.frequency for line in fit.processes.sinusoid]
         np.testing.assert_allclose(found, [4.71, 9.42, 14.73], atol=0.05)
         assert not fit.filtered and fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.015)
+
+
+def three_sinusoids(samples=60_000):
+    y = simulated(samples, 1, 6, FLAT)
+    for size, frequency in ((5.0, 14.73), (2.0, 4.71), (0.5, 9.42)):
+        y += size * WHITE * sine(samples, frequency, np.random.default_rng(6), 1)
+    return AxisData.of(known := statistics(sums_of(y)), 0), Candidates(known)
+
+
+def test_a_false_alarm_of_the_test_for_filters_keeps_the_sinusoids(monkeypatch):
+    """With this threshold, every model looks low-pass filtered."""
+    monkeypatch.setattr('allan_ros.core.fit.estimate.CURVATURE', -10.0)
+    result = estimate(*three_sinusoids())
+    assert not result.filtered and [c[0] for c in result.components[4:]] == 3 * ['sinusoid']
+
+
+def test_bins_have_full_weight_again_when_no_sinusoid_remains(monkeypatch):
+    data, candidates = three_sinusoids()
+    monkeypatch.setattr(Selection, 'without_superfluous', lambda rules, fit: rules.fit(TERMS))
+    rules, fit = Selection(data, candidates).selected()
+    assert np.array_equal(rules.data.dof, data.dof)
+    assert fit.value == pytest.approx(data.solve(TERMS).value, rel=1e-4)
 
 
 @pytest.mark.parametrize(('order', 'corner'), [(1, 10.0), (4, 20.0), (4, 10.0), (4, 5.0)])
