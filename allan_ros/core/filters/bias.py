@@ -59,7 +59,8 @@ class TurnOnBias:
     ci95 : (low, high) or None
         95 % interval of ``std``, for normally distributed biases.
     upper95 : float or None
-        Upper end of this interval, if ``std`` is not resolved.
+        Upper end of this interval, above 0, if ``std`` is not resolved; None if the scatter is
+        improbably small for the noise alone.
     """
 
     recordings: int
@@ -87,7 +88,7 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
     low, high = (total * free / quantile for quantile in chdtri(free, [0.025, 0.975]))
     center, ends = float(np.mean(means)), [math.sqrt(max(v - variance, 0.0)) for v in (low, high)]
     if total <= variance or (variance and chdtrc(free, free * total / variance) > 0.01):
-        return TurnOnBias(len(means), center, None, None, ends[1])
+        return TurnOnBias(len(means), center, None, None, ends[1] or None)
     return TurnOnBias(len(means), center, math.sqrt(total - variance), (ends[0], ends[1]))
 
 

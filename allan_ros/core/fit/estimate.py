@@ -152,8 +152,14 @@ def _highest(rules: Selection) -> _Trial:
     """
     f = rules.data.statistics.f
     tops = [top for top in TOPS if np.sum(f < top) >= LEAST_BINS]
-    if _loses_power(rules.data) and _test(rules, rules.fit(rules.base)).bent:
+    if (
+        len(tops) > 1
+        and _relative_power(rules.data, tops[0]) < LOST_POWER[0]
+        and _test(rules, rules.fit(rules.base)).bent
+    ):
         tops = tops[1:]
+        while len(tops) > 1 and _relative_power(rules.data, tops[0]) < LOST_POWER[1]:
+            tops = tops[1:]
     fair = None
     for top in tops:
         if fair is not None and top < fair.top / 4.0:
@@ -166,14 +172,14 @@ def _highest(rules: Selection) -> _Trial:
     return fair or _trial(rules, tops[0])
 
 
-def _loses_power(data: AxisData) -> bool:
-    """Return whether the highest octave has less power than every bin of two lower ones.
+def _relative_power(data: AxisData, top: float) -> float:
+    """Return the power in the octave below ``top`` relative to the least power two octaves lower.
 
-    Some of these bins contain no sinusoid.
+    Neither contains a few sinusoids.
     """
     f, power = data.statistics.f, data.power
-    high, low = power[f > TOPS[1]], power[(f > TOPS[4]) & (f < TOPS[2])]
-    return bool(len(low) and np.median(high) < LOST_POWER * np.min(low))
+    high, low = power[(f > top / 2.0) & (f < top)], power[(f > top / 8.0) & (f < top / 4.0)]
+    return float(np.median(high) / low.min()) if len(high) and len(low) else 1.0
 
 
 def _trial(rules: Selection, top: float) -> _Trial:

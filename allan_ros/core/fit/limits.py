@@ -38,9 +38,9 @@ LEAST_BINS = 12
 WHITE_NOISE = 3.0
 """Least ratio of the white noise to its standard error in a model that holds."""
 
-LOST_POWER = 0.8
-"""Power of the highest octave, relative to two lower ones, below which the search for the highest
-frequency begins an octave lower. It saves time: nearly all such axes are filtered."""
+LOST_POWER = 0.8, 0.5
+"""Power of the highest octave, and of lower ones, relative to two octaves lower, below which the
+search for the highest frequency of a filtered axis begins below this octave. They save time."""
 
 RAMP_RESOLVED = 2.58 / 1.96
 """Least |R| in units of the half width of its interval for R to be resolved: two-sided 1 %."""

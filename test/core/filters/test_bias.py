@@ -183,3 +183,5 @@ def test_noise_alone_is_no_turn_on_bias() -> None:
     means = np.random.default_rng(10).normal(3.0, 2.0, size=(2000, 5))
     found = [turn_on_bias(each, 4.0) for each in means]
     assert sum(one is not None and one.std is not None for one in found) <= 38
+    limits = [one.upper95 for one in found if one is not None]
+    assert None in limits and all(limit is None or limit > 0.0 for limit in limits)
