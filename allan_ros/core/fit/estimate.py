@@ -11,24 +11,23 @@ model holds at no frequency, octaves that differ from it count less.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ..allan.octaves import octave
-from .intervals import Interval, RampEstimate, profile_interval, ramp_estimate
+from .candidates import Candidates
 from .likelihood import TERMS, AxisData, Fit, inverse
 from .limits import (
     CURVATURE,
-    GAIN_RESOLVED,
     LACK_OF_FIT,
     LEAST_BINS,
     LOST_POWER,
     WHITE_NOISE,
 )
-from .selection import Candidates, Selection
-from .statistics import Component, Floats
+from .selection import Selection
+from .statistics import Component
 
 Q, N, B, K = range(len(TERMS))
 
@@ -38,46 +37,55 @@ TOPS = tuple(0.5 / 2**i for i in range(8))
 FILTER = ('Q2',)
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """Fitted model of one axis; coefficients are in the squared unit of the samples.
+class Estimate(NamedTuple):
+    """Selected model of one axis.
 
     Attributes
     ----------
-    components : tuple of Component
-        The terms Q, N, B and K (or a bounded walk), then processes.
-    p : (components,) array
-        Their coefficients; q may be negative if the samples are low-pass filtered.
-    covariance : (components, components) array
-        Covariance of the coefficients, with that of the shapes included.
-    intervals : tuple of Interval
-        Intervals of q, w, b and k.
-    shape_errors : dict of (component, number of its shape) to its relative standard error
-    ramp : RampEstimate or None
-        Ramp per sample.
+    rules : Selection
+        With the data, in which bins that differ from the model have reduced weights.
+    fit : Fit
+        q and a term f^4 have signs if the samples are low-pass filtered.
     top : float
         Highest frequency of the fit in cycles per sample: 0.5 if all data are used.
-    filtered : bool
-        Whether q may be negative.
-    low_pass : float
-        Coefficient q of the term 3 q/m^2 of the Allan variance due to the filter; 0 without one.
-    chi_squared : (value, degrees of freedom)
-        Test of all octaves up to ``top``.
     lack : dict of octave to ratio
         Octaves in which the measured power differs from the model: measured over model.
     """
 
-    components: tuple[Component, ...]
-    p: Floats
-    covariance: Floats
-    intervals: tuple[Interval, ...]
-    ramp: RampEstimate | None
-    top: float = 0.5
-    filtered: bool = False
-    low_pass: float = 0.0
-    chi_squared: tuple[float, float] = (0.0, 0.0)
-    lack: dict[int, float] = field(default_factory=dict)
-    shape_errors: dict[tuple[int, int], float] = field(default_factory=dict)
+    rules: Selection
+    fit: Fit
+    top: float
+    lack: dict[int, float]
+
+    @property
+    def chi_squared(self) -> tuple[float, float]:
+        """Test of all octaves up to ``top``: value and degrees of freedom."""
+        parts = list(_deviances(self.rules.data, self.fit).values())
+        return sum(x for x, _ in parts), sum(n for _, n in parts)
+
+    @property
+    def low_pass(self) -> float:
+        """Coefficient q of the term 3 q/m^2 of the Allan variance due to a filter; 0 without one.
+
+        At averaging factors above some 1/top, a change d(f) of the spectrum of white noise changes
+        the Allan variance by 3/m^2 times the integral of d(f)/(2 sin^2(pi f)) over f up to 1/2,
+        because sin^4(pi f m) is 3/8 on average. Below ``top``, d(f) is the model of the filter, and
+        above it the measured power minus the model without filter.
+        """
+        data, fit = self.rules.data, self.fit
+        if not self.rules.signed:
+            return 0.0
+        f = data.statistics.f
+        filters = np.array([c in (TERMS[Q], FILTER) for c in fit.components])
+        columns = replace(data, used=np.ones(len(f), bool)).columns(fit.components).power
+        change = np.where(
+            f < self.top,
+            columns @ np.where(filters, fit.p, 0.0),
+            data.power - columns @ np.where(filters, 0.0, fit.p),
+        )
+        step = np.array([octave(o).step for o in data.statistics.octave.tolist()])
+        width = np.array([1.0 / octave(o).length for o in data.statistics.octave.tolist()])
+        return float(np.sum(step * change * width / (2.0 * np.sin(np.pi * f) ** 2)))
 
 
 class _Verdict(NamedTuple):
@@ -114,7 +122,7 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
     rules = Selection(data, candidates, (*TERMS, *known))
     if len(data.power) < LEAST_BINS:
         rules, fit = rules.selected()
-        return _result(rules, rules.bounded(fit), 0.5)
+        return Estimate(rules, rules.bounded(fit), 0.5, {})
     best = _highest(rules)
     fit, rules = best.fit, best.rules
     lack: dict[int, float] = {}
@@ -125,7 +133,7 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
             (*fit.components, FILTER), None, np.append(fit.p, 0.0), signed=(Q, len(fit.p))
         )
         rules = replace(rules, signed=(Q, len(fit.p) - 1))
-    return _result(rules, rules.bounded(fit), best.top, lack)
+    return Estimate(rules, rules.bounded(fit), best.top, lack)
 
 
 def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int, float]]:
@@ -241,78 +249,3 @@ def _test(rules: Selection, fit: Fit) -> _Verdict:
     bent = abs(z) > CURVATURE if rules.signed else fit.p[Q] == 0.0 and z < -CURVATURE
     hidden = white < WHITE_NOISE or rules.imitates_filter(fit)
     return _Verdict(min(tails) >= LACK_OF_FIT, bent, hidden)
-
-
-def _low_pass(data: AxisData, fit: Fit, top: float) -> float:
-    """Return q of the term 3 q/m^2 of the Allan variance that is due to a low-pass filter.
-
-    At averaging factors above some 1/top, a change d(f) of the spectrum of white noise changes the
-    Allan variance by 3/m^2 times the integral of d(f)/(2 sin^2(pi f)) over f up to 1/2, because
-    sin^4(pi f m) is 3/8 on average. Below the frequency ``top``, d(f) is the model of the filter,
-    and above it the measured power minus the model without filter.
-    """
-    f = data.statistics.f
-    filters = np.array([c in (TERMS[Q], FILTER) for c in fit.components])
-    columns = replace(data, used=np.ones(len(f), bool)).columns(fit.components).power
-    change = np.where(
-        f < top,
-        columns @ np.where(filters, fit.p, 0.0),
-        data.power - columns @ np.where(filters, 0.0, fit.p),
-    )
-    step = np.array([octave(o).step for o in data.statistics.octave.tolist()])
-    width = np.array([1.0 / octave(o).length for o in data.statistics.octave.tolist()])
-    return float(np.sum(step * change * width / (2.0 * np.sin(np.pi * f) ** 2)))
-
-
-def _result(
-    rules: Selection, fit: Fit, top: float, lack: dict[int, float] | None = None
-) -> Estimate:
-    """Return intervals and the complete vector of the selected model."""
-    data = rules.data
-    fit = data.solve(fit.components, fit.columns, fit.p, signed=rules.signed)
-    parts = list(_deviances(data, fit).values()) if len(data.power) else []
-    shaped = [
-        (k, at)
-        for k, c in enumerate(fit.components)
-        for at in range(len(c) - 1)
-        if fit.p[k] > 0.0 and c not in rules.base
-    ]
-    n = len(fit.p)
-    signed = (*rules.signed, *range(n, n + len(shaped)))
-    columns = data.columns(fit.components, shaped)
-    full = data.solve(
-        fit.components,
-        columns,
-        np.append(fit.p, np.zeros(len(shaped))),
-        signed=signed,
-        tolerance=1e-3,
-    )
-    intervals = [profile_interval(data, full, i) for i in range(len(TERMS))]
-    if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
-        # A q that is not resolved nearly doubles the error of N.
-        fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
-    covariance = full.covariance()
-    errors = {
-        (k, at): math.sqrt(max(covariance[n + i, n + i], 0.0)) / float(fit.p[k])
-        for i, (k, at) in enumerate(shaped)
-        if fit.p[k] > 0.0
-    }
-    ramp = ramp_estimate(data, fit)
-    scale = data.scale
-    return Estimate(
-        fit.components,
-        fit.p * scale,
-        covariance[:n, :n] * scale**2,
-        tuple(Interval(i.low * scale, i.high * scale, i.gain) for i in intervals),
-        None
-        if ramp is None
-        else ramp._replace(
-            value=ramp.value * math.sqrt(scale), error=ramp.error * math.sqrt(scale)
-        ),
-        top,
-        bool(rules.signed),
-        _low_pass(data, fit, top) * scale if rules.signed else 0.0,
-        (sum(x for x, _ in parts), sum(k for _, k in parts)),
-        lack or {},
-        errors,
-    )

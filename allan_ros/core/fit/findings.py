@@ -13,7 +13,6 @@ import numpy as np
 from ..allan.curve import AllanCurve
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
-from .estimate import Estimate
 from .interpretation import largest_deviation, model_line, recommended_duration
 from .limits import LEAST_DRIFT_S
 from .model import AxisFit, Floats, NoiseModel, Sinusoid
@@ -125,14 +124,12 @@ HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
 largest multiple: near a high one lies every frequency."""
 
 
-def axis_findings(
-    sums: AllanSums, axis: int, fit: AxisFit, result: Estimate, tau0: float
-) -> list[Finding]:
+def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list[Finding]:
     """Return the findings about the fit of one axis; ``tau0`` is the sample period in s."""
     name = (sums.axes[axis],)
     found = []
     if fit.filtered:
-        found.append(finding('low_pass', name, frequency=result.top / tau0))
+        found.append(finding('low_pass', name, frequency=4.0 / (fit.m_min * tau0)))
     for lines in with_harmonics(fit.processes.sinusoid):
         found.append(line_finding(name, lines, tau0))
     for hump in fit.processes.resonance:

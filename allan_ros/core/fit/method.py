@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,10 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..noise import PROCESS_TYPES, NoiseTerms, ProcessModel
+from .candidates import Candidates
 from .estimate import Estimate, estimate
 from .findings import axis_findings, merge_equal
-from .intervals import Interval, RampEstimate
+from .intervals import Interval, RampEstimate, profile_interval, ramp_estimate
 from .likelihood import AxisData
 from .limits import GAIN_RESOLVED, LEAST_DRIFT_S, LEAST_STATISTICS, RAMP_RESOLVED
 from .model import (
@@ -25,17 +27,18 @@ from .model import (
     AxisFit,
     Coefficient,
     Covariance,
+    Floats,
     GaussMarkov,
     K,
     LackOfFit,
     NoiseModel,
     Processes,
+    Q,
     Resonance,
     Sinusoid,
     Status,
     coefficient_to_si,
 )
-from .selection import Candidates
 from .statistics import Component, Statistics, statistics
 
 DAY_S = 86400.0
@@ -75,8 +78,8 @@ def fit_likelihood(sums: AllanSums) -> NoiseModel:
             continue
         result = estimate(AxisData.of(known, a), candidates, daily)
         brief = sums.samples * tau0 < LEAST_DRIFT_S
-        axes[name] = axis_fit(result, known, tau0, brief)
-        findings += axis_findings(sums, a, axes[name], result, tau0)
+        axes[name] = axis_fit(result, tau0, brief)
+        findings += axis_findings(sums, a, axes[name], tau0)
     return NoiseModel('likelihood', tau0, axes, merge_equal(findings))
 
 
@@ -93,56 +96,90 @@ def without_estimates() -> AxisFit:
     return AxisFit({term: Coefficient(None, status='not_observable') for term in TERMS})
 
 
-def axis_fit(result: Estimate, known: Statistics, tau0: float, brief: bool = False) -> AxisFit:
-    """Return an estimate in SI.
+def axis_fit(result: Estimate, tau0: float, brief: bool = False) -> AxisFit:
+    """Return an estimate with its intervals in SI.
 
     ``brief`` recordings determine no drift: only N, and Q, have values.
     """
+    rules, data, fit = result.rules, result.rules.data, result.fit
+    fit = data.solve(fit.components, fit.columns, fit.p, signed=rules.signed)
+    shaped = [
+        (k, at)
+        for k, c in enumerate(fit.components)
+        for at in range(len(c) - 1)
+        if fit.p[k] > 0.0 and c not in rules.base
+    ]
+    n = len(fit.p)
+    full = data.solve(
+        fit.components,
+        data.columns(fit.components, shaped),
+        np.append(fit.p, np.zeros(len(shaped))),
+        signed=(*rules.signed, *range(n, n + len(shaped))),
+        tolerance=1e-3,
+    )
+    intervals = [profile_interval(data, full, i) for i in range(len(RANDOM_TERMS))]
+    result = result._replace(fit=fit)
+    value, number = result.chi_squared if len(data.power) else (0.0, 0.0)
+    if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
+        # A q that is not resolved nearly doubles the error of N.
+        fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
+        result = result._replace(fit=fit)
+    every = full.covariance()
+    covariance, scale = every[:n, :n] * data.scale**2, data.scale
     noise = {
-        name: random_coefficient(name, float(result.p[t]), result.covariance[t, t], i, tau0)
-        for t, (name, i) in enumerate(zip(RANDOM_TERMS, result.intervals))
+        name: random_coefficient(name, float(fit.p[t]) * scale, covariance[t, t], each, scale, tau0)
+        for t, (name, each) in enumerate(zip(RANDOM_TERMS, intervals))
     }
-    noise['R'] = _ramp(result.ramp, tau0)
-    if result.filtered:
+    ramp = ramp_estimate(data, fit)
+    if ramp is not None:
+        root = math.sqrt(scale)
+        ramp = ramp._replace(value=ramp.value * root, error=ramp.error * root)
+    noise['R'] = _ramp(ramp, tau0)
+    if rules.signed:
         noise['Q'] = Coefficient(None, status='not_observable')
     if brief:
         noise |= {t: Coefficient(None, status='not_observable') for t in 'BKR'}
-    processes, order = _processes(result, tau0)
-    walk = 0.0 if len(result.components[K]) > 1 else noise['K'].value
+    errors = {
+        key: math.sqrt(max(every[n + i, n + i], 0.0)) / float(fit.p[key[0]])
+        for i, key in enumerate(shaped)
+        if fit.p[key[0]] > 0.0
+    }
+    processes, order = _processes(fit.components, fit.p * scale, covariance, errors, tau0)
+    walk = 0.0 if len(fit.components[K]) > 1 else noise['K'].value
     terms = NoiseTerms(
         **{t: noise[t].value or 0.0 for t in 'QNB'},
         K=walk or 0.0,
-        R=0.0 if brief else _drift_of_model(result.ramp, noise['R'].status == 'estimated', tau0),
+        R=0.0 if brief else _drift_of_model(ramp, noise['R'].status == 'estimated', tau0),
     )
     model = ProcessModel(
         terms,
         tuple((p.sigma, p.correlation_time) for p in processes.gauss_markov),
         tuple((p.amplitude, p.frequency) for p in processes.sinusoid),
-        result.low_pass * tau0**2,
+        result.low_pass * scale * tau0**2,
         tuple((p.sigma, p.frequency, p.correlation_time) for p in processes.resonance),
     )
-    value, number = result.chi_squared
     return AxisFit(
         noise,
         model,
         processes,
         round(4.0 / result.top) if result.top < 0.5 else 1,
-        result.filtered,
+        bool(rules.signed),
         # Wilson & Hilferty 1931
         ((value / number) ** (1 / 3) - 1 + 2 / (9 * number)) / math.sqrt(2 / (9 * number))
         if number
         else None,
-        tuple(_lack(known, o, ratio, tau0) for o, ratio in sorted(result.lack.items())),
-        covariance=_covariance(result, order, tau0),
+        tuple(_lack(data.statistics, o, ratio, tau0) for o, ratio in sorted(result.lack.items())),
+        covariance=_covariance(fit.components, covariance, order, tau0),
     )
 
 
 def random_coefficient(
-    name: str, variance: float, scatter: float, interval: Interval, tau0: float
+    name: str, variance: float, scatter: float, interval: Interval, scale: float, tau0: float
 ) -> Coefficient:
-    """Return a random term in SI, with its interval or its upper limit."""
+    """Return a random term in SI, with its interval (divided by ``scale``) or its upper limit."""
     value, low, high = (
-        coefficient_to_si(name, v, tau0) for v in (variance, interval.low, interval.high)
+        coefficient_to_si(name, v, tau0)
+        for v in (variance, interval.low * scale, interval.high * scale)
     )
     if interval.gain > GAIN_RESOLVED and math.isfinite(high):
         return Coefficient(value, (min(low, value), max(high, value)))
@@ -176,21 +213,30 @@ def _drift_of_model(ramp: RampEstimate | None, resolved: bool, tau0: float) -> f
     return math.copysign(math.sqrt(max(excess, 0.0)), ramp.value) / tau0
 
 
-def _processes(result: Estimate, tau0: float) -> tuple[Processes, list[int]]:
-    """Return the processes in SI, and the indices of their coefficients in this order."""
+def _processes(
+    components: Sequence[Component],
+    p: Floats,
+    covariance: Floats,
+    errors: Mapping[tuple[int, int], float],
+    tau0: float,
+) -> tuple[Processes, list[int]]:
+    """Return the processes in SI, and the indices of their coefficients in this order.
+
+    ``errors`` are the relative errors of the numbers of the shapes.
+    """
     kinds = {'gauss_markov': GaussMarkov, 'sinusoid': Sinusoid, 'resonance': Resonance}
     found: dict[str, list[tuple[float, int, Any]]] = {kind: [] for kind in kinds}
-    for k, (kind, *shape) in enumerate(result.components):
-        variance = float(result.p[k])
+    for k, (kind, *shape) in enumerate(components):
+        variance = float(p[k])
         if not shape or variance <= 0.0:
             continue
         if kind == 'bounded_walk':
             kind, variance = 'gauss_markov', variance * shape[0] / 2.0
-        relative = math.sqrt(max(result.covariance[k, k], 0.0)) / float(result.p[k])
+        relative = math.sqrt(max(covariance[k, k], 0.0)) / float(p[k])
         values = [math.sqrt(variance), _around(math.sqrt(variance), relative / 2.0)]
         for at, (x, meaning) in enumerate(zip(shape, PROCESS_TYPES[kind].shape)):
             value = x * tau0 if meaning == 'time' else x / tau0
-            values += [value, _around(value, result.shape_errors.get((k, at), 0.0))]
+            values += [value, _around(value, errors.get((k, at), 0.0))]
         found[kind].append((shape[0], k, kinds[kind](*values)))
     ordered = [sorted(each, key=lambda one: one[0]) for each in found.values()]
     processes = Processes(*(tuple(process for _, _, process in each) for each in ordered))
@@ -209,16 +255,18 @@ def _lack(known: Statistics, o: int, ratio: float, tau0: float) -> LackOfFit:
     return LackOfFit(float(f[0]) / tau0, float(f[-1]) / tau0, ratio)
 
 
-def _covariance(result: Estimate, order: list[int], tau0: float) -> Covariance:
+def _covariance(
+    components: Sequence[Component], covariance: Floats, order: list[int], tau0: float
+) -> Covariance:
     """Return the covariance of the squared coefficients in SI."""
     units = [coefficient_to_si(t, 1.0, tau0) ** 2 for t in RANDOM_TERMS]
     names = list(RANDOM_TERMS)
     numbers: Counter[str] = Counter()
     for k in order:
-        kind, *shape = result.components[k]
+        kind, *shape = components[k]
         kind, unit = ('gauss_markov', shape[0] / 2.0) if kind == 'bounded_walk' else (kind, 1.0)
         names.append(f'{kind} {numbers[kind]}')
         numbers[kind] += 1
         units.append(unit)
     at = [*range(len(RANDOM_TERMS)), *order]
-    return Covariance(tuple(names), result.covariance[np.ix_(at, at)] * np.outer(units, units))
+    return Covariance(tuple(names), covariance[np.ix_(at, at)] * np.outer(units, units))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..noise import gamma_of
-from .intervals import Interval, profile_interval
+from .intervals import profile_interval
 from .likelihood import AxisData, Columns, Fit, LowBand, inverse
 from .limits import GAIN_PROCESS, TEMPERATURE_RESOLVED
 from .method import random_coefficient
@@ -316,10 +316,9 @@ class _Fitted(NamedTuple):
         scale, scatter = self.data.scale, self.fit.covariance()
         found = []
         for name, at in (('B', B), ('K', K)):
-            low, high, gain = profile_interval(self.data, self.fit, at)
-            interval = Interval(low * scale, high * scale, gain)
+            interval = profile_interval(self.data, self.fit, at)
             variances = self.fit.p[at] * scale, scatter[at, at] * scale**2
-            found.append(random_coefficient(name, *variances, interval, tau0))
+            found.append(random_coefficient(name, *variances, interval, scale, tau0))
         return SlowNoise(*found)
 
     def regression(self, effects: Floats) -> tuple[Floats, Floats, Floats]:

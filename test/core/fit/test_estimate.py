@@ -10,9 +10,10 @@ from scipy.signal import butter, lfilter
 from support.sums import sums_of
 
 from allan_ros.core.fit import fit_noise
+from allan_ros.core.fit.candidates import Candidates
 from allan_ros.core.fit.estimate import estimate
 from allan_ros.core.fit.likelihood import TERMS, AxisData
-from allan_ros.core.fit.selection import Candidates, Selection
+from allan_ros.core.fit.selection import Selection
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
@@ -136,7 +137,7 @@ def test_a_false_alarm_of_the_test_for_filters_keeps_the_sinusoids(monkeypatch):
     """With this threshold, every model looks low-pass filtered."""
     monkeypatch.setattr('allan_ros.core.fit.estimate.CURVATURE', -10.0)
     result = estimate(*three_sinusoids())
-    assert not result.filtered and [c[0] for c in result.components[4:]] == 3 * ['sinusoid']
+    assert result.top == 0.5 and [c[0] for c in result.fit.components[4:]] == 3 * ['sinusoid']
 
 
 def test_bins_have_full_weight_again_when_no_sinusoid_remains(monkeypatch):
@@ -217,7 +218,7 @@ def test_a_daily_cycle_is_in_the_model_of_its_record():
     known = statistics(sums_of(simulated(20_000, 1, 11)))
     cycle = (('sinusoid', 1e-4),)
     result = estimate(AxisData.of(known, 0), Candidates(known), cycle)
-    assert result.components[len(TERMS)] == cycle[0]
+    assert result.fit.components[len(TERMS)] == cycle[0]
 
 
 @pytest.mark.parametrize('samples', [60, 300, 900])
