@@ -38,7 +38,7 @@ PART = 0.04
 LEAST_CHANGE = 0.2
 """Least relative change of N after which only the last part is fitted."""
 
-LEAST_LAST_S, LEAST_LAST_PART = 120.0, 0.1
+LEAST_LAST_S, LEAST_LAST_PART = 30.0, 0.1
 """Shortest last part that is fitted alone, in s and relative to all data."""
 
 

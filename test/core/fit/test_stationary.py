@@ -131,6 +131,16 @@ def test_the_model_follows_a_change_of_the_white_noise(factor: float) -> None:
     assert set(changes(sums, settle=False)) == {'level_changes'}
 
 
+@pytest.mark.parametrize('factor', [2.0, 0.5])
+def test_the_model_follows_noise_that_changes_after_two_minutes_within_one(factor: float) -> None:
+    y = draw(11, 18_000, 100.0, 'N')
+    y[12_000:] *= factor
+    n = from_datasheet('N', 'gyro', 0.242)
+    _, model = fit_stationary(sums_of(y, rate=100.0))
+    for fit in model.axes.values():
+        assert fit.noise['N'].value == pytest.approx(factor * n, rel=0.05)
+
+
 def test_a_short_burst_of_noise_excludes_nothing() -> None:
     y = draw(8, 108_000, 100.0, 'N')
     y[40_000:50_000] *= 2.0
