@@ -229,6 +229,8 @@ class ImuEstimate(Part):
 
     def _publish(self, results: Results) -> None:
         self._bias.set_results(results if results.axes else None)
+        if self._snapshot is not None:  # before the model: a variance must cover the bias
+            self._bias.update(self._snapshot)
         results = self._with_faults(results)
         document = results_to_document(results, curves=False)
         if bias := self._bias.document():

@@ -179,7 +179,7 @@ class BiasPublisher:
     def __init__(self, node: Node, home: str, settings: EstimatorSettings) -> None:
         tolerance = {'gyro': settings.bias_tolerance_gyro, 'accel': settings.bias_tolerance_accel}
         self._tracker = BiasTracker(tolerance)
-        self._publisher = node.create_publisher(TwistWithCovarianceStamped, f'{home}bias', 10)
+        self._publisher = node.create_publisher(TwistWithCovarianceStamped, f'{home}bias', LATCHED)
         self._last_ns = 0
         self._turn_on: dict[str, TurnOnBias] = {}
 

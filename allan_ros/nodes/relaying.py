@@ -140,7 +140,7 @@ class ImuRelay(Part):
             String, f'{home}noise_model', self._on_model, LATCHED
         )
         self._bias: TwistWithCovarianceStamped | None = None
-        node.create_subscription(TwistWithCovarianceStamped, f'{home}bias', self._on_bias, 10)
+        node.create_subscription(TwistWithCovarianceStamped, f'{home}bias', self._on_bias, LATCHED)
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         wait_set = None if settings.value.plain_callback else self._wait_set()

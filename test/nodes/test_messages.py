@@ -36,12 +36,13 @@ def test_the_estimator_publishes_the_bias(graph: Any, still_imu: Callable[..., I
     from geometry_msgs.msg import TwistWithCovarianceStamped
 
     received: list[Any] = []
-    graph.run('monitor', **{'estimator.method': 'relative'})
+    graph.run('monitor', **{'estimator.method': 'relative', 'publish.sums_period': 3600.0})
     graph.node.create_subscription(
         TwistWithCovarianceStamped, '/allan_monitor/bias', received.append, 10
     )
     batch = biased(still_imu(12_000))
     graph.send(graph.publisher(), batch)
+    graph.model_of(12_000)  # no sums are published after it
     message = graph.until(lambda: received and received[-1])
     angular = message.twist.twist.angular
     found = np.array([angular.x, angular.y, angular.z])
@@ -62,15 +63,17 @@ def relayed_rates(graph: Any, payloads: list[bytes], bias: Any, **parameters: An
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import Imu
 
+    from allan_ros.nodes.shell import LATCHED
+
+    source = graph.node.create_publisher(TwistWithCovarianceStamped, 'bias', LATCHED)
+    source.publish(bias)  # before the relay starts: later, the robot may not be at rest
     (relay,) = graph.run('relay', **parameters)._parts
     received: list[bytes] = []
     graph.node.create_subscription(
         Imu, 'imu/data_with_covariance', received.append, QoSProfile(depth=100), raw=True
     )
     publisher = graph.publisher()
-    source = graph.node.create_publisher(TwistWithCovarianceStamped, 'bias', 10)
     graph.introduce(source)
-    source.publish(bias)
     graph.until(lambda: relay._bias is not None)
     for payload in payloads:
         publisher.publish(payload)

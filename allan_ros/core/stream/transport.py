@@ -162,7 +162,8 @@ class ConstantAxes:
     def __init__(self) -> None:
         self._last = np.full(len(AXES), np.nan)
         self._run = np.zeros(len(AXES), np.int64)  # number of equal values up to the latest sample
-        self._longest = np.zeros(len(AXES), np.int64)  # longest run that has ended
+        self._longest = np.zeros(len(AXES), np.int64)  # longest run that has ended, if not stuck
+        self._stuck = np.zeros(len(AXES), bool)  # at the last call of `stuck`
 
     def update(self, samples: NDArray[np.float64]) -> None:
         """Process the next samples, (n, 6)."""
@@ -170,8 +171,9 @@ class ConstantAxes:
             changes = np.flatnonzero(np.diff(column, prepend=self._last[i]) != 0.0)
             if len(changes):
                 runs = np.diff(changes, prepend=-self._run[i])
-                if np.isfinite(self._last[i]) or len(changes) > 1:
-                    self._longest[i] = max(self._longest[i], int(runs.max()))
+                known = np.isfinite(self._last[i]) and not self._stuck[i]
+                ended = runs[0 if known else 1 :].max(initial=0)
+                self._longest[i] = max(self._longest[i], int(ended))
                 self._run[i] = 0
             self._run[i] += len(column) - (changes[-1] if len(changes) else 0)
         self._last = samples[-1].copy()
@@ -179,8 +181,8 @@ class ConstantAxes:
     def stuck(self, rate_hz: float) -> tuple[str, ...]:
         """Return the stuck axes at this sample rate."""
         needed = np.maximum(STUCK_S * rate_hz, STUCK_RUNS * self._longest)
-        found = (self._longest > 0) & (self._run > needed) & np.isfinite(self._last)
-        return tuple(AXES[i] for i in np.flatnonzero(found))
+        self._stuck = (self._longest > 0) & (self._run > needed) & np.isfinite(self._last)
+        return tuple(AXES[i] for i in np.flatnonzero(self._stuck))
 
 
 def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...]:

@@ -259,11 +259,13 @@ def test_a_recording_played_fast_has_no_clock_steps():
 def test_a_stuck_axis_is_named():
     rng = np.random.default_rng(3)
     samples = np.round(rng.normal(0.0, 2.0, (4000, 6)))  # coarse: values repeat by chance
-    samples[2000:, 2] = samples[2000, 2]
+    samples[2000:3000, 2] = samples[2000, 2]
+    samples[3200:, 2] = 7.0  # a loose contact: the axis is stuck again after a short time
     samples[:, 4] = 9.8  # never changed: another finding
     constant, found = ConstantAxes(), []
     for rows in np.split(samples, 80):
         constant.update(rows)
         found.append(constant.stuck(RATE))
     assert not any(found[:42])
-    assert all(one == ('gyro_z',) for one in found[46:])
+    assert all(one == ('gyro_z',) for one in [*found[46:60], *found[70:]])
+    assert not any(found[60:66])
