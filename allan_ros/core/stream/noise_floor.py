@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..settings import SegmenterSettings
+from .health import are_degrees
 from .timing import Flags, Floats
 
 LEAST_WINDOW = 16
@@ -303,7 +304,8 @@ class NoiseFloor:
             return None
         change = np.abs(_quantile(block.mean, 0.5) - self.mean)
         gravity = float(np.linalg.norm(self.mean[~self.gyro]))
-        allowed = np.where(self.gyro, self.rate_limit, SAME_DIRECTION * gravity) + white
+        rates = np.inf if are_degrees(ratio[self.gyro]) else self.rate_limit
+        allowed = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white
         return None if (change > allowed).any() else ratio
 
     def classify(self, windows: Windows, previous_mean: Floats | None, size: int) -> WindowClass:

@@ -73,7 +73,7 @@ LIVE_FINDINGS = (
 FAULTS = (
     *('wrong_type', 'qos_incompatible', 'no_publisher', 'input_stopped', 'input_silent'),
     *('input_unusable', 'no_data', 'stuck_now', 'gyro_unit', 'accel_unit', 'accel_scale'),
-    'no_noise',
+    *('no_noise', 'gyro_unit_changed'),
 )
 """Ids of findings that mean that present samples of their axes (all if none) must not be used."""
 
@@ -247,10 +247,10 @@ class TransportMonitor:
         if health.frame_id != health.sums_frame_id:
             shown = health.sums_frame_id
             present.append(finding('frame_waits', present=health.frame_id, shown=shown))
-        noisy = health.state == 'noise_increased'
-        present += [
-            f for f in stream if f.id in LIVE_FINDINGS or (noisy and f.id == 'noise_increased')
-        ]
+        live: tuple[str, ...] = LIVE_FINDINGS
+        if health.state == 'noise_increased':
+            live += ('noise_increased', 'gyro_unit_changed')
+        present += [f for f in stream if f.id in live]
         events, past = self._recent_findings(health)
         # present ones first: a past event must not hide a fault
         return *by_consequence([*events, *present]), *by_consequence(past)

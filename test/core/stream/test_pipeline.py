@@ -522,6 +522,18 @@ def test_samples_that_are_missing_regularly_are_reported_with_the_assumed_rate(d
     assert ids(result) == ({'interpolated'} if declared else {'rate_assumed'})
 
 
+@pytest.mark.parametrize('bias', [0.0, 2e-3])
+def test_a_gyro_whose_unit_becomes_degrees_does_not_seem_to_rotate(bias):
+    """As degrees, a bias of 0.1 deg/s looks like a rotation by 7 deg/s."""
+    t, x = still(40_000)
+    x[:, :3] += bias
+    x[20_000:, :3] = np.degrees(x[20_000:, :3])
+    result = accumulate(t, x)
+    assert result.health.state == 'noise_increased'
+    assert {f.axes for f in result.findings if f.id == 'gyro_unit_changed'} == {AXES[:3]}
+    assert result.sums[0].samples == pytest.approx(20_000, abs=400)
+
+
 def test_louder_noise_at_rest_is_a_warning_with_its_size_and_no_motion():
     t, x = still(40_000)
     x[20_000:] += 3.9 * np.random.default_rng(3).normal(size=(20_000, 6)) * 1e-3
