@@ -1,11 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Statuses of an input and of an axis, for `/diagnostics`."""
+"""Statuses of an input and of an axis, for `/diagnostics`, and their text for Prometheus."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,6 @@ from ..io.format import (
     significant,
     value_text,
 )
-from .metrics import FINDING
 
 LEVELS: Mapping[str, bytes] = {
     'info': DiagnosticStatus.OK,
@@ -40,6 +40,10 @@ LEVELS: Mapping[str, bytes] = {
     'error': DiagnosticStatus.ERROR,
 }
 """Severity of a finding -> level of a status, which is `bytes` in Python."""
+
+
+FINDING = 'finding'
+"""Key of a status with the id of the finding in its message. ``finding: <id>`` has the text."""
 
 
 def status_name(node: Node, *words: str) -> str:
@@ -331,3 +335,63 @@ def _next_term(view: AxisView) -> str:
 def _longest_tau(sums: AllanSums) -> float | None:
     filled = np.flatnonzero(sums.count)
     return float(sums.m[filled[-1]] * sums.tau0) if len(filled) and sums.tau0 else None
+
+
+METRICS_HEADER = """\
+# HELP allan_ros_level Level of a diagnostic status: 0 ok, 1 warning, 2 error, 3 stale.
+# TYPE allan_ros_level gauge
+# HELP allan_ros_value Number in a diagnostic status.
+# TYPE allan_ros_value gauge
+# HELP allan_ros_finding 1 while a status contains this finding.
+# TYPE allan_ros_finding gauge
+# HELP allan_ros_written_seconds Time at which this file was written.
+# TYPE allan_ros_written_seconds gauge
+"""
+
+
+def metrics_text(statuses: Sequence[DiagnosticStatus], time_s: float) -> str:
+    """Return statuses as a file for the textfile collector of Prometheus' node exporter.
+
+    ``time_s`` is the system time in s.
+
+    Examples
+    --------
+    >>> from diagnostic_msgs.msg import KeyValue
+    >>> status = DiagnosticStatus(name='allan_monitor: imu gyro x', hardware_id='SN 7')
+    >>> status.values = [KeyValue(key='N [deg/sqrt(h)]', value='0.24')]
+    >>> print(metrics_text([status], 0.0).splitlines()[-2])
+    allan_ros_value{node="allan_monitor",status="imu gyro x",hardware_id="SN 7",quantity="N",unit="deg/sqrt(h)"} 0.24
+    """  # noqa: E501
+    lines = [line for status in statuses for line in _metrics(status)]
+    # all lines of one metric must be consecutive
+    return METRICS_HEADER + '\n'.join(
+        [*sorted(lines), f'allan_ros_written_seconds {time_s:.3f}', '']
+    )
+
+
+def _metrics(status: DiagnosticStatus) -> Iterator[str]:
+    node, _, name = status.name.partition(': ')
+    labels = {'node': node, 'status': name, 'hardware_id': status.hardware_id}
+    yield _metric('level', labels, str(int.from_bytes(status.level, 'little')))
+    for pair in status.values:
+        quantity, unit = re.fullmatch(r'(.*?)(?: \[([^]]*)\])?', pair.key, re.DOTALL).groups('')  # type: ignore[union-attr]
+        if quantity.startswith(f'{FINDING}: '):
+            yield _metric('finding', {**labels, 'id': quantity.removeprefix(f'{FINDING}: ')}, '1')
+        elif _is_number(pair.value):
+            yield _metric('value', {**labels, 'quantity': quantity, 'unit': unit}, pair.value)
+
+
+def _metric(metric: str, labels: dict[str, str], value: str) -> str:
+    escaped = (f'{name}="{_escaped(text)}"' for name, text in labels.items())
+    return f'allan_ros_{metric}{{{",".join(escaped)}}} {value}'
+
+
+def _escaped(text: str) -> str:
+    return text.replace('\\', r'\\').replace('"', r'\"').replace('\n', r'\n')
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text)) and '_' not in text
+    except ValueError:
+        return False

@@ -84,19 +84,15 @@ def run(
     ``fault(where, error)``, exceptions of its callbacks are passed there, and the node continues.
     """
     argv = sys.argv if args is None else [name, *args]
+    stop = Event()
     try:
         options = parser.parse_args(remove_ros_args(list(argv))[1:])
-    except RuntimeError as error:  # from rcl: a missing or damaged parameter file
-        get_logger(name).fatal(f'{name} stops: {one_line(str(error))}')
-        return 1
-    stop = Event()
-    # Python's default handler would raise KeyboardInterrupt in the middle of an update or while a
-    # checkpoint is written, and rclpy's would shut the graph down before the node has finished.
-    for number in STOP_SIGNALS:
-        signal.signal(number, lambda *_: stop.set())
-    try:
+        # Python's default handler would raise KeyboardInterrupt in the middle of an update or while
+        # a checkpoint is written, and rclpy's would shut the graph down before the node has ended.
+        for number in STOP_SIGNALS:
+            signal.signal(number, lambda *_: stop.set())
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # from rcl: a missing keystore, an unknown ROS argument
+    except RuntimeError as error:  # from rcl: a damaged parameter file, a missing keystore
         get_logger(name).fatal(f'{name} stops: {one_line(str(error))}')
         return 1
     executor = SingleThreadedExecutor()

@@ -291,7 +291,3 @@ def _call(node: Node, executor: SingleThreadedExecutor, name: str, patience: flo
             return 0 if answer.success else EXIT_FAILED
     print(f'{name}: no answer within {patience:g} s')
     return EXIT_FAILED
-
-
-if __name__ == '__main__':
-    sys.exit(main())

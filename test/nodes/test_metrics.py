@@ -13,8 +13,7 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from allan_ros.core.findings import finding
-from allan_ros.nodes.diagnostics import status_of
-from allan_ros.nodes.metrics import metrics_text
+from allan_ros.nodes.diagnostics import metrics_text, status_of
 
 LINE = re.compile(r'(allan_ros_\w+)(\{(?:\w+="(?:[^"\\\n]|\\["\\n])*",?)*\})? \S+')
 
