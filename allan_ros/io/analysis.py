@@ -146,7 +146,6 @@ def analyze_sums(
 def _axis_results(
     fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
 ) -> Iterable[tuple[str, AxisResult]]:
-    """Yield the name and the result of each axis, given the sums, curve and fit of each sensor."""
     for sums, curve, model in fitted:
         means = np.array([one.mean for one in sums.recordings])
         lengths = np.array([one.samples * model.tau0 for one in sums.recordings])

@@ -111,7 +111,6 @@ def common_lines(common: CommonResult, units: str = 'deg/h') -> Iterator[str]:
 
 
 def _text(row: CommonNoise, tau: float) -> str:
-    """Return the coherence near the averaging time with its interval, or ''."""
     times, *numbers = row.coherence
     distance = np.abs(np.log(times / tau))
     at = int(np.argmin(distance))

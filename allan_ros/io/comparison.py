@@ -254,7 +254,6 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
 
 
 def _equivalence_sentence(pair: Pair, within: float) -> str:
-    """Return which terms are the same up to ``within``, which differ, and which are undecided."""
     found: dict[str, dict[str, list[str]]] = {'same': {}, 'different': {}, 'undecided': {}}
     for d in pair.differences:
         if d.tau is None and d.p is not None:

@@ -372,7 +372,6 @@ def _source(fields: Fields) -> Source:
 
 
 def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, Limit]:
-    """Return term -> limit of one sensor or axis."""
     walk, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
     fields.only(walk, 'noise_density', 'bias_instability', 'range')
     limits = {}

@@ -288,7 +288,6 @@ def finding_from_document(fields: Fields) -> Finding:
 
 
 def _value_from_document(fields: Fields, name: str) -> Any:
-    """Return a value of a finding: plain, a quantity, or a tuple of quantities."""
     value = fields.value(name)
     if isinstance(value, list):
         return tuple(_quantity_from_document(each) for each in fields.each(name))
@@ -307,7 +306,6 @@ def _quantity_from_document(fields: Fields) -> Quantity:
 
 
 def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
-    """Return the settings of an analysis, which are plain values or lists of plain values."""
     settings: dict[str, Any] = {}
     for name in fields:
         value = fields.value(name)
@@ -388,7 +386,6 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
 
 
 def _scaled(coefficient: Coefficient, factor: float) -> float | None:
-    """Return an estimate times a factor; None if there is no estimate."""
     if coefficient.value is None or coefficient.status != 'estimated':
         return None
     found: float | None = plain(coefficient.value * factor)

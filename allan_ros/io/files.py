@@ -356,7 +356,6 @@ def config_folders(kind: str) -> list[Path]:
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
-    """Return the part of a message that suggests known names for an unknown one."""
     word, plain = _simplified(name), {_simplified(known): known for known in names}
     near = [known for key, known in plain.items() if word and key.startswith(word)]
     # a name with other digits is another model; digits may be missing

@@ -213,7 +213,6 @@ def _new_figure(rows: int, columns: int, title: str) -> tuple[Figure, Any]:
 
 
 def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
-    """Draw the measured curve with its 68 % band, the model, its terms and their upper limits."""
     unit = shown_unit(name, 'B', units)
     panel.set_ylabel(f'{name.replace("_", " ")} [{pretty_unit(unit.name)}]')
     curve = drawn_curve(axis, unit.factor)
@@ -241,7 +240,6 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
 
 
 def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
-    """Return the legend of a part of the model: its name, value and interval."""
     text = part
     if part in TERMS:
         unit, coefficient = shown_unit(name, part, units), axis.fit.noise[part]
@@ -252,7 +250,6 @@ def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
 
 
 def _draw_run(panel: Axes, run: int, label: str, name: str, axis: AxisResult, units: str) -> None:
-    """Draw the deviation of one of several recordings."""
     unit = shown_unit(name, 'B', units)
     curve = drawn_curve(axis, unit.factor)
     panel.set_ylabel(f'{name.replace("_", " ")} [{pretty_unit(unit.name)}]')
@@ -265,7 +262,6 @@ def _draw_run(panel: Axes, run: int, label: str, name: str, axis: AxisResult, un
 
 
 def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
-    """Draw the ratios of the deviations to the first recording, with 95 % intervals."""
     panel.set(xscale='log', yscale='log', ylabel='ratio')
     panel.axhline(1.0, color='k', lw=0.8)
     for run, pair in enumerate(comparison.pairs, 1):

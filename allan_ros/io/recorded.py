@@ -214,7 +214,6 @@ def with_accel(
 
 
 def _joined(gyro: RecordingSums, accel: RecordingSums) -> RecordingSums:
-    """Return the sums and the data of two topics; the segments are those of the gyro."""
     events = sorted((*gyro.events, *accel.events), key=lambda event: event.start_ns)
     return replace(
         gyro,

@@ -62,7 +62,7 @@ def write_result_files(
         recorded.signals, known.segments, SIGNAL_BINS, recorded.events, recorded.temperatures
     )
     sums_document = sums_file_to_document(recorded.sums, results.provenance)
-    digest = f'{fingerprint(sums_document)} (equal for equal samples)'
+    digest = fingerprint(sums_document)
     drawn: dict[str, bytes] = {}
     if plots:
         from .plots import figure_files  # imports matplotlib
@@ -70,7 +70,10 @@ def write_result_files(
         drawn |= figure_files(results, plots, units)
     context = ReportContext(
         summary,
-        {**({'command': command} if command else {}), 'fingerprint of the sums': digest},
+        {
+            **({'command': command} if command else {}),
+            'fingerprint of the sums': f'{digest} (equal for equal samples)',
+        },
         [*filters, *drawn, RESULTS, SUMS],
     )
     contents: dict[str, str | bytes] = {**drawn, REPORT: render_report(results, context, units)}
@@ -79,7 +82,7 @@ def write_result_files(
     document = {
         **results_to_document(results, units=units),
         'files': files,
-        'fingerprint': fingerprint(sums_document),
+        'fingerprint': digest,
     }
     with _folder_locked(made_folder(folder)):
         # All other files are removed first and written last, so none of an earlier analysis
@@ -135,7 +138,6 @@ def _names(sources: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, str], Results]:
-    """Return the filter files (name -> text), and the results with findings on missing ones."""
     files = {}
     for name in dict.fromkeys(('kalibr', *targets)):
         target = target_of(name)

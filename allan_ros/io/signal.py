@@ -109,7 +109,6 @@ class SignalEnvelope:
         return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
 
     def _add_to_bins(self, batch: ImuBatch) -> None:
-        """Add samples that fit into the bins."""
         first = self._samples
         bins = (first + np.arange(len(batch))) // self._step
         starts = np.flatnonzero(np.diff(bins, prepend=-1))
@@ -352,7 +351,6 @@ def _recording(
 def _times(
     known: Sequence[Segment | Event], first_ns: int, length: float
 ) -> list[tuple[float, float]]:
-    """Return start and end in s of the segments or events of one recording."""
     starts = [(one.start_ns - first_ns) * 1e-9 for one in known]
     times = [(start, start + one.duration_s) for start, one in zip(starts, known)]
     return [(start, end) for start, end in times if start < length and end > 0.0]
@@ -401,7 +399,6 @@ def _temperature(
 
 
 def _joined(parts: Sequence[SignalTemperature]) -> SignalTemperature | None:
-    """Return the temperatures of all recordings as one, separated by NaN."""
     if not parts:
         return None
     times = [np.insert(p.time_s, 0, p.time_s[:1] if i else []) for i, p in enumerate(parts)]

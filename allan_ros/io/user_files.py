@@ -118,7 +118,6 @@ def stated_noise(
 
 
 def _terms(stated: Fields, sensor: str) -> dict[str, float]:
-    """Return the stated coefficients of one axis or sensor: term -> value in SI."""
     values: dict[str, float] = {}
     stated.only(*SI_UNITS[sensor])
     for term in stated:

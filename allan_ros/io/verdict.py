@@ -198,7 +198,6 @@ def _references(comparisons: Sequence[Comparison]) -> str:
 def _excesses(
     results: Results, beyond: Sequence[Comparison], units: str, spelled: Callable[[str], str]
 ) -> Iterator[str]:
-    """Yield a phrase for each exceeded limit of a sensor, with its axes and the excess factors."""
     groups: dict[tuple[str, str, float | None], list[Comparison]] = {}
     for c in beyond:
         groups.setdefault((sensor_of(c.axis), c.term, c.tau), []).append(c)
@@ -214,7 +213,6 @@ def _excesses(
 
 
 def _axis_differences(results: Results) -> Iterator[str]:
-    """Yield a sentence for each sensor whose axes differ in white noise."""
     for where in SENSORS.values():
         known = {
             axis: c.value
@@ -259,7 +257,6 @@ def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
 
 
 def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) -> Iterator[str]:
-    """Yield the next steps, the most urgent first."""
     remedies: dict[str, list[str]] = {}
     for finding in by_consequence(results.findings):
         if finding.severity != 'info' and finding.id not in NO_STEP:

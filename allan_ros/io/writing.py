@@ -141,7 +141,6 @@ def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
 def _write_bag(
     path: Path, batches: Iterable[ImuBatch], storage: str, compression: str, topic: str
 ) -> int:
-    """Write a bag, and return the number of messages."""
     purpose = f'{path}: writing a bag'
     typesys = optional_package('rosbags.typesys', purpose)
     package = 'rosbags.rosbag1' if storage == 'ros1' else 'rosbags.rosbag2'

@@ -36,7 +36,6 @@ MATRIX_DIGITS = 12
 
 
 def _axes(noise: FilterNoise) -> dict[str, tuple[StateSpace, dict[str, Value]]]:
-    """Return the state space of each axis, and its levels as they are written."""
     found = {}
     for axis in noise.results.axes:
         model, inflate = noise.reduction(axis, 'processes').model, noise.options.inflate

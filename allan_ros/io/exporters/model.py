@@ -255,11 +255,11 @@ class FilterNoise:
 
     def reduction(self, axis: str, states: States = 'walk') -> Reduction:
         """Return the reduced-order model of one axis for a filter with these states."""
-        if (axis, states) not in self._reductions:
-            self._reductions[axis, states] = reduce_axis(
-                axis, self.results.axes[axis].fit, states, self.horizon, self.options.strict
-            )
-        return self._reductions[axis, states]
+        result, key = self.results.axes[axis], (states, self.horizon, self.options.strict)
+        if key not in result.reductions:
+            result.reductions[key] = reduce_axis(axis, result.fit, *key)
+        self._reductions[axis, states] = result.reductions[key]
+        return result.reductions[key]
 
     @property
     def used(self) -> dict[str, Reduction]:

@@ -117,7 +117,6 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a file by their names; the samples are `SAMPLES`."""
     with open_regular(path) as file:
         limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
         if not first_bytes(path).startswith(ZIP_MAGIC):

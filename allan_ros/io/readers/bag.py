@@ -18,7 +18,7 @@ from contextlib import ExitStack, closing, contextmanager
 from importlib import import_module
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import yaml
@@ -28,7 +28,6 @@ from ..files import MAX_BYTES, parse_yaml, read_bounded
 from .storage import (
     METADATA,
     Messages,
-    Storage,
     Topic,
     Truncation,
     damaged,
@@ -44,6 +43,13 @@ _FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG
 """First bytes of a bag file -> its format. The modules `mcap` and `sqlite3` read theirs."""
 
 SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
+
+
+if TYPE_CHECKING:
+    from .mcap import McapStorage
+    from .sqlite3 import Sqlite3Storage
+
+    Storage: TypeAlias = 'McapStorage | Sqlite3Storage | Ros1Storage'
 
 
 class Stated(NamedTuple):
@@ -96,10 +102,11 @@ class Bag:
         if not found:
             raise damaged(file, 'it is not a bag', 'give a rosbag2 .db3 or .mcap, or a ROS 1 .bag')
         (self.format,) = found
-        opener = _open_ros1
+        opener: Any = _open_ros1
         if self.format != 'ros1':
             opener = import_module(f'.{self.format}', __package__).open_storage
-        return stack.enter_context(opener(plain, file))
+        storage: Storage = stack.enter_context(opener(plain, file))
+        return storage
 
     def close(self) -> None:
         """Close the open file."""
@@ -151,7 +158,6 @@ def _no_bag_in(path: Path) -> AllanError:
 
 
 def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
-    """Return the files and topics that metadata.yaml in the folder ``path`` states."""
     first_bytes(path / METADATA)
     remedy = f'restore {METADATA}, or remove it to read the .db3 or .mcap files without it'
     described: Described = {}
@@ -222,7 +228,7 @@ class Ros1Storage:
 
 
 @contextmanager
-def _open_ros1(path: Path, shown: Path) -> Iterator[Storage]:
+def _open_ros1(path: Path, shown: Path) -> Iterator[Ros1Storage]:
     """Open a ROS 1 bag for reading.
 
     Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError

@@ -163,7 +163,6 @@ def _drop_absent(decoded: DecodedImus, sensor: str, absent: NDArray[np.intp]) ->
 def _grouped_by_layout(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
 ) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
-    """Yield the indices and the records of each group of messages with the same layout."""
     n = len(payloads)
     # fields that must be equal in messages of equal length, so that their layout is the same
     fields = ('frame_bytes',) if encoding == 'ros1' else ('frame_bytes', 'representation')
@@ -218,7 +217,6 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
 
 @lru_cache(maxsize=256)
 def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
-    """Return the layout of an Imu message of ``length`` bytes (0: without padding)."""
     dtype = imu_dtype(encoding, order, frame_bytes, length)
     offsets = {name: entry[1] for name, entry in (dtype.fields or {}).items()}
     return _Layout(order, dtype, offsets, slice(_FRAME_AT, _FRAME_AT + frame_bytes))

@@ -28,7 +28,6 @@ from ..files import open_regular
 from .storage import (
     MAX_CHUNK_BYTES,
     Messages,
-    Storage,
     Topic,
     Truncation,
     among,
@@ -177,7 +176,10 @@ class McapStorage:
         return dict(self._contents.counted)
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return the number of messages of these topics in the index; ``read`` if there is none."""
+        """Return how many messages of these topics the file contains, according to its index.
+
+        ``read`` is the number of messages that were read, which is returned without an index.
+        """
         if not self._contents.stated:
             return read
         stated = sum(self._contents.stated[number] for number in ids)
@@ -193,7 +195,6 @@ class McapStorage:
                 yield ready
 
     def _messages(self, chunk: Chunk, ids: set[int]) -> Messages:
-        """Return the messages of these channels in a chunk, in the order of the chunk."""
         data = self._data(chunk)
         view = memoryview(data)
         channels: list[int] = []
@@ -340,14 +341,13 @@ def _listed_chunk(data: bytes, at: int) -> tuple[Chunk, set[int]]:
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
-    """Return the string at ``data[at:]``, and the offset of the next field."""
     (length,) = struct.unpack_from('<I', data, at)
     end = at + 4 + length
     return data[at + 4 : end].decode(errors='replace'), end
 
 
 @contextmanager
-def open_storage(path: Path, shown: Path) -> Iterator[Storage]:
+def open_storage(path: Path, shown: Path) -> Iterator[McapStorage]:
     """Open an mcap file for reading.
 
     Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
@@ -396,7 +396,6 @@ def equal_messages(data: bytes, start: int, end: int) -> NDArray[np.void] | None
 
 @lru_cache(maxsize=64)
 def _message_dtype(length: int) -> np.dtype[Any]:
-    """Return the layout of a message record whose content has ``length`` bytes."""
     fields = [('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4')]
     fields += [('log_time', '<i8'), ('publish_time', '<u8')]
     return np.dtype([*fields, ('payload', f'V{length - MESSAGE_HEAD.size}')])

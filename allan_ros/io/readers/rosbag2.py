@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +30,6 @@ from .storage import (
     METADATA,
     Messages,
     Payloads,
-    Storage,
     Topic,
     Truncation,
     among,
@@ -37,6 +37,9 @@ from .storage import (
     decompress,
     frame_compression,
 )
+
+if TYPE_CHECKING:
+    from .bag import Storage
 
 ENCODINGS = ('cdr', 'ros1')
 """Supported serializations."""
@@ -160,16 +163,11 @@ def _named(path: Path, survey: Survey, wanted: str) -> Key:
 
 def _no_imu(path: Path, survey: Survey) -> AllanError:
     cut = survey.truncation
-    read = cut and f'{cut.read} of {cut.size} bytes could be read'
-    if read and not survey.topics:
-        return AllanError(
-            f'{path}: is truncated: {read}, without a complete message: copy or record it again'
-        )
+    read = f'; only {cut.read} of {cut.size} bytes could be read (copy it again)' if cut else ''
     busiest = sorted(survey.topics, key=lambda key: -survey.counts[key])
-    truncated = f'; {read}' if read else ''
     return AllanError(
-        f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}'
-        f'{truncated}: record the topic of the IMU'
+        f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}{read}: '
+        'record the topic of the IMU'
     )
 
 
@@ -248,7 +246,6 @@ class _Reader:
             raise no_message(bag.path, self.topic.name)
 
     def _blocks(self, storage: Storage) -> Iterator[Messages]:
-        """Yield the messages of the topic in one file; keep some of the temperature topics."""
         mine, *others = (_ids(storage, topic) for topic in (self.topic, *self.thermometers))
         for block in storage.blocks(mine.union(*others)):
             for numbers, kept in zip(others, self._temperatures):
@@ -292,12 +289,10 @@ class _Reader:
 
 
 def _ids(storage: Storage, topic: Topic) -> set[int]:
-    """Return the numbers of a topic in one file."""
     return {t.id for t in storage.topics if (t.name, t.type) == (topic.name, topic.type)}
 
 
 def _compare(stated: int, read: int, where: Path, report: Report) -> None:
-    """Report a finding if the number of read messages differs from the stated number."""
     if stated != read:
         report(finding('count_differs', path=where, stated=stated, read=read))
 
@@ -321,7 +316,6 @@ def _rebatched(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
 
 
 def _decompressed(payloads: Payloads) -> Iterator[Payloads]:
-    """Yield the serialized messages in ``payloads``, which may be compressed."""
     compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
     if not compression:
         yield payloads

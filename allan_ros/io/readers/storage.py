@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,26 +94,6 @@ class Truncation:
 
     read: int
     size: int
-
-
-class Storage(Protocol):
-    """An open bag file; ``truncation`` is None if it is complete."""
-
-    topics: list[Topic]
-    truncation: Truncation | None
-
-    def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages."""
-
-    def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield the next messages of these topics, in the order of record time."""
-
-    def stated(self, ids: set[int], read: int) -> int:
-        """Return how many messages of these topics the file contains, according to its index.
-
-        Call it after `blocks` with the number of messages that were read, which is returned if the
-        file has no index.
-        """
 
 
 def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
@@ -232,7 +212,6 @@ def _stated_size(head: bytes | memoryview, compression: str) -> int:
 
 
 def _expanding(file: BinaryIO, compression: str) -> Any:
-    """Return a file object with the decompressed content of ``file``."""
     if compression == 'zstd':
         return _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
     if compression == 'lz4':

@@ -138,7 +138,6 @@ class _Table:
 
 
 def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
-    """Return the layout of a table, from its first lines and the options."""
     comment = ''
     lines = _bounded_lines(path, file)
     number = 0
@@ -239,7 +238,6 @@ def _text(path: Path) -> TextIO:
 
 
 def _bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
-    """Yield the lines of a text file; raise AllanError when one is longer than `MAX_LINE`."""
     number, read = 0, file.readline
     while line := read(MAX_LINE):
         number += 1
@@ -290,8 +288,6 @@ class _Lines:
 
 @dataclass
 class _Rows:
-    """Consecutive rows with one frame_id."""
-
     table: _Table
     first: int = 0  # index of the first row in the table
     frame_id: str = ''
@@ -344,7 +340,6 @@ class _Rows:
         return np.array(times, np.int64)
 
     def _converted(self, column: int, convert: Callable[[str], T]) -> list[T]:
-        """Convert each cell of a column; raise AllanError for the first invalid one."""
         converted = []
         for row, cells in enumerate(self.cells):
             cell = cells[column].strip().replace(',', '.')

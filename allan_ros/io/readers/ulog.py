@@ -112,7 +112,6 @@ class _Limited:
 
 
 def _label(data: Any, log: Any) -> str:
-    """Return the name of a topic, with the instance number if it has several instances."""
     several = sum(other.name == data.name for other in log.data_list) > 1
     return f'{data.name}:{data.multi_id}' if several else str(data.name)
 

@@ -140,13 +140,9 @@ def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> I
 
 def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
     """Return the empty HTML elements in which a script draws the charts of one kind."""
-    known = [of for of in charts if of[kind]]
-    titles = {of['sensor']: f'<h3>{SENSOR_NAMES[of["sensor"]]}</h3>' for of in known}
-    hosts = [
-        f'<div>{title}<div class="charts" data-kind="{kind}" data-sensor="{sensor}"></div></div>'
-        for sensor, title in titles.items()
-    ]
-    return ['<div class="pair">', *hosts, '</div>'] if hosts else []
+    html = '<div class="charts" data-kind="{}" data-sensor="{}"></div>'
+    names = [of['sensor'] for of in charts if of[kind]]
+    return _pair(names, [[html.format(kind, name)] for name in names])
 
 
 def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
@@ -204,7 +200,6 @@ def _items(texts: Iterable[str]) -> str:
 
 
 def _verdict_section(results: Results, verdict: Verdict) -> str:
-    """Return the verdict in one line, with the number of warnings."""
     summary = in_units(
         lambda system: escape(verdict_of(results, units=system, spelled=pretty_unit).summary)
     )
@@ -240,7 +235,6 @@ def _next_steps(results: Results, verdict: Verdict, units: str) -> Iterator[str]
 def _comparisons(
     results: Results, sensors: Mapping[str, Mapping[str, AxisResult]]
 ) -> Iterator[str]:
-    """Yield the tables of the comparisons with the datasheet and with earlier runs."""
     if results.datasheet:
         name = escape(results.datasheet.datasheet.name)
         parts = [[*datasheet_table(s, axes, results.datasheet)] for s, axes in sensors.items()]
@@ -255,7 +249,6 @@ def _comparisons(
 
 
 def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
-    """Yield HTML tables of inputs, sample counts, ``method``, software versions and settings."""
     known, counts = results.provenance, results.provenance.counts
     inputs: dict[str, str] = {}
     for s in known.sources:
@@ -302,7 +295,6 @@ def _table(rows: Mapping[str, str]) -> str:
 
 
 def _findings_section(results: Results) -> Iterator[str]:
-    """Yield the findings as HTML; notes are collapsed."""
     shown, notes = findings_and_notes(results)
     if shown or notes:
         yield '<section id="findings"><h2>Findings</h2>'

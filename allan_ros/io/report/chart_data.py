@@ -90,7 +90,6 @@ def _units(sensor: str, units: str) -> dict[str, Any]:
 
 
 def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
-    """Return the curve, the model and its parts of one axis at the averaging times ``tau``."""
     shown: dict[str, Any] = {'name': name, 'label': name[-1]}
     curve = drawn_curve(axis)
     if curve is None or axis.curve is None:
@@ -123,7 +122,6 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
 def _references(
     axes: Mapping[str, AxisResult], results: Results, tau: Sequence[float]
 ) -> Iterator[dict[str, Any]]:
-    """Yield the curves of the datasheet and of each earlier run at the averaging times ``tau``."""
     stated = results.datasheet.datasheet.values() if results.datasheet else {}
     for name, axis in axes.items():
         if results.datasheet and stated.get(name) and tau:
@@ -164,7 +162,6 @@ def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any]
 
 
 def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
-    """Return the frequencies of sinusoids and resonances, each with the letters of its axes."""
     groups: dict[str, list[tuple[float, str]]] = {}  # frequencies with equal shown digits
     for name, axis in axes.items():
         sines = [sine.frequency for sine in axis.processes.sinusoid]
@@ -177,7 +174,6 @@ def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
 
 
 def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> list[dict[str, Any]]:
-    """Return the signal of each axis relative to its median."""
     shown = []
     for name in axes:
         i = AXES.index(name)

@@ -136,7 +136,6 @@ def filter_table(results: Results) -> str:
 
 
 def _origin(level: Level) -> str:
-    """Return the origin of a number for a filter as HTML."""
     what = f'{level.term} of {level.axis.replace("_", " ")}'
     if level.is_limit:
         what += ', 95&nbsp;% upper limit because it is not resolved'
@@ -258,7 +257,6 @@ def _checks_table(
 
 
 def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results | None) -> str:
-    """Return a cell: value, earlier value or fraction of the limit, and verdict."""
     axis, term = check.axis, check.term
 
     def shown(c: Coefficient) -> str:
@@ -280,8 +278,6 @@ def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results |
 
 
 def _coefficient_rows(sensor: str, axes: Axes, terms: Sequence[str]) -> list[Row]:
-    """Return a row for each term with the values and 95 % intervals of all axes."""
-
     def cell(axis: str, term: str, c: Coefficient) -> str:
         def shown(units: str) -> str:
             unit = shown_unit(axis, term, units)
@@ -319,7 +315,6 @@ def _comparison(axes: Axes, rows: Sequence[Row], corner: str = 'term') -> str:
 
 
 def _table(kind: str, axes: Axes, corner: str, rows: Iterable[Row]) -> str:
-    """Return an HTML table with a column for each axis, headed x, y, z."""
     first = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
     head = ''.join(f'<th scope="col" class="{axis[-1]}">{axis[-1]}</th>' for axis in axes)
     body = ''.join(f'<tr><th scope="row">{th}</th>{"".join(cells)}</tr>' for th, cells in rows)

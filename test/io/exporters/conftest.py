@@ -48,7 +48,7 @@ def axis_fit(axis: str) -> AxisFit:
     return AxisFit(noise, model_of_terms(noise))
 
 
-@pytest.fixture
+@pytest.fixture(scope='session')
 def known_results() -> Results:
     """Return the fixed results, as read from their document."""
     source = SourceInfo('runs/one.mcap', '/imu/data', 'sensor_msgs/msg/Imu', 'mcap')

@@ -185,7 +185,7 @@ def test_a_name_of_any_bytes_is_shown_in_a_printable_line(
         ('empty', lambda path: path.mkdir(), 'no bag in this folder'),
         ('run.bag', lambda path: path.write_bytes(b'not a bag at all'), 'it is not a bag'),
         ('run.db3', lambda path: path.write_bytes(b'SQLite format 3\0'), 'cannot be read'),
-        ('run.mcap', lambda path: path.write_bytes(b'\x89MCAP0\r\n'), 'without a complete message'),
+        ('run.mcap', lambda path: path.write_bytes(b'\x89MCAP0\r\n'), 'it has no topic; only'),
         ('run.mcap.zstd', lambda path: path.write_bytes(b'\x28\xb5\x2f\xfd.'), 'cannot be read'),
         ('notes.pdf', lambda path: path.write_bytes(b'%PDF'), 'not a known type of recording'),
         (
