@@ -207,6 +207,7 @@ class DrawnCurve(NamedTuple):
     adev: Floats
     low: Floats  # 68.3 % limits
     high: Floats
+    uncertain: NDArray[np.bool_]  # points that are not compared with the model
     model: Floats
     upper: Floats  # model with unresolved terms at their upper limits
     parts: dict[str, Floats]  # parts of the model
@@ -240,7 +241,9 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
         for term, tau in READ_AT.items()
         if term in parts
     }
-    return DrawnCurve(curve.tau, adev, low, high, model, upper, parts, limits, read)
+    return DrawnCurve(
+        curve.tau, adev, low, high, curve.is_uncertain, model, upper, parts, limits, read
+    )
 
 
 def check_plots(formats: Sequence[str]) -> None:

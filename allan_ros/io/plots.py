@@ -220,7 +220,10 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
         panel.text(0.5, 0.5, 'no noise', ha='center', transform=panel.transAxes)
         return
     panel.set(xscale='log', yscale='log')
-    panel.plot(curve.tau, curve.adev, 'ko', ms=2.6, mfc='none', mew=0.6, label='measured')
+    style = {'marker': 'o', 'ls': '', 'ms': 2.6, 'mew': 0.6}
+    panel.plot(curve.tau, curve.adev, color='k', mfc='none', label='measured', **style)
+    some = curve.uncertain
+    panel.plot(curve.tau[some], curve.adev[some], color='0.7', label='uncertain', **style)
     panel.fill_between(
         curve.tau, curve.low, curve.high, color='k', alpha=BAND_ALPHA, lw=0, label='68 % limits'
     )

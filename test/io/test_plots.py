@@ -23,6 +23,8 @@ def test_the_curve_is_drawn_in_the_stated_unit(small_results: Results) -> None:
     (measured,) = [line for line in panel.lines if line.get_label() == 'measured']
     adev = small_results.axes['gyro_x'].curve.adev
     assert np.allclose(measured.get_ydata(), adev / DEG_PER_HOUR, rtol=1e-12)
+    (uncertain,) = [line for line in panel.lines if line.get_label() == 'uncertain']
+    assert 0 < len(uncertain.get_ydata()) < len(adev) / 4
     assert '°/h' in panel.get_ylabel()
     si = sensor_figure(small_results, 'gyro', units='SI').axes[0]
     assert 'rad/s' in si.get_ylabel()

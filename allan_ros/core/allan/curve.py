@@ -175,6 +175,11 @@ def _local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats
     return out
 
 
+UNCERTAIN = 1.5
+"""Ratio of the upper limit to a point above which the point is not compared with a model. It has
+fewer than six degrees of freedom: its averaging time exceeds about a tenth of the record."""
+
+
 @dataclass(frozen=True)
 class AxisCurve:
     """Overlapping Allan deviation with its 68.3 % confidence limits.
@@ -203,6 +208,11 @@ class AxisCurve:
     adev: Floats
     ci_low: Floats
     ci_high: Floats
+
+    @property
+    def is_uncertain(self) -> NDArray[np.bool_]:
+        """Whether a point is too uncertain to be compared with a model, as ``adev``."""
+        return ~(self.ci_high <= UNCERTAIN * self.adev)
 
 
 @dataclass(frozen=True)

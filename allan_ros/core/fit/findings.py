@@ -160,9 +160,8 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     axes, found = {}, []
     for i, name in enumerate(curve.axes):
         fit = model.axes[name]
-        adev, low, high = (a[:, i] for a in (curve.adev, curve.ci_low, curve.ci_high))
         line = model_line(fit, model.tau0, curve.m)
-        axes[name] = replace(fit, deviation=largest_deviation(line, curve.tau, adev, low, high))
+        axes[name] = replace(fit, deviation=largest_deviation(line, curve.axis(i)))
         if fit.lack_of_fit:
             worst = max(fit.lack_of_fit, key=lambda each: abs(math.log(each.ratio)))
             ends = {'low': worst.low, 'high': worst.high}

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan.curve import AllanCurve
+from ..allan.curve import AllanCurve, AxisCurve
 from ..noise import FLICKER_FLOOR
 from .model import AxisFit, Deviation, Floats
 
@@ -58,24 +58,22 @@ def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
     return ModelLine(np.where(drawn, line, np.nan), np.where(drawn, upper, np.nan))
 
 
-def largest_deviation(
-    line: ModelLine, tau: Floats, adev: Floats, low: Floats, high: Floats
-) -> Deviation | None:
-    """Return the largest significant deviation of the measured points from the model, or None.
+def largest_deviation(line: ModelLine, curve: AxisCurve) -> Deviation | None:
+    """Return the largest significant deviation of a measured curve from the model, or None.
 
     A point above the line is compared with ``line.upper``. A deviation is significant if it exceeds
-    `SIGNIFICANT` error bars on a logarithmic axis. ``adev`` is the measured Allan deviation at the
-    averaging times ``tau`` in s; ``low`` and ``high`` are its 68.3 % limits.
+    `SIGNIFICANT` error bars on a logarithmic axis. Uncertain points are not compared.
     """
+    adev, low, high = curve.adev, curve.ci_low, curve.ci_high
     with np.errstate(divide='ignore', invalid='ignore'):
         edge = np.clip(adev, line.adev, line.upper)
         off = np.log(adev / edge)
         bar = np.where(off > 0.0, np.log(adev / low), np.log(high / adev))
-        significant = (adev > 0.0) & (np.abs(off) > SIGNIFICANT * bar)
+        significant = ~curve.is_uncertain & (adev > 0.0) & (np.abs(off) > SIGNIFICANT * bar)
     if not significant.any():
         return None
     at = int(np.argmax(np.where(significant, np.abs(off), -1.0)))
-    return Deviation(math.expm1(off[at]), float(tau[at]))
+    return Deviation(math.expm1(off[at]), float(curve.tau[at]))
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from allan_ros.core.allan.curve import AllanCurve
+from allan_ros.core.allan.curve import AllanCurve, chi_squared_limits
 from allan_ros.core.allan.grid import grid_for
-from allan_ros.core.fit.interpretation import dominant_regions
+from allan_ros.core.fit.interpretation import dominant_regions, largest_deviation, model_line
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient, model_of_terms
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import NoiseTerms, term_avar
@@ -114,3 +115,17 @@ def test_unknown_terms_dominate_nowhere():
     curve, _ = exact(**PAPER)
     unknown = AxisFit({t: Coefficient(None, status='not_observable') for t in TERMS})
     assert dominant_regions(curve, 'gyro_x', unknown) == []
+
+
+def test_only_points_that_are_certain_are_compared_with_the_model():
+    """White noise over 2 h whose curve drops by 80 % at long times, and at one short time."""
+    curve, fits = exact(3600.0, gyro_x=(0.0, 0.242, 0.0, 0.0, 0.0))
+    adev = np.where(curve.edf > 6.0, 1.0, 0.2) * curve.adev
+    low, high = chi_squared_limits(adev**2, curve.edf)
+    curve = replace(curve, adev=adev, ci_low=low, ci_high=high)
+    line = model_line(fits['gyro_x'], TAU0, curve.m)
+    assert np.all(curve.is_uncertain == (curve.edf <= 6.0)) and curve.is_uncertain.any()
+    assert largest_deviation(line, curve.axis(0)) is None
+    for column in (adev, low, high):
+        column[10] *= 0.2
+    assert largest_deviation(line, curve.axis(0)) == pytest.approx((-0.8, curve.tau[10]))
