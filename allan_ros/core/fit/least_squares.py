@@ -12,8 +12,7 @@ as several open tools do. No decade of tau dominates. N is less precise than wit
 'paper' is the method of Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019. It fits the
 Allan variance sigma^2(tau) = sum A_p tau^p, p = -2..2, without weights, to averages over groups
 that do not overlap, up to 1300 s, and computes each coefficient from its A_p. The long averaging
-times, which are the least precise, have the largest weight, so Q, K and R are often negative. A
-finding reports the same fit with overlapping groups, which the paper names as future work.
+times, which are the least precise, have the largest weight, so Q, K and R are often negative.
 
 `fit_curve` fits a curve that another tool computed. Its covariance is unknown without the samples:
 the points are decimated to four per octave and treated as independent, each with the degrees of
@@ -23,16 +22,15 @@ freedom of an overlapping estimate. The intervals are therefore approximate.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..allan.curve import degrees_of_freedom, noise_types_of_avar, sample_period
+from ..allan.curve import sample_period
 from ..allan.sums import AllanSums
 from ..errors import AllanError
-from ..findings import Finding, Quantity, finding
-from ..imu import sensor_of
+from ..findings import Finding, finding
 from ..noise import FLICKER_FLOOR, NoiseTerms, term_avar
 from .model import TERMS, Z_95, AxisFit, Coefficient, Floats, NoiseModel, Status, model_of_terms
 
@@ -121,63 +119,27 @@ def fit_relative(sums: AllanSums) -> NoiseModel:
 def fit_paper(sums: AllanSums) -> NoiseModel:
     """Fit sum A_p tau^p to the Allan variances of all axes (Cong et al. 2019).
 
-    A term whose A_p is negative has no value, and a finding reports it. Another finding contains
-    the result with overlapping groups and its smaller standard errors.
+    A term whose A_p is negative has no value, and a finding reports it.
     """
-    groups, overlapped = fit_polynomials(sums)
+    tau0 = sample_period(sums)
+    tau = sums.m * tau0
+    some = (tau <= LONGEST_TAU) & (sums.group_count > 0)
+    columns = tau[some, None] ** np.array(POWERS, float)
+    scale = np.sqrt((columns**2).sum(axis=0))
+    points = int(some.sum())
     findings: list[Finding] = []
     axes = {}
-    points = len(fitted_factors(sums))
     if points < len(TERMS):
         findings.append(_too_few(sums.axes, points))
     for i, (axis, sign) in enumerate(zip(sums.axes, _signs_of_ramps(sums))):
-        a = groups.value[:, i]
+        a = np.full(len(TERMS), np.nan)
+        if points >= len(TERMS):
+            a = (np.linalg.pinv(columns / scale) / scale[:, None]) @ sums.group_avar[some, i]
         axes[axis] = _axis_fit(a / PAPER_FACTORS, sign)
         negative = ', '.join(term for term, value in zip(TERMS, a) if value < 0.0)
         if negative:
             findings.append(finding('negative_coefficient', (axis,), terms=negative))
-        findings += _overlap_finding(
-            axis, groups.error[:, i], overlapped.value[:, i], overlapped.error[:, i]
-        )
-    return NoiseModel('paper', sample_period(sums), axes, tuple(findings))
-
-
-class Polynomial(NamedTuple):
-    """Coefficients A_-2 .. A_2 of sum A_p tau^p and their standard errors, (5, axes) each."""
-
-    value: Floats
-    error: Floats
-
-
-def fitted_factors(sums: AllanSums) -> NDArray[np.int64]:
-    """Return the indices of the averaging times up to 1300 s, which method 'paper' fits."""
-    tau = sums.m * sample_period(sums)
-    return np.flatnonzero((tau <= LONGEST_TAU) & (sums.group_count > 0))
-
-
-def fit_polynomials(sums: AllanSums) -> tuple[Polynomial, Polynomial]:
-    """Fit sum A_p tau^p to the Allan variances of groups without and with overlap.
-
-    The standard errors ignore correlations between points. All values are NaN if there are fewer
-    than five points.
-    """
-    # Variance of each point: 2 sigma^4/edf, with sigma^2 of the overlapped curve.
-    some = fitted_factors(sums)
-    m, stride = sums.m[some], sums.stride[some]
-    group_avar, avar = sums.group_avar[some], sums.avar[some]
-    if len(some) < len(TERMS):
-        nothing = np.full((len(TERMS), len(sums.axes)), np.nan)
-        return Polynomial(nothing, nothing), Polynomial(nothing, nothing)
-    tau = m * sample_period(sums)
-    columns = tau[:, None] ** np.array(POWERS, float)
-    scale = np.sqrt((columns**2).sum(axis=0))
-    solve = np.linalg.pinv(columns / scale) / scale[:, None]
-    types = noise_types_of_avar(m, avar, sums.samples)
-    fits = []
-    for v, starts in ((group_avar, m), (avar, stride)):
-        variance = 2.0 * avar**2 / degrees_of_freedom(sums, m, starts, types)
-        fits.append(Polynomial(solve @ v, np.sqrt(solve**2 @ variance)))
-    return fits[0], fits[1]
+    return NoiseModel('paper', tau0, axes, tuple(findings))
 
 
 def _signs_of_ramps(sums: AllanSums) -> list[int]:
@@ -200,21 +162,6 @@ def _axis_fit(squares: Floats, sign: int) -> AxisFit:
 
 def _too_few(axes: tuple[str, ...], points: int) -> Finding:
     return finding('too_few_points', axes, points=points, needed=len(TERMS))
-
-
-def _overlap_finding(
-    axis: str, error: Floats, a: Floats, error_overlapped: Floats
-) -> list[Finding]:
-    """Return the finding about overlapping groups; none without positive coefficients."""
-    values, gains = [], []
-    for k, term in enumerate(TERMS):
-        if a[k] > 0.0:
-            value = math.sqrt(a[k] / PAPER_FACTORS[k])
-            values.append(Quantity(value, sensor_of(axis), term))
-            gains.append(f'{term} {error[k] / error_overlapped[k]:.2f}')
-    if not values:
-        return []
-    return [finding('overlap_gain', (axis,), values=tuple(values), gains=', '.join(gains))]
 
 
 POINTS_PER_OCTAVE = 4

@@ -10,11 +10,7 @@ from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import TERMS, fit_noise
-from allan_ros.core.fit.least_squares import (
-    fit_polynomials,
-    fitted_factors,
-    nonnegative_least_squares,
-)
+from allan_ros.core.fit.least_squares import nonnegative_least_squares
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import term_avar
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
@@ -75,35 +71,11 @@ def test_paper_reports_a_negative_coefficient_without_a_value(white):
     assert 'gives a negative variance for K' in said[0].message
 
 
-def test_paper_stops_at_1300_s_and_needs_a_whole_group(white):
-    tau = white.m[fitted_factors(white)] * white.tau0
-    assert 1000 < tau[-1] <= 1300
-    short = sums_of(np.random.default_rng(0).standard_normal((3000, 2)))
-    assert short.m[fitted_factors(short)][-1] * short.tau0 <= 15.0
-
-
-def test_paper_reports_the_gain_of_overlapping(white):
-    groups, overlapped = fit_polynomials(white)
-    gain = groups.error / overlapped.error
-    assert (gain > 1.0).all() and (gain < 3.0).all()
-    said = [f for f in fit_noise(white, 'paper').findings if f.id == 'overlap_gain']
-    assert [f.axes for f in said] == [('gyro_x',), ('accel_z',)]
-    n = math.sqrt(overlapped.value[1, 0]) * 180 / math.pi * 60
-    assert f'N {n:.3g} deg/sqrt(h)' in said[0].message
-    assert f'N {gain[1, 0]:.2f}' in said[0].message
-
-
-def test_standard_errors_of_the_paper_agree_with_simulation():
-    """The stated error of A_-1 ignores correlations, so it is right only within a factor of two
-    (60 draws).
-    """
-    rng = np.random.default_rng(5)
-    fits = [
-        fit_polynomials(sums_of(rng.standard_normal((4000, 2)), rate=1.0))[0] for _ in range(60)
-    ]
-    spread = np.std([f.value[1] for f in fits])
-    stated = np.mean([f.error[1] for f in fits])
-    assert 0.5 < spread / stated < 2.0
+def test_paper_uses_averages_up_to_1300_s(white):
+    """The curve beyond is far above the polynomial."""
+    bent = with_curve(white, lambda tau: polynomial(TRUTH, tau) * np.where(tau > 1300.0, 9.0, 1.0))
+    fit = fit_noise(bent, 'paper')
+    assert fit.axes['gyro_x'].noise['K'].value == pytest.approx(TRUTH.K, rel=1e-5)
 
 
 def test_relative_finds_the_terms_of_an_exact_curve(white):
