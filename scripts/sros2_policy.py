@@ -44,7 +44,9 @@ STARTED = {
 All get ``use_sim_time`` for `/clock`.
 """
 
-PATIENCE_S = 60.0
+PATIENCE_S = 240.0
+"""Longest time in s to wait for the nodes, and for the names that are expected of them."""
+
 SETTLED_S = 3.0
 """Time in s without a change after which the names of a node are complete."""
 
@@ -52,8 +54,13 @@ Names = dict[str, frozenset[str]]
 """'publish', 'subscribe', 'reply', 'request' -> names of topics or services."""
 
 
-def read_graph(nodes: Iterable[str]) -> dict[str, Names]:
-    """Start these nodes and return the names that each uses, by fully qualified node name."""
+def read_graph(
+    nodes: Iterable[str], expected: Callable[[dict[str, Names]], bool]
+) -> dict[str, Names]:
+    """Start these nodes and return the names that each uses, by fully qualified node name.
+
+    While ``expected`` is False, a node may be slow, and the names are read again.
+    """
     import rclpy
 
     rclpy.init()
@@ -73,7 +80,7 @@ def read_graph(nodes: Iterable[str]) -> dict[str, Names]:
                     stderr=subprocess.DEVNULL,
                 )
             )
-        return _settled(lambda: {name: _names(client, name) for name in nodes})
+        return _settled(lambda: {name: _names(client, name) for name in nodes}, expected)
     finally:
         for process in processes:
             process.terminate()
@@ -83,8 +90,10 @@ def read_graph(nodes: Iterable[str]) -> dict[str, Names]:
         rclpy.shutdown()
 
 
-def _settled(read: Callable[[], dict[str, Names]]) -> dict[str, Names]:
-    """Return the value of a function once it exists and no longer changes."""
+def _settled(
+    read: Callable[[], dict[str, Names]], expected: Callable[[dict[str, Names]], bool]
+) -> dict[str, Names]:
+    """Return the names once all nodes have some, they no longer change, and they are expected."""
     ends = time.monotonic() + PATIENCE_S
     known, since = read(), time.monotonic()
     while time.monotonic() < ends:
@@ -92,11 +101,11 @@ def _settled(read: Callable[[], dict[str, Names]]) -> dict[str, Names]:
         now = read()
         if now != known or not all(names['publish'] for names in now.values()):
             known, since = now, time.monotonic()
-        elif time.monotonic() - since > SETTLED_S:
+        elif time.monotonic() - since > SETTLED_S and expected(known):
             return known
-    raise SystemExit(
-        f'these nodes did not come up: {[n for n in known if not known[n]["publish"]]}'
-    )
+    if missing := [name for name in known if not known[name]['publish']]:
+        raise SystemExit(f'these nodes did not come up: {missing}')
+    return known
 
 
 def _names(client: object, node: str) -> Names:
@@ -145,14 +154,15 @@ def _relative(node: str, names: Iterable[str]) -> list[str]:
     return sorted(f'~/{n[len(own) :]}' if n.startswith(own) else n.lstrip('/') for n in names)
 
 
-def _compare(seen: ET.Element, written: ET.Element) -> int:
-    """Print the differences between the graph and the file; return 1 if there are any."""
+def differing(graph: dict[str, Names]) -> list[str | None]:
+    """Return the enclaves that are not as the file says."""
+    seen, written = ET.fromstring(policy_of(graph)), ET.parse(POLICY).getroot()
     known = {e.get('path'): ET.tostring(e).split() for e in written.iter('enclave')}
-    differ = [e.get('path') for e in seen.iter('enclave')
-              if ET.tostring(e).split() != known.get(e.get('path'))]  # fmt: skip
-    for path in differ:
-        print(f'{path} is not as {POLICY.name} says: run this script without --check')
-    return 1 if differ else 0
+    return [
+        e.get('path')
+        for e in seen.iter('enclave')
+        if ET.tostring(e).split() != known.get(e.get('path'))
+    ]
 
 
 def main() -> int:
@@ -161,11 +171,16 @@ def main() -> int:
     parser.add_argument('--check', action='store_true', help='compare instead of writing')
     parser.add_argument('nodes', nargs='*', choices=[*STARTED, []], help='compare only these')
     options = parser.parse_args()
-    text = policy_of(read_graph(options.nodes or STARTED))
+    graph = read_graph(
+        options.nodes or STARTED, lambda found: not options.check or not differing(found)
+    )
     if options.check:
-        return _compare(ET.fromstring(text), ET.parse(POLICY).getroot())
+        differ = differing(graph)
+        for path in differ:
+            print(f'{path} is not as {POLICY.name} says: run this script without --check')
+        return 1 if differ else 0
     POLICY.parent.mkdir(exist_ok=True)
-    POLICY.write_text(text)
+    POLICY.write_text(policy_of(graph))
     print(f'written: {POLICY.relative_to(ROOT)}')
     return 0
 

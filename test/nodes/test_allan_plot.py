@@ -40,7 +40,7 @@ def test_the_plot_is_drawn_for_who_subscribes_and_not_before(graph, still_imu):
     assert width > 800 and height > 500
     assert len(picture.data) < 1_000_000
     assert 'matplotlib' in loaded.read_text()
-    graph.spin(4.0)
+    graph.spin(2.0)
     assert len(pictures) <= len(models)  # nothing new to show: nothing is drawn
 
 
