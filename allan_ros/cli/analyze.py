@@ -17,6 +17,7 @@ has its own results, and a summary lists all. The same applies to a bag with sev
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -29,7 +30,7 @@ from ..core.findings import Finding
 from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
 from ..io.datasheets import load_sensor
-from ..io.documents import load, load_sums, results_to_document
+from ..io.documents import RESULTS, load, load_sums, results_to_document
 from ..io.exporters import target_of
 from ..io.readers import ReadOptions
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
@@ -38,18 +39,17 @@ from .batch import (
     EXIT_ERROR,
     EXIT_FAILED,
     EXIT_UNJUDGED,
-    METADATA,
-    STORAGES,
+    SUMMARY,
     Unit,
     exit_code_of,
     fit_and_write,
     on_cluster,
-    recordings_in,
     run_batch,
     run_check,
     split_by_topic,
 )
 from .console import Console, colored, width
+from .main import RECORDINGS
 from .options import Command, Settings, settings_of
 from .tables import findings_lines, results_lines
 
@@ -79,6 +79,46 @@ inputs INPUT...  recording, earlier sums, or a folder of recordings
 --scheduler ADDRESS  read on the Dask cluster of this scheduler, for example tcp://host:8786; its
     workers must see the same paths
 """
+
+
+METADATA = 'metadata.yaml'
+
+STORAGES = ('.mcap', '.db3')
+"""Suffixes of files that can be parts of a split bag."""
+
+SPLIT = re.compile(r'^(.*)_(0|[1-9]\d*)$')
+"""Name of a part of a split bag without suffix: rosbag2 appends a number, from 0 on."""
+
+
+def recordings_in(path: str, units: bool = False) -> list[str]:
+    """Return the paths of all recordings in a folder, or only ``path`` if it is one recording.
+
+    A folder is one recording if it has a metadata.yaml, or contains only one bag or its numbered
+    parts. With ``units``, numbered files without metadata.yaml are separate recordings. A folder
+    without recordings can contain the folders of analyses.
+    """
+    folder = Path(path)
+    if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
+        return [path]
+    children = sorted(folder.iterdir())
+    files = [child for child in children if child.suffix.lower() in RECORDINGS and child.is_file()]
+    files = [file for file in files if file.name != SUMMARY]
+    bags = [child for child in children if child.is_dir() and (child / METADATA).is_file()]
+    if _one_bag(files, units) and not bags:
+        analyses = [child for child in children if (child / RESULTS).is_file()]
+        return [str(each) for each in analyses] if analyses and not files else [path]
+    return [str(each) for each in (*bags, *files)]
+
+
+def _one_bag(files: Sequence[Path], units: bool) -> bool:
+    """Return whether the files are one bag without metadata.yaml, or there is none."""
+    if not all(file.suffix in STORAGES for file in files):
+        return False
+    if units or len(files) < 2:
+        return len(files) < 2
+    splits = [match for file in files if (match := SPLIT.match(file.stem))]
+    numbers = sorted(int(match[2]) for match in splits)
+    return len({match[1] for match in splits}) == 1 and numbers == list(range(len(files)))
 
 
 def read_jobs(

@@ -24,7 +24,7 @@ from ..core.findings import SEVERITIES, Finding, by_consequence, finding
 from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
 from ..io.analysis import analyze_recorded
-from ..io.documents import RESULTS, load, load_sums, results_to_document
+from ..io.documents import load, load_sums, results_to_document
 from ..io.files import write_atomic
 from ..io.format import known_numbers, shown_unit, value_text
 from ..io.readers import topics_of
@@ -32,7 +32,6 @@ from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
 from ..io.results import Results
 from ..io.verdict import WORDS, Verdict, verdict_of
 from .console import Console, colored, painted
-from .main import RECORDINGS
 from .options import settings_of
 from .tables import LEVEL_COLORS
 
@@ -40,14 +39,6 @@ EXIT_ERROR, EXIT_FAILED, EXIT_UNJUDGED = 1, 3, 4
 
 WORST_FIRST = (EXIT_FAILED, EXIT_ERROR, EXIT_UNJUDGED, 0)
 """Exit codes of units; the first one that occurs is the exit code of all."""
-
-METADATA = 'metadata.yaml'
-
-STORAGES = ('.mcap', '.db3')
-"""Suffixes of files that can be parts of a split bag."""
-
-SPLIT = re.compile(r'^(.*)_(0|[1-9]\d*)$')
-"""Name of a part of a split bag without suffix: rosbag2 appends a number, from 0 on."""
 
 
 @dataclass(frozen=True)
@@ -70,40 +61,6 @@ class Outcome:
     unit: Unit
     results: Results | None = None
     error: str = ''
-
-
-def recordings_in(path: str, units: bool = False) -> list[str]:
-    """Return the paths of all recordings in a folder, or only ``path`` if it is one recording.
-
-    A folder is one recording if it has a metadata.yaml, or contains only one bag or its numbered
-    parts. With ``units``, numbered files without metadata.yaml are separate recordings. A folder
-    without recordings can contain the folders of analyses.
-    """
-    folder = Path(path)
-    if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
-        return [path]
-    children = sorted(folder.iterdir())
-    files = [child for child in children if child.suffix.lower() in RECORDINGS and child.is_file()]
-    files = [file for file in files if file.name != SUMMARY]
-    bags = [child for child in children if child.is_dir() and (child / METADATA).is_file()]
-    if _one_bag(files, units) and not bags:
-        analyses = [child for child in children if (child / RESULTS).is_file()]
-        return [str(each) for each in analyses] if analyses and not files else [path]
-    return [str(each) for each in (*bags, *files)]
-
-
-def _one_bag(files: Sequence[Path], units: bool) -> bool:
-    """Return whether the files are one bag without metadata.yaml, or there is none."""
-    if len(files) < 2:
-        return all(file.suffix in STORAGES for file in files)
-    splits = [match for file in files if (match := SPLIT.match(file.stem))]
-    numbers = sorted(int(match[2]) for match in splits)
-    return (
-        not units
-        and all(file.suffix in STORAGES for file in files)
-        and len({match[1] for match in splits}) == 1
-        and numbers == list(range(len(files)))
-    )
 
 
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
@@ -440,26 +397,26 @@ def on_cluster(
         raise AllanError(
             f'no Dask scheduler answers at {address}: check the address and that it runs'
         ) from error
-    outcomes: dict[ReadJob, RecordingSums | Finding] = {}
+    outcomes: list[RecordingSums | Finding | None] = []
     with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
         # not pure: a recording may have changed since an earlier analysis with the same job
         futures = client.map(work, jobs, pure=False)
-        interrupted: list[ReadJob] = []
-        for job, future in zip(jobs, futures):
+        for future in futures:
             try:
                 recorded = _result(client, future)
             except KilledWorker:
-                interrupted.append(job)
+                outcomes.append(None)
                 continue
-            outcomes[job] = recorded
+            outcomes.append(recorded)
             progress.advance(recorded.provenance.counts.received)
         # a crash also loses the queued jobs of the worker: repeat each alone to find the cause
-        for job in interrupted:
+        for at, job in enumerate(jobs):
             try:
-                outcomes[job] = _result(client, client.submit(work, job, pure=False))
+                again = outcomes[at] or _result(client, client.submit(work, job, pure=False))
             except KilledWorker:
-                outcomes[job] = finding('recording_lost', path=job.path)
-    yield from (outcomes[job] for job in jobs)
+                again = finding('recording_lost', path=job.path)
+            outcomes[at] = again
+    yield from filter(None, outcomes)
 
 
 def _result(client: Any, future: Any) -> RecordingSums:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from allan_ros.cli.batch import recordings_in
+from allan_ros.cli.analyze import recordings_in
 from allan_ros.cli.main import main
 from allan_ros.core.imu import ImuBatch
 from allan_ros.io.readers.cdr import encode_imus
