@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .core.compare import MARGIN
 from .core.errors import AllanError, one_line
@@ -32,16 +32,12 @@ from .core.settings import (
     parameter,
     settings_from,
 )
-from .core.simulate import Faults, simulate_imu
 from .io.analysis import analyze_recorded
-from .io.common import CommonResult, common_of
-from .io.comparison import REST, RUNNING, Inflation, RunComparison, Subject, compare_runs
 from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH, public
 from .io.format import check_plots
 from .io.readers import ReadOptions, Recording, topics_of
-from .io.readers.arrays import recording_in_memory
 from .io.recorded import (
     Observer,
     ReadJob,
@@ -53,7 +49,10 @@ from .io.recorded import (
     read_recording,
 )
 from .io.results import Results
-from .io.user_files import stated_noise
+
+if TYPE_CHECKING:
+    from .io.common import CommonResult
+    from .io.comparison import Inflation, RunComparison
 
 NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]
 """Coefficients in datasheet units: one mapping such as ``{'N': 0.3}`` for all axes of a sensor, a
@@ -234,6 +233,8 @@ def analyze(
         read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
         recorded = add_recordings([*read, *stored])
     else:
+        from .io.readers.arrays import recording_in_memory
+
         recording = recording_in_memory(source, reading, axes)
         job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
         recorded = read_recording(job, recording)
@@ -345,6 +346,8 @@ def compare(
             raise AllanError(f'two inputs are called {name!r}: give each a label')
     if len(sources) + len(sheets) < 2 or not sources:
         raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
+    from .io.comparison import Subject, compare_runs
+
     runs = (results_of(source, method, observer) for source in sources)
     return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin, within)
 
@@ -394,6 +397,9 @@ def common(
     >>> round(float(row.coherence.value[0]), 1)
     0.9
     """
+    from .io.common import common_of
+    from .io.readers.arrays import recording_in_memory
+
     reading, settings = _settings(options, rate)
     expect(LIST, labels=labels)
     recordings: dict[str, Recording] = {}
@@ -456,6 +462,8 @@ def inflate(
     >>> round(ar.inflate(off, on).axes['gyro_x']['N'].factor, 1)
     2.0
     """
+    from .io.comparison import REST, RUNNING, Inflation, Subject, compare_runs
+
     check_range(1e-3, 1e9, 's', horizon=horizon)
     quiet = results_of(rest, observer=observer)
     still = SegmenterSettings(motion_gate=False)
@@ -520,6 +528,9 @@ def simulate(
     >>> one_noisy = ar.simulate(hours=0.01, gyro={'z': {'N': 5.0}})
     >>> three = ar.simulate(hours=0.01, gyro=[{'N': 0.1}, {'N': 0.2}, {'N': 0.3}])
     """
+    from .core.simulate import Faults, simulate_imu
+    from .io.user_files import stated_noise
+
     check_range(0.0, 1e6, 'h', hours=hours)
     expect(Real, rate=rate)
     expect(Integral, seed=seed)

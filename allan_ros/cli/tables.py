@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from ..core.compare import Comparison, LimitVerdict
 from ..core.errors import AllanError
@@ -13,7 +14,6 @@ from ..core.findings import prefixed
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import SMALL_DEVIATION
 from ..core.imu import AXES, SENSORS, sensor_of
-from ..io.comparison import RunComparison, comparison_headline, ratio_text, verdict_text
 from ..io.datasheets import DatasheetComparison
 from ..io.exporters import Row, target_rows
 from ..io.format import (
@@ -38,6 +38,9 @@ from ..io.verdict import (
     too_short,
 )
 from .console import SEVERITY_COLORS, painted, wrapped
+
+if TYPE_CHECKING:
+    from ..io.comparison import RunComparison
 
 LEVEL_COLORS: dict[Level, str] = {
     'healthy': '1;32',
@@ -301,6 +304,8 @@ def _region_lines(results: Results, columns: int) -> Iterator[str]:
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
     """Yield the lines of a comparison: sentences, a table per sensor, and limits of datasheets."""
+    from ..io.comparison import comparison_headline
+
     for sentence in comparison_headline(comparison):
         yield from wrapped(sentence, columns, '  ')
     for sensor, where in SENSORS.items():
@@ -323,6 +328,8 @@ def _comparison_rows(
     comparison: RunComparison, sensor: str, axes: Sequence[str], units: str
 ) -> Iterator[tuple[str, list[Cell]]]:
     """Yield the rows of one sensor: values and ratios, then counts of significant deviations."""
+    from ..io.comparison import ratio_text, verdict_text
+
     yield sensor, [(axis[-1], '') for axis in axes]
     for term in TERMS:
         fitted = {

@@ -51,7 +51,8 @@ def test_a_curve_without_noise_is_drawn_all_the_same(small_results: Results) -> 
 
 
 def test_each_sensor_with_a_curve_gives_a_file_in_each_format(small_results: Results) -> None:
-    files = figure_files(small_results, ('png', 'svg', 'pdf'))
+    axes = {name: small_results.axes[name] for name in ('gyro_x', 'accel_z')}
+    files = figure_files(replace(small_results, axes=axes), ('png', 'svg', 'pdf'))
     assert len(files) == 6
     assert files['allan_gyro.png'].startswith(b'\x89PNG')
     assert files['allan_gyro.svg'].startswith(b'<?xml')
