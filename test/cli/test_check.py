@@ -173,3 +173,13 @@ def test_the_exit_code_is_that_of_the_worst_unit(
     capsys.readouterr()
     assert main(['check', out, *limit]) == 4  # folders of results, without intervals
     assert capsys.readouterr().out.splitlines()[-1].startswith('7 units: ')
+
+
+def test_every_recording_has_the_exit_code_of_its_state(
+    repository: Path, shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(repository / 'scripts'))
+    from check_table import run_cases
+
+    for case, code, line in run_cases(shared_data, tmp_path):
+        assert code == case.exit_code, line

@@ -1,9 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Statuses name the state, its numbers with units, and the next step."""
+"""Statuses name the state, finite numbers with units, and the next step, also for Prometheus."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +14,10 @@ import pytest
 pytest.importorskip('rclpy')
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from support.numbers import NO_NUMBER, noiseless_sums, noisy_sums
 
 from allan_ros.core.allan.recent import recent_noise
+from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.compare import Comparison, Difference
 from allan_ros.core.findings import finding
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
@@ -22,8 +26,17 @@ from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.core.stream.transport import TransportStatistics
+from allan_ros.io.analysis import analyze_sums
 from allan_ros.io.axis_result import AxisResult
-from allan_ros.nodes.diagnostics import AxisView, axis_status, input_status, key_values
+from allan_ros.io.recorded import Provenance
+from allan_ros.nodes import diagnostics
+from allan_ros.nodes.diagnostics import (
+    AxisView,
+    axis_status,
+    input_status,
+    key_values,
+    metrics_text,
+)
 
 DEG_PER_SQRT_H = np.pi / 180.0 / 60.0
 N = 0.2 * DEG_PER_SQRT_H
@@ -165,3 +178,58 @@ def test_the_share_of_still_time_is_a_number():
 def test_values_are_strings():
     pairs = [('a', 1), ('b', 0.1234567), ('c', None), ('d', 'x'), ('e', float('nan'))]
     assert [v.value for v in key_values(pairs)] == ['1', '0.123457', 'unknown', 'x', 'nan']
+
+
+def check_status(status: DiagnosticStatus) -> None:
+    assert status.message[:1].strip()
+    for said in (status.message, *(f'{v.key}: {v.value}' for v in status.values)):
+        assert not NO_NUMBER.search(said), said
+
+
+@pytest.mark.parametrize('make, method', [(noiseless_sums, 'relative'), (noisy_sums, 'paper')])
+def test_the_numbers_of_an_axis_are_finite(make: Callable[[], AllanSums], method: str) -> None:
+    sums = make()
+    results = analyze_sums([sums], Provenance(), method)
+    recent = recent_noise(sums, 10.0)
+    for axis, result in results.axes.items():
+        for fitted in (None, result):
+            view = AxisView(axis, sums, fitted, method, 1e300, '', (), 0.2, recent.get(axis), ())
+            check_status(axis_status('node: imu', 'imu', view))
+
+
+@pytest.mark.parametrize('count', [0, 1, 10**18])
+def test_the_numbers_of_an_input_are_finite(count: int) -> None:
+    health = StreamHealth(Counts(received=count, used=count), first_ns=0)
+    named = {'static_s': float(count), 'others': [('stamp age [s]', -1e300)]}
+    check_status(input_status('node: imu', 'imu', health, TransportStatistics(), **named))
+
+
+LINE = re.compile(r'(allan_ros_\w+)(\{(?:\w+="(?:[^"\\\n]|\\["\\n])*",?)*\})? \S+')
+
+
+def test_every_line_is_valid_and_unique():
+    found = [finding('no_publisher', topic='/imu'), finding('no_noise', ('gyro_x',))]
+    pairs = [('N [deg/sqrt(h)]', 0.24), ('rate [Hz]', None), ('topic', '/a "b" \\ c'), ('n', 3)]
+    statuses = [
+        diagnostics.status_of(name, found, '', pairs, hardware_id='SN "7"')
+        for name in ('robot/allan_monitor: imu gyro x', 'allan_monitor: imu/data input')
+    ]
+    text = metrics_text(statuses, 12.5)
+    lines = [line for line in text.splitlines() if line[0] != '#']
+    assert text.endswith('\n') and all(LINE.fullmatch(line) for line in lines)
+    assert len({line.rsplit(' ', 1)[0] for line in lines}) == len(lines)
+    metrics = [line.split('{')[0] for line in lines]
+    assert all(text.count(f'# TYPE {m.split(" ")[0]} gauge') == 1 for m in metrics)
+    assert metrics == sorted(metrics)  # each metric in one group
+    assert sum('quantity="N",unit="deg/sqrt(h)"} 0.24' in line for line in lines) == 2
+    assert sum('id="no_publisher"} 1' in line for line in lines) == 2
+    assert not any('topic' in line or 'rate' in line for line in lines)
+    assert sum(line.startswith('allan_ros_level') and line.endswith(' 2') for line in lines) == 2
+
+
+def test_the_key_finding_has_the_id_of_the_finding_in_the_message():
+    info, error = finding('no_noise', ('gyro_x',)), finding('no_publisher', topic='/imu')
+    status = diagnostics.status_of('a: b', [error, info], 'fine', [])
+    assert (status.values[0].key, status.values[0].value) == ('finding', 'no_publisher')
+    assert status.message.startswith(str(error))
+    assert diagnostics.status_of('a: b', [], 'fine', []).values[0].value == 'none'

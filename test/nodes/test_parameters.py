@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,6 +16,8 @@ import rclpy
 from rclpy.parameter import Parameter
 
 from allan_ros.core.errors import AllanError
+from allan_ros.io.exporters import target_of
+from allan_ros.io.results import Results
 from allan_ros.nodes.node import Parameters
 from allan_ros.nodes.settings import GROUPS, EstimatorSettings, PublishSettings
 
@@ -127,3 +130,30 @@ def test_an_unknown_parameter_is_named_with_a_suggestion(
         )
     )
     assert parameters.unknown() == [f'parameter {name!r} is unknown and ignored{suggestion}']
+
+
+@pytest.mark.parametrize(
+    ('target', 'node_name', 'parameters'),
+    [
+        ('lio_sam', 'lio_sam_imuPreintegration', ['imuAccNoise', 'imuGyrBiasN']),
+        ('fast_lio', 'laser_mapping', ['mapping.acc_cov', 'mapping.b_gyr_cov']),
+        ('imu_filter_madgwick', 'imu_filter', ['gain', 'zeta']),
+    ],
+)
+@pytest.mark.usefixtures('ros_domain')
+def test_a_node_finds_exported_parameters_as_doubles(
+    small_results: Results, tmp_path: Path, target: str, node_name: str, parameters: list[str]
+) -> None:
+    small_results.export(target, tmp_path)
+    path = tmp_path / target_of(target).file_name
+    context = rclpy.Context()
+    rclpy.init(args=['--ros-args', '--params-file', str(path)], context=context)
+    try:
+        node = rclpy.create_node(
+            node_name, context=context, automatically_declare_parameters_from_overrides=True
+        )
+        values = [node.get_parameter(name).value for name in parameters]
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+    assert all(isinstance(value, float) and value > 0.0 for value in values)
