@@ -1,12 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Displays of diagnostic statuses: a live table, lines of text, or JSON."""
+"""Diagnostic statuses as a table, lines of text, or JSON."""
 
 from __future__ import annotations
 
 import json
-import sys
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -103,80 +101,10 @@ def picture(rows: Sequence[Row]) -> RenderableType:
     return table
 
 
-class Display:
-    """Output of the rows. If there are no rows, ``hint`` is shown instead."""
-
-    def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Show the present state; called periodically."""
-
-    def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Show the final state."""
-
-
-class Lines(Display):
-    """Prints a line for every new status and every change of level."""
-
-    def __init__(self) -> None:
-        self._levels: dict[tuple[str, str], str] = {}
-        self._hinted = False
-
-    def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Print new statuses and changed levels, but not changes of ages and values."""
-        for each in rows:
-            if self._levels.get((each.node, each.name)) != each.level:
-                self._levels[each.node, each.name] = each.level
-                print(f'{time.strftime("%H:%M:%S")} {plain_line(each)}', flush=True)
-        if not rows and not self._hinted and hint.startswith('no '):
-            self._hinted = True
-            print(hint, file=sys.stderr, flush=True)
-
-    def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Print all statuses once more, or the hint."""
-        for line in [headline(rows), *map(plain_line, rows)] if rows else []:
-            print(line)
-        if not rows and not self._hinted:
-            print(hint, file=sys.stderr)
-
-
-class Document(Display):
-    """Prints one JSON document at the end."""
-
-    def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Print the document, and the hint to stderr."""
-        keys = ('level', 'node', 'name', 'hardware_id', 'message', 'age_s', 'values')
-        statuses = [{key: getattr(r, key) for key in keys} for r in rows]
-        for status in statuses:
-            status['age_s'] = round(status['age_s'], 3)
-        print(json.dumps({'statuses': statuses}, indent=1))
-        if not rows:
-            print(hint, file=sys.stderr)
-
-
-class Screen(Display):
-    """Shows a table that is redrawn continuously (``live``), or drawn once at the end.
-
-    Raises ImportError if rich is not installed.
-    """
-
-    def __init__(self, live: bool) -> None:
-        from rich.console import Console
-        from rich.live import Live
-
-        self._console = Console()
-        self._live = Live(console=self._console, auto_refresh=False) if live else None
-        if self._live:
-            self._live.start()
-
-    def show(self, rows: Sequence[Row], hint: str) -> None:
-        """Draw the table or the hint."""
-        if self._live:
-            drawn = picture(rows) if rows else hint
-            self._live.update(drawn, refresh=True)
-
-    def end(self, rows: Sequence[Row], hint: str) -> None:
-        """Draw the final table."""
-        if self._live:
-            self.show(rows, hint)
-            self._live.stop()
-        else:
-            self._console.print(picture(rows) if rows else hint)
+def document(rows: Sequence[Row]) -> str:
+    """Return the rows as a JSON document."""
+    keys = ('level', 'node', 'name', 'hardware_id', 'message', 'age_s', 'values')
+    statuses = [
+        {**{key: getattr(r, key) for key in keys}, 'age_s': round(r.age_s, 3)} for r in rows
+    ]
+    return json.dumps({'statuses': statuses}, indent=1)

@@ -23,9 +23,12 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from .shell import STEADY, run
-from .status_table import Display, Document, Lines, Row, Screen, most_severe_first, row
+from .status_table import Row, document, headline, most_severe_first, picture, plain_line, row
 
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.live import Live
+
     from .live_page import LivePage
 
 TOPIC = '/diagnostics'
@@ -74,7 +77,15 @@ class Watch(Node):
         self._options, self._stop = options, stop
         self._latest: dict[str, tuple[float, DiagnosticStatus]] = {}
         self._wanted = f'/{options.node.strip("/")}/' if options.node.strip('/') else ''
-        self._display = make_display(options)
+        self._levels: dict[tuple[str, str], str] = {}  # of the lines printed so far
+        self._hinted = False
+        self._console = None if options.json or options.plain else terminal()
+        self._live: Live | None = None
+        if self._console and not options.once:
+            from rich.live import Live
+
+            self._live = Live(console=self._console, auto_refresh=False)
+            self._live.start()
         self._began = time.monotonic()
         self._first: float | None = None
         self.create_subscription(DiagnosticArray, TOPIC, self._on_diagnostics, 100)
@@ -94,7 +105,19 @@ class Watch(Node):
 
     def close(self) -> None:
         """Show the final state, and stop serving the page."""
-        self._display.end(self._rows(), self._hint())
+        rows = self._rows()
+        if self._live:
+            self._show(self._hint())
+            self._live.stop()
+        elif self._console:
+            self._console.print(picture(rows) if rows else self._hint())
+        else:
+            if self._options.json:
+                print(document(rows))
+            elif rows:
+                print('\n'.join([headline(rows), *map(plain_line, rows)]))
+            if not rows and not self._hinted:
+                print(self._hint(), file=sys.stderr)
         if self._page is not None:
             self._page.close()
 
@@ -121,10 +144,24 @@ class Watch(Node):
             done = settled or now - self._began >= patience
         else:
             silent = not self._latest and now - self._began >= HINT_S
-            self._display.show(self._rows(), self._hint() if silent else 'listening ...')
+            self._show(self._hint() if silent else '')
             done = 0.0 < self._options.seconds <= now - self._began
         if done:
             self._stop.set()
+
+    def _show(self, hint: str) -> None:
+        """Draw the table, or print new statuses and changed levels; without any, the hint."""
+        rows = self._rows()
+        if self._live:
+            self._live.update(picture(rows) if rows else hint or 'listening ...', refresh=True)
+            return
+        for each in rows:
+            if self._levels.get((each.node, each.name)) != each.level:
+                self._levels[each.node, each.name] = each.level
+                print(f'{time.strftime("%H:%M:%S")} {plain_line(each)}', flush=True)
+        if hint and not self._hinted:
+            self._hinted = True
+            print(hint, file=sys.stderr, flush=True)
 
     def _rows(self) -> list[Row]:
         now = time.monotonic()
@@ -142,16 +179,15 @@ class Watch(Node):
         )
 
 
-def make_display(options: argparse.Namespace) -> Display:
-    """Return the display that the options select; by default a table if stdout is a terminal."""
-    if options.json:
-        return Document()
-    if not options.plain and sys.stdout.isatty() and os.environ.get('TERM') != 'dumb':
-        try:
-            return Screen(live=not options.once)
-        except ImportError:
-            pass
-    return Lines()
+def terminal() -> Console | None:
+    """Return the terminal for rich; None if stdout is none, or rich is not installed."""
+    if not sys.stdout.isatty() or os.environ.get('TERM') == 'dumb':
+        return None
+    try:
+        from rich.console import Console
+    except ImportError:
+        return None
+    return Console()
 
 
 def make_parser() -> argparse.ArgumentParser:
