@@ -32,7 +32,7 @@ from .core.settings import (
     parameter,
     settings_from,
 )
-from .io.analysis import analyze_recorded
+from .io.analysis import analyze_recorded, one_thread
 from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH, public
@@ -139,6 +139,7 @@ def is_document(path: str | os.PathLike[str]) -> bool:
 
 
 @public
+@one_thread()  # the sums and spectra of the samples, too
 def analyze(
     source: Any,
     *,

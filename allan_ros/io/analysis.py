@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit the sums of recordings, which gives `Results`.
 
-Linear algebra is limited to one thread during a fit: its matrices have about a hundred rows, so
-more threads do not make it faster, and their busy-waiting multiplies the CPU time. OpenBLAS is set
-on Linux, which the wheels of numpy and scipy contain.
+Linear algebra is limited to one thread: the matrices of a fit have about a hundred rows, and those
+of the sums are as small, so more threads do not make it faster, and their busy-waiting multiplies
+the CPU time. OpenBLAS is set on Linux, which the wheels of numpy and scipy contain.
 """
 
 from __future__ import annotations

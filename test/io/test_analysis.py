@@ -1,11 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A fit uses one thread, and leaves the number of threads of the user as it was."""
+"""An analysis uses one thread, and leaves the number of threads of the user as it was."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+
+import pytest
 
 SCRIPT = """
 import numpy, threading
@@ -33,5 +35,23 @@ assert counts() == before, counts()
 """
 
 
-def test_threads_are_limited_within_a_fit_and_restored() -> None:
-    assert subprocess.run([sys.executable, '-c', SCRIPT]).returncode == 0
+IN_ANALYZE = """
+import allan_ros as ar
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.io.analysis import _openblas
+import scipy.linalg
+seen, update = set(), ImuStream.update
+def watched(self, batch):
+    seen.update(get() for get, _ in _openblas())
+    update(self, batch)
+for _, set_number in _openblas():
+    set_number(2)
+ImuStream.update = watched
+ar.analyze(ar.simulate(hours=0.02))
+assert seen <= {1}, seen
+"""
+
+
+@pytest.mark.parametrize('script', [SCRIPT, IN_ANALYZE])
+def test_threads_are_limited_within_an_analysis_and_restored(script: str) -> None:
+    assert subprocess.run([sys.executable, '-c', script]).returncode == 0
