@@ -20,7 +20,7 @@ from .documents import RESULTS, SUMS, fingerprint, results_to_document, sums_fil
 from .exporters import TARGETS, make_export, target_of
 from .files import PathLock, read_json, to_json, write_together
 from .format import FORMATS
-from .report import ReportContext, render_report
+from .report import render_report
 from .signal import summarize_signal
 
 if TYPE_CHECKING:
@@ -68,15 +68,11 @@ def write_result_files(
         from .plots import figure_files  # imports matplotlib
 
         drawn |= figure_files(results, plots, units)
-    context = ReportContext(
-        summary,
-        {
-            **({'command': command} if command else {}),
-            'fingerprint of the sums': f'{digest} (equal for equal samples)',
-        },
-        [*filters, *drawn, RESULTS, SUMS],
-    )
-    contents: dict[str, str | bytes] = {**drawn, REPORT: render_report(results, context, units)}
+    method = {'command': command} if command else {}
+    method['fingerprint of the sums'] = f'{digest} (equal for equal samples)'
+    named = [*filters, *drawn, RESULTS, SUMS]
+    report = render_report(results, units, summary, method, named)
+    contents: dict[str, str | bytes] = {**drawn, REPORT: report}
     contents |= filters
     files = sorted({*contents, RESULTS, SUMS})
     document = {

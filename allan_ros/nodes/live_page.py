@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from ..core.errors import AllanError
 from ..core.findings import duration_text
 from ..io.analysis import analyze_sums
-from ..io.report import ReportContext, render_report
+from ..io.report import render_report
 from .messages import Snapshot
 from .shell import LATCHED
 
@@ -131,8 +131,8 @@ def _report(topic: str, text: str) -> str:
         snapshot = Snapshot.from_json(text)
         results = analyze_sums(*snapshot.total)
         when = time.strftime('%H:%M:%S')
-        context = ReportContext(method={'topic': topic, 'computed at': when})
-        return render_report(results, context, 'deg/h')
+        method = {'topic': topic, 'computed at': when}
+        return render_report(results, 'deg/h', method=method)
     except AllanError as error:
         return _notice(f'{topic}: {error}')
 

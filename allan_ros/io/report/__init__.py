@@ -13,9 +13,8 @@ import base64
 import hashlib
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from html import escape
-from importlib.resources import files
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy
@@ -65,21 +64,18 @@ ICONS = {
 """Level of the verdict -> SVG path of its symbol."""
 
 
-@dataclass(frozen=True)
-class ReportContext:
-    """Content of the report in addition to the results."""
-
-    signal: SignalSummary | None = None
-    # rows of the table of the method, such as the command that repeats the analysis
-    method: Mapping[str, str] = field(default_factory=dict)
-    files: Sequence[str] = ()  # names of the files in the same folder
-
-
-def render_report(results: Results, context: ReportContext, units: str) -> str:
+def render_report(
+    results: Results,
+    units: str,
+    signal: SignalSummary | None = None,
+    method: Mapping[str, str] = {},
+    files: Sequence[str] = (),
+) -> str:
     """Return the HTML of the report.
 
     ``units`` selects the units that are shown at first, 'deg/h' or 'SI'; a switch in the page
-    changes them. Charts without their data in ``context`` are omitted.
+    changes them. Charts that need the ``signal`` are omitted without it. ``method`` has further
+    rows of the table of the method, and ``files`` the names of the files in the same folder.
     """
     name = results.identity.label or 'IMU'
     sensors = {
@@ -87,11 +83,11 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
         for sensor, where in SENSORS.items()
         if (axes := {a: results.axes[a] for a in AXES[where] if a in results.axes})
     }
-    charts = [sensor_charts(results, s, context.signal) for s in sensors]
+    charts = [sensor_charts(results, s, signal) for s in sensors]
     data = {
         'units': units,
-        'times': times(context.signal),
-        'temperature': temperature_chart(context.signal),
+        'times': times(signal),
+        'temperature': temperature_chart(signal),
         'sensors': charts,
     }
     verdict = verdict_of(results, units=units)
@@ -122,9 +118,9 @@ def render_report(results: Results, context: ReportContext, units: str) -> str:
         parts = [[*content(s, axes)] for s, axes in sensors.items()]
         if id != 'model' or not too_short(results):
             body += _fold(id, title, _pair(sensors, parts))
-    links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in context.files)
+    links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in files)
     files_line = f'<p class="files">Files in the same folder: {links}</p>' if links else ''
-    method = {**context.method, 'fit': f'method {results.method}'}
+    method = {**method, 'fit': f'method {results.method}'}
     body += _fold('recording', 'Recording and method', [files_line, *_method(results, method)])
     body.append(f'</main><footer>allan_ros {__version__}</footer>')
     return _page(f'Noise of {name}', '\n'.join(body), to_script(data))
@@ -156,7 +152,7 @@ def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
 
 
 def _page(title: str, body: str, data: str) -> str:
-    here = files(__package__)
+    here = resources.files(__package__)
     scripts = [here.joinpath(name).read_text('utf-8') for name in SCRIPTS]
     style = here.joinpath('report.css').read_text('utf-8')
     digests = (hashlib.sha256(script.encode()).digest() for script in scripts)

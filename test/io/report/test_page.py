@@ -20,7 +20,7 @@ from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.io.readers import SourceInfo
-from allan_ros.io.report import ReportContext, render_report
+from allan_ros.io.report import render_report
 from allan_ros.io.report.chart_data import sensor_charts, to_script
 from allan_ros.io.report.tables import coefficients_tsv, filter_table
 from allan_ros.io.results import Results
@@ -75,13 +75,13 @@ def a_signal(n: int = 5000, start_ns: int = 10**18) -> SignalEnvelope:
     return envelope
 
 
-def everything(results: Results) -> ReportContext:
+def everything() -> dict[str, Any]:
     """Return all optional parts of a page."""
-    return ReportContext(
-        summarize_signal([a_signal()], (), 1000),
-        {'command': 'allan analyze my_bag'},
-        ['results.json'],
-    )
+    return {
+        'signal': summarize_signal([a_signal()], (), 1000),
+        'method': {'command': 'allan analyze my_bag'},
+        'files': ['results.json'],
+    }
 
 
 def data_of(page: Page) -> dict[str, Any]:
@@ -91,7 +91,7 @@ def data_of(page: Page) -> dict[str, Any]:
 
 
 def test_the_page_is_self_contained_and_runs_only_its_own_scripts(small_results: Results) -> None:
-    page = Page(render_report(small_results, everything(small_results), 'deg/h'))
+    page = Page(render_report(small_results, 'deg/h', **everything()))
     assert "default-src 'none'" in page.policy
     script_rule = re.search(r'script-src ([^;]*)', page.policy)
     assert script_rule is not None and 'unsafe' not in script_rule[1]
@@ -116,9 +116,9 @@ def test_texts_of_a_recording_stay_text(small_results: Results) -> None:
         method=HOSTILE,
         baselines={HOSTILE: small_results},
     )
-    extras = replace(everything(results), method={HOSTILE: HOSTILE})
-    plain = Page(render_report(small_results, everything(small_results), 'deg/h'))
-    page = Page(render_report(results, extras, 'deg/h'))
+    extras = everything() | {'method': {HOSTILE: HOSTILE}}
+    plain = Page(render_report(small_results, 'deg/h', **everything()))
+    page = Page(render_report(results, 'deg/h', **extras))
     assert (len(page.scripts), page.policy) == (len(plain.scripts), plain.policy)
     assert page.text.count('alert(1)') >= 8
     assert data_of(page)['sensors'][0]['references'][0]['name'] == HOSTILE
@@ -132,8 +132,7 @@ def test_a_script_element_cannot_be_ended_by_its_data() -> None:
 
 @pytest.mark.parametrize('units', ['deg/h', 'SI'])
 def test_the_page_agrees_with_the_results(small_results: Results, units: str) -> None:
-    extras = everything(small_results)
-    text = render_report(small_results, extras, units)
+    text = render_report(small_results, units, **everything())
     page = Page(text)
     for said in ('Noise of unit 7', 'runs/one.mcap', 'allan analyze my_bag', 'What to do next'):
         assert said in page.text
@@ -153,7 +152,7 @@ def test_the_page_is_complete_with_an_absent_sensor_and_an_empty_curve(
     gyro['gyro_y'] = replace(gyro['gyro_y'], curve=None)
     for axes in (gyro, {'accel_y': small_results.axes['accel_y']}, {}):
         results = replace(small_results, axes=axes)
-        data = data_of(Page(render_report(results, ReportContext(), 'SI')))
+        data = data_of(Page(render_report(results, 'SI')))
         assert [a['name'] for s in data['sensors'] for a in s['axes']] == list(axes)
 
 

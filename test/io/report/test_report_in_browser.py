@@ -18,7 +18,7 @@ from allan_ros.core.fit import Coefficient
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.io.datasheets import load_sensor
-from allan_ros.io.report import ReportContext, render_report
+from allan_ros.io.report import render_report
 from allan_ros.io.results import Results
 from allan_ros.io.signal import SignalEnvelope, TemperatureTrace, summarize_signal
 
@@ -79,9 +79,9 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     moved = Event('motion', int(stamps[0]), 100.0)
     summary = summarize_signal([envelope], spans, 1000, [moved], [temperature])
     results = replace(results, baselines={'May': small_results})
-    context = ReportContext(summary, {'command': 'x'}, ['results.json'])
     path = tmp_path_factory.mktemp('page') / 'report.html'
-    path.write_text(render_report(results, context, 'deg/h'), encoding='utf-8')
+    page = render_report(results, 'deg/h', summary, {'command': 'x'}, ['results.json'])
+    path.write_text(page, encoding='utf-8')
     return path
 
 
