@@ -26,23 +26,19 @@ Floats = NDArray[np.float64]
 CI_LEVEL = 0.683
 """Confidence level of the limits of a curve: one sigma, as in NIST SP 1065 and Stable32."""
 
-WHITE_PHASE, FLICKER_PHASE, WHITE, FLICKER, RANDOM_WALK = 2, 1, 0, -1, -2
+WHITE_PHASE, WHITE, FLICKER, RANDOM_WALK = 2, 0, -1, -2
 """Noise types: exponents alpha of the power spectral density ~ f^alpha of the samples (NIST SP 1065
-table 2)."""
+table 2). Flicker phase noise, 1, has the slope of white phase noise and counts as such."""
 
 LONGEST_LAG = 6
 """Largest lag of the sum of rho^2, in units of m. For flicker noise, larger lags add less than
 1e-4."""
 
-CONTINUOUS_FROM = 100.0
-"""Lag in samples from which the autocovariance of flicker phase noise equals its continuous-time
-limit to 1e-5."""
-
 
 def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLike = 1) -> float:
     """Return the equivalent degrees of freedom of an Allan variance pooled over segments.
 
-    ``noise_type`` is the exponent alpha of the spectrum ~ f^alpha, from 2 to -2. ``m`` is the
+    ``noise_type`` is the exponent alpha of the spectrum ~ f^alpha: 2, 0, -1 or -2. ``m`` is the
     averaging factor, and ``stride`` the number of samples between the starts of two second
     differences. ``number`` segments have ``counts`` differences each; both may be arrays. The
     result is NaN if all counts are 0.
@@ -83,27 +79,17 @@ def _phase_autocovariance(noise_type: int, m: int, t: NDArray[np.int64]) -> Floa
 
     For sampled noise: delta(t) for white phase, -|t| for white, t^2 ln|t| for flicker and
     |t|^3 - |t| for a random walk of the samples (Greenhall & Riley eq. 7, in discrete time).
-    For flicker phase, it is the second difference of -t^2 ln|t|. Except for phase noise, lags are
-    divided by m; for flicker, this adds a multiple of t^2, whose fourth difference is 0.
+    Except for phase noise, lags are divided by m; for flicker, this adds a multiple of t^2, whose
+    fourth difference is 0.
     """
     if noise_type == WHITE_PHASE:
         return np.asarray(t == 0, float)
     u = np.abs(t) / m
-    if noise_type == FLICKER_PHASE:
-        near: Floats = np.diff(_square_log(t[..., None] + np.array([-1.0, 0.0, 1.0])), 2)[..., 0]
-        far = 2.0 * np.log(np.maximum(np.abs(t), 1.0)) + 3.0
-        return -np.where(np.abs(t) < CONTINUOUS_FROM, near, far)
     if noise_type == WHITE:
         return -u
     if noise_type == FLICKER:
-        return _square_log(u)
+        return np.asarray(u**2 * np.log(np.where(t == 0, 1.0, u)))
     return np.asarray(u**3 - u / m**2)
-
-
-def _square_log(t: ArrayLike) -> Floats:
-    """Return t^2 ln|t|, 0 at 0."""
-    t = np.asarray(t, float)
-    return np.asarray(t**2 * np.log(np.where(t == 0.0, 1.0, np.abs(t))))
 
 
 def chi_squared_limits(
@@ -130,8 +116,7 @@ MIN_AVERAGES = 16
 """Shortest record, in averaging times, for which the slope of the curve is reliable."""
 
 QUANTIZATION_SLOPE = -1.5
-"""Slopes of the Allan variance below this are classified as white phase noise. Flicker phase noise
-has the same slope of -2 and cannot be distinguished."""
+"""Slopes of the Allan variance below this are classified as white phase noise."""
 
 
 def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDArray[np.int64]:
@@ -227,7 +212,7 @@ class AllanCurve(AxisCurve):
         Equivalent degrees of freedom.
     noise_type : (factors, axes) int64 array
         Noise type for which ``edf`` was computed, as exponent alpha of the spectrum ~ f^alpha:
-        2 (Q), 1, 0 (N), -1 (B), -2 (K, R).
+        2 (Q), 0 (N), -1 (B), -2 (K, R).
     """
 
     axes: tuple[str, ...]

@@ -58,10 +58,6 @@ GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
 """Least gain in -2 log L of a step of the bias, and of each further one. In simulations, the 99 %
 quantiles without steps are 11 to 20, depending on the noise."""
 
-CERTAIN_EXCESS = 4.5
-"""Gain above `GAIN_WARM_UP` from which on an early part is excluded; its rate of false alarms is
-not measured."""
-
 LEVEL_CHANGES = 1e-3
 """Probability below which the level of the white noise varies, per axis."""
 

@@ -22,7 +22,7 @@ from ..imu import SENSORS, sensor_of
 from . import TERMS, Coefficient, NoiseModel, fit_noise
 from .effects import LEAST_MEANS, BiasSteps, WarmUp, bias_steps, warm_up
 from .levels import Levels, levels, present_part
-from .limits import CERTAIN_EXCESS, LEAST_DRIFT_S
+from .limits import LEAST_DRIFT_S
 from .method import daily_cycle
 from .model import Z_95
 from .statistics import statistics
@@ -250,7 +250,6 @@ def _without_warm_up(
         return sums, complete, []
     used = _parts(sums, first)
     settled = fit_noise(used, method)
-    certain = settle and max(w.excess for w in warm_ups) >= CERTAIN_EXCESS
     every = [
         _Change(axis, term, complete.axes[axis].noise[term], settled.axes[axis].noise[term])
         for axis in axes
@@ -259,18 +258,18 @@ def _without_warm_up(
     every.sort(key=lambda change: -change.size)
     brief = sums.samples * tau0 < LEAST_TESTED_S
     changes = [each for each in every if each.is_relevant and (each.is_outside or not brief)]
-    if not changes and (brief or not certain):
+    if not changes and (brief or not settle):
         return sums, complete, []
     early = max(r.periods[k].begin for r, k in zip(sums.recordings, first) if k < len(r.periods))
     found = finding(
-        'settled_part' if certain else 'early_part',
+        'settled_part' if settle else 'early_part',
         axes,
         early=early * tau0,
         what='warm-up',
         size=size,
         **(changes or every)[0].numbers,
     )
-    return (used, settled, [found]) if certain else (sums, complete, [found])
+    return (used, settled, [found]) if settle else (sums, complete, [found])
 
 
 # --- steps of the bias ----------------------------------------------------------------------------

@@ -24,7 +24,7 @@ def test_published_limits_of_phase_dat(shared_data):
         np.testing.assert_allclose(limits, published[i, [4, 6]], rtol=0.01)
 
 
-@pytest.mark.parametrize('alpha', [2, 1, 0, -1, -2])
+@pytest.mark.parametrize('alpha', [2, 0, -1, -2])
 @pytest.mark.parametrize('m', [16, 64, 300])
 def test_agrees_with_the_combined_algorithm_at_long_tau(alpha, m):
     oracle = pytest.importorskip('allantools.ci')
