@@ -24,8 +24,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .grid import FIRST_FACTORS, LEVEL_FACTORS
-from .octaves import SAMPLE_OCTAVES, octave, tapers
+from .grid import FIRST_FACTORS, LEVEL_FACTORS, SAMPLE_OCTAVES, octave, tapers
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

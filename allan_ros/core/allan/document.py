@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from ..errors import AllanError
 from ..fields import MAX_INTEGER, Fields
 from ..imu import AXES, LARGEST, MAX_NAME, ImuIdentity
-from .grid import FIRST_FACTORS, LEVEL_FACTORS, MAX_LEVELS
-from .octaves import SAMPLE_OCTAVES, bins_up_to, octave
+from .grid import FIRST_FACTORS, LEVEL_FACTORS, MAX_LEVELS, SAMPLE_OCTAVES, bins_up_to, octave
 from .periods import (
     KEPT_SEGMENTS,
     MAX_MEANS,

@@ -18,7 +18,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from .octaves import bins_up_to
+from .grid import bins_up_to
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

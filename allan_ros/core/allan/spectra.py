@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .curve import chi_squared_limits
-from .octaves import octave, overlap
+from .grid import octave, overlap
 from .periods import totals
 from .sums import AllanSums
 

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..allan.octaves import octave
+from ..allan.grid import octave
 from ..noise import PROCESS_TYPES
 from .likelihood import AxisData, Fit
 from .limits import SHORTEST_TIME

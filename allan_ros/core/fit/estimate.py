@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..allan.octaves import octave
+from ..allan.grid import octave
 from .candidates import Candidates
 from .likelihood import TERMS, AxisData, Fit, inverse
 from .limits import (

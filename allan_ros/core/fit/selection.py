@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..allan.octaves import LONGEST_BLOCK
+from ..allan.grid import LONGEST_BLOCK
 from ..noise import PROCESS_TYPES
 from .candidates import BANDWIDTHS, Candidates
 from .likelihood import TERMS, AxisData, Fit
@@ -49,7 +49,8 @@ TOLERANCE = 0.03
 """Change of -2 log L below which the fit of a candidate ends."""
 
 PROMISING = 0.4
-"""Share of its threshold that the approximate gain of a candidate must reach to be fitted."""
+"""Share of its threshold that the approximate gain of a candidate must reach to be fitted. It saves
+time: without it, the same processes are found in records without any."""
 
 
 @dataclass(frozen=True, eq=False)

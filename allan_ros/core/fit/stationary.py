@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..allan.excerpt import part
 from ..allan.periods import BlockMeans
-from ..allan.sums import AllanSums
+from ..allan.sums import AllanSums, part
 from ..findings import Finding, Quantity, duration_text, finding
 from ..imu import SENSORS, sensor_of
 from . import TERMS, Coefficient, NoiseModel, fit_noise

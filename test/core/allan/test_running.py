@@ -10,8 +10,7 @@ from support.allan_table import allan_table
 from support.sums import TICK_NS, feed, noise, sums_of
 
 from allan_ros.core.allan.cascade import BLOCK, FIRST_BLOCK
-from allan_ros.core.allan.grid import counts, grid_for
-from allan_ros.core.allan.octaves import octave, overlap, tapers
+from allan_ros.core.allan.grid import counts, grid_for, octave, overlap, tapers
 from allan_ros.core.allan.periods import MAX_MEANS, MAX_PERIODS, totals
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.imu import ImuIdentity
