@@ -39,7 +39,7 @@ from .model import (
     Status,
     coefficient_to_si,
 )
-from .statistics import Component, Statistics, statistics
+from .statistics import Component, statistics
 
 DAY_S = 86400.0
 
@@ -73,7 +73,7 @@ def fit_likelihood(sums: AllanSums) -> NoiseModel:
             )
             findings.append(finding(id, (name,), **numbers))
             continue
-        if not _is_finite(known, a):  # the stream reports impossible units
+        if not np.all(np.isfinite(known.power[:, a])):  # the stream reports impossible units
             axes[name] = without_estimates()
             continue
         result = estimate(AxisData.of(known, a), candidates, daily)
@@ -85,10 +85,6 @@ def fit_likelihood(sums: AllanSums) -> NoiseModel:
 
 def _is_constant(sums: AllanSums, axis: int) -> bool:
     return not np.any(sums.avar[:, axis] > 0.0)
-
-
-def _is_finite(known: Statistics, axis: int) -> bool:
-    return bool(np.all(np.isfinite(known.power[:, axis])))
 
 
 def without_estimates() -> AxisFit:
@@ -168,7 +164,11 @@ def axis_fit(result: Estimate, tau0: float, brief: bool = False) -> AxisFit:
         ((value / number) ** (1 / 3) - 1 + 2 / (9 * number)) / math.sqrt(2 / (9 * number))
         if number
         else None,
-        tuple(_lack(data.statistics, o, ratio, tau0) for o, ratio in sorted(result.lack.items())),
+        tuple(
+            LackOfFit(float(f[0]) / tau0, float(f[-1]) / tau0, ratio)
+            for o, ratio in sorted(result.lack.items())
+            for f in [data.statistics.f[data.statistics.octave == o]]
+        ),
         covariance=_covariance(fit.components, covariance, order, tau0),
     )
 
@@ -247,12 +247,6 @@ def _around(value: float, relative: float) -> tuple[float, float]:
     """Return the 95 % interval of a positive value with a relative standard error."""
     factor = math.exp(min(Z_95 * relative, 50.0))
     return value / factor, value * factor
-
-
-def _lack(known: Statistics, o: int, ratio: float, tau0: float) -> LackOfFit:
-    """Return the octave o with the ratio of measured to modeled power."""
-    f = known.f[known.octave == o]
-    return LackOfFit(float(f[0]) / tau0, float(f[-1]) / tau0, ratio)
 
 
 def _covariance(

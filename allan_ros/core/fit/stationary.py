@@ -21,7 +21,6 @@ from ..imu import SENSORS, sensor_of
 from . import TERMS, Coefficient, NoiseModel, fit_noise
 from .effects import LEAST_MEANS, BiasSteps, WarmUp, bias_steps, warm_up
 from .levels import Levels, levels, present_part
-from .limits import LEAST_DRIFT_S
 from .method import daily_cycle
 from .model import Z_95
 from .statistics import statistics
@@ -32,17 +31,15 @@ LEAST_REMAINING = 0.25
 LEAST_SEGMENT = 0.3
 """Shortest first segment, relative to its recording, in which a warm-up is searched for."""
 
-SHIFT, LEAST_SHIFT = 0.02, 0.005
-"""Relative changes of a coefficient: one that is always relevant, and one below which a change is
-never relevant."""
+SHIFT = 0.02
+"""Relative change of a coefficient that is relevant even inside its interval."""
 
 TESTED_RECORDINGS = 4
 """Number of the longest recordings that are tested for a warm-up."""
 
 LEAST_TESTED_S = 120.0
-"""Shortest segment in s in which steps are searched for, and in which an early part is reported
-even if no coefficient leaves its interval. In shorter ones, vibration rather than drift changes the
-means."""
+"""Shortest segment in s in which a warm-up and steps are searched for. In shorter ones, vibration
+rather than drift changes the means."""
 
 STEPS_RATIO = 0.5
 """Steps are reported if the variance of the random walk with steps in the model is below this
@@ -70,22 +67,14 @@ class _Change:
     settled: Coefficient
 
     @property
-    def is_outside(self) -> bool:
-        """Whether the settled value is outside the interval of all data."""
+    def is_relevant(self) -> bool:
+        """Whether the settled value is outside the interval of all data, or `SHIFT` away."""
         a, b = self.complete, self.settled
         low, high = a.ci95 or (0.0, math.inf if a.upper95 is None else a.upper95)
         if b.status != 'estimated' or b.value is None:
             return b.upper95 is not None and b.upper95 < low
-        return not low <= b.value <= high
-
-    @property
-    def is_relevant(self) -> bool:
-        """Whether the change is large enough to be reported."""
-        a, b = self.complete, self.settled
-        if a.status != 'estimated' or b.status != 'estimated' or not a.value or b.value is None:
-            return self.is_outside
-        shift = abs(b.value / a.value - 1.0)
-        return shift > (LEAST_SHIFT if self.is_outside else SHIFT)
+        known = a.value if a.status == 'estimated' else None
+        return not low <= b.value <= high or bool(known and abs(b.value / known - 1.0) > SHIFT)
 
     @property
     def size(self) -> float:
@@ -198,7 +187,7 @@ def _warm_ups(sums: AllanSums) -> list[WarmUp]:
             first is None
             or len(first.values) < LEAST_MEANS
             or first.samples < LEAST_SEGMENT * recording.samples
-            or first.samples * tau0 < LEAST_DRIFT_S
+            or first.samples * tau0 < LEAST_TESTED_S
         ):
             continue
         more = daily_cycle(first.samples, tau0)
@@ -255,9 +244,8 @@ def _without_warm_up(
         for term in TERMS
     ]
     every.sort(key=lambda change: -change.size)
-    brief = sums.samples * tau0 < LEAST_TESTED_S
-    changes = [each for each in every if each.is_relevant and (each.is_outside or not brief)]
-    if not changes and (brief or not settle):
+    changes = [each for each in every if each.is_relevant]
+    if not changes and not settle:
         return sums, complete, []
     early = max(r.periods[k].begin for r, k in zip(sums.recordings, first) if k < len(r.periods))
     found = finding(
