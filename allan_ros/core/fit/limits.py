@@ -59,14 +59,15 @@ LEAST_STATISTICS = 12
 """Fewest bins and contrasts of a fit."""
 
 GAIN_WARM_UP = 16.5
-"""Least gain in -2 log L of a warm-up, summed over the axes of a sensor: 1 % per sensor."""
+"""Least gain in -2 log L of a warm-up, summed over the axes of a sensor: 1 % per sensor. The
+99 % quantiles without a warm-up are 10 to 13, depending on the noise (`bench_stationarity.py`)."""
 
 GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
-"""Least gain in -2 log L of a step of the bias, and of each further one. In simulations, the 99 %
-quantiles without steps are 11 to 20, depending on the noise."""
+"""Least gain in -2 log L of a step of the bias, and of each further one. The 99 % quantiles without
+steps are 11 to 22, depending on the noise (`bench_stationarity.py`)."""
 
 LEVEL_CHANGES = 1e-3
-"""Probability below which the level of the white noise varies, per axis."""
+"""Probability below which the level of the white noise varies, per axis (0 of 240 records)."""
 
 TEMPERATURE_RESOLVED = 0.01
 """Probability of the F test of b1 and b2 below which a bias depends on temperature, per axis."""
