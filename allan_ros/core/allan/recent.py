@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import AllanError
 from .curve import AllanCurve, chi_squared_limits, edf, noise_types_of_avar
 from .grid import LEVEL_FACTORS
+from .periods import add_padded
 from .sums import AllanSums
 
 Floats = NDArray[np.float64]
@@ -56,8 +57,9 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
         return {}
     latest = sums.recordings[-1]
     levels = int(np.count_nonzero(sums.m * sums.tau0 <= LONGEST_TAU_SHARE * window_s))
-    count = np.array([_padded(p.count, levels) for p in sums.periods])
-    sum_sq = np.array([_padded(p.sum_sq, levels) for p in sums.periods])
+    none = np.zeros((levels, len(sums.axes)))
+    count = np.array([add_padded(none[:, 0].astype(int), p.count)[:levels] for p in sums.periods])
+    sum_sq = np.array([add_padded(none, p.sum_sq)[:levels] for p in sums.periods])
     # all data before the window are one row
     start = latest.samples - window_s / sums.tau0
     begins = [p.begin if r is latest else -1 for r in sums.recordings for p in r.periods]
@@ -73,7 +75,12 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
     types = noise_types_of_avar(m, np.where(avar > 0.0, avar, np.nan), sums.samples)
     found = {}
     for i, axis in enumerate(sums.axes):
-        share = _edf_per_difference(types[:, i], m, total)
+        share = np.array(  # degrees of freedom per second difference
+            [
+                edf(int(alpha), int(factor), max(1, int(factor) // LEVEL_FACTORS[0]), int(n)) / n
+                for alpha, factor, n in zip(types[:, i], m, total)
+            ]
+        )
         last_row, next_row, level = _noise_steps(count * share, sum_sq[:, :, i])
         sides = (slice(0, last_row), slice(next_row, None))
         before, recent = (
@@ -86,27 +93,6 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
             tau = float(m[level] * sums.tau0)
         found[axis] = RecentNoise(before, recent, since, tau)
     return found
-
-
-def _padded(values: NDArray, rows: int) -> NDArray:  # type: ignore[type-arg]
-    """Return the first rows of an array; missing rows are 0."""
-    out = np.zeros((rows, *values.shape[1:]), values.dtype)
-    out[: len(values)] = values[:rows]
-    return out
-
-
-def _edf_per_difference(types: Ints, m: Ints, total: Ints) -> Floats:
-    """Return the degrees of freedom of the Allan variance, divided by the number of differences.
-
-    The arguments and the result are (factors,): the noise types (exponent of the spectral density),
-    the averaging factors and the numbers of second differences.
-    """
-    return np.array(
-        [
-            edf(int(alpha), int(factor), max(1, int(factor) // LEVEL_FACTORS[0]), int(n)) / int(n)
-            for alpha, factor, n in zip(types, m, total)
-        ]
-    )
 
 
 def _noise_steps(degrees: Floats, squares: Floats) -> tuple[int, int, int | None]:
