@@ -9,7 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.transport import faults_of
 from ..io.analysis import analyze_sums
 from ..io.checkpoint import Total
-from ..io.datasheets import Datasheet, load_sensor
+from ..io.datasheets import load_sensor
 from ..io.documents import load, results_to_document
 from ..io.results import Results
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
@@ -48,44 +48,29 @@ ALONE_S = 5.0
 """Time in s after which sums are reported as missing if no publisher has been discovered."""
 
 
-@dataclass(frozen=True)
-class References:
-    """What coefficients are compared with: a datasheet, and earlier results by their path."""
-
-    datasheet: Datasheet | None
-    baselines: Mapping[str, Results]
-
-
-def load_references(node: AllanNode) -> References:
-    """Read the datasheet and the baseline; raise AllanError if one cannot be read."""
-    settings = node.parameters.group('estimator', EstimatorSettings).value
-    path = settings.baseline and str(Path(settings.baseline).expanduser())
-    return References(
-        load_sensor(settings.sensor) if settings.sensor else None,
-        {path: load(path)} if path else {},
-    )
-
-
 class ImuEstimate(Part):
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
     If samples are removed from the sums, the model is invalidated: a noise model without axes is
     published, a warning replaces the coefficients, and the sums are fitted again. ``listener`` is
     called with every published noise model, and with every new bias at rest (axis -> largest value
-    in SI).
+    in SI). Raises AllanError if the datasheet or the baseline of the parameters cannot be read.
     """
 
     def __init__(
         self,
         node: AllanNode,
         label: str,
-        references: References,
         worker: Worker,
         listener: Callable[[Results, Mapping[str, float]], None] | None = None,
     ) -> None:
         self._node, self._label = node, label
         self._settings = settings = node.parameters.group('estimator', EstimatorSettings)
-        self._references, self._worker, self._listener = references, worker, listener
+        self._worker, self._listener = worker, listener
+        sensor, path = settings.value.sensor, settings.value.baseline
+        self._datasheet = load_sensor(sensor) if sensor else None
+        path = path and str(Path(path).expanduser())
+        self._baselines = {path: load(path)} if path else {}
         self._snapshot: Snapshot | None = None
         self._results: Results | None = None
         self._fitted: tuple[AllanSums, ...] = ()
@@ -152,13 +137,13 @@ class ImuEstimate(Part):
 
     def _comparisons(self, margin: float) -> tuple[Comparison, ...]:
         """Return the comparisons with the references, computed once per fit and margin."""
-        results, references = self._results, self._references
+        results = self._results
         if results is None:
             return ()
         if self._compared[0] is not results or self._compared[1] != margin:
-            if references.datasheet is not None:
-                results = results.against_datasheet(references.datasheet, margin)
-            results = replace(results, baselines=references.baselines, margin=margin)
+            if self._datasheet is not None:
+                results = results.against_datasheet(self._datasheet, margin)
+            results = replace(results, baselines=self._baselines, margin=margin)
             self._compared = self._results, margin, results.comparisons
         return self._compared[2]
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from ..core.errors import AllanError
 from .accumulation import watched_imus, watches
-from .estimation import ImuEstimate, SumsInput, load_references
+from .estimation import ImuEstimate, SumsInput
 from .node import AllanNode, Part
 from .parameter_push import ParameterPush
 from .relaying import ImuRelay
@@ -43,8 +43,8 @@ class Estimator(AllanNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('allan_estimator', **options)
-        references, push = load_references(self), ParameterPush(self)
-        estimate = ImuEstimate(self, '', references, Worker(), push.offer)
+        push = ParameterPush(self)
+        estimate = ImuEstimate(self, '', Worker(), push.offer)
         source = SumsInput(self, estimate.process)
         self.begin([source, estimate, push], f'estimates from the sums on {source.topic}')
 
@@ -66,8 +66,7 @@ class Monitor(AllanNode):
         self.metrics_file = self.parameters.group('monitor', MonitorSettings).value.metrics_file
         settings = self.parameters.group('input', InputSettings).value
         relayed = self.parameters.group('relay', RelaySettings).value.enabled
-        imus, references, worker = watched_imus(self), load_references(self), Worker()
-        push = ParameterPush(self)
+        imus, worker, push = watched_imus(self), Worker(), ParameterPush(self)
         if push.node and len(imus) > 1:
             raise AllanError(
                 f'push.node is set, but there are {len(imus)} IMUs: start a separate '
@@ -86,7 +85,7 @@ class Monitor(AllanNode):
         parts: list[Part] = []
         described: list[str] = []
         for imu in imus:
-            estimate = ImuEstimate(self, imu.label, references, worker, push.offer)
+            estimate = ImuEstimate(self, imu.label, worker, push.offer)
             inputs = watches(self, imu, estimate.process)
             parts += [*inputs, estimate]
             described += [watch.description for watch in inputs]
