@@ -26,10 +26,9 @@ from .limits import (
     LOST_POWER,
     WHITE_NOISE,
 )
+from .model import N, Q
 from .selection import Selection
 from .statistics import Component
-
-Q, N, B, K = range(len(TERMS))
 
 TOPS = tuple(0.5 / 2**i for i in range(8))
 """Highest frequencies of a fit in cycles per sample."""

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from ..allan.spectra import pooled_spectra
 from ..allan.sums import AllanSums
 from .limits import LEVEL_CHANGES
-
-Floats = NDArray[np.float64]
+from .statistics import Floats
 
 TOP_OCTAVES = 3
 """Octaves that measure the level of the white noise."""

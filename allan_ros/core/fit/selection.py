@@ -28,9 +28,8 @@ from .limits import (
     MAX_PROCESSES,
     SHORTEST_TIME,
 )
+from .model import K, N
 from .statistics import Component, Floats
-
-N, K = TERMS.index(('N',)), TERMS.index(('K',))
 
 LONGEST_MOVE = {'time': 0.7, 'frequency': 0.06}
 """Longest step in the logarithm of a number of a shape: a factor of two, and half a bin."""

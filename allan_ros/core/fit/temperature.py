@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
@@ -25,10 +24,7 @@ from .likelihood import AxisData, Columns, Fit, LowBand, inverse
 from .limits import GAIN_PROCESS, TEMPERATURE_RESOLVED
 from .method import random_coefficient
 from .model import AxisFit, Coefficient, NoiseModel
-from .statistics import Component, statistics
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from .statistics import Component, Floats, Ints, statistics
 
 LEAST_RANGE_K = 3.0
 """Range of the temperature within a recording in K below which no model is fitted."""
