@@ -39,7 +39,7 @@ def axis_of(**noise: Coefficient) -> AxisResult:
 def test_the_growth_is_that_of_the_axis(small_results: Results, units: str, factor: float) -> None:
     axes = {name: small_results.axes[name] for name in ('gyro_x', 'gyro_y')}
     html = ''.join(growth_table('gyro', axes))
-    assert f'angle error [{"°" if units == "datasheet" else "rad"}]' in html
+    assert f'angle error [{"°" if units == "deg/h" else "rad"}]' in html
     expected = []
     for row in zip(*(axis.growth for axis in axes.values())):
         assert f'after {row[0].horizon:g}&nbsp;s' in html
