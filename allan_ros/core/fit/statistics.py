@@ -63,7 +63,7 @@ def _kernels() -> tuple[Floats, Floats]:
     return np.concatenate([kernel(o) for o in range(SAMPLE_OCTAVES)]), kernel(SAMPLE_OCTAVES)
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def expected_power(component: Component, octaves: int) -> Floats:
     """Return the expected power of unit noise in the bins of the first octaves."""
     means = max(octaves - SAMPLE_OCTAVES, 0)
@@ -98,7 +98,7 @@ def _transformed(points: int, high: int) -> Floats:
     return np.concatenate([f.real, f.imag])
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=192)
 def _low_covariance(component: Component, step: int, points: int, high: int) -> Floats:
     """Return the covariance of the contrasts of block means for unit noise."""
     gamma = gamma_of(*component)(step, np.arange(points))
