@@ -65,6 +65,11 @@ value, and that the axis has at least this number of different values. (At a coa
 samples of an unclipped axis have one of two values.)"""
 
 
+ROUNDING_ERROR = 1e-9
+"""Values that differ by less than this share of their range are equal, as differences of a counter
+that were computed with rounding errors."""
+
+
 def clipped_share(samples: Floats) -> float:
     """Return the share of samples, (n,), that are clipped at their maximum or minimum.
 
@@ -75,7 +80,9 @@ def clipped_share(samples: Floats) -> float:
     >>> clipped_share(noise), round(clipped_share(np.minimum(noise, 1.0)), 2)
     (0.0, 0.15)
     """
-    values, counts = np.unique(samples[np.abs(samples) <= LARGEST], return_counts=True)
+    samples = samples[np.abs(samples) <= LARGEST]
+    error = ROUNDING_ERROR * np.ptp(samples) if len(samples) else 0.0
+    values, counts = np.unique(np.round(samples / (error or 1.0)), return_counts=True)
     if len(values) < CLIPPED_VALUES:
         return 0.0
     ends = ((values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2]))
@@ -108,6 +115,7 @@ def are_interleaved(rows: Floats) -> bool:
         return False
     with np.errstate(invalid='ignore', divide='ignore'):
         rows = rows[:, :n] - rows[:, :n].mean(axis=1, keepdims=True)
+        rows = np.round(rows / (ROUNDING_ERROR * np.ptp(rows, axis=1, keepdims=True)))
         difference = np.abs(rows[:, ::2].sum(axis=1) - rows[:, 1::2].sum(axis=1))
         sigma = np.sqrt(0.5 * n * np.mean((rows[:, 2:] - rows[:, :-2]) ** 2, axis=1))
         if np.count_nonzero(difference > ALTERNATE_SIGMAS * sigma) >= ALTERNATE_AXES:

@@ -514,6 +514,14 @@ def test_two_imus_with_one_frame_id_are_reported(difference, delay):
     assert 'interleaved' in ids(accumulate(times, both))
 
 
+def test_differences_of_a_pulse_counter_are_neither_clipped_nor_of_two_imus():
+    """The differences have rounding errors, so one value of the counter becomes several."""
+    t, x = still(12_000)
+    angle = np.cumsum(x[:, :3] + [2e-4, 3e-4, 4e-4], axis=0)
+    x[:, :3] = np.diff(np.floor(angle / 2e-3) * 2e-3, axis=0, prepend=0.0)
+    assert not ids(accumulate(t, x)) & {'clipped', 'interleaved'}
+
+
 @pytest.mark.parametrize('declared, rate', [(0.0, 400 / 3), (200.0, 200.0)])
 def test_samples_that_are_missing_regularly_are_reported_with_the_assumed_rate(declared, rate):
     t, x = faulty('third missing', 15_000)
