@@ -89,18 +89,17 @@ class StampChoice:
 
     def of(self, batch: ImuBatch) -> Block:
         """Return the next samples with the chosen stamps."""
-        return Block(self._stamps_of(batch), batch.samples.T)
-
-    def _stamps_of(self, batch: ImuBatch) -> Stamps:
+        stamps = batch.stamps_ns
         if self.use_record and batch.record_ns is not None:
-            return batch.record_ns
-        if self._computed is None:
-            stamps = batch.stamps_ns
-            if self._unusable:
-                return np.zeros_like(stamps)  # `SensorStream` counts them as untimed
-            return stamps * self._unit if self._unit > 1 else stamps
-        self._computed += len(batch)
-        return even_stamps(self._computed - len(batch), len(batch), self._rate)
+            stamps = batch.record_ns
+        elif self._computed is not None:
+            stamps = even_stamps(self._computed, len(batch), self._rate)
+            self._computed += len(batch)
+        elif self._unusable:
+            stamps = np.zeros_like(stamps)  # `SampleClock` counts them as untimed
+        elif self._unit > 1:
+            stamps = stamps * self._unit
+        return Block(stamps, batch.samples.T)
 
 
 class StampSorter:

@@ -115,16 +115,15 @@ class Level:
 
 
 class Motion:
-    """A motion; its windows are kept in ``held`` while it may be a shock, else this is None.
+    """A motion that begins at a time in ns.
 
-    ``level`` is that of the segment before it, or None if no shock is possible.
+    ``level`` is that of the segment before it, or None if it is no shock.
     """
 
-    def __init__(self, kind: str, began_ns: int, level: Level | None, margin: list[Block]) -> None:
+    def __init__(self, kind: str, began_ns: int, level: Level | None = None) -> None:
         self.kind = kind  # 'motion', 'stuck' or 'noise_increased'
         self.began_ns, self.ended_ns = began_ns, began_ns
         self.level = level
-        self.held = None if level is None else margin
         self.windows = self.quiet = 0  # number of windows, and of quiet ones at the end
         # means of the last windows before it
         self.before = level.before() if level is not None else np.empty((0, 0))
@@ -134,8 +133,6 @@ class Motion:
 
     def add(self, window: Block, mean: Floats, quiet: bool) -> None:
         """Add the next window and its mean, (axes,)."""
-        if self.held is not None:
-            self.held.append(window)
         self.quiet = self.quiet + 1 if quiet else 0
         if not quiet:
             self.ended_ns = int(window.stamps[-1])
@@ -159,16 +156,16 @@ class Motion:
         change = after - self.before.mean(axis=0)
         return np.asarray(np.where(np.abs(change) > limit, change, 0.0))
 
-    def replaced(self, floor: NoiseFloor, period_s: float) -> list[Block]:
+    def replaced(self, held: list[Block], floor: NoiseFloor, period_s: float) -> list[Block]:
         """Return the windows with the samples of the shock replaced; empty if it is no shock.
 
-        All windows are replaced except the last quiet ones.
+        ``held`` are its windows and the one before it. All are replaced except the last quiet ones.
         """
-        if self.held is None or self.level is None or self.change(floor).any():
+        if self.level is None or self.change(floor).any():
             return []
         first, last = self.before.mean(axis=0), np.mean(self._after, axis=0)
         turned = (self._total - self._samples * first)[floor.gyro] * period_s
-        block = Block.joined(self.held[: 1 - self.quiet])
+        block = Block.joined(held[: 1 - self.quiet])
         n = len(block)
         allowed = REPLACED_SHARE * self.level.rest - self.level.replaced
         if np.linalg.norm(turned) > TURNED or n > allowed:
@@ -177,4 +174,4 @@ class Motion:
         rows = first[:, None] + (last - first)[:, None] * share
         self.level.replaced += n
         flagged = np.ones(rows.shape, bool)
-        return [Block(block.stamps, rows, block.cut, flagged), *self.held[1 - self.quiet :]]
+        return [Block(block.stamps, rows, block.cut, flagged), *held[1 - self.quiet :]]

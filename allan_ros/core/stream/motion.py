@@ -108,7 +108,8 @@ class MotionGate:
         self._level = Level()
         self._out: list[Block] = []  # confirmed to be at rest
         self._cut = ''  # reason for the gap before the next still block
-        self._margin: list[Block] = []  # still windows, dropped if a motion begins after them
+        # the last still window, because a motion may follow, and the windows of a possible shock
+        self._held: list[Block] = []
         self._block: list[_Part] = []
         self._noisy_blocks = 0
 
@@ -172,7 +173,7 @@ class MotionGate:
         if not floor.is_plausible():
             self._counts.moving += _samples(parts)
             if self._motion is None:
-                self._motion = Motion('motion', int(parts[0].stamps[0]), None, [])
+                self._motion = Motion('motion', int(parts[0].stamps[0]))
                 self._counts.splits['motion'] += 1
             self._motion.ended_ns = int(parts[-1].stamps[-1])
             self._cut = 'motion'
@@ -205,8 +206,8 @@ class MotionGate:
             self._classify(rest, size, size)
             rest = rest.part(slice(size, None))
         self._before = self._before[:, :0]
-        self._pass_margin()
         self._no_shock()
+        self._pass_held()
 
     def _classify(self, have: Block, samples: int, size: int) -> None:
         """Classify the first ``samples`` samples, in windows of ``size``."""
@@ -233,7 +234,7 @@ class MotionGate:
         """Keep the samples of a block that are at rest; each window has ``size`` samples."""
         assert self._floor is not None
         if block.cut:
-            self._pass_margin()
+            self._pass_held()
             self._last_mean, self._level = None, Level()
             if self._motion is not None:
                 self._motion.before = self._motion.before[:0]
@@ -257,15 +258,16 @@ class MotionGate:
             self._release(window, mean[:, None], len(window))
             return
         if self._motion is None:
-            kind, margin = 'stuck' if stuck else 'motion', self._margin
-            self._motion = Motion(kind, int(window.stamps[0]), self._level, margin)
-            self._margin = []
+            kind = 'stuck' if stuck else 'motion'
+            self._motion = Motion(kind, int(window.stamps[0]), self._level)
         motion = self._motion
         if stuck:
             self._no_shock()
             self._counts.stuck += len(window)
-        elif motion.held is None:
+        elif motion.level is None:
             self._counts.moving += len(window)
+        else:
+            self._held.append(window)
         motion.add(window, mean, quiet)
         if motion.windows - motion.quiet > self._longest_shock:
             self._no_shock()
@@ -275,11 +277,12 @@ class MotionGate:
     def _end_motion(self, motion: Motion) -> None:
         """Pass on the windows of the motion that just ended if it was a shock, else split."""
         assert self._floor is not None
-        kept = motion.replaced(self._floor, self._period_s)
+        kept = motion.replaced(self._held, self._floor, self._period_s)
         if kept:
             motion.kind = 'shock'
             self._counts.shocks += 1
             self._counts.replaced += len(kept[0])
+            self._held = []
         else:
             self._no_shock()
         self._log_motion()
@@ -290,11 +293,11 @@ class MotionGate:
     def _no_shock(self) -> None:
         """Drop the windows of the present motion, which is no shock."""
         motion = self._motion
-        if motion is not None and motion.held is not None:
-            self._counts.moving += _samples(motion.held)
+        if motion is not None and motion.level is not None:
+            self._counts.moving += _samples(self._held)
             self._counts.splits[motion.kind] += 1
             self._cut = self._cut or motion.kind
-            motion.held = None
+            motion.level, self._held = None, []
 
     def _log_motion(self) -> None:
         """Add the motion that just ended, if any, to the list of events."""
@@ -311,17 +314,17 @@ class MotionGate:
         ``means``, (axes, k), are the means of the windows of ``size`` samples.
         """
         self._level.add(means, size)
-        self._pass_margin()
+        self._pass_held()
         split = max(0, len(block) - MARGIN_BEFORE * self.size)
         cut, self._cut = self._cut, ''
         if split:
             self._out.append(block.part(slice(split), cut))
             cut = ''
-        self._margin = [block.part(slice(split, None), cut)]
+        self._held = [block.part(slice(split, None), cut)]
 
-    def _pass_margin(self) -> None:
-        self._out += self._margin
-        self._margin = []
+    def _pass_held(self) -> None:
+        self._out += self._held
+        self._held = []
 
     # --- the noise floor --------------------------------------------------------------------------
 
@@ -366,14 +369,14 @@ class MotionGate:
         # `SensorStream` counts the samples that were already released
         self._no_shock()
         self._counts.shocks, self._counts.replaced = self._shocks_before
-        self._counts.moving += _samples(self._margin)
+        self._counts.moving += _samples(self._held)
         stuck = self.size * sum(int(np.count_nonzero(part.found.stuck)) for part in block)
         self._counts.moving -= _samples(part.samples for part in block) - stuck
         self._counts.stuck -= stuck
-        self._margin = []
+        self._held = []
         self._last_mean, self._level = None, Level()
         self._noisy_blocks, self._increase = 0, None
-        self._motion = Motion('motion', int(block[0].samples.stamps[0]), None, [])
+        self._motion = Motion('motion', int(block[0].samples.stamps[0]))
         self._cut = 'motion'
         self._out.append(block[0].samples.part(slice(0), RELEARNED))
         for part in block:
