@@ -127,10 +127,11 @@ _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
 CATALOG = {one.id: one for one in _catalog(_TEXT)}
 """Finding by id, without values."""
 
-_FAULTS, _NUMBERS = (
+_FAULTS, _NUMBERS, LIVE, UNUSABLE = (
     re.findall(rf'(?m)^\[{name}\]\n((?: .*\n)*)', _TEXT)[0].split()
-    for name in ('faults', 'numbers')
+    for name in ('faults', 'numbers', 'live', 'unusable')
 )
+"""Lists of ids, described in the catalog."""
 
 MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'level_changes': lambda of: of['high'].value < 1.1 * of['low'].value,

@@ -16,13 +16,13 @@ from std_srvs.srv import Trigger
 
 from ..core.allan.sums import AllanSums
 from ..core.errors import one_line
-from ..core.findings import Finding, finding
+from ..core.findings import LIVE, Finding, finding
 from ..core.imu import AXES, SENSORS, ImuBatch
 from ..core.settings import SegmenterSettings
 from ..core.stream.cleaning import PassSplitter
 from ..core.stream.health import StreamHealth
 from ..core.stream.pipeline import ImuStream
-from ..core.stream.transport import LIVE_FINDINGS, TransportMonitor, faults_of
+from ..core.stream.transport import TransportMonitor, faults_of
 from ..io.checkpoint import Checkpoint, Total
 from ..io.readers import SourceInfo
 from ..io.recorded import Provenance
@@ -134,7 +134,7 @@ class ImuWatch(Part):
         if self._state() != self._published_state:
             self._publish(self._total())
         # the findings of a live input replace those of a complete stream
-        live = {*LIVE_FINDINGS, 'gaps', *(f.id for f in found)}
+        live = {*LIVE, 'gaps', *(f.id for f in found)}
         stamp_age = None
         if self._last_stamp_ns is not None:
             stamp_age = (self._node.get_clock().now().nanoseconds - self._last_stamp_ns) * 1e-9

@@ -56,7 +56,7 @@ def test_two_sensors_have_the_mean_of_both() -> None:
 
 def test_the_interval_of_the_own_noise_covers_the_truth() -> None:
     rng, inside = np.random.default_rng(3), []
-    for _ in range(50):
+    for _ in range(30):
         for row, true in zip(common_noise('gyro_x', sensors(rng, 6000, 3, 3e-3), 'abc'), OWN):
             assert row.own is not None and row.own.ci95 is not None
             inside.append(row.own.ci95[0] <= true <= row.own.ci95[1])
@@ -65,7 +65,7 @@ def test_the_interval_of_the_own_noise_covers_the_truth() -> None:
 
 def test_the_coherence_of_independent_sensors_covers_zero() -> None:
     rng, covered = np.random.default_rng(4), []
-    for _ in range(200):
+    for _ in range(80):
         first, second, third = sensors(rng, 2048)
         streams = [Samples(first.stamps, one.values) for one in (first, second, third)]
         for row in common_of_axes(('gyro_x', 'gyro_y', 'gyro_z'), streams, 'a'):

@@ -11,7 +11,6 @@ from allan_ros.core.imu import (
     SI_UNITS,
     UNITS,
     from_datasheet,
-    sensor_of,
     to_si,
 )
 
@@ -60,7 +59,3 @@ def test_every_term_has_a_unit_on_both_sensors():
 def test_a_unit_of_something_else_is_rejected_with_those_that_fit(unit):
     with pytest.raises(AllanError, match=r'use one of .*deg/sqrt\(h\)'):
         to_si(1.0, unit, 'rad/s/sqrt(Hz)')
-
-
-def test_axis_names_determine_the_sensor():
-    assert [sensor_of(a) for a in ('gyro_x', 'accel_z')] == ['gyro', 'accel']

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..findings import Finding, by_consequence, finding
+from ..findings import LIVE, UNUSABLE, Finding, by_consequence, finding
 from ..imu import AXES, NANOSECONDS
 from .cleaning import BACKWARD_RUN
 from .health import StreamHealth, event_findings, events
@@ -61,21 +61,6 @@ STARTUP_S = 5.0
 STUCK_S, STUCK_RUNS = 1.0, 20
 """An axis is stuck if its value has not changed for this time in s, and for this many times the
 number of samples of its longest earlier run of equal values."""
-
-LIVE_FINDINGS = (
-    *('stamps_unusable', 'stamps_from_rate', 'stamps_missing', 'rate_differs', 'axis_absent'),
-    *('sensor_all_zero', 'zero_filled', 'held', 'no_noise', 'gyro_unit'),
-    *('accel_unit', 'accel_scale', 'clipped', 'stamps_mixed', 'repeated', 'stuck_now'),
-    *('stamps_unit', 'rate_assumed', 'interleaved', 'outliers'),
-)
-"""Ids of findings about a complete stream that a node also reports while the stream continues."""
-
-FAULTS = (
-    *('wrong_type', 'qos_incompatible', 'no_publisher', 'input_stopped', 'input_silent'),
-    *('input_unusable', 'no_data', 'stuck_now', 'gyro_unit', 'accel_unit', 'accel_scale'),
-    *('no_noise', 'gyro_unit_changed'),
-)
-"""Ids of findings that mean that present samples of their axes (all if none) must not be used."""
 
 
 @dataclass
@@ -186,9 +171,9 @@ class ConstantAxes:
 
 
 def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...]:
-    """Return the findings that are `FAULTS`, of one axis if it is given."""
+    """Return the findings that are `UNUSABLE`, of one axis if it is given."""
     return tuple(
-        f for f in findings if f.id in FAULTS and (not (axis and f.axes) or axis in f.axes)
+        f for f in findings if f.id in UNUSABLE and (not (axis and f.axes) or axis in f.axes)
     )
 
 
@@ -247,9 +232,8 @@ class TransportMonitor:
         if health.frame_id != health.sums_frame_id:
             shown = health.sums_frame_id
             present.append(finding('frame_waits', present=health.frame_id, shown=shown))
-        live: tuple[str, ...] = LIVE_FINDINGS
-        if health.state == 'noise_increased':
-            live += ('noise_increased', 'gyro_unit_changed')
+        noisy = health.state == 'noise_increased'
+        live = [*LIVE, 'noise_increased', 'gyro_unit_changed'] if noisy else LIVE
         present += [f for f in stream if f.id in live]
         events, past = self._recent_findings(health)
         # present ones first: a past event must not hide a fault
