@@ -168,8 +168,8 @@ class AxisResult:
 
     @property
     def B(self) -> Quantity:
-        """Bias instability in rad/s or m/s^2: the coefficient B, which is the minimum of the curve
-        divided by 0.664."""
+        """Bias instability in rad/s or m/s^2: the coefficient B, which is the flat part of the
+        curve divided by 0.664."""
         return self.quantity('B')
 
     @property

@@ -156,8 +156,8 @@ def _state_text(health: StreamHealth, static_s: float, passes: int) -> str:
     return {
         'waiting': 'waiting for the first message',
         'learning': 'learning the rate and the noise floor; keep the IMU at rest',
-        'moving': f'moving at {rate}: {measured}',
-        'noise_increased': f'noise above the noise floor at {rate}: not used, {static} so far',
+        'moving': f'moving, {rate}: {measured}',
+        'noise_increased': f'noise above the noise floor, {rate}: not used, {static} so far',
         'at_rest': f'at rest, {rate}: {static}',
     }[health.state]
 

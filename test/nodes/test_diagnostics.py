@@ -166,7 +166,7 @@ def test_the_message_of_the_input_is_its_most_severe_finding():
 def test_moving_is_ok_and_its_samples_are_not_used():
     status = of_input(StreamHealth(Counts(), 'moving', 100.0))
     assert status.level == DiagnosticStatus.OK
-    assert status.message.startswith('moving at 100 Hz: not at rest yet')
+    assert status.message.startswith('moving, 100 Hz: not at rest yet')
 
 
 def test_the_share_of_still_time_is_a_number():

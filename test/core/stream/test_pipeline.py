@@ -514,12 +514,12 @@ def test_two_imus_with_one_frame_id_are_reported(difference, delay):
     assert 'interleaved' in ids(accumulate(times, both))
 
 
-def test_differences_of_a_pulse_counter_are_neither_clipped_nor_of_two_imus():
+def test_differences_of_a_pulse_counter_are_not_clipped():
     """The differences have rounding errors, so one value of the counter becomes several."""
     t, x = still(12_000)
-    angle = np.cumsum(x[:, :3] + [2e-4, 3e-4, 4e-4], axis=0)
+    angle = np.cumsum(0.1 * x[:, :3] + [3e-4, 5e-4, 7e-4], axis=0)
     x[:, :3] = np.diff(np.floor(angle / 2e-3) * 2e-3, axis=0, prepend=0.0)
-    assert not ids(accumulate(t, x)) & {'clipped', 'interleaved'}
+    assert 'clipped' not in ids(accumulate(t, x))
 
 
 @pytest.mark.parametrize('declared, rate', [(0.0, 400 / 3), (200.0, 200.0)])
