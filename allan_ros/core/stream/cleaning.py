@@ -12,10 +12,21 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..findings import Finding, finding
-from ..imu import AXES, LARGEST, NANOSECONDS, STAMP_UNITS, ImuBatch, even_stamps, joined
+from ..imu import (
+    AXES,
+    LARGEST,
+    NANOSECONDS,
+    STAMP_UNITS,
+    Block,
+    Flags,
+    Floats,
+    ImuBatch,
+    Stamps,
+    even_stamps,
+    joined,
+)
 from .health import Counts
 from .sensors import SensorPlan
-from .timing import Block, Flags, Floats, Stamps
 
 BACKWARD_RUN = 16
 """If this number of consecutive samples is stamped earlier than the latest stamp, the clock was set

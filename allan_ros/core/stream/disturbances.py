@@ -14,8 +14,8 @@ from collections import deque
 
 import numpy as np
 
+from ..imu import Block, Flags, Floats
 from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, NoiseFloor, Windows
-from .timing import Block, Flags, Floats
 
 SPIKE_SIGMAS = 7.0
 """An isolated sample is a spike if it deviates from the mean of its window by more than this number

@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..imu import Block, Flags, Floats
 from ..settings import SegmenterSettings
 from .disturbances import (
     LONGEST_SHOCK,
@@ -35,7 +36,6 @@ from .disturbances import (
 )
 from .health import Counts, Event, Longest, State
 from .noise_floor import EXAMINED, LEAST_WINDOW, NoiseFloor, WindowClass, Windows
-from .timing import Block, Flags, Floats
 
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short compared with a motion."""

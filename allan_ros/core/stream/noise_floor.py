@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..imu import Flags, Floats
 from ..settings import SegmenterSettings
 from .health import are_degrees
-from .timing import Flags, Floats
 
 LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""

@@ -20,7 +20,7 @@ from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
 from ..errors import AllanError
 from ..findings import Finding
-from ..imu import AXES, ImuBatch, ImuIdentity, joined
+from ..imu import AXES, Block, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
 from .cleaning import SampleFilter, StampChoice, StampSorter
 from .health import (
@@ -40,7 +40,7 @@ from .health import (
 )
 from .motion import RELEARNED, MotionGate
 from .sensors import RepeatFilter, SensorPlan, plan_sensors
-from .timing import LEARN, Block, Floats, SampleClock, Stamps
+from .timing import LEARN, SampleClock
 
 
 class StreamSums(NamedTuple):

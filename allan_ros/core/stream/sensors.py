@@ -16,8 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ..findings import Finding, finding
-from ..imu import AXES, LARGEST, SENSORS
-from .timing import Block, Flags, Floats
+from ..imu import AXES, LARGEST, SENSORS, Block, Flags, Floats
 
 REPEATED_SHARE = 0.1
 """Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled

@@ -20,12 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..imu import Block, Flags, Floats, Stamps
 from ..settings import SegmenterSettings
 from .health import RATE_CHANGE, Counts
 
-Stamps = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 LEARN = 1024
@@ -178,56 +176,6 @@ def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> flo
     rate = 1.0 + resolution * np.arange(-steps, steps + 1)
     statistic = np.array([abs(np.exp(2j * np.pi * r * t).sum()) for r in rate])
     return float(period / rate[np.argmax(statistic)])
-
-
-@dataclass(frozen=True)
-class Block:
-    """Samples: stamps in ns, (n,), and values, (axes, n).
-
-    The blocks of `SampleClock` and of later stages are evenly spaced. ``cut`` is '' if the block
-    directly follows the previous one, else the reason for the gap between them. ``filled``, (axes,
-    n), flags interpolated values; None if there are none.
-    """
-
-    stamps: Stamps
-    rows: Floats
-    cut: str = ''
-    filled: Flags | None = None
-
-    def __len__(self) -> int:
-        return len(self.stamps)
-
-    @classmethod
-    def empty(cls, axes: int) -> Block:
-        """Return a block without samples."""
-        return cls(np.empty(0, np.int64), np.empty((axes, 0)))
-
-    def part(self, which: slice | Flags, cut: str = '') -> Block:
-        """Return some samples (views for a slice); ``cut`` is the reason for a gap before them."""
-        filled = None if self.filled is None else self.filled[:, which]
-        return Block(self.stamps[which], self.rows[:, which], cut, filled)
-
-    def copy(self) -> Block:
-        """Return a block that shares no memory with this one, with contiguous rows."""
-        filled = None if self.filled is None else self.filled.copy()
-        return Block(self.stamps.copy(), self.rows.copy(), self.cut, filled)
-
-    @classmethod
-    def joined(cls, parts: list[Block]) -> Block:
-        """Concatenate consecutive blocks, at least one; the result has the ``cut`` of the first."""
-        parts = [part for part in parts if len(part)] or parts[:1]
-        if len(parts) == 1:
-            return parts[0]
-        filled = None
-        if any(part.filled is not None for part in parts):
-            none = [np.zeros(p.rows.shape, bool) if p.filled is None else p.filled for p in parts]
-            filled = np.concatenate(none, axis=1)
-        return cls(
-            np.concatenate([part.stamps for part in parts]),
-            np.concatenate([part.rows for part in parts], axis=1),
-            parts[0].cut,
-            filled,
-        )
 
 
 TRACK_BLOCKS = 16

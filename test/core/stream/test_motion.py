@@ -7,13 +7,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from allan_ros.core.imu import AXES
+from allan_ros.core.imu import AXES, Block
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stream.health import Counts, Longest
 from allan_ros.core.stream.motion import RELEARNED, MotionGate
-from allan_ros.core.stream.timing import Block
 
 RATE = 200
 SIGMA = np.array([1e-3] * 3 + [2e-2] * 3)[:, None]

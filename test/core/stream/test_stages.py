@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from allan_ros.core.imu import ImuBatch
+from allan_ros.core.imu import Block, ImuBatch
 from allan_ros.core.stream.cleaning import BACKWARD_RUN, PassSplitter
 from allan_ros.core.stream.health import KEPT_MEANS, RunningMeans
 from allan_ros.core.stream.pipeline import ImuStream
@@ -17,7 +17,6 @@ from allan_ros.core.stream.sensors import (
     _line_variance,
     are_interleaved,
 )
-from allan_ros.core.stream.timing import Block
 
 
 def batch(stamps):

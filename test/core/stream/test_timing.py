@@ -5,10 +5,11 @@
 import numpy as np
 import pytest
 
+from allan_ros.core.imu import Block
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.stream import timing
 from allan_ros.core.stream.health import Counts
-from allan_ros.core.stream.timing import Block, Clock, SampleClock, learn_clock
+from allan_ros.core.stream.timing import Clock, SampleClock, learn_clock
 
 MS = 1_000_000
 
