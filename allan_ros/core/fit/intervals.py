@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from .likelihood import AxisData, Fit, flags, inverse
 from .limits import LEVEL_95
+from .statistics import Floats
 
 
 class Interval(NamedTuple):
@@ -21,16 +23,38 @@ class Interval(NamedTuple):
     gain: float
 
 
-def profile_interval(data: AxisData, fit: Fit, i: int) -> Interval:
+def covariance_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[tuple[int, int]]) -> Floats:
+    """Return the covariance of all coefficients of a fit, then of its shapes.
+
+    ``shapes`` are pairs: the index of a component, and that of a number of its shape. The shape is
+    in logarithms, times the coefficient. A coefficient at 0 has the variance that it would have if
+    it were fitted.
+    """
+    n, size = len(fit.p), len(fit.p) + len(shapes)
+    p = np.append(fit.p, np.zeros(len(shapes)))
+    moments = data.moments(data.columns(fit.components, shapes), p)
+    information = fit.information if moments is None else moments[1]
+    out = np.zeros((size, size))
+    always = [*fit.free, *range(n, size)]
+    out[np.ix_(always, always)] = inverse(information[np.ix_(always, always)])
+    for i in np.setdiff1d(np.arange(n), fit.free):
+        on = [i, *always]
+        out[i, i] = inverse(information[np.ix_(on, on)])[0, 0]
+    return out
+
+
+def profile_interval(data: AxisData, fit: Fit, i: int, variance: float = 0.0) -> Interval:
     """Return the interval of the coefficient ``i`` of a fit, by its profile likelihood.
 
     All other coefficients are fitted again at each value. It is the set of values whose
-    -2 log L exceeds the minimum by at most 3.84.
+    -2 log L exceeds the minimum by at most 3.84, and is wider if ``variance``, that of the
+    coefficient when the shapes of processes are unknown too, is larger than with known shapes.
     """
     estimate = float(fit.p[i])
     on = np.union1d(fit.free, [i])
     covariance = inverse(fit.information[np.ix_(on, on)])[:, int(np.searchsorted(on, i))]
     error = math.sqrt(covariance[np.searchsorted(on, i)])
+    wider = max(math.sqrt(variance) / error, 1.0)
 
     def distance(value: float) -> float:
         start = fit.p.copy()
@@ -45,7 +69,7 @@ def profile_interval(data: AxisData, fit: Fit, i: int) -> Interval:
 
     z = math.sqrt(LEVEL_95)
     if i in fit.signed:
-        return Interval(estimate - z * error, estimate + z * error, 0.0)
+        return Interval(estimate - z * wider * error, estimate + z * wider * error, 0.0)
     at_zero = distance(0.0) if estimate < 20.0 * error else 20.0
     low = 0.0
     if at_zero > z:
@@ -56,7 +80,12 @@ def profile_interval(data: AxisData, fit: Fit, i: int) -> Interval:
     while at_high < z and high < 1e12:
         high = estimate + 2.0 * (high - estimate)
         at_high = distance(high)
-    return Interval(low, _crossing(distance, z, estimate, high, at_high), at_zero**2)
+    high = _crossing(distance, z, estimate, high, at_high)
+    return Interval(
+        max(estimate - wider * (estimate - low), 0.0),
+        estimate + wider * (high - estimate),
+        (at_zero / wider) ** 2,
+    )
 
 
 def _crossing(distance, z: float, inside: float, outside: float, at_outside: float) -> float:  # type: ignore[no-untyped-def]

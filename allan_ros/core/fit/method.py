@@ -17,7 +17,13 @@ from ..noise import PROCESS_TYPES, NoiseTerms, ProcessModel
 from .candidates import Candidates
 from .estimate import Estimate, estimate
 from .findings import axis_findings, merge_equal
-from .intervals import Interval, RampEstimate, profile_interval, ramp_estimate
+from .intervals import (
+    Interval,
+    RampEstimate,
+    covariance_with_shapes,
+    profile_interval,
+    ramp_estimate,
+)
 from .likelihood import AxisData
 from .limits import GAIN_RESOLVED, LEAST_DRIFT_S, LEAST_STATISTICS, RAMP_RESOLVED
 from .model import (
@@ -105,23 +111,16 @@ def axis_fit(result: Estimate, tau0: float, brief: bool = False) -> AxisFit:
         for at in range(len(c) - 1)
         if fit.p[k] > 0.0 and c not in rules.base
     ]
-    n = len(fit.p)
-    full = data.solve(
-        fit.components,
-        data.columns(fit.components, shaped),
-        np.append(fit.p, np.zeros(len(shaped))),
-        signed=(*rules.signed, *range(n, n + len(shaped))),
-        tolerance=1e-3,
-    )
-    intervals = [profile_interval(data, full, i) for i in range(len(RANDOM_TERMS))]
+    every = covariance_with_shapes(data, fit, shaped)
+    intervals = [profile_interval(data, fit, i, every[i, i]) for i in range(len(RANDOM_TERMS))]
     result = result._replace(fit=fit)
     value, number = result.chi_squared if len(data.power) else (0.0, 0.0)
     if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
         # A q that is not resolved nearly doubles the error of N.
         fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
         result = result._replace(fit=fit)
-    every = full.covariance()
-    covariance, scale = every[:n, :n] * data.scale**2, data.scale
+    n, scale = len(fit.p), data.scale
+    covariance = every[:n, :n] * scale**2
     noise = {
         name: random_coefficient(name, float(fit.p[t]) * scale, covariance[t, t], each, scale, tau0)
         for t, (name, each) in enumerate(zip(RANDOM_TERMS, intervals))

@@ -233,9 +233,11 @@ class Selection:
     def imitates_filter(self, fit: Fit) -> bool:
         """Return whether processes have the smooth spectrum of a low-pass filter.
 
-        They are close sinusoids, or a broad resonance near the highest frequency.
+        They are close sinusoids, or a broad resonance near the highest frequency. A filter does not
+        bend the spectrum far below that.
         """
-        f = np.log2(sorted(c[1] for c in fit.components if c[0] == 'sinusoid'))
+        lines = (c[1] for c in fit.components if c[0] == 'sinusoid')
+        f = np.log2(sorted(each for each in lines if each > self.fastest / 64.0))
         near = LINES_PER_OCTAVE - 1
         broad = self.signed and any(
             c[1] > self.fastest / 4.0 and c[1] * c[2] < 2.0 * BANDWIDTHS[0]
