@@ -149,7 +149,7 @@ def test_bins_have_full_weight_again_when_no_sinusoid_remains(monkeypatch):
 
 
 def test_a_wandering_frequency_changes_neither_n_nor_its_interval():
-    """A disturbance of 11 to 15 mHz, 10 times the noise over a period: N within 2 %, +- 1 to 4 %."""
+    """A disturbance of 11 to 15 mHz, 20 times the noise: N within 2 %, interval of .5 to 5 %."""
     n = 120_000
     t = np.arange(n) * TAU0
     phase = 2.0 * math.pi * TAU0 * np.cumsum(0.013 + 0.002 * np.sin(2.0 * math.pi * t / 600.0))
