@@ -72,7 +72,7 @@ class ResultSettings(CheckedSettings):
     )
     units: str = parameter(
         'deg/h',
-        'Units of the output: those of datasheets, such as deg/h and ug, or SI.',
+        'Units of the output: as in datasheets, such as deg/h and ug, or SI.',
         choices=UNIT_SYSTEMS,
     )
     export: tuple[str, ...] = parameter(
@@ -499,7 +499,7 @@ def simulate(
         Name of a datasheet, whose N and B are used instead of the preset; a term that it does not
         state is 0.
     gyro, accel : mapping or list of mappings, optional
-        Coefficients that replace those of the preset, in datasheet units (gyro N in deg/sqrt(h), B
+        Coefficients that replace the preset, in datasheet units (gyro N in deg/sqrt(h), B
         in deg/h; accelerometer N in m/s/sqrt(h), B in ug). For all axes: ``{'N': 0.3, 'B': 7}``.
         Per axis: a list of three such mappings (x, y, z), or a mapping by axis such as
         ``{'z': {'N': 0.3}}``.
@@ -553,7 +553,7 @@ def simulate(
 
 
 def _settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:
-    """Return the settings for reading and for the data at rest; ``rate`` belongs to both."""
+    """Divide the options into settings for reading and for the motion gate, both with ``rate``."""
     check_rate(rate)
     of_reading = [name for name in describe(ReadOptions) if name != 'rate_hz']
     of_segmenter = [name for name in describe(SegmenterSettings) if name != 'declared_rate']

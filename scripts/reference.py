@@ -81,7 +81,7 @@ Results go to stdout, all else to stderr. `analyze --json` prints the content of
 {exits}
 
 `NO_COLOR` and `FORCE_COLOR` turn colors off and on ([no-color.org](https://no-color.org)),
-`COLUMNS` sets the width. By default, colors and width are those of the terminal.
+`COLUMNS` sets the width. By default, the terminal determines colors and width.
 
 **Completion** of verbs, options, datasheets, targets and topics of a bag, by
 [argcomplete](https://kislyuk.github.io/argcomplete/), where `allan` is on the PATH:

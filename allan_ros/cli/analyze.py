@@ -54,7 +54,7 @@ from .options import Command, Settings, settings_of
 from .tables import findings_lines, results_lines
 
 EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
-"""Exit codes in addition to those of every verb."""
+"""Exit codes that only this verb has."""
 
 FAIL_ON = f"""
 --fail-on {{warning,error}}  exit with {EXIT_FAILED} at a finding of this severity, or if a limit of

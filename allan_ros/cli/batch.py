@@ -66,7 +66,7 @@ class Outcome:
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write its files, print one line for each, and write a summary.
 
-    The exit code is that of the worst recording.
+    The exit code is the worst of the recordings.
     """
     console, outcomes, codes = Console.of(args), [], []
     if args.output:

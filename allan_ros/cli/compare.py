@@ -149,7 +149,7 @@ inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
 --common  separate the noise that IMUs on one body have in common (vibration) from the noise of
     each; the inputs are recordings made at the same time, or a bag with several Imu topics
 --topic TOPIC []  with --common: Imu topic, if a bag has several (default: all of them are IMUs)
---accel-topic TOPIC []  with --common: topic of the accelerometer, if it is not on that of the gyro
+--accel-topic TOPIC []  with --common: topic of the accelerometer, if the gyro has another topic
 --fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a
     datasheet is exceeded; with --within, if N is not shown to be the same, or another term differs
 """

@@ -128,7 +128,7 @@ class Console:
 
 
 def width() -> int:
-    """Return the width in columns: ``COLUMNS``, else that of the terminal, else `UNLIMITED`."""
+    """Return the width in columns: ``COLUMNS``, else of the terminal, else `UNLIMITED`."""
     return max(shutil.get_terminal_size((UNLIMITED, 24)).columns, NARROWEST)
 
 

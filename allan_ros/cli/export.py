@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _load(path: str) -> Results:
-    """Read results. If the path is something else, the AllanError says what it is."""
+    """Read results; raise AllanError, which names the kind of the file if it is no results."""
     from ..io.documents import RESULTS, file_in, load
 
     try:

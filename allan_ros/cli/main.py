@@ -264,7 +264,7 @@ def _topics(parsed_args: argparse.Namespace) -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit code; errors become one line on stderr.
 
-    ``argv`` are the words after the name of the program, by default those of this process.
+    ``argv`` are the words after the name of the program, by default from ``sys.argv``.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     name = f'allan {words[0]}' if words and words[0] in VERBS else 'allan'

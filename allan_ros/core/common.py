@@ -62,7 +62,7 @@ class CommonNoise:
     Attributes
     ----------
     axis : str
-        Name of the axis, such as 'gyro_x'; of two axes, if those of one IMU are compared.
+        Name of the axis, such as 'gyro_x'; of two axes, if the axes of one IMU are compared.
     label : str
         Name of the IMU.
     coherence : Coherence
@@ -190,7 +190,7 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Coefficient | 
     """Return N of each sensor, then the own N of each one, in SI with 95 % intervals.
 
     N is fitted together with Q, B and K to the Allan variances by weighted least squares; the
-    interval is that of a jackknife over the blocks. N is None if the samples are constant. The own
+    interval is from a jackknife over the blocks. N is None if the samples are constant. The own
     N of two sensors is the root mean square of both.
     """
     factors, curve = min(len(block.count) for block in blocks), allan_curve(reduce(add, blocks))

@@ -54,7 +54,7 @@ class Quantity:
 
 
 class Texts(NamedTuple):
-    """The texts of a finding."""
+    """Message and remedy of a finding, with its numbers filled in."""
 
     message: str
     remedy: str
@@ -140,8 +140,8 @@ MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'tilted': lambda of: of['angle'] < 1.0,
 }
 """Id -> whether values are so small that a filter is not affected: the severity is then info. The
-limits of the bias (rad/s and m/s^2) are changes between two starts of common MEMS sensors; that of
-a tilt is in deg."""
+limits of the bias (rad/s and m/s^2) are changes between two starts of common MEMS sensors; the
+limit of a tilt is in deg."""
 
 FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')
 """A template field ``{name}`` or ``{name:format}``. The format is one of Python, ``duration`` for a
@@ -269,7 +269,7 @@ def _quantities_text(
 
 
 def _coefficient(term: str) -> str:
-    """Return the coefficient with the unit of a quantity."""
+    """Return the coefficient that has the same unit as a quantity."""
     return 'B' if term == 'signal' else term
 
 
@@ -277,7 +277,7 @@ def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Merge the findings of several axes that differ only in numbers, and sort all findings.
 
     The text of a merged finding contains the ranges of the numbers: "Vibration at 0.573 to 0.579
-    Hz". The order is that of `by_consequence`.
+    Hz". The order is by `by_consequence`.
     """
     groups: dict[Hashable, list[Finding]] = {}
     for each in findings:
@@ -309,7 +309,7 @@ def by_consequence(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings in the order of their effect on the user, the largest first.
 
     Faults come first, then what changes the numbers for a filter, other warnings, and notes. The
-    order of each group is that of the catalog.
+    groups are in the order of the catalog.
     """
     return tuple(sorted(findings, key=_rank))
 

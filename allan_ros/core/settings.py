@@ -61,7 +61,7 @@ def describe(settings: Any) -> dict[str, ParameterInfo]:
 
 
 UNIT_SYSTEMS = ('deg/h', 'SI')
-"""Units of the output: those of datasheets, such as deg/h and ug, or SI."""
+"""Units of the output: as in datasheets, such as deg/h and ug, or SI."""
 
 LIST = (tuple, list)
 

@@ -128,8 +128,8 @@ def samples_in(seconds: float, rate: float) -> int:
 def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generator) -> Floats:
     """Return n simulated samples of one axis with the noise ``terms``, in SI, (n,).
 
-    The samples are ``tau0`` s apart, and the first one is 0. Their expected Allan variance equals
-    that of the terms at every averaging time.
+    The samples are ``tau0`` s apart, and the first one is 0. Their expected Allan variance is
+    exact at every averaging time.
     """
     from scipy import fft  # slow to import, and rarely needed
 

@@ -343,7 +343,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
 
 
 def config_folders(kind: str) -> list[Path]:
-    """Return the existing folders to search for configuration files of a kind, in this order.
+    """Return the existing folders with configuration files of a kind, in the order of search.
 
     They are the folder of the user (XDG Base Directory, 0.8), and ``config/<kind>`` of the source
     code or of the installed package.

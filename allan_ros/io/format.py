@@ -91,7 +91,7 @@ def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
 
 
 def _signed_interval(coefficient: Coefficient) -> tuple[float, float]:
-    """Return the interval of the signed value; the coefficient has that of its magnitude."""
+    """Return the interval of the signed value, from the interval of its magnitude."""
     low, high = coefficient.ci95 or (math.nan, math.nan)
     return (-high, -low) if coefficient.sign < 0 else (low, high)
 

@@ -3,7 +3,7 @@
 """Files for filters from a datasheet alone, and values that were measured with known sensors.
 
 The noise model has the N and B of the datasheet, with one-sided densities and minima of curves
-converted as `datasheets` describes. N and K of a file are those of its reduced-order model, so that
+converted as `datasheets` describes. N and K of a file come from its reduced-order model, so that
 K follows from B: it covers the error growth of N and B over the horizon of the filter.
 """
 
@@ -40,7 +40,7 @@ CROSSING_S = 10.0
 sensors that were measured, it is 7 to 200 s; a shorter time gives a larger B."""
 
 SHOWN = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
-"""Unit of a measured value in the catalogue, if it is not that of `DATASHEET_UNITS`."""
+"""Unit of a measured value in the catalogue, if it differs from `DATASHEET_UNITS`."""
 
 
 STATED = tuple((kind, term) for kind in SENSORS for term in 'NB')
@@ -117,8 +117,8 @@ class Sensor:
     ) -> str:
         """Return the text of a file for a filter or simulator, with the noise of the datasheet.
 
-        The arguments are those of `Results.export`. ``filter_rate`` is also the rate of the IMU;
-        the default is 200 Hz.
+        The arguments are the same as in `Results.export`. ``filter_rate`` is also the rate of the
+        IMU; the default is 200 Hz.
         """
         return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
             target, path, **options

@@ -82,7 +82,7 @@ def figure_files(
 
 
 def rendered(figures: Mapping[str, Figure | None], formats: Sequence[str]) -> dict[str, bytes]:
-    """Return figures as files, name -> content; without those that are None."""
+    """Return file name -> content of each figure in each format; None is not drawn."""
     return {
         f'{name}.{form}': render_figure(figure, form)
         for name, figure in figures.items()

@@ -73,7 +73,7 @@ class Provenance:
         return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EARLIEST_S else None
 
     def with_accel(self, accel: Provenance) -> Provenance:
-        """Return the combined provenance of two topics; the segments are those of the gyro."""
+        """Return the combined provenance of two topics; the segments are from the gyro."""
         return replace(self + accel, segments=self.segments)
 
 
@@ -209,7 +209,7 @@ def _read_topic(
 def with_accel(
     gyro: Sequence[AllanSums], accel: Sequence[AllanSums], identity: ImuIdentity
 ) -> tuple[AllanSums, ...]:
-    """Return the sums of two topics of one IMU; those of ``accel`` get the identity."""
+    """Return the sums of two topics of one IMU; ``accel`` gets the identity of ``gyro``."""
     return (*gyro, *(replace(sums, identity=identity) for sums in accel))
 
 
@@ -249,7 +249,7 @@ def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Findin
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
-    """Return whether both contain the same segment, judged by its means: noise never repeats."""
+    """Return whether ``a`` and ``b`` have a segment with equal block means: noise never repeats."""
     return any(
         (one.samples, one.start_ns) == (other.samples, other.start_ns)
         and np.array_equal(x.reference, y.reference)

@@ -286,7 +286,7 @@ class Results:
     ) -> list[Path]:
         """Write the results, the report, filter files and figures, and return their paths.
 
-        The files are the same as those of `allan analyze -o`. `load` reads the folder again.
+        `allan analyze -o` writes the same files. `load` reads the folder again.
 
         Parameters
         ----------
@@ -371,7 +371,7 @@ class Results:
     ) -> Results:
         """Return a copy that is compared with a datasheet, an earlier run, or both.
 
-        The arguments and the errors are those of `check`.
+        Arguments and errors are the same as in `check`.
         """
         from .documents import labels_of, load
 

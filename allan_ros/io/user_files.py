@@ -98,7 +98,7 @@ def stated_noise(
 ) -> AxesNoise:
     """Return the noise to simulate: axis -> coefficients in SI.
 
-    It is that of the preset, or of the datasheet ``sensor``, which states N and B. Then the noise
+    It comes from the preset, or from the datasheet ``sensor``, which states N and B. Then the noise
     of a specification (``spec``) and ``changes`` (axis or sensor -> term -> value in datasheet
     units) replace single coefficients. Raises AllanError if nothing is given or a name is unknown.
     """

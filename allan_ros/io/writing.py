@@ -33,7 +33,7 @@ COMPRESSIONS: dict[str, tuple[str, ...]] = {
     'csv': ('none',),
     'npz': ('none', 'deflate'),
 }
-"""Storage -> possible kinds of compression; those of rosbag2 (mcap, sqlite3) use zstd."""
+"""Storage -> possible kinds of compression; rosbag2 (mcap, sqlite3) uses zstd."""
 STORAGE_OF_SUFFIX = {'.bag': 'ros1', '.csv': 'csv', '.tsv': 'csv', '.npz': 'npz'}
 DEFAULT_STORAGE = 'mcap'
 FILE_SUFFIXES = {'.mcap': 'mcap', '.db3': 'sqlite3'}

@@ -133,7 +133,7 @@ class ImuWatch(Part):
             self._faults = finding('no_data'), *self._faults
         if self._state() != self._published_state:
             self._publish(self._total())
-        # the findings of a live input replace those of a complete stream
+        # the findings of a live input replace the findings of a complete stream
         live = {*LIVE, 'gaps', *(f.id for f in found)}
         stamp_age = None
         if self._last_stamp_ns is not None:
@@ -351,7 +351,7 @@ def watches(
     imu: WatchedImu,
     listener: Callable[[Snapshot], None] | None = None,
 ) -> list[ImuWatch]:
-    """Return the inputs of one IMU: one, or those of its gyro and its accelerometer."""
+    """Return the input of an IMU, or two if gyro and accelerometer have separate topics."""
     if not imu.accel_topic:
         return [ImuWatch(node, imu, listener)]
     accel = ImuWatch(node, imu.accel, sensor='accel')
@@ -365,7 +365,7 @@ def watched_imus(node: AllanNode) -> list[WatchedImu]:
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:
-    """Return the state and the counts that stay the same while the IMU is at rest."""
+    """Return what changes at an event (a motion, a gap, another frame_id), but not at rest."""
     c = health.counts
     started, splits = c.used > 0, sum(c.splits.values())
     return health.state, health.discarded, health.frame_id, health.frame_changes, splits, started

@@ -432,7 +432,7 @@ def _numbers(value: ParameterValue) -> tuple[float, ...]:
 
 
 def _message(proposal: Proposal, current: ParameterValue) -> ParameterMessage:
-    """Return the proposed parameter; its type is that of the current value."""
+    """Return the proposed parameter, with the type of the current value."""
     value = ParameterValue(type=current.type)
     if current.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
         value.double_array_value = list(proposal.values)

@@ -270,7 +270,7 @@ class ImuRelay(Part):
         self._make_patches()
 
     def _note_frame(self, payload: bytes) -> None:
-        """Count a message whose frame_id differs from that of the noise model."""
+        """Count a message whose frame_id differs from the frame_id of the noise model."""
         results = self._results
         try:
             frame_id = frame_id_of(payload)

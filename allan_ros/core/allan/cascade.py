@@ -160,7 +160,7 @@ class _RunningLevel:
     def sums_of(self, points: Floats) -> tuple[LevelSums, tuple[_Half | None, ...]]:
         """Return the sums of a block, and its last half blocks.
 
-        ``points`` are (rows, n): `_KEPT` earlier points, then those of the block.
+        ``points`` are (rows, n): `_KEPT` earlier points, then the points of the block.
         """
         kept = min(self.summed + 1, _KEPT)
         points = points[:, _KEPT - kept :]
@@ -174,8 +174,8 @@ class _RunningLevel:
     def _spectra(self, points: Floats) -> tuple[list[Floats], list[int], tuple[_Half | None, ...]]:
         """Return powers of each octave, (bins, axes), numbers of blocks, of pairs, and halves."""
         level = level_of(self.level)
-        # the rounding errors of float32 are much smaller than the noise of single samples, not
-        # than that of long means
+        # the rounding errors of float32 are much smaller than the noise of single samples, but
+        # not than the noise of long means
         kind = 'f8' if self.level else 'f4'
         with np.errstate(over='ignore'):
             samples = np.subtract(points[:-1, 1:], points[:-1, :-1], dtype=float).astype(kind)
@@ -240,9 +240,9 @@ def _octave_power(
 def _second_differences(
     points: Floats, kept: int, first: int, factors: tuple[int, ...]
 ) -> tuple[list[Floats], list[Floats], list[int]]:
-    """Return sums of squares, those of non-overlapping differences, and the numbers of both.
+    """Return sums of squares of all and of non-overlapping differences, and the numbers of both.
 
-    The differences are those of ``points``, (axes, n), that end after the first ``kept`` points.
+    ``points`` are (axes, n). Only differences count that end after the first ``kept`` points.
     ``first`` is the index of the first point in the segment.
     """
     axes, n = points.shape

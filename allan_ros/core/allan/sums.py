@@ -335,9 +335,9 @@ def _from_means(recordings: list[Recording], m: int, stride: int) -> tuple[int, 
 
 
 def _lengths(lengths: Lengths, samples: int) -> Lengths:
-    """Return lengths of segments that have ``samples`` in all, with similar shares of each class.
+    """Estimate the segment lengths of a part with ``samples`` samples, which are not stored.
 
-    The lengths of the segments in a part are not stored.
+    The classes of lengths have the same shares as in the complete data.
     """
     share = samples / max(sum(total for total, _ in lengths), 1)
     scaled = [(round(total * share), round(number * share)) for total, number in lengths]

@@ -54,7 +54,7 @@ class TurnOnBias:
         Mean of the biases of the recordings (the means of their samples), in the unit of the
         samples.
     std : float or None
-        Standard deviation of the biases, without that of the noise; None if it is not resolved:
+        Standard deviation of the biases, with the noise subtracted; None if it is not resolved:
         the noise alone may explain the scatter.
     ci95 : (low, high) or None
         95 % interval of ``std``, for normally distributed biases.
@@ -73,9 +73,9 @@ class TurnOnBias:
 def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
     """Return the repeatability of the bias from the mean of each recording, (recordings,).
 
-    ``variance`` is that of the means without a turn-on bias: the Allan variance at the length of
-    the recordings, which is half of the mean squared difference of the means of two recordings
-    without a break between them (for white noise, the variance of each mean).
+    ``variance`` is the variance of the means without a turn-on bias: the Allan variance at the
+    length of the recordings, which is half of the mean squared difference of the means of two
+    recordings without a break between them (for white noise, the variance of each mean).
 
     The result is None for fewer than two recordings.
     """
@@ -342,7 +342,7 @@ def time_within(model: BiasModel, tolerance: float) -> float:
 
 
 def _converged_filter(model: BiasModel) -> BiasFilter:
-    """Return a filter after one hour of means of 0; its covariance does not depend on the means."""
+    """Return a filter after an hour at rest; its covariance does not depend on the measurements."""
     bias = BiasFilter(model, period=10.0)
     for _ in range(360):
         bias.update(0.0)

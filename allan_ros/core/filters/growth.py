@@ -212,7 +212,7 @@ def growth_parts(
 ) -> Iterator[tuple[str, Floats]]:
     """Yield (name, variance of the error due to it) for each process of the model that is not 0.
 
-    The parameters are those of `predicted_growth`. The variance is an array over the
+    The parameters are the same as in `predicted_growth`. The variance is an array over the
     horizons, in the squared unit of the samples times s^2 (or s^4).
     """
     h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
@@ -244,7 +244,7 @@ def growth_parts(
 def _unit_error(
     kernel: Callable[[Floats], Kernels], h: Floats, w: Floats, integrals: int
 ) -> Floats:
-    """Return the variance of the error for a unit process with the covariances ``kernel``."""
+    """Return the variance of the integration error due to a process with coefficient 1."""
     ratio = h / w
     zero = np.zeros_like(h)
     if integrals == 1:

@@ -129,7 +129,7 @@ _NAMES = {
 
 
 def sensor_levels(levels: Sequence[Level], rule: str) -> tuple[Level, ...]:
-    """Return the levels of a sensor from those of its axes x, y and z.
+    """Combine the levels of the axes x, y and z into the levels of the sensor.
 
     ``rule`` is 'worst' (the largest), 'mean' (the root mean square of values and of interval ends)
     or 'each' (all three).
@@ -254,8 +254,8 @@ def measure_inflation(
     """Return the increase of N and K due to running motors: axis -> term -> increase.
 
     ``rest`` and ``running`` are the fits of a robot at rest, with motors off and with motors on. N
-    and K are those of the models reduced to a random walk. ``horizon`` is the longest time in s
-    that the filter integrates without a correction.
+    and K are taken from models reduced to white noise and a random walk. ``horizon`` is the
+    longest time in s that the filter integrates without a correction.
 
     Raises
     ------

@@ -15,9 +15,9 @@ within 5 % from about 3 s to 3000 s.
 
 A filter with the parameters N and K models only white noise and a random walk. If the sensor also
 has bias instability, such a filter underestimates its error with the fitted N and K. A `Reduction`
-contains parameters with which the error growth that the filter predicts is at least that of the
-complete model, over a range of prediction horizons: times that a filter integrates without a
-correction. The bias is assumed to be averaged over the longest of these horizons.
+contains raised parameters: the filter predicts an error growth at least as large as the complete
+model does, over a range of prediction horizons (times that a filter integrates without a
+correction). The bias is assumed to be averaged over the longest of these horizons.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ class Reduction(NamedTuple):
 
     model: ProcessModel  # N, K and Gauss-Markov processes that the filter assumes
     # smallest and largest ratio over the horizons of the error growth (standard deviation) that the
-    # filter predicts to that of the complete model
+    # filter predicts to the growth with the complete model
     ratio: tuple[float, float]
     levels: Mapping[str, Level]  # N and K with their intervals, if the model of an axis was reduced
 
@@ -239,8 +239,8 @@ def reduce_model(
 ) -> Reduction:
     """Return a noise model reduced to the states of a filter.
 
-    The error growth of the reduced model is at least that of ``model`` at all horizons from 1 s to
-    ``horizon`` s. The ``states`` determine what is adjusted:
+    At all horizons from 1 s to ``horizon`` s, the reduced model predicts at least the error growth
+    of ``model``. The ``states`` determine what is adjusted:
 
     ============  ================================================================================
     none          N is increased, because white noise represents all drift.
@@ -325,7 +325,7 @@ def closest_process(
     growth over the horizons up to ``horizon`` s. The result is None if the model has no drift.
 
     ``tau`` is the correlation time in s; with None, it is selected. If ``bound`` is set, the growth
-    is at least that of the model, as a filter requires. Otherwise it may also be smaller.
+    is not smaller than with the model, as a filter requires. Otherwise it may also be smaller.
     """
     complete = drift_model(model)
     if not has_drift(complete):

@@ -42,9 +42,9 @@ class Estimate(NamedTuple):
     Attributes
     ----------
     rules : Selection
-        With the data, in which bins that differ from the model have reduced weights.
+        Rules and data of the selection; bins that differ from the model have reduced weights.
     fit : Fit
-        q and a term f^4 have signs if the samples are low-pass filtered.
+        Fitted components. q and the term f^4 may be negative if the samples are low-pass filtered.
     top : float
         Highest frequency of the fit in cycles per sample: 0.5 if all data are used.
     lack : dict of octave to ratio

@@ -68,7 +68,7 @@ def _common_divisor(a: float, b: float, least: float) -> float:
 
 
 ROUNDING_SHARE = 0.1
-"""Variance of the rounding error, relative to that of the white noise, above which rounding is
+"""Variance of the rounding error, relative to the white noise, above which rounding is
 reported."""
 
 

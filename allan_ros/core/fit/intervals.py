@@ -26,7 +26,7 @@ class Interval(NamedTuple):
 def covariance_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[tuple[int, int]]) -> Floats:
     """Return the covariance of all coefficients of a fit, then of its shapes.
 
-    ``shapes`` are pairs: the index of a component, and that of a number of its shape. The shape is
+    ``shapes`` are pairs: index of a component, index of a number of its shape. The shape is
     in logarithms, times the coefficient. A coefficient at 0 has the variance that it would have if
     it were fitted.
     """
@@ -47,8 +47,8 @@ def profile_interval(data: AxisData, fit: Fit, i: int, variance: float = 0.0) ->
     """Return the interval of the coefficient ``i`` of a fit, by its profile likelihood.
 
     All other coefficients are fitted again at each value. It is the set of values whose
-    -2 log L exceeds the minimum by at most 3.84, and is wider if ``variance``, that of the
-    coefficient when the shapes of processes are unknown too, is larger than with known shapes.
+    -2 log L exceeds the minimum by at most 3.84, and is wider if ``variance``, the
+    variance with unknown shapes of processes, is larger than with known shapes.
     """
     estimate = float(fit.p[i])
     on = np.union1d(fit.free, [i])

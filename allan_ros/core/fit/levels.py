@@ -45,7 +45,7 @@ LEAST_LAST_S, LEAST_LAST_PART = 30.0, 0.1
 class Levels:
     """Variance of the white noise in each period."""
 
-    power: Floats  # (periods, axes) relative to that of all data; NaN without spectra
+    power: Floats  # (periods, axes) relative to all data; NaN without spectra
     dof: Floats  # (periods,) of Gaussian noise
     samples: NDArray[np.int64]  # (periods,)
 
@@ -87,7 +87,7 @@ class Levels:
         return _tail(statistic, int(on.sum()) - 1, spread, len(r)) < LEVEL_CHANGES
 
     def scatter(self, axis: int) -> float:
-        """Return the relative error of N due to the scatter between periods beyond that of dof."""
+        """Return the relative error of N due to the scatter between periods beyond chance."""
         w = self.dof / max(self.dof.sum(), 1e-9)
         spare = 1.0 - float(w @ w)
         if spare <= 0.0 or not self.varies(axis):
@@ -134,7 +134,7 @@ class Levels:
         return found if self.change(axis, found) > LEAST_CHANGE else None
 
     def _is_mixed(self, axis: int, at: int, spread: float) -> bool:
-        """Return whether the level of a period differs from that of all later ones."""
+        """Return whether the level of a period differs from the level of all later ones."""
         n, r = self.dof, self.power[:, axis]
         later = n[at + 1 :].sum()
         if not (n[at] > 0.0 and later > 0.0 and r[at] > 0.0):

@@ -103,7 +103,7 @@ def inverse(information: Floats) -> Floats:
 
 
 class LowBand(NamedTuple):
-    """Scaled contrasts of one group for one axis."""
+    """Products of the contrasts (weighted sums of block means) of segments of equal length."""
 
     segments: int
     line: Floats  # (contrasts,) sum over the segments; the first one is the line
@@ -160,7 +160,7 @@ class AxisData:
     ) -> Columns:
         """Return the expectations of components, then their derivatives d/d log(shape).
 
-        ``tangents`` are pairs: the index of a component, and that of a number of its shape.
+        ``tangents`` are pairs: index of a component, index of a number of its shape.
         """
         columns = [self.statistics.column(each, self.axis) for each in components]
         power = [each.power for each in columns]
@@ -230,15 +230,17 @@ class AxisData:
         ----------
         components : sequence of Component
         columns : Columns, optional
-            Their expectations, if they are known.
+            Expectations of the components, if already computed.
         p : array, optional
             Coefficients to start from.
         held : mapping of index to value, optional
             Coefficients that are not fitted.
         signed : tuple of int
             Coefficients that may be negative.
-        rounds, tolerance : int, float
-            Limit of steps, and change of -2 log L below which the iteration ends.
+        rounds : int
+            Largest number of steps.
+        tolerance : float
+            The iteration ends when a step changes -2 log L by less.
         """
         columns = self.columns(components) if columns is None else columns
         p = self.start(columns) if p is None else p.copy()

@@ -101,7 +101,7 @@ def without_estimates() -> AxisFit:
 def axis_fit(result: Estimate, tau0: float, brief: bool = False) -> AxisFit:
     """Return an estimate with its intervals in SI.
 
-    ``brief`` recordings determine no drift: only N, and Q, have values.
+    A ``brief`` recording is too short for drift: only N and Q get values.
     """
     rules, data, fit = result.rules, result.rules.data, result.fit
     fit = data.solve(fit.components, fit.columns, fit.p, signed=rules.signed)

@@ -178,7 +178,7 @@ class Deviation(NamedTuple):
     Attributes
     ----------
     relative : float
-        Measured Allan deviation divided by that of the model, minus 1. Points above the model are
+        Measured Allan deviation / Allan deviation of the model - 1. Points above the model are
         compared with the model that contains unresolved terms at their upper limits.
     tau : float
         Averaging time of the point in s.
@@ -196,7 +196,7 @@ class LackOfFit(NamedTuple):
     low, high : float
         Ends of the octave in Hz.
     ratio : float
-        Measured power divided by that of the model.
+        Measured power / power of the model.
     """
 
     low: float

@@ -51,7 +51,7 @@ SHAKY_RATIO = 1.3
 
 LEVEL_RATIO, LARGE_RATIO = 1.02, 1.1
 """Least ratio of the highest to the lowest N of the periods that is reported; the second if the
-scatter may be that of impulsive noise."""
+scatter may come from impulsive noise."""
 
 LEAST_JUMP = 5.0
 """Least difference of the bias across a gap, in standard deviations, that is reported."""

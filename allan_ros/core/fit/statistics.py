@@ -283,7 +283,7 @@ def _coarser(y: Floats, factor: int) -> Floats:
 
 
 def _lengths(points: int) -> list[int]:
-    """Divide a number of points into lengths of 4, 6, 8, 12, 16, 24 ... points."""
+    """Divide ``points`` into as few groups as possible, of 4, 6, 8, 12, 16, 24 ... points."""
     out, sizes = [], sorted((s << k for k in range(9) for s in (4, 6)), reverse=True)
     for size in sizes:
         while points >= size:

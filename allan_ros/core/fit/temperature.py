@@ -230,10 +230,10 @@ def _complement(columns: Floats) -> Floats:
 
 
 def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Component], list[float]]:
-    """Return the components of the noise, and for each its known coefficient, or NaN.
+    """Return the components of the noise, and their coefficients: NaN if they are to be fitted.
 
-    Known is what block means of ``step`` samples cannot show: white noise, with the mean power of
-    the aliases of sinusoids, and fast processes.
+    The coefficients of white noise and fast processes are known from the fit of all data, because
+    block means of ``step`` samples cannot resolve them. White noise includes aliases of sinusoids.
     """
     model = fit.model
     white = model.terms.N**2 / tau0

@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Chooses and sorts the stamps, drops invalid samples, and splits looped recordings.
+"""Selects header or record stamps, sorts samples by stamp, and splits looped recordings.
 
-Samples that are not finite, duplicates, and samples with backward stamps are dropped.
+Duplicates, samples that are not finite, and samples with backward stamps are excluded.
 """
 
 from __future__ import annotations

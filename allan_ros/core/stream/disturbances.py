@@ -117,7 +117,7 @@ class Level:
 class Motion:
     """A motion that begins at a time in ns.
 
-    ``level`` is that of the segment before it, or None if it is no shock.
+    ``level`` is the level of the segment before a shock, or None if it is no shock.
     """
 
     def __init__(self, kind: str, began_ns: int, level: Level | None = None) -> None:

@@ -77,7 +77,7 @@ class Counts:
     skipped: int = 0  # in the warm-up time at the start
     other_frame: int = 0  # with an earlier frame_id whose sums were dropped
     not_finite: int = 0
-    duplicate: int = 0  # the stamp and all values equal those of the previous sample
+    duplicate: int = 0  # the stamp and all values repeat the previous sample
     backward: int = 0  # the stamp is earlier than the latest one
     reordered: int = 0  # kept: arrived after a sample with a later stamp, and sorted
     untimed: int = 0  # more than a thousand consecutive stamps are equal

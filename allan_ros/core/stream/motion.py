@@ -73,7 +73,7 @@ class MotionGate:
     """Detects motion, and keeps only the samples at rest.
 
     ``period_ns`` is the sample period. A window is moving if its standard deviation is more than
-    ``settings.motion_ratio`` times that of the noise floor, or if its mean rate differs from that
+    ``settings.motion_ratio`` times the noise floor, or if its mean rate differs from the rate
     at rest by more than ``settings.rate_limit``. ``counts`` and ``events`` are changed in place.
     """
 

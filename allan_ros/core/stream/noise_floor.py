@@ -40,8 +40,8 @@ ROUNDING = 1e-13
 resolution of 43 bits."""
 
 COLORED_STEP = 3.0
-"""If the steps between window means exceed those of white noise by this factor, the noise is not
-white."""
+"""If the steps between window means exceed the steps of white noise by this factor, the noise is
+not white."""
 
 LOW_FREQUENCY = 0.2
 """Below this von Neumann ratio, low frequencies dominate the noise."""
@@ -68,8 +68,9 @@ INCREASE_SPREAD = 4.0
 """The variances of the windows of stationary noise lie within this factor of their median."""
 
 INCREASE_SPECTRUM = 0.5
-"""The von Neumann ratio of increased noise is at least this fraction of that of the noise floor (or
-of white noise, if that is smaller). Motion has a smaller ratio, because it has low frequencies."""
+"""The von Neumann ratio of increased noise is at least this fraction of the noise floor's ratio
+(or of white noise, if that is smaller). Motion has a smaller ratio, because it has low
+frequencies."""
 
 SAME_DIRECTION = 0.035
 """Largest change of the measured gravity vector, relative to its magnitude, of an IMU that did not
@@ -278,7 +279,7 @@ class NoiseFloor:
 
         ``rows``, (axes, n), are the samples of the block, and ``block`` their windows. Returns None
         if the noise has not increased, or if the sensor moves. It is at rest if the noise is
-        stationary with a spectrum as broad as that of the floor or of white noise, and if neither
+        stationary with a spectrum as broad as the noise floor or white noise, and if neither
         the mean rate nor the direction of gravity changes.
         """
         level = _quantile(block.variance, 0.5)

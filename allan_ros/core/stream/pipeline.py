@@ -100,7 +100,7 @@ class ImuStream:
     def samples(self) -> dict[str, tuple[Stamps, Floats]]:
         """Return stamps in ns and values of all samples at rest, (n,), by axis, after `end`.
 
-        They are those of the frame_id with the most data, since the last change of its rate. The
+        They belong to the frame_id with the most data, since the last change of its rate. The
         result is empty unless requested.
         """
         frame = max(self._frames.values(), key=lambda each: each.counts.used, default=self._present)
@@ -126,7 +126,7 @@ class ImuStream:
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return state and findings without computing new sums, which is faster than `result`.
 
-        ``sums`` are those of an earlier `result`. The counts do not include samples that are not
+        ``sums`` are the sums of an earlier `result`. The counts do not include samples that are not
         classified yet.
         """
         state = self._present.state

@@ -28,7 +28,7 @@ driver that repeats samples, and the largest share of them that may be equal by 
 
 REGULAR_REPEATS, LARGEST_RANDOM_SHARE = 0.03, 0.6
 """If the share of repeats is below the first value, they are regarded as random, because they are
-too few to decide. Above the second, they are regarded as those of a slower sensor."""
+too few to decide. Above the second, they are attributed to a slower sensor."""
 
 REGULAR_VARIANCE, REGULAR_VARIANCE_RATIO = 0.5, 0.01
 """Repeats are regular if the variance of their cumulative number about a straight line is less than
@@ -37,8 +37,9 @@ repeats have a variance below the fraction."""
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
 """Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this, where p is the
-share of samples in which all axes repeat and p_i that of axis i. For three axes, the ratio is 1 if
-they repeat independently (coarse resolution), and 1/3 if they always repeat together."""
+share of samples in which all axes repeat and p_i the share in which axis i repeats. For three axes,
+the ratio is 1 if they repeat independently (coarse resolution), and 1/3 if they always repeat
+together."""
 
 
 @dataclass(frozen=True)
@@ -236,7 +237,7 @@ def _are_repeated(values: Floats) -> bool:
 
 
 def _are_regular(repeats: Flags) -> bool:
-    """Return whether the flagged repeats, (n,), are those of a sensor with a lower, constant rate.
+    """Return whether the flagged repeats, (n,), come from a sensor with a lower, constant rate.
 
     The repeats of such a sensor follow each other evenly. If a driver repeats samples at random
     instead, new samples have the rate of the messages, and the repeats replace lost samples.

@@ -72,10 +72,10 @@ PHASE_STEP = 0.25
 
 @dataclass(frozen=True)
 class Clock:
-    """Sample period of a stream, and median step between its stamps.
+    """Sample period of a stream, median step between its stamps, and their quality.
 
-    If the stamps are ``bursty``, many samples have almost the same stamp. If they have ``jitter``,
-    the loss of a single sample may not be detected.
+    Stamps are ``bursty`` if many of them are almost equal. They have ``jitter`` if they scatter
+    so much that the loss of a single sample may look like scatter.
     """
 
     period_ns: float
@@ -311,7 +311,7 @@ class SampleClock:
     def _count_same_rate(self, step: Stamps, steps: Ints, clock: Clock) -> int:
         """Return the number of samples before a change of the rate; all if it does not change.
 
-        ``step``, (n,), are the steps of the stamps in ns, and ``steps``, (n,), those of the index.
+        ``step``, (n,), are the steps of the stamps in ns; ``steps``, (n,), the steps of the index.
         """
         if clock.bursty:
             return len(step)

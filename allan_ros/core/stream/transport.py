@@ -180,8 +180,8 @@ def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...
 class TransportMonitor:
     """Reports the current problems of the live input ``topic``.
 
-    The argument ``time_s`` is the time of a steady clock in s; in the constructor, it is that of
-    the start.
+    The argument ``time_s`` is the time of a steady clock in s; in the constructor, the time of the
+    start.
     """
 
     def __init__(self, topic: str, time_s: float) -> None:
@@ -252,7 +252,7 @@ class TransportMonitor:
         counts.update(interrupted=transport.interruptions)
         counts.update(silent_s=transport.silent_s, stamps_leapt=transport.leapt_s)  # type: ignore
         if c.received < self._samples:
-            # a new pass: the counts of the stream start at 0, those of the transport continue
+            # a new pass: the counts of the stream start at 0, the counts of the transport continue
             self._unexplained = self._unexplained_before = self._absent = 0.0
             self._excused.append(0.0)
             self._history = deque([(time_s, counts.copy())])
@@ -312,7 +312,7 @@ class TransportMonitor:
         return []
 
     def _recent_findings(self, health: StreamHealth) -> tuple[list[Finding], list[Finding]]:
-        """Return the findings about events: those that still occur, and those of the last minute.
+        """Return the findings about events that still occur or occurred in the last minute.
 
         Both are ordered from causes to effects.
         """

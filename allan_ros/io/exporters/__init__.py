@@ -270,8 +270,8 @@ def target_rows(
 ) -> tuple[Row, ...]:
     """Return the measured numbers of a target, to set them as parameters of a running filter.
 
-    The parameters are those of `make_export`. ``bias`` maps axes to their bias at rest in SI. The
-    gain of a filter without a state for the bias covers it; leave it empty if the bias is
+    The parameters are the same as in `make_export`. ``bias`` maps axes to their bias at rest in SI.
+    The gain of a filter without a state for the bias covers it; leave it empty if the bias is
     subtracted from the samples.
 
     Raises

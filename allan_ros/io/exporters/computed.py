@@ -5,7 +5,7 @@
 The document ``allan_ros/state_space/2`` has for each axis under ``axes``: the levels ``white``,
 ``walk`` and ``gauss_markov`` in SI, and the matrices of
 `allan_ros.core.filters.reductions.StateSpace` at one rate. A simulator with a single Gauss-Markov
-bias gets the process whose error growth is closest to that of the model.
+bias gets the process whose error growth is closest to the model.
 """
 
 from __future__ import annotations

@@ -57,11 +57,11 @@ class Notation(NamedTuple):
     factor: float = 1.0  # unit of the number in SI
 
     def number(self, level: float, rate: float) -> float:
-        """Return the number in the file for a level in SI and a rate in Hz."""
+        """Return the number to write for N or K in SI (``level``) and a filter rate in Hz."""
         return float((level / self.factor) ** self.power * rate**self.rate_power)
 
     def level(self, number: float, rate: float) -> float:
-        """Return the level in SI for a number in the file and a rate in Hz."""
+        """Return N or K in SI for a number read from a file and the filter rate in Hz."""
         return float((number / rate**self.rate_power) ** (1.0 / self.power) * self.factor)
 
 
@@ -263,7 +263,7 @@ class FilterNoise:
 
     @property
     def used(self) -> dict[str, Reduction]:
-        """Axis -> reduction whose N and K are written to the file."""
+        """Axis -> reduced-order model whose N and K are written to the file."""
         return {axis: r for (axis, states), r in self._reductions.items() if states == 'walk'}
 
     def findings(self) -> list[Finding]:

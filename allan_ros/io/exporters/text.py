@@ -245,7 +245,7 @@ class Drift(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Measured drift over that of the file; above 1, the filter is overconfident."""
+        """Measured drift / drift in the file; above 1, the filter is overconfident."""
         return self.measured / self.file if self.file else math.inf
 
     @property

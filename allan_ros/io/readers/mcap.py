@@ -98,7 +98,7 @@ class Chunk:
 
 @dataclass
 class Contents:
-    """What the records of a file state about its topics."""
+    """Topics, message types and message counts according to the records of a file."""
 
     topics: dict[int, Topic] = field(default_factory=dict)
     schemas: dict[int, str] = field(default_factory=dict)  # number -> name of the type

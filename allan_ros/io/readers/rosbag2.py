@@ -114,7 +114,7 @@ def survey_bag(bag: Bag) -> Survey:
 def chosen_topic(path: Path, survey: Survey, wanted: str, accel_topic: str = '') -> Topic:
     """Return the Imu topic with the name ``wanted``, or the only Imu topic if it is ''.
 
-    ``accel_topic`` has only the accelerometer, and is not chosen without its name.
+    ``accel_topic`` contains only the accelerometer; it is chosen only if it is ``wanted``.
     Raises AllanError when there is no such topic, there are several, or it cannot be decoded.
     """
     imus = [key for key in survey.imus() if key[0].lstrip('/') != accel_topic.lstrip('/')]

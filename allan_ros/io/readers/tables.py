@@ -187,8 +187,8 @@ def _names(
 ) -> tuple[tuple[str, ...], int]:
     """Return the names of the columns, and the number of the line that contains them or 0.
 
-    ``first`` are the cells of the first line, which is line ``number``, and ``above`` those of the
-    last comment before it. ``columns`` are the names in the options.
+    ``first`` are the cells of the first line, which is line ``number``, and ``above`` the cells of
+    the last comment before it. ``columns`` are the names in the options.
     """
     given = tuple(name.strip() for name in columns)
     picked = bool(given) and all('=' in name for name in given)
