@@ -28,22 +28,15 @@ def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
     return analyzed.err
 
 
-def test_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_folder_and_a_damaged_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / 'empty'
     folder.mkdir()
     assert 'no bag in this folder' in refused(folder, capsys)
-
-
-@pytest.mark.parametrize('damage', ['random', 'header', 'zeros'])
-def test_a_damaged_log(damage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip('pyulog')
     log = tmp_path / 'log.ulg'
-    rest = {
-        'random': np.random.default_rng(1).bytes(50_000),
-        'header': b'',
-        'zeros': bytes(5000),
-    }
-    log.write_bytes(ULOG + rest[damage])
+    log.write_bytes(ULOG + np.random.default_rng(1).bytes(50_000))
     assert 'log.ulg: ' in refused(log, capsys)
 
 
@@ -73,13 +66,6 @@ def test_a_folder_of_damaged_logs_has_a_line_for_each(
     assert all(line.startswith('error: ') for line in lines)
 
 
-def test_a_rate_out_of_range_is_named_as_it_was_given(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(['check', str(tmp_path / 'x.csv'), '--rate', '-1']) == 1
-    assert 'rate is -1.0: it must lie between 1e-06 and 1e+06 Hz' in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ('words', 'said'),
     [
@@ -88,22 +74,19 @@ def test_a_rate_out_of_range_is_named_as_it_was_given(
             'export {truth} --to kalibr',
             'contains the truth of a simulation; `allan simulate --spec',
         ),
-        ('export {folder}/sums.json --to kalibr', 'kalibr'),
         ('analyze {folder}/results.json', 'contains the results of an analysis; `allan check`'),
         ('compare {npz} {truth}', 'contains the truth of a simulation'),
-        ('simulate {folder}/x.npz --spec {folder}/results.json', 'contains the results of an'),
+        ('simulate x.npz --spec {folder}/results.json', 'contains the results of an'),
         ('check {folder}/imu.yaml', 'not a known type of recording'),
+        ('check x.csv --rate -1', 'rate is -1.0: it must lie between 1e-06 and 1e+06 Hz'),
     ],
 )
 def test_a_wrong_kind_of_file_is_named_with_what_reads_it(
-    words: str, said: str, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: str, said: str, recording: Path, analyzed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(['analyze', str(recording), '-o', str(tmp_path), '--method', 'paper', '-q']) == 0
-    files = {'npz': recording, 'truth': f'{recording}.truth.json', 'folder': tmp_path}
+    files = {'npz': recording, 'truth': f'{recording}.truth.json', 'folder': analyzed}
     code = main(words.format(**files).split())
-    shown = capsys.readouterr()
-    assert said in shown.err + shown.out * (code == 0)
-    assert code in (0, 1)
+    assert code == 1 and said in capsys.readouterr().err
 
 
 def test_a_name_that_is_not_utf8_is_kept_readable(recording: Path, tmp_path: Path) -> None:

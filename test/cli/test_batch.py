@@ -7,6 +7,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -86,14 +87,8 @@ def test_json_has_a_line_for_each_recording(
     assert 'give each recording once' in capsys.readouterr().err
 
 
-def test_fail_on_applies_to_a_batch(folder: Path, tmp_path: Path) -> None:
-    strict = tmp_path / 'strict.yaml'
-    strict.write_text(
-        'schema: allan_ros/sensor/1\nname: TEST\nmaker: M\n'
-        'sources: {d: {title: t, url: "https://example.org", seen: datasheet}}\n'
-        'gyro:\n  arw: {value: 1e-6, unit: deg/sqrt(h)}\n'
-    )
-    words = ['analyze', str(folder), '--sensor', str(strict)]
+def test_fail_on_applies_to_a_batch(folder: Path, sheet: Callable[[float], str]) -> None:
+    words = ['analyze', str(folder), '--sensor', sheet(1e-6)]
     assert main(words) == 0
     assert main([*words, '--fail-on', 'error']) == 3
     assert main([*words[:2], '--fail-on', 'error']) == 0

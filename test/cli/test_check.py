@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,59 +14,37 @@ import pytest
 from allan_ros.cli.main import main
 
 
-@pytest.fixture(scope='module')
-def accepted(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp('accepted')
-    assert main(['analyze', str(recording), '-o', str(folder), '-q']) == 0
-    return folder
-
-
-def sheet(path: Path, arw: float) -> Path:
-    path.write_text(
-        'schema: allan_ros/sensor/1\nname: TEST\nmaker: M\n'
-        'sources: {d: {title: t, url: "https://example.org", seen: datasheet}}\n'
-        f'gyro:\n  arw: {{value: {arw}, unit: deg/sqrt(h)}}\n'
-    )
-    return path
-
-
 @pytest.mark.parametrize(
     ('arw', 'code', 'word'), [(1.0, 0, 'healthy'), (0.05, 3, 'failed'), (0.2, 3, 'failed')]
 )
 def test_a_datasheet_decides(
     recording: Path,
-    tmp_path: Path,
+    sheet: Callable[[float], str],
     arw: float,
     code: int,
     word: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    sensor = sheet(tmp_path / 'test.yaml', arw)
     margin = ['--margin', '0.05']
-    assert main(['check', str(recording), '--sensor', str(sensor), *margin]) == code
+    assert main(['check', str(recording), '--sensor', sheet(arw), *margin]) == code
     out = capsys.readouterr().out
     assert out.count('\n') == 1
     assert out.startswith(f'{word}: {recording}: ')
 
 
-def test_reasons_follow_the_units(
-    accepted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sensor = sheet(tmp_path / 'test.yaml', 0.05)
-    assert main(['check', str(accepted), '--sensor', str(sensor), '--units', 'SI', '-v']) == 3
-    reasons = capsys.readouterr().out.partition('\n')[2]
-    assert 'rad/s/sqrt(Hz)' in reasons and 'deg' not in reasons
-
-
 def test_the_accepted_run_is_healthy_against_itself_and_results_are_read(
-    recording: Path, accepted: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path, analyzed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    baseline = ['--baseline', str(accepted / 'results.json')]
+    baseline = ['--baseline', str(analyzed / 'results.json')]
     assert main(['check', str(recording), *baseline]) == 0
-    assert main(['check', str(accepted), *baseline, '--json']) == 0
+    assert main(['check', str(analyzed), *baseline, '--json']) == 0
     document = json.loads(capsys.readouterr().out.partition('\n')[2])
     assert (document['level'], document['exit_code']) == ('healthy', 0)
-    folder = ['--baseline', str(accepted)]
+    assert main(['check', str(analyzed), '--json']) == 4
+    shown = json.loads(capsys.readouterr().out)
+    written = json.loads((analyzed / 'results.json').read_text())['verdict']
+    assert {key: shown[key] for key in written} == written
+    folder = ['--baseline', str(analyzed)]
     assert main(['analyze', str(recording), *folder]) == 0
     assert 'numbers are within' in capsys.readouterr().out
 
@@ -97,15 +76,6 @@ def test_without_a_reference_or_enough_data_nothing_is_judged(
     assert main(['check', str(recording), '--sensor', 'no-such-part']) == 1
 
 
-def test_the_verdict_of_the_file_is_that_of_the_terminal(
-    accepted: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    main(['check', str(accepted), '--json'])
-    shown = json.loads(capsys.readouterr().out)
-    written = json.loads((accepted / 'results.json').read_text())['verdict']
-    assert {key: shown[key] for key in written} == written
-
-
 def write_unit(path: Path, seed: int, scale: float = 1.0) -> None:
     imu = np.random.default_rng(seed).normal(size=(9000, 7)) * 1e-3 * scale
     imu[:, 0] = np.arange(9000) / 100.0
@@ -127,15 +97,21 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_unit(folder / 'unit_5.csv', 5, scale=3.0)
     (folder / 'unit_6.csv').write_bytes((folder / 'unit_2.csv').read_bytes())
     (folder / 'unit_7.csv').write_text('t,gx\n1,two\n')
-    sheet(folder / 'limit.yaml', 0.4)  # 1e-4 rad/s/sqrt(Hz) is 0.34 deg/sqrt(h)
     return folder
 
 
+@pytest.fixture
+def limit(sheet: Callable[[float], str]) -> list[str]:
+    return ['--sensor', sheet(0.4)]  # 1e-4 rad/s/sqrt(Hz) is 0.34 deg/sqrt(h)
+
+
 @pytest.mark.parametrize('how', ['folder', 'files'])
-def test_units_are_never_pooled(how: str, units: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_units_are_never_pooled(
+    how: str, units: Path, limit: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     files = [str(path) for path in sorted(units.glob('*.csv'))]
     given = files if how == 'files' else [str(units)]
-    words = ['check', *given, '--sensor', str(units / 'limit.yaml'), '--method', 'likelihood']
+    words = ['check', *given, *limit, '--method', 'likelihood']
     assert main([*words, '--jobs', '2' if how == 'files' else '1']) == 3
     *lines, totals = capsys.readouterr().out.splitlines()
     assert [line.split(': ')[1] for line in lines] == files
@@ -157,10 +133,9 @@ def test_units_are_never_pooled(how: str, units: Path, capsys: pytest.CaptureFix
 
 
 def test_the_exit_code_is_that_of_the_worst_unit(
-    units: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    units: Path, limit: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good, broken = str(units / 'unit_0.csv'), str(units / 'unit_7.csv')
-    limit = ['--sensor', str(units / 'limit.yaml')]
     assert main(['check', good, *limit]) == 0
     assert main(['check', good]) == 4
     assert main(['check', good, broken, *limit]) == 1

@@ -13,23 +13,14 @@ from allan_ros.cli.main import main
 from allan_ros.io.datasheets import sensor_names
 
 
-@pytest.fixture(scope='module')
-def analyzed(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of an analysis with the datasheet of the simulated IMU."""
-    folder = tmp_path_factory.mktemp('analyzed') / 'run'
-    words = ['analyze', str(recording), '-o', str(folder), '-q', '--sensor', 'adis16475-3']
-    assert main(words) == 0
-    return folder
-
-
-def test_analyze_keeps_the_comparison_with_a_datasheet(analyzed: Path) -> None:
-    found = json.loads((analyzed / 'results.json').read_text())['datasheet']
+def test_analyze_prints_and_keeps_the_comparison_with_a_datasheet(
+    recording: Path, tmp_path: Path, capsys
+) -> None:
+    words = ['--sensor', 'adis16475-3', '-o', str(tmp_path)]
+    assert main(['analyze', str(recording), *words]) == 0
+    found = json.loads((tmp_path / 'results.json').read_text())['datasheet']
     assert found['name'] == 'ADIS16475-3'
     assert found['axes']['gyro_x']['N']['verdict'] == 'within'
-
-
-def test_analyze_prints_the_verdict(recording: Path, capsys) -> None:
-    assert main(['analyze', str(recording), '--sensor', 'adis16475-3']) == 0
     said = capsys.readouterr().out
     assert 'compared with the datasheet of ADIS16475-3: ' in said
     assert 'gyro  N  x y z within: limit 0.300 deg/sqrt(h) (stated 0.3 deg/sqrt(h))' in said

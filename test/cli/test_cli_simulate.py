@@ -117,14 +117,6 @@ def test_the_impossible_is_one_line_and_exit_1(tmp_path, capsys, arguments, said
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize('arguments', [['--gyro', 'N'], ['--gyro', 'N=x']])
-def test_a_malformed_option_is_explained(tmp_path, capsys, arguments):
-    with pytest.raises(SystemExit) as stop:
-        main(['simulate', str(tmp_path / 'a.npz'), *arguments])
-    assert stop.value.code == 2
-    assert 'write ' in capsys.readouterr().err
-
-
 def test_an_existing_recording_is_kept_by_default(tmp_path, capsys):
     out = tmp_path / 'a.npz'
     simulate(out, '--gyro', 'N=1')

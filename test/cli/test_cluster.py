@@ -100,6 +100,8 @@ def test_a_cluster_gives_the_sums_of_one_process(
         read_in_turn(jobs, Console())
     )
     assert shown(recordings, capsys, '--scheduler', address) == shown(recordings, capsys)
+    with pytest.raises(AllanError, match='no such file'):
+        list(on_cluster(jobs_of(['/gone.npz']), address, Console()))
 
 
 def deadly(victim: str, deaths: Path, times: int) -> Callable[[ReadJob], RecordingSums]:
@@ -114,30 +116,21 @@ def deadly(victim: str, deaths: Path, times: int) -> Callable[[ReadJob], Recordi
     return work
 
 
-def test_a_dead_worker_is_replaced_by_another_one(
-    cluster: Any, recordings: list[str], tmp_path: Path
+@pytest.mark.parametrize('times', [1, 100])
+def test_a_dead_worker_is_replaced_and_what_kills_all_is_left_out(
+    cluster: Any, recordings: list[str], tmp_path: Path, times: int
 ) -> None:
-    work = deadly(recordings[1], tmp_path, times=1)
+    work = deadly(recordings[1], tmp_path, times)
     parts = list(on_cluster(jobs_of(recordings), cluster.scheduler_address, Console(), work))
-    assert len(list(tmp_path.iterdir())) == 1
-    assert documents(parts) == documents([read_recording(job) for job in jobs_of(recordings)])
-
-
-def test_a_recording_at_which_all_workers_die_is_left_out(
-    cluster: Any, recordings: list[str], tmp_path: Path
-) -> None:
-    work = deadly(recordings[1], tmp_path, times=100)
-    first, lost, third = on_cluster(jobs_of(recordings), cluster.scheduler_address, Console(), work)
-    assert isinstance(lost, Finding) and lost.id == 'recording_lost'
-    assert lost.message.startswith(recordings[1])
-    kept = [read_recording(job) for job in jobs_of([recordings[0], recordings[2]])]
-    assert documents([first, third]) == documents(kept)
-
-
-def test_an_error_in_a_worker_is_reported(cluster: Any, tmp_path: Path) -> None:
-    jobs = jobs_of([str(tmp_path / 'gone.npz')])
-    with pytest.raises(AllanError, match='no such file'):
-        list(on_cluster(jobs, cluster.scheduler_address, Console()))
+    expected = [read_recording(job) for job in jobs_of(recordings)]
+    if times == 1:
+        assert len(list(tmp_path.iterdir())) == 1
+    else:
+        lost = parts.pop(1)
+        assert isinstance(lost, Finding) and lost.id == 'recording_lost'
+        assert lost.message.startswith(recordings[1])
+        del expected[1]
+    assert documents(parts) == documents(expected)
 
 
 def test_a_scheduler_that_does_not_answer_is_reported(

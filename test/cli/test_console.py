@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from allan_ros.cli.console import Progress, colored, width
+from allan_ros.cli.console import Progress, colored
 from allan_ros.cli.main import main
 from allan_ros.io.exporters import TARGETS
 
@@ -23,38 +23,31 @@ class Terminal(io.StringIO):
         return True
 
 
-@pytest.fixture(scope='module')
-def folder(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp('analyzed')
-    assert main(['analyze', str(recording), '-q', '-o', str(folder)]) == 0
-    return folder
-
-
 def test_json_output_is_only_the_results_document(
-    recording: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path, analyzed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['analyze', str(recording), '--json']) == 0
     shown = capsys.readouterr()
-    file = json.loads((folder / 'results.json').read_text())
+    file = json.loads((analyzed / 'results.json').read_text())
     assert len(file.pop('fingerprint')) == 16
-    assert set(file.pop('files')) == {path.name for path in folder.iterdir()}
+    assert set(file.pop('files')) == {path.name for path in analyzed.iterdir()}
     assert {**json.loads(shown.out), 'findings': file['findings']} == file
-    assert main(['analyze', str(folder / 'sums.json'), '--json']) == 0
+    assert main(['analyze', str(analyzed / 'sums.json'), '--json']) == 0
     merged = json.loads(capsys.readouterr().out)
     assert merged['axes'] == json.loads(shown.out)['axes']
 
 
-def test_json_of_export(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_of_export(analyzed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['export', '--list', '--json']) == 0
     assert json.loads(capsys.readouterr().out) == {'targets': TARGETS}
-    words = ['export', str(folder / 'results.json'), '--to', 'orb_slam3', '--json']
+    words = ['export', str(analyzed / 'results.json'), '--to', 'orb_slam3', '--json']
     words += ['--fidelity', 'coefficients']  # upper limits of K: there is a finding
     assert main(words) == 0
     shown = capsys.readouterr()
     made = json.loads(shown.out)
     assert made['target'] == 'orb_slam3' and made['text'].startswith('%YAML:1.0')
     assert len(made['findings']) == shown.err.count('allan export: ') > 0
-    assert main([*words, '-q', '-o', str(folder)]) == 0
+    assert main([*words, '-q', '-o', str(tmp_path)]) == 0
     shown = capsys.readouterr()
     assert Path(json.loads(shown.out)['path']).read_text() == made['text']
     assert shown.err == ''
@@ -94,12 +87,6 @@ def test_verbose_prints_settings_sources_and_times_to_stderr(
     assert all(step in said for step in ('read ', 'fitted by relative: '))
 
 
-def test_quiet_and_verbose_contradict_each_other() -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(['analyze', 'x', '-q', '-v'])
-    assert stop.value.code == 2
-
-
 @pytest.mark.parametrize(
     ('environment', 'terminal', 'colors'),
     [
@@ -136,13 +123,6 @@ def test_progress_leaves_a_terminal_clean(
     assert '[bold]monday.mcap' in shown[0] and shown[0].endswith('\x1b[2K')
     assert ('50 %' in shown[0]) == (total is not None)
     assert shown[1:] == ['', '']
-
-
-def test_the_width_is_set_by_columns(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv('COLUMNS', '77')
-    assert width() == 77
-    monkeypatch.setenv('COLUMNS', '7')
-    assert width() == 40
 
 
 def test_the_detail_states_how_many_samples_each_sensor_used(

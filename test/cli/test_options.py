@@ -13,7 +13,6 @@ from allan_ros.cli.main import build_parser
 from allan_ros.cli.options import add_options, add_settings, settings_of
 from allan_ros.core.errors import AllanError
 from allan_ros.core.settings import CheckedSettings, SegmenterSettings, parameter
-from allan_ros.io.readers import ReadOptions
 
 
 @dataclass(frozen=True)
@@ -34,23 +33,13 @@ def parsed(words: list[str], settings_type: type = Some) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-@pytest.mark.parametrize('settings_type', [Some, SegmenterSettings, ReadOptions])
-def test_without_options_the_settings_are_their_defaults(settings_type: type) -> None:
-    assert settings_of(settings_type, parsed([], settings_type)) == settings_type()
-
-
 def test_every_type_of_field_has_an_option() -> None:
-    words = ['--limit=7', '--count=4', '--no-gate', '--loud', '--names=t,-,gx', '--kind=b']
-    assert settings_of(Some, parsed(words)) == Some(7.0, 4, False, True, ('t', '-', 'gx'), 'b')
-
-
-def test_given_values_take_precedence() -> None:
+    assert settings_of(Some, parsed([])) == Some()
     assert settings_of(Some, parsed([]), count=9).count == 9
-
-
-def test_a_value_out_of_range_is_rejected_by_the_settings() -> None:
     with pytest.raises(AllanError, match='limit is -1'):
         settings_of(Some, parsed(['--limit', '-1']))
+    words = ['--limit=7', '--count=4', '--no-gate', '--loud', '--names=t,-,gx', '--kind=b']
+    assert settings_of(Some, parsed(words)) == Some(7.0, 4, False, True, ('t', '-', 'gx'), 'b')
 
 
 def test_the_help_states_unit_and_default() -> None:

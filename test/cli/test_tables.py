@@ -20,7 +20,6 @@ from allan_ros.cli.tables import (
 from allan_ros.core.filters.reductions import Level
 from allan_ros.core.findings import CATALOG, Finding, finding
 from allan_ros.core.fit import TERMS, Coefficient, Deviation
-from allan_ros.core.imu import SENSORS
 from allan_ros.io.comparison import Subject, compare_runs
 from allan_ros.io.datasheets import load_sensor
 from allan_ros.io.exporters import Row, target_rows
@@ -54,13 +53,6 @@ def test_no_finding_is_cut_or_wider_than_80_columns(
     assert max(map(len, narrow)) <= 80
     assert ' '.join(line.strip() for line in narrow) == ' '.join(wide)
     assert '...' not in wide[1] and wide[1].endswith(found.texts(units).remedy)
-
-
-def test_80_columns_hold_three_axes(small_results: Results) -> None:
-    lines = lines_of(small_results, 'deg/h', 80)
-    for sensor in SENSORS:
-        (heading,) = (line.split() for line in lines if line.startswith(f'{sensor} '))
-        assert heading == [sensor, 'x', 'y', 'z']
 
 
 def test_the_prefix_of_a_row_fits_its_largest_value(small_results: Results) -> None:
@@ -103,21 +95,28 @@ def test_every_coefficient_is_printed_at_any_width(small_results: Results, width
             assert interval_text(coefficient, unit) in text
 
 
-def test_headline(small_results: Results) -> None:
-    assert headline(small_results) == (
-        'unit 7: 60,000 samples at 50 Hz, 20 min of static data in 1 segment, fitted by likelihood'
+@pytest.mark.parametrize(
+    ('received', 'number'), [(60_100, '60,000'), (120_000, '60,000 of 120,000')]
+)
+def test_the_headline_states_how_many_samples_are_excluded(
+    small_results: Results, received: int, number: str
+) -> None:
+    provenance = small_results.provenance
+    counts = replace(provenance.counts, received=received)
+    assert headline(replace(small_results, provenance=replace(provenance, counts=counts))) == (
+        f'unit 7: {number} samples at 50 Hz, 20 min of static data in 1 segment, '
+        'fitted by likelihood'
     )
 
 
-def test_headline_states_how_many_samples_are_left_out(small_results: Results) -> None:
-    def text(received: int) -> str:
-        counts = replace(small_results.provenance.counts, received=received)
-        return headline(
-            replace(small_results, provenance=replace(small_results.provenance, counts=counts))
-        )
-
-    assert text(120_000).startswith('unit 7: 60,000 of 120,000 samples at 50 Hz, 20 min')
-    assert text(60_100).startswith('unit 7: 60,000 samples at 50 Hz, 20 min')
+def test_a_short_record_is_not_judged_and_the_verdict_comes_before_the_tables(
+    small_results: Results,
+) -> None:
+    brief = replace(small_results.compared(sensor='adis16475-3'), duration_s=5.0, findings=())
+    lines = lines_of(brief, 'SI', 200)
+    assert lines[1] == 'not judged: Too short to judge: 5 s at rest.'
+    (compared,) = (line for line in lines if line.startswith('compared with the datasheet'))
+    assert compared.endswith(': not judged')
 
 
 def test_a_method_without_intervals_is_reported(small_results: Results) -> None:
@@ -143,14 +142,6 @@ def test_the_largest_deviation_is_shown_where_there_is_one(small_results: Result
     assert not any(line.startswith('deviation') for line in brief)
 
 
-def test_a_record_too_short_is_not_judged_by_its_datasheet(small_results: Results) -> None:
-    brief = replace(small_results.compared(sensor='adis16475-3'), duration_s=4.8)
-    lines = lines_of(brief, 'SI', 200)
-    assert any(line.startswith('not judged: ') for line in lines)
-    (compared,) = (line for line in lines if line.startswith('compared with the datasheet'))
-    assert compared.endswith(': not judged')
-
-
 def test_findings_are_colored_only_on_request(small_results: Results) -> None:
     results = replace(small_results, findings=(LONG,))
     plain, colored = (
@@ -163,35 +154,25 @@ def test_findings_are_colored_only_on_request(small_results: Results) -> None:
 
 def test_five_findings_at_most_and_all_on_demand(small_results: Results) -> None:
     axes = tuple(small_results.axes)
+    change = {'what': 'warm-up', 'axis': 'gyro_x K', 'before': 2.0, 'after': 1.0}
+    first = finding('settled_part', ('gyro_x',), early=7200.0, **change)
     many = tuple(
         Finding(f'kind_{i}', 'warning', f'Cause {"abcdefgh"[i]}.', f'Do {i}.', (axis,))
         for i in range(8)
         for axis in axes[:2]
     )
-    results = replace(small_results, findings=(*many, Finding('n', 'info', 'Note.', 'Nothing.')))
+    note = Finding('n', 'info', 'Note.', 'Nothing.')
+    results = replace(small_results, findings=(*many, note, first))
     short = lines_of(results, 'SI', 100)
     shown = [line for line in short if line.startswith(('warning', 'info', 'and '))]
     assert len(shown) == 6
-    assert shown[-1] == 'and 4 more findings: -v shows all'
-    assert shown[0] == 'warning: gyro x, gyro y: Cause a. Do 0.'
+    assert shown[-1] == 'and 5 more findings: -v shows all'
+    # a part that is excluded is named first
+    assert shown[0].startswith('info: gyro x: The first 2 h differ from the later data')
+    assert shown[1] == 'warning: gyro x, gyro y: Cause a. Do 0.'
     complete = lines_of(results, 'SI', 100, complete=True)
     assert sum(line.startswith('warning: ') for line in complete) == 8
     assert 'info: Note. Nothing.' in complete
-
-
-def test_a_part_that_is_left_out_is_named_first(small_results: Results) -> None:
-    warnings = tuple(Finding(f'w{i}', 'warning', f'{"abcdefgh"[i]}.', 'Do.') for i in range(8))
-    change = {'what': 'warm-up', 'axis': 'gyro_x K', 'before': 2.0, 'after': 1.0}
-    left_out = finding('settled_part', ('gyro_x',), early=7200.0, **change)
-    shown = lines_of(replace(small_results, findings=(*warnings, left_out)), 'SI', 100)
-    first = next(i for i, line in enumerate(shown) if line.startswith(('info', 'warning')))
-    assert shown[first].startswith('info: gyro x: The first 2 h differ from the later data')
-    assert 'and 4 more findings: -v shows all' in shown
-
-
-def test_the_verdict_comes_before_the_tables(small_results: Results) -> None:
-    lines = lines_of(replace(small_results, duration_s=5.0, findings=()), 'SI', 100)
-    assert lines[1] == 'not judged: Too short to judge: 5 s at rest.'
 
 
 def test_findings_follow_the_units(small_results: Results) -> None:
