@@ -136,7 +136,7 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
         width = 1.0 / (math.pi * hump.correlation_time)
         numbers = {'frequency': hump.frequency, 'width': width, 'amplitude': hump.sigma}
         found.append(finding('resonance', name, **numbers))
-    found += _drift_findings(name, fit)
+    found += _process_findings(name, fit)
     if sums.samples * tau0 < LEAST_DRIFT_S:
         found.append(finding('rest_too_short', name, rest=sums.samples * tau0))
     white = fit.noise['N'].value
@@ -171,8 +171,8 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
 
 
-def _drift_findings(name: tuple[str], fit: AxisFit) -> list[Finding]:
-    """Return the findings about Gauss-Markov processes and about drift without a clear cause."""
+def _process_findings(name: tuple[str], fit: AxisFit) -> list[Finding]:
+    """Return the findings about Gauss-Markov processes."""
     found = []
     k = fit.noise['K']
     for p in fit.processes.gauss_markov:
@@ -181,8 +181,6 @@ def _drift_findings(name: tuple[str], fit: AxisFit) -> list[Finding]:
             found.append(finding('levels_off', name, tau=p.correlation_time))
         else:
             found.append(finding('gauss_markov', name, sigma=p.sigma, time=p.correlation_time))
-    if k.status != 'estimated' and fit.noise['R'].status != 'estimated' and fit.model.terms.R:
-        found.append(finding('drift_not_separable', name))
     return found
 
 
