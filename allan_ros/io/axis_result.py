@@ -130,16 +130,9 @@ class AxisResult:
     >>> axis = ar.analyze(ar.simulate(hours=0.1, rate=50))['accel_z']
     >>> axis.name, round(axis.N.to('ug/sqrt(Hz)').value, -1)
     ('accel_z', 20.0)
-    >>> axis.quantity('N') == axis.N
-    True
-    >>> m = axis.curve.m
-    >>> 'N' in axis.part_adev(m), 'N' in axis.limit_adev(m), axis.total_adev(m).shape == m.shape
-    (True, False, True)
     >>> [one.horizon for one in axis.growth][:2]  # s
     [1.0, 10.0]
     >>> axis.position_growth[0].std < axis.growth[0].std  # m and m/s after 1 s
-    True
-    >>> bool((axis.model_line().adev <= axis.model_line().upper).all())
     True
     >>> [q.unit for q in (axis.Q, axis.B, axis.K, axis.R)]
     ['m/s', 'm/s^2', 'm/s^3/sqrt(Hz)', 'm/s^3']
@@ -260,6 +253,18 @@ class AxisResult:
 
         ``m`` are averaging factors, which are averaging times in samples. A part is a term, a
         Gauss-Markov process or a sinusoid.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> axis = ar.analyze(ar.simulate(hours=0.1, rate=50))['accel_z']
+        >>> axis.quantity('N') == axis.N
+        True
+        >>> m = axis.curve.m
+        >>> 'N' in axis.part_adev(m), 'N' in axis.limit_adev(m), axis.total_adev(m).shape == m.shape
+        (True, False, True)
+        >>> bool((axis.model_line().adev <= axis.model_line().upper).all())
+        True
         """
         parts = self.fit.model.parts(self._tau(m), self.tau0)
         # the part of a low-pass filter is negative: it has no deviation

@@ -83,13 +83,6 @@ class Results:
     >>> checked = results.compared(sensor='adis16475-3')
     >>> checked.comparisons[0].term, checked.comparisons[0].verdict
     ('N', 'within')
-    >>> sheet = checked.datasheet.datasheet
-    >>> results.against_datasheet(sheet, margin=0.2).comparisons == checked.comparisons
-    True
-    >>> results.measured['gyro_x'].curve is results['gyro_x'].curve
-    True
-    >>> results.temperature_models  # no temperature was recorded
-    {}
     >>> results.export('kalibr').splitlines()[-1]
     'update_rate: 50.0'
     """
@@ -396,6 +389,19 @@ class Results:
         """Return a copy that is compared with this datasheet instead of any earlier one.
 
         Each coefficient that exceeds its limit by more than the fraction ``margin`` adds a finding.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+        >>> checked = results.compared(sensor='adis16475-3')
+        >>> sheet = checked.datasheet.datasheet
+        >>> results.against_datasheet(sheet, margin=0.2).comparisons == checked.comparisons
+        True
+        >>> results.measured['gyro_x'].curve is results['gyro_x'].curve
+        True
+        >>> results.temperature_models  # no temperature was recorded
+        {}
         """
         others = (f for f in self.findings if f.id != 'exceeds_limit')
         comparison = against_datasheet(self.noise, datasheet, margin)
