@@ -7,10 +7,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from support.recordings import imu_batches, joined, read
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
@@ -23,9 +23,7 @@ SUFFIX = {'ros1': '.bag', 'csv': '.csv', 'npz': '.npz'}
 
 
 @pytest.mark.parametrize('storage, compression', FORMS)
-def test_every_form_keeps_every_bit(
-    storage: str, compression: str, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
-) -> None:
+def test_every_form_keeps_every_bit(storage: str, compression: str, tmp_path: Path) -> None:
     batches = imu_batches(5000)
     truth = joined(batches)
     path = tmp_path / f'run{SUFFIX.get(storage, "")}'
@@ -40,16 +38,14 @@ def test_every_form_keeps_every_bit(
     assert back.recording.info.storage == storage
 
 
-def test_tsv_is_a_table_with_tabs(tmp_path: Path, imu_batches: Any, read: Any) -> None:
+def test_tsv_is_a_table_with_tabs(tmp_path: Path) -> None:
     write_recording(tmp_path / 'run.tsv', imu_batches(20))
     assert (tmp_path / 'run.tsv').read_text().splitlines()[2].count('\t') == 7
     assert len(read(tmp_path / 'run.tsv').stamps_ns) == 20
 
 
 @pytest.mark.parametrize('name', ['run', 'run.bag', 'run.csv', 'run.npz'])
-def test_a_recording_that_fails_leaves_nothing_behind(
-    name: str, tmp_path: Path, imu_batches: Any
-) -> None:
+def test_a_recording_that_fails_leaves_nothing_behind(name: str, tmp_path: Path) -> None:
     def broken() -> Iterator[ImuBatch]:
         yield from imu_batches(10)
         raise RuntimeError('the source broke')
@@ -60,9 +56,7 @@ def test_a_recording_that_fails_leaves_nothing_behind(
 
 
 @pytest.mark.parametrize('name', ['run', 'run.bag', 'run.csv', 'run.npz'])
-def test_existing_files_are_replaced_only_on_request(
-    name: str, tmp_path: Path, imu_batches: Any, read: Any
-) -> None:
+def test_existing_files_are_replaced_only_on_request(name: str, tmp_path: Path) -> None:
     write_recording(tmp_path / name, imu_batches(10))
     with pytest.raises(AllanError, match='exists already'):
         write_recording(tmp_path / name, imu_batches(20))
@@ -72,7 +66,7 @@ def test_existing_files_are_replaced_only_on_request(
     assert [child.name for child in tmp_path.iterdir()] == [name]
 
 
-def test_a_folder_that_is_not_a_bag_is_never_replaced(tmp_path: Path, imu_batches: Any) -> None:
+def test_a_folder_that_is_not_a_bag_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / 'thesis').mkdir()
     with pytest.raises(AllanError, match='not a bag'):
         write_recording(tmp_path / 'thesis', imu_batches(10), overwrite=True)
@@ -86,23 +80,21 @@ def test_a_folder_that_is_not_a_bag_is_never_replaced(tmp_path: Path, imu_batche
     ],
 )
 def test_a_file_that_cannot_be_written_is_reported(
-    how: dict[str, str], says: str, tmp_path: Path, imu_batches: Any
+    how: dict[str, str], says: str, tmp_path: Path
 ) -> None:
     with pytest.raises(AllanError, match=says):
         write_recording(tmp_path / 'run', imu_batches(10), **how)
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_no_character_of_a_path_is_special(storage: str, tmp_path: Path, imu_batches: Any) -> None:
+def test_no_character_of_a_path_is_special(storage: str, tmp_path: Path) -> None:
     assert write_recording(tmp_path / 'run?a=1#50%', imu_batches(10), storage=storage) == 10
 
 
 @pytest.mark.parametrize(
     'storage, compression', [(s, c) for s in ('mcap', 'sqlite3') for c in COMPRESSIONS[s]]
 )
-def test_others_read_our_bags(
-    storage: str, compression: str, tmp_path: Path, imu_batches: Any, joined: Any
-) -> None:
+def test_others_read_our_bags(storage: str, compression: str, tmp_path: Path) -> None:
     from rosbags.highlevel import AnyReader
 
     batches = [*imu_batches(4000), *imu_batches(50, frame_id='another_frame')]
@@ -126,7 +118,7 @@ def test_others_read_our_bags(
 
 
 def test_a_ros1_bag_without_rosbags_is_one_line(
-    tmp_path: Path, imu_batches: Any, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, 'rosbags.rosbag1', None)
     with pytest.raises(AllanError, match="needs the Python package 'rosbags': \"pip install ros"):
@@ -134,7 +126,7 @@ def test_a_ros1_bag_without_rosbags_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_npz_refuses_two_frames(tmp_path: Path, imu_batches: Any) -> None:
+def test_npz_refuses_two_frames(tmp_path: Path) -> None:
     two = [*imu_batches(10, frame_id='left'), *imu_batches(10, frame_id='right')]
     with pytest.raises(AllanError, match='one frame_id'):
         write_recording(tmp_path / 'run.npz', two)

@@ -52,18 +52,6 @@ def test_the_mean_is_of_the_variances_and_inflation_multiplies(results: Results)
     assert read['rostopic'] == '/imu7'
 
 
-def test_a_walk_that_is_not_observable_is_written_as_its_limit(results: Results) -> None:
-    hidden = with_coefficient(
-        results, 'gyro_y', 'K', Coefficient(None, None, 7e-6, 'not_observable')
-    )
-    text = make_export(hidden, 'kalibr', BARE).text
-    assert yaml.safe_load(text)['gyroscope_random_walk'] == pytest.approx(7e-6)
-    assert 'K of gyro_y not observable, 95 % upper limit 7.00e-06' in text
-    assert 'upper limits instead of measurements: gyroscope_random_walk\n' in text
-    with pytest.raises(AllanError, match='K of gyro_y is not observable'):
-        make_export(hidden, 'kalibr', replace(BARE, strict=True))
-
-
 @pytest.mark.parametrize('target', ['kalibr', 'kf_gins', 'gazebo', 'state_space'])
 @pytest.mark.parametrize('status', ['estimated', 'not_observable'])
 def test_a_value_without_interval_is_stated_and_strict_refuses_it(
@@ -81,28 +69,6 @@ def test_a_value_without_interval_is_stated_and_strict_refuses_it(
     assert 'export_no_interval' in [found.id for found in made.findings]
     with pytest.raises(AllanError, match=r'K of .* has no 95 % interval: record longer'):
         make_export(unsure, target, ExportOptions(strict=True))
-
-
-def test_strict_accepts_intervals_and_values_raised_by_a_reduction(results: Results) -> None:
-    for options in (BARE, ExportOptions()):
-        made = make_export(results, 'kalibr', replace(options, strict=True))
-        assert 'values without' not in made.text and 'no 95 % interval' not in made.text
-
-
-@pytest.mark.parametrize(
-    'coefficient',
-    [
-        Coefficient(None),
-        Coefficient(0.0),
-        Coefficient(None, None, 0.0, 'not_observable'),
-        Coefficient(None, None, math.inf, 'not_observable'),
-    ],
-)
-def test_nothing_is_written_that_is_not_positive_and_finite(
-    results: Results, coefficient: Coefficient
-) -> None:
-    with pytest.raises(AllanError, match='neither a value nor a limit'):
-        make_export(with_coefficient(results, 'accel_x', 'K', coefficient), 'kalibr', BARE)
 
 
 @pytest.mark.parametrize('missing', ['accel', 'gyro_x'])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.recordings import outcome, read, refused
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, STANDARD_GRAVITY, joined
@@ -29,7 +30,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize('order', ['C', 'F'])
 @pytest.mark.parametrize('save', [np.savez, np.savez_compressed])
-def test_npz_with_time_in_seconds(save: Any, order: Any, tmp_path: Path, read: Any) -> None:
+def test_npz_with_time_in_seconds(save: Any, order: Any, tmp_path: Path) -> None:
     save(tmp_path / 'imu.npz', imu=np.array(IMU, order=order))
     back = read(tmp_path / 'imu.npz')
     np.testing.assert_array_equal(back.samples, IMU[:, 1:])
@@ -39,7 +40,7 @@ def test_npz_with_time_in_seconds(save: Any, order: Any, tmp_path: Path, read: A
 
 
 @pytest.mark.parametrize('columns', [IMU, IMU[:, 1:]])
-def test_stamps_take_the_place_of_t(columns: np.ndarray, tmp_path: Path, read: Any) -> None:
+def test_stamps_take_the_place_of_t(columns: np.ndarray, tmp_path: Path) -> None:
     path = tmp_path / 'imu.npz'
     np.savez(path, imu=columns, stamps_ns=STAMPS, record_ns=STAMPS + 7, frame_id='base')
     back = read(path)
@@ -51,7 +52,7 @@ def test_stamps_take_the_place_of_t(columns: np.ndarray, tmp_path: Path, read: A
 
 @pytest.mark.parametrize('order', ['C', 'F'])
 @pytest.mark.parametrize('dtype', ['<f8', '>f8', '<f4'])
-def test_npy_of_any_kind_of_float(dtype: str, order: Any, tmp_path: Path, read: Any) -> None:
+def test_npy_of_any_kind_of_float(dtype: str, order: Any, tmp_path: Path) -> None:
     stored = np.array(IMU, dtype=dtype, order=order)
     np.save(tmp_path / 'imu.npy', stored)
     back = read(tmp_path / 'imu.npy')
@@ -59,7 +60,7 @@ def test_npy_of_any_kind_of_float(dtype: str, order: Any, tmp_path: Path, read: 
     assert back.recording.info.storage == 'npy'
 
 
-def test_rate_and_units_are_stated(tmp_path: Path, read: Any) -> None:
+def test_rate_and_units_are_stated(tmp_path: Path) -> None:
     np.save(tmp_path / 'imu.npy', IMU[:, 1:])
     back = read(tmp_path / 'imu.npy', rate_hz=100.0, gyro_unit='deg/s', accel_unit='g')
     np.testing.assert_array_equal(back.stamps_ns, np.arange(N) * 10_000_000)
@@ -67,7 +68,7 @@ def test_rate_and_units_are_stated(tmp_path: Path, read: Any) -> None:
     np.testing.assert_array_equal(back.samples, IMU[:, 1:] * scale)
 
 
-def test_a_closed_recording_is_loaded_again(tmp_path: Path, read: Any) -> None:
+def test_a_closed_recording_is_loaded_again(tmp_path: Path) -> None:
     np.save(tmp_path / 'imu.npy', IMU)
     found = read(tmp_path / 'imu.npy').recording
     for _ in range(2):
@@ -85,7 +86,7 @@ def test_a_closed_recording_is_loaded_again(tmp_path: Path, read: Any) -> None:
     ],
 )
 def test_some_columns_are_enough(
-    columns: np.ndarray, options: Any, axes: tuple[str, ...], tmp_path: Path, read: Any
+    columns: np.ndarray, options: Any, axes: tuple[str, ...], tmp_path: Path
 ) -> None:
     np.save(tmp_path / 'imu.npy', columns)
     back = read(tmp_path / 'imu.npy', **options)
@@ -130,15 +131,13 @@ def with_time(value: float) -> np.ndarray:
         ({'imu': with_time(1e18)}, 'the time of row 700 is not a valid stamp'),
     ],
 )
-def test_errors_are_reported(
-    content: dict[str, np.ndarray], says: str, tmp_path: Path, refused: Any
-) -> None:
+def test_errors_are_reported(content: dict[str, np.ndarray], says: str, tmp_path: Path) -> None:
     np.savez(tmp_path / 'imu.npz', **content)
     assert says in refused(tmp_path / 'imu.npz')
 
 
 @pytest.mark.parametrize('name', ['imu.npz', 'imu.npy'])
-def test_damaged_files_are_reported(name: str, tmp_path: Path, refused: Any, outcome: Any) -> None:
+def test_damaged_files_are_reported(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     if name == 'imu.npz':
         np.savez_compressed(path, imu=IMU)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.recordings import imu_batches, joined, outcome, read, refused
 
 from allan_ros.io.readers import topics_of
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
@@ -54,9 +55,7 @@ def records(data: bytes) -> list[tuple[int, int, int]]:
 # --- the number of messages read, and the stated one ---------------------------------------------
 
 
-def test_chunks_the_summary_does_not_list_are_read(
-    tmp_path: Path, imu_batches: Any, read: Any
-) -> None:
+def test_chunks_the_summary_does_not_list_are_read(tmp_path: Path) -> None:
     data = bytearray(mcap_file(tmp_path, imu_batches(12_000)))
     for _, start, _ in [r for r in records(bytes(data)) if r[0] == CHUNK_INDEX][1:]:
         data[start] = 0x0D  # a metadata index, which no reader uses
@@ -67,7 +66,7 @@ def test_chunks_the_summary_does_not_list_are_read(
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'statistics'])
-def test_a_count_that_differs_is_a_warning(storage: str, tmp_path: Path, read: Any) -> None:
+def test_a_count_that_differs_is_a_warning(storage: str, tmp_path: Path) -> None:
     path = tmp_path / 'bag.mcap'
     path.write_bytes(build(Plan(counted=3600)))
     if storage != 'statistics':
@@ -83,7 +82,7 @@ def test_a_count_that_differs_is_a_warning(storage: str, tmp_path: Path, read: A
 
 @pytest.mark.parametrize('checksum', [True, False])
 def test_a_flipped_bit_in_the_summary_loses_nothing_silently(
-    checksum: bool, tmp_path: Path, outcome: Any, read: Any
+    checksum: bool, tmp_path: Path
 ) -> None:
     data = build(Plan(channels=2, checksum=checksum))
     path = tmp_path / 'flipped.mcap'
@@ -99,9 +98,7 @@ def test_a_flipped_bit_in_the_summary_loses_nothing_silently(
         assert error or count == 40 or ids(read(path)), bit
 
 
-def test_counts_of_zero_do_not_refuse_a_recording(
-    tmp_path: Path, imu_batches: Any, read: Any
-) -> None:
+def test_counts_of_zero_do_not_refuse_a_recording(tmp_path: Path) -> None:
     data = bytearray(mcap_file(tmp_path, imu_batches(600)))
     (place,) = [r[1] for r in records(bytes(data)) if r[0] == STATISTICS]
     data[place + 9 : place + 17] = data[place + 9 + 46 : place + 9 + 54] = bytes(8)
@@ -114,9 +111,7 @@ def test_counts_of_zero_do_not_refuse_a_recording(
 
 
 @pytest.mark.parametrize('compression', ['chunk', 'message'])
-def test_threads_read_at_the_same_time(
-    compression: str, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
-) -> None:
+def test_threads_read_at_the_same_time(compression: str, tmp_path: Path) -> None:
     from concurrent.futures import ThreadPoolExecutor
 
     batches = imu_batches(6000)
@@ -127,7 +122,7 @@ def test_threads_read_at_the_same_time(
         np.testing.assert_array_equal(back.samples, joined(batches).samples)
 
 
-def test_many_topics_take_linear_time(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+def test_many_topics_take_linear_time(tmp_path: Path) -> None:
     [payload] = encode_imus(imu_batches(1, parts=1)[0], 'cdr')
     path = database(tmp_path, imu_batches(1))
     with sqlite3.connect(path) as connection:
@@ -150,7 +145,7 @@ def test_many_topics_take_linear_time(tmp_path: Path, imu_batches: Any, refused:
 @pytest.mark.parametrize('ended', [True, False])
 @pytest.mark.parametrize('encoding', ['cdr', 'ros1'])
 def test_the_summary_the_chunks_and_the_end_are_optional(
-    summary: bool, loose: tuple[int, ...], ended: bool, encoding: str, tmp_path: Path, read: Any
+    summary: bool, loose: tuple[int, ...], ended: bool, encoding: str, tmp_path: Path
 ) -> None:
     data = build(Plan(chunks=4, loose=loose, summary=summary, encoding=encoding))
     path = tmp_path / 'bag.mcap'
@@ -163,7 +158,7 @@ def test_the_summary_the_chunks_and_the_end_are_optional(
 
 @pytest.mark.parametrize('opcode, length', [(DATA_END, 4), (FOOTER, 20), (DATA_END, 7)])
 def test_an_end_in_the_middle_does_not_end_reading(
-    opcode: int, length: int, tmp_path: Path, imu_batches: Any, read: Any
+    opcode: int, length: int, tmp_path: Path
 ) -> None:
     data = mcap_file(tmp_path, imu_batches(12_000))
     chunks = [r for r in records(data) if r[0] == CHUNK]
@@ -176,9 +171,7 @@ def test_an_end_in_the_middle_does_not_end_reading(
     assert ids(back) == ['bag_cut']
 
 
-def test_a_chunk_that_became_another_record_is_missed(
-    tmp_path: Path, imu_batches: Any, read: Any
-) -> None:
+def test_a_chunk_that_became_another_record_is_missed(tmp_path: Path) -> None:
     data = bytearray(mcap_file(tmp_path, imu_batches(12_000)))
     chunks = [r for r in records(bytes(data)) if r[0] == CHUNK]
     data[chunks[1][1]] = 0x0A  # metadata
@@ -196,9 +189,7 @@ def database(tmp_path: Path, batches: list[Any], how: str = 'none') -> Path:
     return next((tmp_path / 'run').glob('*.db3*'))
 
 
-def test_a_database_truncated_inside_its_last_page_is_reported(
-    tmp_path: Path, imu_batches: Any, outcome: Any, read: Any
-) -> None:
+def test_a_database_truncated_inside_its_last_page_is_reported(tmp_path: Path) -> None:
     data = database(tmp_path, imu_batches(3_600)).read_bytes()
     path = tmp_path / 'cut.db3'
     for lost in (1, 100, 4095, 4096, 40_000):
@@ -209,9 +200,7 @@ def test_a_database_truncated_inside_its_last_page_is_reported(
             assert 'bag_cut' in ids(back) and (count == 3_600 or 'count_differs' in ids(back))
 
 
-def test_a_damaged_pointer_to_the_last_page_is_reported(
-    tmp_path: Path, imu_batches: Any, outcome: Any, read: Any
-) -> None:
+def test_a_damaged_pointer_to_the_last_page_is_reported(tmp_path: Path) -> None:
     data = database(tmp_path, imu_batches(3_600)).read_bytes()
     with sqlite3.connect(tmp_path / 'run/run.db3') as connection:
         (root,) = connection.execute(
@@ -232,7 +221,7 @@ def test_a_damaged_pointer_to_the_last_page_is_reported(
 
 @pytest.mark.parametrize('suffixes', [('', '-wal'), ('', '-wal', '-shm')])
 def test_the_log_of_a_database_is_read_and_no_file_created(
-    suffixes: tuple[str, ...], tmp_path: Path, imu_batches: Any, read: Any
+    suffixes: tuple[str, ...], tmp_path: Path
 ) -> None:
     """A killed recorder leaves its last messages in a write-ahead log."""
     source = database(tmp_path, imu_batches(40))
@@ -263,9 +252,7 @@ def test_the_log_of_a_database_is_read_and_no_file_created(
         (': sensor_msgs/msg/Imu', ': "\\x1b[2J"', 'not a printable text'),
     ],
 )
-def test_invalid_metadata_is_rejected(
-    right: str, wrong: str, says: str, tmp_path: Path, imu_batches: Any, refused: Any
-) -> None:
+def test_invalid_metadata_is_rejected(right: str, wrong: str, says: str, tmp_path: Path) -> None:
     write_recording(tmp_path / 'run', imu_batches(9))
     path = tmp_path / 'run/metadata.yaml'
     path.write_text(path.read_text().replace(right, wrong))
@@ -331,7 +318,7 @@ def test_a_file_that_expands_without_limit_is_rejected(
     assert says in limited(MAKE[kind](tmp_path, *how))
 
 
-def test_many_messages_that_expand_a_little(tmp_path: Path, imu_batches: Any) -> None:
+def test_many_messages_that_expand_a_little(tmp_path: Path) -> None:
     """4 MB each is allowed, but not all of them in memory at the same time."""
     path = database(tmp_path, imu_batches(200), 'message')
     [payload] = encode_imus(imu_batches(1, parts=1)[0], 'cdr')
@@ -343,9 +330,7 @@ def test_many_messages_that_expand_a_little(tmp_path: Path, imu_batches: Any) ->
 
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize('place', PLACES)
-def test_special_files_are_rejected_without_waiting(
-    kind: str, place: str, tmp_path: Path, outcome: Any
-) -> None:
+def test_special_files_are_rejected_without_waiting(kind: str, place: str, tmp_path: Path) -> None:
     path = MAKE['special'](tmp_path, kind, place)
     count, said = outcome(path)
     ignored = place.endswith('-wal') or (kind, place) == ('gone', 'a/metadata.yaml')
@@ -353,7 +338,7 @@ def test_special_files_are_rejected_without_waiting(
     assert not said or said.startswith(str(path))
 
 
-def test_checksums_are_verified(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+def test_checksums_are_verified(tmp_path: Path) -> None:
     data = bytearray(mcap_file(tmp_path, imu_batches(100)))
     at, end = next((start, end) for opcode, start, end in records(bytes(data)) if opcode == CHUNK)
     (named,) = struct.unpack_from('<I', data, at + 9 + 28)

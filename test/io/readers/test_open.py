@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.recordings import imu_batches, read, refused
 
 from allan_ros.io.readers.bag import bag_of
 from allan_ros.io.writing import write_recording
@@ -78,7 +79,7 @@ def read_by_rosbags(path: Path, topic: str) -> tuple[list[int], list[int], np.nd
 
 
 @pytest.mark.parametrize('name', BAGS)
-def test_real_bags_read_as_rosbags_reads_them(name: str, shared_data: Path, read: Any) -> None:
+def test_real_bags_read_as_rosbags_reads_them(name: str, shared_data: Path) -> None:
     topic, storage, count = BAGS[name]
     path = shared_data / 'bags' / name
     back = read(path)
@@ -92,7 +93,7 @@ def test_real_bags_read_as_rosbags_reads_them(name: str, shared_data: Path, read
 
 
 @pytest.mark.parametrize('name', ODD)
-def test_odd_files_are_rejected_in_one_line(name: str, shared_data: Path, refused: Any) -> None:
+def test_odd_files_are_rejected_in_one_line(name: str, shared_data: Path) -> None:
     assert ODD[name] in refused(shared_data / 'odd' / name)
 
 
@@ -101,7 +102,7 @@ def test_every_shared_file_is_tested(shared_data: Path) -> None:
     assert {path.name for path in (shared_data / 'bags').iterdir()} == set(BAGS)
 
 
-def test_a_real_array_is_read(shared_data: Path, read: Any) -> None:
+def test_a_real_array_is_read(shared_data: Path) -> None:
     back = read(shared_data / 'mpu6050.npz')
     truth = np.load(shared_data / 'mpu6050.npz')['imu']
     np.testing.assert_array_equal(back.samples, truth[:, 1:])
@@ -116,9 +117,7 @@ def test_bag_files_are_sorted_by_the_numbers_in_their_names(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(('name', 'storage'), [('m', 'mcap'), ('s', 'sqlite3'), ('r.bag', 'ros1')])
-def test_units_are_applied_to_bags(
-    name: str, storage: str, tmp_path: Path, imu_batches: Any, read: Any
-) -> None:
+def test_units_are_applied_to_bags(name: str, storage: str, tmp_path: Path) -> None:
     write_recording(tmp_path / name, imu_batches(30), storage=storage)
     plain = read(tmp_path / name).samples
     back = read(tmp_path / name, gyro_unit='deg/s', accel_unit='g')
@@ -152,7 +151,7 @@ def read_without(hidden: list[str], *paths: Path) -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_bags_are_read_without_optional_packages(tmp_path: Path, imu_batches: Any) -> None:
+def test_bags_are_read_without_optional_packages(tmp_path: Path) -> None:
     """ROS 1 and an Imu in another message need rosbags, and compressed bags need a package."""
     paths = []
     for name, storage in (('m', 'mcap'), ('s', 'sqlite3'), ('t.csv', 'csv')):
@@ -162,7 +161,7 @@ def test_bags_are_read_without_optional_packages(tmp_path: Path, imu_batches: An
     assert read_without(hidden, *paths) == ['30 False'] * 3
 
 
-def test_a_missing_package_is_one_line(tmp_path: Path, imu_batches: Any, shared_data: Path) -> None:
+def test_a_missing_package_is_one_line(tmp_path: Path, shared_data: Path) -> None:
     write_recording(tmp_path / 'z', imu_batches(30), compression='chunk')
     write_recording(tmp_path / 'r.bag', imu_batches(30))
     hidden = ['rosbags', 'zstandard', 'lz4', 'lz4.frame', 'pyulog']

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.recordings import imu_batches, joined, outcome, read, refused
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.readers import open_recordings
@@ -49,9 +50,7 @@ def write_split(folder: Path, batches: list[Any], storage: str) -> None:
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 @pytest.mark.parametrize('metadata', [True, False])
-def test_splits_are_one_recording(
-    storage: str, metadata: bool, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
-) -> None:
+def test_splits_are_one_recording(storage: str, metadata: bool, tmp_path: Path) -> None:
     batches = imu_batches(
         1200, parts=12
     )  # in alphabetical order the tenth split precedes the second
@@ -66,15 +65,13 @@ def test_splits_are_one_recording(
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_bare_file_and_the_metadata_file_are_the_bag_too(
-    storage: str, tmp_path: Path, imu_batches: Any, read: Any
-) -> None:
+def test_a_bare_file_and_the_metadata_file_are_the_bag_too(storage: str, tmp_path: Path) -> None:
     write_recording(tmp_path / 'bag', imu_batches(30), storage=storage)
     for path in (f'bag/bag{SUFFIX[storage]}', 'bag/metadata.yaml', 'bag'):
         assert len(read(tmp_path / path).stamps_ns) == 30
 
 
-def test_several_inputs_are_several_recordings(tmp_path: Path, imu_batches: Any) -> None:
+def test_several_inputs_are_several_recordings(tmp_path: Path) -> None:
     write_recording(tmp_path / 'a', imu_batches(10))
     write_recording(tmp_path / 'b.csv', imu_batches(20))
     recordings = open_recordings([tmp_path / 'a', str(tmp_path / 'b.csv')])
@@ -84,9 +81,7 @@ def test_several_inputs_are_several_recordings(tmp_path: Path, imu_batches: Any)
 
 
 @pytest.mark.parametrize('compression', ['none', 'chunk'])
-def test_a_truncated_file_yields_its_complete_chunks(
-    compression: str, tmp_path: Path, imu_batches: Any, joined: Any, read: Any
-) -> None:
+def test_a_truncated_file_yields_its_complete_chunks(compression: str, tmp_path: Path) -> None:
     batches = imu_batches(20_000)  # several chunks of 1 MB
     write_recording(tmp_path / 'run', batches, compression=compression)
     source = tmp_path / 'run/run.mcap'
@@ -103,9 +98,7 @@ def test_a_truncated_file_yields_its_complete_chunks(
     assert str(int(0.7 * len(data))) in str(back.findings[0])
 
 
-def test_a_damaged_ros1_bag_is_read_or_reported_in_one_line(
-    tmp_path: Path, imu_batches: Any, outcome: Any
-) -> None:
+def test_a_damaged_ros1_bag_is_read_or_reported_in_one_line(tmp_path: Path) -> None:
     write_recording(tmp_path / 'run.bag', imu_batches(40))
     data = np.frombuffer((tmp_path / 'run.bag').read_bytes(), np.uint8)
     rng = np.random.default_rng(4)
@@ -120,7 +113,7 @@ def test_a_damaged_ros1_bag_is_read_or_reported_in_one_line(
         assert '\n' not in said + outcome(spoiled)[1]
 
 
-def test_an_empty_topic_is_reported(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+def test_an_empty_topic_is_reported(tmp_path: Path) -> None:
     write_recording(tmp_path / 'bag', imu_batches(20), storage='sqlite3')
     with sqlite3.connect(tmp_path / 'bag/bag.db3') as database:
         database.execute('DELETE FROM messages')  # metadata.yaml still states 20
@@ -136,9 +129,7 @@ def write_topics(path: Path, topics: dict[str, tuple[str, int]], batch: Any) -> 
                 writer.write(connection, stamp, payload)
 
 
-def test_topics_are_listed_and_chosen(
-    tmp_path: Path, imu_batches: Any, read: Any, refused: Any
-) -> None:
+def test_topics_are_listed_and_chosen(tmp_path: Path) -> None:
     [batch] = imu_batches(20, parts=1)
     path, one = tmp_path / 'two', tmp_path / 'one'
     topics = {'/left': (IMU_TYPE, 12), '/right': (IMU_TYPE, 20), '/idle': (IMU_TYPE, 0)}
@@ -154,16 +145,14 @@ def test_topics_are_listed_and_chosen(
     assert read(one).recording.info.topic == '/right'
 
 
-def test_payloads_that_are_not_an_imu_are_named(tmp_path: Path, refused: Any) -> None:
+def test_payloads_that_are_not_an_imu_are_named(tmp_path: Path) -> None:
     (tmp_path / 'bag.mcap').write_bytes(build(Plan(chunks=1, message=bytes(100))))
     said = refused(tmp_path / 'bag.mcap')
     assert 'message 21 of /imu is not a sensor_msgs/msg/Imu (100 bytes are too few' in said
 
 
 @pytest.mark.parametrize('name', ['a.csv', 'a.mcap', 'a.db3', 'a.npz'])
-def test_a_name_of_any_bytes_is_shown_in_a_printable_line(
-    name: str, tmp_path: Path, imu_batches: Any, read: Any, refused: Any
-) -> None:
+def test_a_name_of_any_bytes_is_shown_in_a_printable_line(name: str, tmp_path: Path) -> None:
     path = Path(os.fsdecode(os.fsencode(tmp_path) + b'/\xff\x1b[31m\n 50%?a=1#[x]'))
     frame_id = 'f' * 1000
     write_recording(tmp_path / name, imu_batches(20, frame_id=frame_id))
@@ -201,7 +190,7 @@ def test_a_name_of_any_bytes_is_shown_in_a_printable_line(
     ],
 )
 def test_a_file_that_is_not_a_bag_is_reported_in_one_line(
-    name: str, spoil: Any, says: str, tmp_path: Path, refused: Any
+    name: str, spoil: Any, says: str, tmp_path: Path
 ) -> None:
     spoil(tmp_path / name)
     assert says in refused(tmp_path / name)
@@ -222,15 +211,13 @@ def test_a_file_that_is_not_a_bag_is_reported_in_one_line(
         ),
     ],
 )
-def test_a_broken_bag_folder_is_reported_in_one_line(
-    spoil: Any, says: str, tmp_path: Path, imu_batches: Any, refused: Any
-) -> None:
+def test_a_broken_bag_folder_is_reported_in_one_line(spoil: Any, says: str, tmp_path: Path) -> None:
     write_recording(tmp_path / 'bag', imu_batches(10))
     spoil(tmp_path / 'bag')
     assert says in refused(tmp_path / 'bag')
 
 
-def test_a_folder_of_bags_names_them(tmp_path: Path, imu_batches: Any, refused: Any) -> None:
+def test_a_folder_of_bags_names_them(tmp_path: Path) -> None:
     for name in ('a', 'b'):
         write_recording(tmp_path / name, imu_batches(10))
     assert '2 recordings (a, b): give each of them' in refused(tmp_path)

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.recordings import read, refused
 
 from allan_ros.core.imu import STANDARD_GRAVITY, ImuBatch
 from allan_ros.io import writing
@@ -79,7 +80,7 @@ def echoed(name: str) -> str:
     ],
 )  # fmt: skip
 def test_headers_of_many_tools_are_understood(
-    header: str, row: str, stamp_ns: int, tmp_path: Path, read: Any
+    header: str, row: str, stamp_ns: int, tmp_path: Path
 ) -> None:
     path = tmp_path / 'imu.csv'
     path.write_bytes(f'{header}\n{row}\n{row}\n'.lstrip('\n').encode())
@@ -96,14 +97,14 @@ def test_headers_of_many_tools_are_understood(
         ('t,gyro_x_dps,gyro_y_dps,gyro_z_dps,ax_g,ay_g,az_g', {}),
     ],
 )
-def test_units_are_scaled_to_si(header: str, options: Any, tmp_path: Path, read: Any) -> None:
+def test_units_are_scaled_to_si(header: str, options: Any, tmp_path: Path) -> None:
     path = tmp_path / 'imu.csv'
     path.write_text(f'{header}\n1,{ROW}\n', encoding='utf-8')
     scale = np.repeat([DEG, STANDARD_GRAVITY], 3)
     np.testing.assert_array_equal(read(path, **options).samples, [VALUES * scale])
 
 
-def test_columns_can_be_named_and_left_out(tmp_path: Path, read: Any) -> None:
+def test_columns_can_be_named_and_left_out(tmp_path: Path) -> None:
     path = tmp_path / 'imu.txt'
     path.write_text(f'x,0.5,{ROW}\ny,0.6,{ROW}\n')
     back = read(path, columns=('-', 't', 'gx', 'gy', 'gz', 'ax', 'ay', 'az'))
@@ -111,9 +112,7 @@ def test_columns_can_be_named_and_left_out(tmp_path: Path, read: Any) -> None:
     np.testing.assert_array_equal(back.samples, [VALUES, VALUES])
 
 
-def test_a_rate_replaces_missing_times(
-    tmp_path: Path, read: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rate_replaces_missing_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tables, 'BATCH', 7)  # stamps must continue across batches
     path = tmp_path / 'imu.csv'
     path.write_text('gx,gy,gz\n' + '1,2,3\n' * 20)
@@ -122,14 +121,14 @@ def test_a_rate_replaces_missing_times(
     assert len(back.frame_ids) == 3
 
 
-def test_missing_values_are_nan(tmp_path: Path, read: Any) -> None:
+def test_missing_values_are_nan(tmp_path: Path) -> None:
     path = tmp_path / 'imu.csv'
     path.write_text('t;gx;gy;gz\n\n1;1;;3\n# a pause\n2;nan;2,5;inf\n')
     expected = [[1, np.nan, 3], [np.nan, 2.5, np.inf]]
     np.testing.assert_array_equal(read(path).samples[:, :3], expected)
 
 
-def test_each_date_has_its_own_time_zone(tmp_path: Path, read: Any, refused: Any) -> None:
+def test_each_date_has_its_own_time_zone(tmp_path: Path) -> None:
     path = tmp_path / 'imu.csv'
     dates = ['2026-03-29T00:59:59Z', '2026-03-29T03:00:00+02:00', '2026-03-28T20:00:01-0500']
     text = 't,gx\n' + ''.join(f'{date},1\n' for date in dates)
@@ -139,14 +138,14 @@ def test_each_date_has_its_own_time_zone(tmp_path: Path, read: Any, refused: Any
     assert "line 5, column 1 (t): '' is not a number" in refused(path)
 
 
-def test_a_comment_can_name_the_frame(tmp_path: Path, read: Any) -> None:
+def test_a_comment_can_name_the_frame(tmp_path: Path) -> None:
     path = tmp_path / 'imu.csv'
     path.write_text('# frame_id: left\nt,gx\n1,1\n2,1\n# frame_id: right\n3,1\n')
     assert read(path).frame_ids == ['left', 'right']
 
 
 @pytest.mark.parametrize('last', ['3,1,2', '3,1,2,1', '3,1,2,1.23', '3,1,2,"1'])
-def test_a_last_line_without_a_line_end_is_not_used(last: str, tmp_path: Path, read: Any) -> None:
+def test_a_last_line_without_a_line_end_is_not_used(last: str, tmp_path: Path) -> None:
     """A number may be truncated, such as 1.23e-05 to 1.23, and still be a number."""
     path = tmp_path / 'imu.csv'
     path.write_text(f't,gx[rad/s],gy[rad/s],gz[rad/s]\n1,1,2,3\n2,1,2,3\n{last}')
@@ -156,7 +155,7 @@ def test_a_last_line_without_a_line_end_is_not_used(last: str, tmp_path: Path, r
     assert 'line 4' in str(back.findings[0])
 
 
-def test_a_quoted_cell_may_contain_line_breaks(tmp_path: Path, read: Any) -> None:
+def test_a_quoted_cell_may_contain_line_breaks(tmp_path: Path) -> None:
     path = tmp_path / 'imu.csv'
     path.write_text(
         't,"gx\n[deg/s]",gy [deg/s],gz [deg/s],note\n1,1,2,3,"first\n\nline"\n2,1,2,3,x\n'
@@ -166,7 +165,7 @@ def test_a_quoted_cell_may_contain_line_breaks(tmp_path: Path, read: Any) -> Non
     assert back.findings == ()
 
 
-def test_columns_can_be_picked_by_their_names(tmp_path: Path, read: Any, refused: Any) -> None:
+def test_columns_can_be_picked_by_their_names(tmp_path: Path) -> None:
     path = tmp_path / 'wide.csv'
     path.write_text('id,Clock,rate_a [deg/s],rate_b,rate_c,x\n7,1,10,20,30,0\n7,2,10,20,30,0\n')
     columns = ('t=clock', 'gx=rate_a', 'gy[deg/s]=rate_b', 'gz[rad/s]=rate_c')
@@ -189,7 +188,7 @@ def test_columns_can_be_picked_by_their_names(tmp_path: Path, read: Any, refused
     ],
 )
 def test_an_unstated_unit_is_a_warning(
-    header: str, options: Any, assumed: list[str], gyro_unit: str, tmp_path: Path, read: Any
+    header: str, options: Any, assumed: list[str], gyro_unit: str, tmp_path: Path
 ) -> None:
     path = tmp_path / 'imu.csv'
     path.write_text(f'{header}\n1,1,2,3\n2,1,2,3\n')
@@ -232,7 +231,7 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
     ],
 )
 def test_errors_are_reported_with_line_and_column(
-    text: str, options: Any, says: str, tmp_path: Path, refused: Any
+    text: str, options: Any, says: str, tmp_path: Path
 ) -> None:
     path = tmp_path / 'imu.csv'
     path.write_text(text)
@@ -246,7 +245,7 @@ RATE_STEPS_S = (1 / 400, 1 / 100, 1 / 10)
 @pytest.mark.parametrize('start_s', [0.0, 3.5, 1.7e9])
 @pytest.mark.parametrize('step_s', RATE_STEPS_S)
 def test_the_unit_of_times_is_recognized(
-    unit: str, start_s: float, step_s: float, tmp_path: Path, read: Any
+    unit: str, start_s: float, step_s: float, tmp_path: Path
 ) -> None:
     path = tmp_path / 'imu.csv'
     stamps_ns = int(start_s * 1e9) + np.arange(300) * round(step_s * 1e9)
@@ -262,7 +261,7 @@ def test_the_unit_of_times_is_recognized(
     assert read(path, stamp_unit=unit).stamps_ns.tolist() == stamps_ns.tolist()
 
 
-def test_bytes_that_are_not_text_are_rejected(tmp_path: Path, refused: Any) -> None:
+def test_bytes_that_are_not_text_are_rejected(tmp_path: Path) -> None:
     path = tmp_path / 'imu.csv'
     path.write_bytes(np.random.default_rng(1).bytes(5000))
     refused(path)

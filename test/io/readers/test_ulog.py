@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from support.recordings import outcome, read, refused
 
 pytest.importorskip('pyulog')
 
@@ -53,7 +53,7 @@ def combined(i: int, period: int = 5000, relative: int = 0) -> bytes:
     return struct.pack('<Q3fIi3f', stamp, 1.0, 2.0, 3.0, 5000, relative, 4.0, 5.0, 6.0)
 
 
-def test_delta_angles_are_divided_by_their_time(tmp_path: Path, read: Any) -> None:
+def test_delta_angles_are_divided_by_their_time(tmp_path: Path) -> None:
     path = tmp_path / 'a.ulg'
     dts = [5000, 4900, 5100, 0]
     path.write_bytes(
@@ -68,7 +68,7 @@ def test_delta_angles_are_divided_by_their_time(tmp_path: Path, read: Any) -> No
     assert back.findings == ()
 
 
-def test_instances_are_chosen_by_topic(tmp_path: Path, read: Any, refused: Any) -> None:
+def test_instances_are_chosen_by_topic(tmp_path: Path) -> None:
     path = tmp_path / 'a.ulg'
     topics = [
         (IMU_FORMAT, 'vehicle_imu', n, [delta(i, scale=n + 1.0) for i in range(5)])
@@ -85,7 +85,7 @@ def test_instances_are_chosen_by_topic(tmp_path: Path, read: Any, refused: Any) 
     assert len(read(path).stamps_ns) == 9
 
 
-def test_an_absent_accelerometer_and_other_units(tmp_path: Path, read: Any) -> None:
+def test_an_absent_accelerometer_and_other_units(tmp_path: Path) -> None:
     path = tmp_path / 'a.ulg'
     bodies = [combined(0), combined(1, relative=0x7FFFFFFF)]
     path.write_bytes(log([(COMBINED_FORMAT, 'sensor_combined', 0, bodies)]))
@@ -94,7 +94,7 @@ def test_an_absent_accelerometer_and_other_units(tmp_path: Path, read: Any) -> N
     assert np.isnan(back.samples[1, 3:]).all()
 
 
-def test_dropouts_and_decimated_topics_are_reported(tmp_path: Path, read: Any) -> None:
+def test_dropouts_and_decimated_topics_are_reported(tmp_path: Path) -> None:
     path = tmp_path / 'a.ulg'
     bodies = [combined(i, period=50_000) for i in range(9)]
     dropout = message('O', struct.pack('<H', 250))
@@ -105,7 +105,7 @@ def test_dropouts_and_decimated_topics_are_reported(tmp_path: Path, read: Any) -
     assert 'at 20 Hz, but sampled at 200 Hz' in str(back.findings[1])
 
 
-def test_damaged_logs_are_rejected_or_read(tmp_path: Path, outcome: Any) -> None:
+def test_damaged_logs_are_rejected_or_read(tmp_path: Path) -> None:
     good = log([(COMBINED_FORMAT, 'sensor_combined', 0, [combined(i) for i in range(30)])])
     path, rng = tmp_path / 'a.ulg', np.random.default_rng(3)
     for _ in range(150):
@@ -117,7 +117,7 @@ def test_damaged_logs_are_rejected_or_read(tmp_path: Path, outcome: Any) -> None
         assert '\n' not in said
 
 
-def test_a_long_damaged_part_ends_reading(tmp_path: Path, read: Any) -> None:
+def test_a_long_damaged_part_ends_reading(tmp_path: Path) -> None:
     path = tmp_path / 'a.ulg'
     good = log([(COMBINED_FORMAT, 'sensor_combined', 0, [combined(i) for i in range(30)])])
     with path.open('wb') as file:
@@ -131,7 +131,7 @@ def test_a_long_damaged_part_ends_reading(tmp_path: Path, read: Any) -> None:
 @pytest.mark.parametrize(
     'name, samples, rate', [('sample', 17070, 250.0), ('sample_log_small', 1298, 204.6)]
 )
-def test_real_logs(name: str, samples: int, rate: float, shared_data: Path, read: Any) -> None:
+def test_real_logs(name: str, samples: int, rate: float, shared_data: Path) -> None:
     back = read(shared_data / 'ulog' / f'{name}.ulg')
     assert back.recording.info.topic == 'sensor_combined'
     assert len(back.stamps_ns) == samples == back.recording.messages
@@ -140,7 +140,7 @@ def test_real_logs(name: str, samples: int, rate: float, shared_data: Path, read
     assert 'log_dropouts' in [finding.id for finding in back.findings]
 
 
-def test_real_instances(shared_data: Path, read: Any) -> None:
+def test_real_instances(shared_data: Path) -> None:
     path = shared_data / 'ulog' / 'sample_log_small.ulg'
     for n in range(3):
         back = read(path, topic=f'vehicle_imu:{n}')
@@ -168,7 +168,6 @@ def test_the_temperature_is_that_of_the_same_gyro(
     instances: tuple[int, ...],
     expected: tuple[str, float] | None,
     tmp_path: Path,
-    read: Any,
 ) -> None:
     def warm(i: int, device: int) -> bytes:
         return struct.pack('<QIf', START_US + 10_000 * i, device, 30.0 + device + i)

@@ -1,16 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures: Imu samples to write, and complete recordings as arrays."""
+"""Imu samples to write, and complete recordings as arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pytest
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
@@ -31,7 +30,7 @@ class Contents(NamedTuple):
     findings: tuple[Finding, ...]
 
 
-def make_batches(n: int = 2000, *, parts: int = 3, frame_id: str = 'imu_link') -> list[ImuBatch]:
+def imu_batches(n: int = 2000, *, parts: int = 3, frame_id: str = 'imu_link') -> list[ImuBatch]:
     """Return n samples of every magnitude, with stamps that use all their digits."""
     rng = np.random.default_rng(20)
     samples = rng.normal(size=(n, 6)) * 10.0 ** rng.integers(-12, 6, size=(n, 6))
@@ -42,7 +41,7 @@ def make_batches(n: int = 2000, *, parts: int = 3, frame_id: str = 'imu_link') -
     return [whole[start:stop] for start, stop in pairwise(edges)]
 
 
-def join(batches: Iterable[ImuBatch]) -> ImuBatch:
+def joined(batches: Iterable[ImuBatch]) -> ImuBatch:
     """Return consecutive batches of one frame as one."""
     batches = list(batches)
     records = [batch.record_ns for batch in batches if batch.record_ns is not None]
@@ -54,11 +53,11 @@ def join(batches: Iterable[ImuBatch]) -> ImuBatch:
     )
 
 
-def read_whole(path: Path, **options: Any) -> Contents:
+def read(path: Path, **options: Any) -> Contents:
     """Open one recording and read all of it."""
     [recording] = open_recordings([path], ReadOptions(**options))
     batches = list(recording.batches())
-    whole = join(batches)
+    whole = joined(batches)
     return Contents(
         recording,
         whole.stamps_ns,
@@ -69,7 +68,7 @@ def read_whole(path: Path, **options: Any) -> Contents:
     )
 
 
-def read_or_say(path: Path, **options: Any) -> tuple[int, str]:
+def outcome(path: Path, **options: Any) -> tuple[int, str]:
     """Return the number of samples of a recording, and the error text if it is refused."""
     count = 0
     try:
@@ -81,38 +80,9 @@ def read_or_say(path: Path, **options: Any) -> tuple[int, str]:
     return count, ''
 
 
-@pytest.fixture
-def outcome() -> Callable[..., tuple[int, str]]:
-    """Return a function that reads a recording or catches its error."""
-    return read_or_say
-
-
-@pytest.fixture
-def refused() -> Callable[..., str]:
-    """Return a function that checks that a recording is refused in one line that names it."""
-
-    def say(path: Path, **options: Any) -> str:
-        _, said = read_or_say(path, **options)
-        assert said.startswith(str(path))
-        assert '\n' not in said
-        return said
-
-    return say
-
-
-@pytest.fixture
-def imu_batches() -> Callable[..., list[ImuBatch]]:
-    """Return a function that makes samples to write."""
-    return make_batches
-
-
-@pytest.fixture
-def joined() -> Callable[[Iterable[ImuBatch]], ImuBatch]:
-    """Return a function that joins batches."""
-    return join
-
-
-@pytest.fixture
-def read() -> Callable[..., Contents]:
-    """Return a function that reads a complete recording."""
-    return read_whole
+def refused(path: Path, **options: Any) -> str:
+    """Check that a recording is refused in one line that names it; return this line."""
+    _, said = outcome(path, **options)
+    assert said.startswith(str(path))
+    assert '\n' not in said
+    return said
