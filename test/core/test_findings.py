@@ -24,11 +24,8 @@ from allan_ros.core.findings import (
     is_note,
     significant,
 )
-from allan_ros.core.imu import DATASHEET_UNITS, SI_UNITS, shown_unit
+from allan_ros.core.imu import SI_UNITS, shown_unit
 from allan_ros.io.documents import finding_from_document
-
-IN_DEG_H = {unit for units in DATASHEET_UNITS.values() for unit in units.values()}
-IN_SI = {unit for units in SI_UNITS.values() for unit in units.values()}
 
 
 def test_every_kind_of_finding_has_a_severity_a_message_and_a_remedy():

@@ -1,38 +1,20 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Allan sums of one finite record at any factors, computed from the definition."""
+"""Allan variances of one finite record at any factors, computed from the definition."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from allan_ros.core.allan.grid import counts
 
-Floats = NDArray[np.float64]
+class AllanTable(NamedTuple):
+    """Number of second differences (factors,), and Allan variance (factors, ...)."""
 
-
-@dataclass(frozen=True)
-class AllanTable:
-    """Allan sums of one finite record at given factors.
-
-    Attributes
-    ----------
-    m, stride, n : (factors,) int64 arrays
-        Averaging factor, samples between starts, and number of second differences.
-    avar : (factors, ...) float64 array
-        sum d^2 / (2 m^2 n).
-    signed : (factors, ...) float64 array
-        sum d.
-    """
-
-    m: NDArray[np.int64]
-    stride: NDArray[np.int64]
     n: NDArray[np.int64]
-    avar: Floats
-    signed: Floats
+    avar: NDArray[np.float64]
 
 
 def allan_table(y: ArrayLike, m: ArrayLike, stride: ArrayLike = 1) -> AllanTable:
@@ -46,24 +28,11 @@ def allan_table(y: ArrayLike, m: ArrayLike, stride: ArrayLike = 1) -> AllanTable
         Averaging factors, and samples between the starts of two second differences.
     """
     values = np.asarray(y, float)
-    ms, strides = (np.array(a) for a in np.broadcast_arrays(np.atleast_1d(m), stride))
-    ms, strides = ms.astype(np.int64), strides.astype(np.int64)
-    rows = values.reshape(len(values), -1).T
-    theta = np.zeros((len(rows), len(values) + 1))
-    np.cumsum(rows - rows[:, :1], axis=1, out=theta[:, 1:])
-    sum_sq = np.empty((len(ms), len(rows)))
-    signed = np.empty((len(ms), len(rows)))
-    for i, (factor, step) in enumerate(zip(ms, strides)):
-        d = _second_differences(theta, int(factor))[:, :: int(step)]
-        sum_sq[i] = np.einsum('ij,ij->i', d, d)
-        signed[i] = d.sum(axis=1)
-    n = counts(len(values), ms, strides)
-    avar = sum_sq / (2.0 * ms.astype(float)[:, None] ** 2 * n[:, None])
-    shape = (len(ms), *values.shape[1:])
-    return AllanTable(ms, strides, n, avar.reshape(shape), signed.reshape(shape))
-
-
-def _second_differences(theta: Floats, lag: int) -> Floats:
-    """Return theta(u + 2 lag) - 2 theta(u + lag) + theta(u) along the last axis, for every u."""
-    g = theta[:, lag:] - theta[:, :-lag]
-    return g[:, lag:] - g[:, :-lag]
+    theta = np.concatenate([0.0 * values[:1], np.cumsum(values - values[0], axis=0)])
+    n, avar = [], []
+    for factor, step in zip(*np.broadcast_arrays(np.atleast_1d(m), stride)):
+        means = theta[factor:] - theta[:-factor]
+        d = (means[factor:] - means[:-factor])[::step]
+        n.append(len(d))
+        avar.append((d**2).mean(axis=0) / (2.0 * float(factor) ** 2))
+    return AllanTable(np.array(n, int), np.reshape(avar, (len(n), *values.shape[1:])))

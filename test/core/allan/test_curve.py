@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
 import pytest
+import support.sums
 
 from allan_ros.core.allan.curve import allan_curve, edf, noise_types_of_avar
-from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.noise import term_avar
@@ -14,15 +14,9 @@ AXES = ('gyro_x', 'gyro_y')
 FACTORS = 2 ** np.arange(11)
 
 
-def sums_of(*segments, rate=100.0):
-    engine = RunningSums(axes=AXES)
-    start = 0
-    for y in segments:
-        stamps = start + np.round(np.arange(len(y)) * 1e9 / rate).astype(np.int64)
-        engine.update(y, int(stamps[0]), int(stamps[-1]))
-        engine.end_segment()
-        start = int(stamps[-1]) + 10**10
-    return engine.sums
+def sums_of(*segments):
+    cuts = np.cumsum([len(y) for y in segments])[:-1].tolist()
+    return support.sums.sums_of(np.concatenate(segments), cuts=cuts, axes=AXES)
 
 
 def noise(n, seed=0, terms=(NoiseTerms(N=1e-3), NoiseTerms(K=1e-3))):

@@ -90,16 +90,6 @@ def test_a_sinusoid_does_not_change_n_and_gives_no_false_one(size, frequency):
         assert not fit.processes.gauss_markov and not fit.filtered
 
 
-def test_a_weak_sinusoid_is_found_beside_a_strong_one():
-    rng = np.random.default_rng(4)
-    y = simulated(60_000, 2, 4, FLAT)
-    y += WHITE * (3.0 * sine(60_000, 16.5, rng, 2) + sine(60_000, 9.7, rng, 2))
-    for fit in fits(y):
-        found = [line.frequency for line in fit.processes.sinusoid]
-        np.testing.assert_allclose(found, [9.7, 16.5], atol=0.05)
-        assert fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.015)
-
-
 @pytest.mark.parametrize(
     ('size', 'frequency'),
     [(5.0, 4.71), (30.0, 7.216), (30.0, 16.12), (30.0, 24.5965)],

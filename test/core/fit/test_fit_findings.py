@@ -3,27 +3,12 @@
 
 import numpy as np
 import pytest
+from support.sums import sums_of
 
-from allan_ros.core.allan.running import RunningSums
-from allan_ros.core.findings import duration_text, finding
+from allan_ros.core.findings import finding
 from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.findings import line_finding, merge_equal, with_harmonics
 from allan_ros.core.fit.model import Sinusoid
-
-
-@pytest.mark.parametrize(
-    ('seconds', 'words'),
-    [
-        (0.5, '0.5 s'),
-        (119.0, '120 s'),
-        (1234.0, '21 min'),
-        (7200.0, '2 h'),
-        (100000.0, '28 h'),
-        (864000.0, '10 days'),
-    ],
-)
-def test_durations_are_formatted_for_people(seconds, words):
-    assert duration_text(seconds) == words
 
 
 def test_equal_findings_are_joined():
@@ -62,23 +47,14 @@ def test_a_fast_sinusoid_is_no_harmonic_of_a_slow_one():
     assert [len(group) for group in groups] == [1, 2]
 
 
-def sums_of(*segments):
-    engine = RunningSums(axes=('gyro_x',))
-    for n, y in enumerate(segments):
-        start = n * 10**12
-        engine.update(np.reshape(y, (-1, 1)), start, start + (len(y) - 1) * 10**7)
-        engine.end_segment()
-    return engine.sums
-
-
 @pytest.mark.parametrize(
     ('samples', 'id'),
     [
-        (np.full(5000, 9.8), 'no_noise'),
-        (np.random.default_rng(0).normal(size=8), 'record_too_short'),
+        (np.full((5000, 1), 9.8), 'no_noise'),
+        (np.random.default_rng(0).normal(size=(8, 1)), 'record_too_short'),
     ],
 )
 def test_an_axis_without_numbers_states_the_reason(samples, id):
-    (found,) = fit_noise(sums_of(samples)).findings
+    (found,) = fit_noise(sums_of(samples, axes=('gyro_x',))).findings
     assert found.id == id
     assert found.axes == ('gyro_x',)

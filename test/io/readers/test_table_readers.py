@@ -261,12 +261,6 @@ def test_the_unit_of_times_is_recognized(
     assert read(path, stamp_unit=unit).stamps_ns.tolist() == stamps_ns.tolist()
 
 
-def test_bytes_that_are_not_text_are_rejected(tmp_path: Path) -> None:
-    path = tmp_path / 'imu.csv'
-    path.write_bytes(np.random.default_rng(1).bytes(5000))
-    refused(path)
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     st.integers(1, 9).flatmap(
