@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.recordings import write_topics
 
 import allan_ros as ar
 from allan_ros.cli.main import main
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.io.common import CommonResult
-from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.io.writing import write_recording
 
 RATE = 100.0
@@ -74,23 +74,11 @@ def test_the_document_and_the_chart(common: CommonResult) -> None:
 def test_files_and_topics_give_the_same_rows(
     three: list[ImuBatch], common: CommonResult, tmp_path: Path
 ) -> None:
-    rosbag2, typesys = (
-        pytest.importorskip('rosbags.rosbag2'),
-        pytest.importorskip('rosbags.typesys'),
-    )
+    pytest.importorskip('rosbags')
     names = ['left', 'right', 'top']
     for name, batch in zip(names, three):
         write_recording(tmp_path / f'{name}.npz', [batch])
-    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
-    plugin = rosbag2.StoragePlugin.MCAP
-    with rosbag2.Writer(tmp_path / 'bag', version=8, storage_plugin=plugin) as writer:
-        messages = []
-        for name, batch in zip(names, three):
-            link = writer.add_connection(f'/{name}', IMU_TYPE, typestore=store)
-            payloads = encode_imus(batch, 'cdr')
-            messages += [(t, link, bytes(p)) for t, p in zip(batch.stamps_ns.tolist(), payloads)]
-        for stamp, link, payload in sorted(messages, key=lambda message: message[0]):
-            writer.write(link, stamp, payload)
+    write_topics(tmp_path / 'bag', {f'/{name}': batch for name, batch in zip(names, three)})
     files = ar.common(*(tmp_path / f'{name}.npz' for name in names), labels=['port'])
     topics = ar.common(tmp_path / 'bag')
     assert [row.label for row in files.rows[:3]] == ['port', 'right', 'top']

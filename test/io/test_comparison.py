@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from support.exports import scaled
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import TERMS, Coefficient
@@ -27,16 +28,6 @@ from allan_ros.io.plots import comparison_figure
 from allan_ros.io.results import Results
 
 HOSTILE = 'a\x1b[31m|\u202e<b>\r\n$x_{'
-
-
-def scaled(results: Results, factor: float, axis: str = 'gyro_z') -> Results:
-    """Return the results with N of one axis changed by a factor."""
-    of_axis = results.axes[axis]
-    c = of_axis.fit.noise['N']
-    low, high = c.ci95
-    changed = Coefficient(c.value * factor, (low * factor, high * factor))
-    fit = replace(of_axis.fit, noise={**of_axis.fit.noise, 'N': changed})
-    return replace(results, axes={**results.axes, axis: replace(of_axis, fit=fit)})
 
 
 def compared(*results: Results, sheets: tuple[Datasheet, ...] = ()) -> RunComparison:

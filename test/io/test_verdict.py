@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.exports import scaled
 
 from allan_ros.core.compare import Comparison
 from allan_ros.core.findings import Finding
@@ -33,16 +34,6 @@ def against_itself(results: Results, factor: float) -> list[Comparison]:
 
 def calm(results: Results) -> Results:
     return replace(results, findings=tuple(f for f in results.findings if f.severity == 'info'))
-
-
-def scaled(results: Results, factor: float, name: str = 'gyro_z') -> Results:
-    """Return the results with N of an axis changed by a factor."""
-    axis = results.axes[name]
-    n = axis.fit.noise['N']
-    low, high = n.ci95
-    noise = {**axis.fit.noise, 'N': Coefficient(n.value * factor, (low * factor, high * factor))}
-    changed = replace(axis, fit=replace(axis.fit, noise=noise))
-    return replace(results, axes={**results.axes, name: changed})
 
 
 @pytest.mark.parametrize(

@@ -200,6 +200,19 @@ def refitted(
     return replace(result, fit=fit)
 
 
+def with_coefficient(results: Results, axis: str, term: str, coefficient: Coefficient) -> Results:
+    changed = refitted(results.axes[axis], {term: coefficient})
+    return replace(results, axes={**results.axes, axis: changed})
+
+
+def scaled(results: Results, factor: float, axis: str = 'gyro_z') -> Results:
+    """Return the results with N of one axis changed by a factor."""
+    n = results.axes[axis].fit.noise['N']
+    low, high = n.ci95
+    changed = Coefficient(n.value * factor, (low * factor, high * factor))
+    return with_coefficient(results, axis, 'N', changed)
+
+
 def with_process(results: Results, axis: str, sigma: float, hours: float) -> Results:
     """Return the results with a Gauss-Markov process of ``sigma`` and ``hours`` added to one
     axis.

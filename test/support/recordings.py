@@ -15,6 +15,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch
 from allan_ros.io.readers import ReadOptions, Recording, open_recordings
+from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 
 START_NS = 1_700_000_000_123_456_789
 
@@ -86,3 +87,24 @@ def refused(path: Path, **options: Any) -> str:
     assert said.startswith(str(path))
     assert '\n' not in said
     return said
+
+
+def write_topics(path: Path, batches: dict[str, ImuBatch], storage: str = 'mcap') -> Path:
+    """Write a bag with these topics in the order of their stamps."""
+    from rosbags import rosbag1, rosbag2, typesys
+
+    if storage == 'ros1':
+        writer, store = rosbag1.Writer(path), typesys.Stores.ROS1_NOETIC
+    else:
+        plugin = rosbag2.StoragePlugin[storage.upper()]
+        writer = rosbag2.Writer(path, version=8, storage_plugin=plugin)
+        store = typesys.Stores.ROS2_JAZZY
+    with writer:
+        messages = []
+        for topic, batch in batches.items():
+            link = writer.add_connection(topic, IMU_TYPE, typestore=typesys.get_typestore(store))
+            payloads = encode_imus(batch, 'ros1' if storage == 'ros1' else 'cdr')
+            messages += [(t, link, bytes(p)) for t, p in zip(batch.stamps_ns.tolist(), payloads)]
+        for stamp, link, payload in sorted(messages, key=lambda message: message[0]):
+            writer.write(link, stamp, payload)
+    return path

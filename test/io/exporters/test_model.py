@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from support.exports import refitted, warmed
+from support.exports import warmed, with_coefficient
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import finding
@@ -25,11 +25,6 @@ from allan_ros.io.exporters import (
 from allan_ros.io.results import Results
 
 BARE = ExportOptions(fidelity='coefficients')
-
-
-def with_coefficient(results: Results, axis: str, term: str, coefficient: Coefficient) -> Results:
-    changed = refitted(results.axes[axis], {term: coefficient})
-    return replace(results, axes={**results.axes, axis: changed})
 
 
 @pytest.fixture
