@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from allan_ros.core.allan.curve import AxisCurve
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fields import Fields, plain
+from allan_ros.core.fields import Fields
 from allan_ros.core.findings import Finding
 from allan_ros.core.fit import Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
 from allan_ros.core.stream.health import Event, Segment
@@ -192,12 +191,6 @@ def test_a_file_that_is_not_json_is_reported(tmp_path: Path, content: str, said:
     path.write_text(content)
     with pytest.raises(AllanError, match=said):
         read_json(path)
-
-
-def test_numbers_that_are_not_finite_are_null() -> None:
-    curve = AxisCurve(*(np.array([n, math.nan]) for n in range(6)))
-    assert plain(curve)['tau'] == [1.0, None]
-    assert plain({'a': (1, np.float64(math.inf), 'x')}) == {'a': [1, None, 'x']}
 
 
 def test_a_finding_of_two_runs_is_reported_once(small_run) -> None:

@@ -66,16 +66,14 @@ def test_axis_x_of_the_paper():
     assert all(r.slope > 0.3 for r in late)
 
 
-def test_axis_y_of_the_paper():
-    """The paper reads .01-20 s N, 20-1300 s B; by its own coefficients they cross at 9 s."""
+def test_axes_y_and_z_of_the_paper():
+    """The paper reads .01-20 s N, 20-1300 s B (y; by its own coefficients they cross at 9 s), and
+    .01-20 s N, then K and R from 20 to 180 s (z).
+    """
     n, b = regions_of('gyro_y', *PAPER['gyro_y'])
     assert (n.term, b.term) == ('N', 'B')
     assert n.tau_high == b.tau_low == pytest.approx(9.3, rel=0.15)
     assert b.tau_high == pytest.approx(1300, rel=0.15)
-
-
-def test_axis_z_of_the_paper():
-    """The paper reads .01-20 s N, then K and R from 20 to 180 s."""
     regions = regions_of('gyro_z', *PAPER['gyro_z'])
     assert [r.term for r in regions] == ['N', 'B', 'K']
     assert regions[0].tau_high == pytest.approx(20, rel=0.4)

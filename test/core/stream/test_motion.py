@@ -173,12 +173,6 @@ def test_a_shock_that_changes_a_mean_splits_the_data_and_the_change_is_listed():
     assert event.changes['accel_x'] == pytest.approx(SIGMA[3, 0], rel=5 * (2 / 400) ** 0.5)
 
 
-def test_a_short_turn_is_motion_though_all_means_are_as_before():
-    rows = white(120)
-    rows[2, 7_000 : 7_000 + RATE] += np.radians(5.0)
-    assert gate(rows)[1].splits == {'motion': 1}
-
-
 def test_an_imu_that_is_seldom_at_rest_has_no_shocks_but_motion():
     rows = white(300)
     for at in range(5_000, rows.shape[1] - 5_000, 5 * RATE):
@@ -187,12 +181,14 @@ def test_an_imu_that_is_seldom_at_rest_has_no_shocks_but_motion():
     assert counts.splits['motion'] > 10 and counts.replaced < 0.5 * np.count_nonzero(passed)
 
 
-def test_a_steady_turn_is_motion_though_it_is_smooth():
-    rows = white(120)
-    ramp = np.clip((np.arange(rows.shape[1]) - 8000) / 2000, 0, 1)
-    rows[2] += np.radians(2.0) * ramp * (np.arange(rows.shape[1]) < 14_000)
-    passed = gate(rows)[2]
+def test_a_turn_is_motion_though_it_is_smooth_or_all_means_are_as_before():
+    smooth, short = white(120), white(120)
+    ramp = np.clip((np.arange(smooth.shape[1]) - 8000) / 2000, 0, 1)
+    smooth[2] += np.radians(2.0) * ramp * (np.arange(smooth.shape[1]) < 14_000)
+    passed = gate(smooth)[2]
     assert not passed[9_000:14_000].any() and passed[15_000:].all()
+    short[2, 7_000 : 7_000 + RATE] += np.radians(5.0)
+    assert gate(short)[1].splits == {'motion': 1}
 
 
 def states(rows):

@@ -32,7 +32,7 @@ def with_one_process(results: Results) -> Results:
     return results
 
 
-def test_a_fitted_process_is_the_bias_of_an_ins(known_results: Results) -> None:
+def test_a_fitted_process_is_the_bias_of_an_ins_and_of_a_simulator(known_results: Results) -> None:
     known = with_one_process(known_results)
     found = numbers(known, 'kf_gins')
     assert found['gbstd'] == near([20.6265] * 3)  # 1e-4 rad/s is 20.6265 deg/h
@@ -44,10 +44,6 @@ def test_a_fitted_process_is_the_bias_of_an_ins(known_results: Results) -> None:
     driven = numbers(known, 'navego')
     assert driven['gb_corr'] == near([180.0] * 3)
     assert driven['gb_psd'] == near([1.05409e-5] * 3)  # 1e-4 sqrt(2 / 180)
-
-
-def test_a_fitted_process_is_the_bias_of_a_simulator(known_results: Results) -> None:
-    known = with_one_process(known_results)
     gazebo = numbers(known, 'gazebo')
     assert gazebo['dynamic_bias_correlation_time'] == near(180.0)
     assert gazebo['dynamic_bias_stddev'] == near(1.05409e-5)  # 1e-4 sqrt(2 / 180)
