@@ -145,7 +145,7 @@ HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Print one datasheet, or a list of all, or the values of results for a datasheet."""
+    """Print one datasheet, a list of all, or results as an entry for the file of a datasheet."""
     from ..io.from_datasheet import measured_entry, measured_lines
 
     console = Console.of(args)

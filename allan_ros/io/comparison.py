@@ -271,7 +271,7 @@ def _equivalence_sentence(pair: Pair, within: float) -> str:
 
 
 def _ratio_above_one(difference: Difference) -> tuple[float | None, float, float]:
-    """Return the ratio (or None) and its 95 % interval, inverted unless the second is noisier."""
+    """Return the ratio of the noisier to the quieter (or None), and its 95 % interval."""
     (low, high), ratio = difference.ci95 or (1.0, 1.0), difference.ratio
     if difference.verdict == 'higher':
         return ratio, low, high

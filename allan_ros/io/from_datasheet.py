@@ -172,7 +172,7 @@ def measured_values(results: Results) -> dict[tuple[str, str], MeasuredValue]:
 
 
 def _text(kind: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
-    """Return values of a term in the unit of the catalogue as text, then this unit."""
+    """Return the values of a term as text, followed by the unit of the catalogue."""
     unit = SHOWN.get((kind, term), DATASHEET_UNITS[kind][term])
     return *(significant(value / UNITS[unit].factor, digits) for value in values), unit
 

@@ -83,8 +83,8 @@ def verdict_of(
 ) -> Verdict:
     """Return the verdict on the IMU of the results.
 
-    ``comparisons`` are those with a datasheet and with earlier runs, by default those in the
-    results. ``units`` of the texts is 'deg/h' or 'SI', and ``spelled`` returns the spelling of a
+    ``comparisons`` with a datasheet and with earlier runs are by default taken from the results.
+    ``units`` of the texts is 'deg/h' or 'SI', and ``spelled`` returns the spelling of a
     unit.
     """
     comparisons = results.comparisons if comparisons is None else comparisons

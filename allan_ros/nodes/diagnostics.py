@@ -171,7 +171,7 @@ class AxisView:
     """Content of the status of one axis.
 
     ``sums`` is None before there are sums; ``result`` and ``fit_age_s`` are None before the first
-    fit. ``problems`` report a failed fit or an invalidated model. ``comparisons`` are those with
+    fit. ``problems`` report a failed fit or an invalidated model. ``comparisons`` are with
     the datasheet and earlier results; ``margin`` is the tolerated excess, as a fraction of the
     limit. ``recent`` contains the noise of the recent window and the noise before it, and
     ``changes`` the differences between the two. ``noted`` are findings of the fit that do not

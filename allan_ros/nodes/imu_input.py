@@ -77,7 +77,7 @@ _EVENT_HANDLE: Any = getattr(
 class DrainedGroup(CallbackGroup):
     """A callback group that never allows execution: the executor ignores its subscription.
 
-    The methods are those that rclpy requires of a callback group.
+    rclpy requires these methods of a callback group.
     """
 
     def can_execute(self, entity: Any) -> bool:

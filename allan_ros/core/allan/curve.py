@@ -196,7 +196,7 @@ class AxisCurve:
 
     @property
     def is_uncertain(self) -> NDArray[np.bool_]:
-        """Whether a point is too uncertain to be compared with a model, as ``adev``.
+        """Whether each point is too uncertain to be compared with a model (shape of ``adev``).
 
         >>> import allan_ros as ar
         >>> ar.adev([1.0, 2.0, 1.0, 3.0, 1.0], rate=2.0).is_uncertain

@@ -142,8 +142,9 @@ def tapers(size: int, bins: range) -> NDArray[np.complex128]:
 def overlap(o: int) -> tuple[Floats, Floats]:
     """Return covariances of the power of a middle bin of octave o, for unit white noise.
 
-    The first array contains those with bins 1 to 31 of the same block, the second the sum of those
-    with the two neighboring blocks. The largest of the first is the variance of the bin.
+    The first array contains the covariances with bins 1 to 31 of the same block; the largest is the
+    variance of the bin. The second contains the sums of the covariances with both neighboring
+    blocks.
     """
     size = octave(o).size
     a = tapers(size, range(1, 4 * LOW_BIN))

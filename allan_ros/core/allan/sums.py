@@ -225,7 +225,7 @@ def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums,
     """Return the sums of two recordings of one IMU, where each has one or more `AllanSums`.
 
     A recording has one `AllanSums` with all axes, or one per sensor if the sensors have different
-    rates. Those with equal axes are added. If one sequence is empty, the other is returned.
+    rates. Sums with equal axes are added. If one sequence is empty, the other is returned.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def part(sums: AllanSums, first: int) -> AllanSums:
 
     Block means outside of these periods are removed, and the result has no non-overlapping
     differences. A block of a high level of the cascade is long, and belongs to the period in which
-    it begins. Averaging factors at which more differences follow from the block means use those.
+    it begins. Where the block means give more differences than the cascade, they are used.
     """
     kept = [r for r in (_excerpt(r, sums.tau0, first) for r in sums.recordings) if r.periods]
     samples, most = sum(r.samples for r in kept), len(sums.count)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Level of the white noise in each period of the recordings, relative to all of them.
+"""Level of the white noise in each period, relative to all recordings together.
 
 It is measured in the highest octaves of the spectra. Impulsive noise scatters more than Gaussian
 noise, so the last change of the level is judged by the scatter between neighboring periods.

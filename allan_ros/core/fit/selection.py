@@ -267,7 +267,7 @@ class Selection:
         return best if fit.value - best.value > GAIN_BOUNDED else fit
 
     def weighed(self, fit: Fit) -> tuple[Selection, Fit]:
-        """Reduce the weight of bins that sinusoids dominate, and exclude those with their aliases.
+        """Reduce the weight of bins that sinusoids dominate, and exclude bins with their aliases.
 
         A sinusoid is never as narrow as the model; such bins say little except its amplitude. The
         result is the selection with these weights, and its fit of the same components.

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit of recordings whose noise changes with time: `fit_stationary`.
 
-If the level of the white noise has changed, the data since then are fitted. If the sensor warms up,
-the data after it are fitted. Findings report steps of the bias and variations of the level.
+If the level of the white noise has changed, only the data after the change are fitted. After a
+warm-up, only the data after it are fitted. Findings report steps of the bias and variations of the
+level.
 """
 
 from __future__ import annotations

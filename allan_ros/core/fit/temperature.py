@@ -83,8 +83,8 @@ class TemperatureModel:
     averaging_time : float
         Length of the block means in s.
     measured, corrected : SlowNoise
-        B and K that describe the block means without further slow processes, and those that
-        describe them if the temperature is in the model. Q and N do not change.
+        B and K of the block means, without and with the temperature in the model, both without
+        further slow processes. Q and N do not change.
     """
 
     reference: float

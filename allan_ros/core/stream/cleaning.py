@@ -134,7 +134,7 @@ class StampSorter:
         self._latest: int | None = None  # the last stamp that was returned
 
     def feed(self, samples: Block) -> Block:
-        """Add samples of the six axes, and return those whose place is known."""
+        """Add samples of the six axes, and return all samples whose place is known."""
         start, stamps = 0, samples.stamps
         if not self.sorting and len(samples):
             latest = stamps[0] if self._latest is None else self._latest

@@ -389,7 +389,7 @@ def _samples(blocks: Iterable[Block]) -> int:
 
 
 def _usable(block: Block, size: int, chosen: Flags) -> Floats:
-    """Return the chosen windows without those that contain many interpolated samples."""
+    """Return the chosen windows that do not contain many interpolated samples."""
     samples = len(chosen) * size
     cube = block.rows[:, :samples].reshape(len(block.rows), -1, size)
     if block.filled is not None:

@@ -271,8 +271,8 @@ def target_rows(
     """Return the measured numbers of a target, to set them as parameters of a running filter.
 
     The parameters are the same as in `make_export`. ``bias`` maps axes to their bias at rest in SI.
-    The gain of a filter without a state for the bias covers it; leave it empty if the bias is
-    subtracted from the samples.
+    If the filter has no state for the bias, its gain is raised to cover this bias. Leave it empty
+    if the bias is subtracted from the samples.
 
     Raises
     ------

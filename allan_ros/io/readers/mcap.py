@@ -411,7 +411,7 @@ def _of_channels(found: NDArray[np.void], ids: set[int]) -> Messages:
 def sorted_until(
     until: int | None, pending: Messages, chunk: Messages
 ) -> tuple[Messages, Messages]:
-    """Sort messages by record time; return those before ``until``, and the others.
+    """Sort messages by record time; return the messages before ``until``, and the others.
 
     ``pending`` are the other messages of earlier chunks, ``until`` is the start of the next chunk
     in ns, or None after the last chunk. Raises ValueError when more than `MAX_SORT_BYTES` remain.

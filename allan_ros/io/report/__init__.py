@@ -127,7 +127,7 @@ def render_report(
 
 
 def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> Iterator[str]:
-    """Yield a part of the page that its heading opens; nothing without content."""
+    """Yield a section that its heading opens and closes; nothing if ``content`` is empty."""
     if any(content):
         yield f'<details id="{id}"{" open" if shown else ""}><summary><h2>{title}</h2></summary>'
         yield from content
