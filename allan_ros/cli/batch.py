@@ -12,7 +12,6 @@ import csv
 import io
 import re
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,7 +29,7 @@ from ..io.format import known_numbers, shown_unit, value_text
 from ..io.readers import topics_of
 from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
 from ..io.results import Results
-from ..io.verdict import WORDS, Verdict, verdict_of
+from ..io.verdict import WORDS, Verdict, finding_text, verdict_of
 from .console import Console, colored, painted
 from .options import settings_of
 from .tables import LEVEL_COLORS
@@ -39,6 +38,10 @@ EXIT_ERROR, EXIT_FAILED, EXIT_UNJUDGED = 1, 3, 4
 
 WORST_FIRST = (EXIT_FAILED, EXIT_ERROR, EXIT_UNJUDGED, 0)
 """Exit codes of units; the first one that occurs is the exit code of all."""
+
+
+MOST_NAMED = 10
+"""Largest number of units that are named for each verdict in the totals."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +98,11 @@ def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
     """Print one line for each unit as it finishes, and the totals; return the worst exit code."""
     console, codes = Console.of(args), []
     known: dict[object, str] = {}
-    words: Counter[str] = Counter()
+    named: dict[str, list[str]] = {}
     for outcome in _outcomes(units, args):
         code, word, verdict, note = _judged(outcome, args, known)
         codes.append(code)
-        words[word] += 1
+        named.setdefault(word, []).append(Path(outcome.unit.name).name)
         if console.json:
             console.line(_check_document(outcome, code, verdict, note, args.units))
         elif outcome.results is None and len(units) == 1:
@@ -109,11 +112,20 @@ def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
             for reason in verdict.reasons if console.verbose else ():
                 print(f'  {reason}')
     if len(units) > 1 and console.json:
-        console.line({'units': len(units), 'totals': dict(words), 'exit_code': _worst(codes)})
+        totals = {word: len(names) for word, names in named.items()}
+        console.line({'units': len(units), 'totals': totals, 'exit_code': _worst(codes)})
     elif len(units) > 1 and not console.quiet:
-        totals = ', '.join(f'{count} {word}' for word, count in words.most_common())
-        print(f'{len(units)} units: {totals}')
+        texts = [_total(*each) for each in sorted(named.items(), key=lambda each: -len(each[1]))]
+        print(f'{len(units)} units: {", ".join(texts)}')
     return _worst(codes)
+
+
+def _total(word: str, names: Sequence[str]) -> str:
+    """Return the number of units with a verdict, and their names unless they are healthy."""
+    if word == WORDS['healthy'].lower():
+        return f'{len(names)} {word}'
+    more = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
+    return one_line(f'{len(names)} {word} ({", ".join(names[:MOST_NAMED])}{more})')
 
 
 def _print_unit(
@@ -179,7 +191,12 @@ def _unit_text(outcome: Outcome, verdict: Verdict, note: str, units: str) -> str
     # a warning is stated if it caused the verdict, an error such as wrong units always
     stated = ('error', 'warning') if verdict.level == 'attention' else ('error',)
     found = [f for f in by_consequence(results.findings) if f.severity in stated][:1]
-    reasons = [str(f) for f in found if f.message not in verdict.summary]
+    reasons = [
+        f.remedy
+        if f.message in verdict.summary
+        else f'{finding_text(f, results, units)} {f.remedy}'
+        for f in found
+    ]
     sentences = (text.rstrip('.') for text in (verdict.summary, *reasons))
     parts = (note, *sentences, ', '.join(numbers))
     name = f'{outcome.unit.name}, serial {serial}' if serial else outcome.unit.name
@@ -198,7 +215,11 @@ def _check_document(
         for axis, result in outcome.results.axes.items()
     }
     document['serial'] = outcome.results.identity.hardware_id
-    return {**document, 'exit_code': code, **verdict.to_document(), 'note': note, 'axes': axes}
+    document |= {'exit_code': code, **verdict.to_document(), 'note': note, 'axes': axes}
+    # a duplicate is not judged, and --fail-on fails a unit, whatever its numbers are
+    if code == EXIT_FAILED or note:
+        document['level'] = 'failed' if code == EXIT_FAILED else 'unknown'
+    return document
 
 
 def fails(results: Results, severity: str | None) -> bool:

@@ -237,6 +237,8 @@ def _legend(results: Results, complete: bool) -> str:
     regions = [(r, axis.fit) for axis in results.axes.values() for r in axis.regions if complete]
     likely = any(fit.likely for _, fit in regions)
     processes = any('GM' in region.term for region, _ in regions)
+    deviates = any(_deviation(results, axis) != NOTHING for axis in results.axes)
+    text += f'; {DEVIATION}: largest difference of the curve from the model' * deviates
     text += '; "?" is a part of the model that is likely but not resolved' * likely
     return text + '; "GM" is a Gauss-Markov process with its correlation time' * processes
 

@@ -31,6 +31,9 @@ WORDS: dict[Level, str] = {
 SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
 """Ids of findings that indicate a broken sensor."""
 
+WRONG_UNITS = ('gyro_unit', 'gyro_unit_changed', 'accel_unit')
+"""Ids of findings because of which a comparison is about the units and not about the sensor."""
+
 TOO_SHORT_S = 20.0
 """Time at rest in s below which no verdict is given."""
 
@@ -54,9 +57,9 @@ class Verdict:
     Attributes
     ----------
     level : 'healthy', 'attention', 'measured', 'unknown' or 'failed'
-        'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, an error,
-        or no decided comparison; 'measured' without a datasheet or earlier run to compare with;
-        'attention' for a warning.
+        'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably
+        wrong units, another error, or no decided comparison; 'measured' without a datasheet or
+        earlier run to compare with; 'attention' for a warning.
     summary : str
         One sentence.
     reasons : tuple of str
@@ -111,6 +114,8 @@ def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
         return 'failed'
     if too_short(results):
         return 'unknown'
+    if {finding.id for finding in results.findings} & set(WRONG_UNITS):
+        return 'unknown'
     if 'exceeds' in {c.verdict for c in comparisons}:
         return 'failed'
     # without a limit of N, all other terms must be within; they often need a longer recording
@@ -131,6 +136,9 @@ def _summary(
     results: Results, comparisons: Sequence[Comparison], units: str, spelled: Callable[[str], str]
 ) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
+    wrong = [f for f in grouped(results.findings) if f.id in WRONG_UNITS]
+    if wrong and not faults and not too_short(results):
+        return finding_text(wrong[0], results, units)
     beyond = [c for c in comparisons if c.verdict == 'exceeds']
     if beyond and not too_short(results):
         excesses = _excesses(results, beyond, units, spelled)

@@ -49,7 +49,7 @@ def test_every_text_is_complete_in_both_units(id, optional):
 
 def test_a_quantity_is_shown_in_the_units_of_the_output():
     for axis in ('gyro_x', 'accel_x'):
-        found = finding('bias_steps', (axis,), size=1e-5, before=2e-6, after=1e-6)
+        found = finding('bias_steps', (axis,), size=1e-5, share=0.5)
         unit = shown_unit(axis, 'B', 'deg/h')
         assert f'up to {significant(1e-5 * unit.factor, 3)} {unit.name}' in found.message
         assert '1.00e-05 ' + SI_UNITS[axis[:-2]]['B'] in found.texts('SI').message
@@ -137,13 +137,14 @@ def test_merging_loses_no_axis_and_keeps_different_findings_apart(ids):
 
 
 def test_findings_are_in_the_order_of_their_consequence():
-    size = {'before': 2.0, 'after': 1.0}
     expected = [
         finding('no_noise', ('gyro_x',)),
         finding('gyro_unit', n=1.0, rate=1.0),
         Finding('unknown', 'error', '', ''),
-        finding('bias_steps', ('gyro_x',), size=1.0, **size),
+        finding('bias_steps', ('gyro_x',), size=1.0, share=0.5),
+        finding('vibration', ('gyro_x',), frequency=1.0, amplitude=1.0),
         finding('bias_differs', ('accel_x',), size=0.3),
+        finding('settled_part', early=60.0, what='warm-up', axis='gyro_x K', before=2.0, after=1.0),
         Finding('unknown', 'warning', '', ''),
         finding('bias_differs', ('accel_x',), size=0.001),
         finding('level_changes', ('gyro_x',), which='here', value=1.0, low=0.99, high=1.003),
@@ -151,7 +152,7 @@ def test_findings_are_in_the_order_of_their_consequence():
     ]
     assert by_consequence(expected) == tuple(expected)
     assert set(by_consequence(reversed(expected))[:5]) == set(expected[:5])
-    assert [is_note(each) for each in expected] == [False] * 6 + [True] * 3
+    assert [is_note(each) for each in expected] == [False] * 8 + [True] * 3
 
 
 def test_the_order_names_only_findings_that_exist():

@@ -109,7 +109,8 @@ def reduce_axis(
     if walk is None and k > 0.0:
         walk = Level(axis, 'K', k, fit.noise['K'].ci95)
         if k > 1.001 * resolved_walk:
-            walk = _raised(walk, k, resolved_walk, [one.K for one in of_ends])
+            measured = resolved_walk if fit.noise['K'].status == 'estimated' else 0.0
+            walk = _raised(walk, k, measured, [one.K for one in of_ends])
         walk = _accepted(walk, strict)
     if n > 1.001 * white.value:
         white = _raised(white, n, white.value, [one.N for one in of_ends])

@@ -203,7 +203,7 @@ class Level(NamedTuple):
     value: float  # finite and above 0: the estimate, or the 95 % upper limit without an estimate
     ci95: tuple[float, float] | None = None  # 95 % interval of the value; None if unknown
     is_limit: bool = False  # whether the value is an upper limit
-    # fitted coefficient (0 if it is not in the selected model) of a value that was increased so
+    # fitted coefficient (0 if it is not resolved) of a value that was increased so
     # that the filter does not underestimate the error growth; None if it was not increased
     raised_from: float | None = None
 

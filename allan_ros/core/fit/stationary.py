@@ -287,16 +287,13 @@ def _steps(sums: AllanSums, model: NoiseModel, without: set[int]) -> list[Findin
 
 def _steps_finding(axis: str, steps: BiasSteps, means: BlockMeans, tau0: float) -> Finding:
     """Return the finding about the steps of an axis; times count from the start of the segment."""
-    before, after = (math.sqrt(k / tau0) for k in (steps.walk_before, steps.walk_after))
     times = [duration_text((ns - means.start_ns) * 1e-9) for ns in steps.ns]
     size = max(abs(s) for s in steps.sizes)
     return finding(
         'bias_steps',
         (axis,),
         size=size,
-        before=before,
-        after=after,
-        count=len(times),
+        share=1.0 - math.sqrt(steps.walk_after / steps.walk_before),
         at=', '.join(times),
     )
 

@@ -304,7 +304,7 @@ def level_words(level: Level) -> str:
         measured = significant(level.raised_from, VALUE_DIGITS)
         words += f', raised from {measured} to cover the error growth of the other terms'
     elif level.raised_from is not None:
-        words += ', not in the model, set to cover the error growth of the other terms'
+        words += ', not resolved, set to cover the error growth of the other terms'
     return words
 
 

@@ -12,9 +12,12 @@ from __future__ import annotations
 import base64
 import hashlib
 import platform
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from html import escape
 from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy
@@ -174,7 +177,10 @@ def _page(title: str, body: str, data: str) -> str:
 
 def _header(results: Results, name: str, units: str) -> Iterator[str]:
     start = results.provenance.start
+    inputs = [*dict.fromkeys(Path(source.path).name for source in results.provenance.sources)]
+    more = f' and {len(inputs) - 1} more' if len(inputs) > 1 else ''
     facts = [
+        inputs[0] + more if inputs else '',
         f'{used_samples(results)} at {significant(results.rate_hz, 4)} Hz',
         f'{duration_text(results.duration_s, 3)} at rest in {_segments(results)}',
         f'{start:%Y-%m-%d %H:%M} UTC' if start else '',
@@ -192,7 +198,9 @@ def _header(results: Results, name: str, units: str) -> Iterator[str]:
 
 
 def _items(texts: Iterable[str]) -> str:
-    return ''.join(f'<li>{escape(text)}</li>' for text in texts)
+    # an option such as --to stays on one line
+    option = partial(re.compile(r'--[a-z][a-z-]*').sub, r'<span class="nowrap">\g<0></span>')
+    return ''.join(f'<li>{option(escape(text))}</li>' for text in texts)
 
 
 def _verdict_section(results: Results, verdict: Verdict) -> str:

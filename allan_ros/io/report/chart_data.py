@@ -115,7 +115,9 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
         'parts': {part: column(adev) for part, adev in curve.parts.items()},
         'upper': {term: column(adev) for term, adev in curve.limits.items()},
         'read': {term: rounded(at) for term, at in curve.read.items()},
-        'likely': axis.fit.likely,
+        'unresolved': [
+            t for t, c in axis.fit.noise.items() if t in curve.parts and c.status != 'estimated'
+        ],
     }
 
 

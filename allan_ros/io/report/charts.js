@@ -37,15 +37,16 @@ const Charts = (() => {
     let near = axes[0];
     const unit = () => sensor.units[page.units()].curve;
     const visible = () => axes.filter((a) => shown.has(a.label));
-    const likely = (term) => (near.likely.includes(term) ? '?' : '');
+    const unsure = (term) => (near.unresolved.includes(term) ? '?' : '');
     // The flat part of the curve is at 0.664 B: the label says so, because the table contains B.
-    const caption = (term) => (term === 'B' ? '0.664 B' : term) + likely(term);
+    const caption = (term) => (term === 'B' ? '0.664 B' : term) + unsure(term);
 
     function fullY() {
       const some = visible().length ? visible() : axes;
       const factor = unit()[1];
       const values = positive(some.map((a) => times(a.adev, factor)));
-      const low = Math.min(...values);
+      // a point far below the model, from two or three differences, does not set the scale
+      const low = Math.min(...positive(some.map((a) => a.adev.map((v, i) => (v > 0 ? factor * Math.max(v, 0.1 * a.fit[i]) : 0)))));
       const marks = some.flatMap((a) => Object.values(a.read).map(([, v]) => v * factor)).filter((v) => v > 0.2 * low);
       return [Math.min(0.45 * low, ...marks.map((v) => 0.75 * v)), 1.7 * Math.max(...values)];
     }
@@ -83,7 +84,9 @@ const Charts = (() => {
       const references = there && shown.has('references') ? sensor.references.filter((r) => r.axis === near.name) : [];
       if (limits.length) pen.area(tau, times(near.fit, factor), times(near.most, factor), ink(`${near.label}-faint`));
       for (const [, values] of limits) line(values, { color, dash: LIMIT, width: 1 });
-      for (const [term, values] of parts) line(values, { color, dash: DASHES[term] || PROCESS, width: 1.2 });
+      // vibrations and resonances are marked in the chart of the noise density
+      const drawn = parts.filter(([term]) => !/^(sine|resonance)/.test(term));
+      for (const [term, values] of drawn) line(values, { color, dash: DASHES[term] || PROCESS, width: 1.2 });
       for (const other of references) line(other.adev, { color: 'var(--ink-2)', dash: REFERENCE });
       for (const a of visible()) pen.marks(tau, times(a.adev, factor), a.label, ink(a.label));
       for (const [term, values] of parts) if (term in DASHES) named(pen, term, times(values, factor), color);
@@ -130,9 +133,9 @@ const Charts = (() => {
     const text = element('p', { class: 'note' });
     host.append(text);
     function note() {
-      text.textContent = `Points: measured, with 68\u00a0% limits. Line: model; dashed: its parts for ${near.label} (point at a curve for its parts). Crosses: where N is read (1 s) and K (3 s).`
+      text.textContent = `Points: measured, with 68\u00a0% limits. Line: model; dashed: its parts for ${near.label} without vibrations and resonances (point at a curve for its parts). Crosses: where N is read (1 s) and K (3 s).`
         + (Object.keys(near.upper).length ? ' Shaded: unresolved terms, up to their 95\u00a0% limits (dotted).' : '')
-        + (near.likely.length ? ' "?": likely, not resolved.' : '');
+        + (near.unresolved.length ? ' "?": not resolved.' : '');
     }
     note();
     chart.render();
