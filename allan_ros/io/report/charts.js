@@ -133,7 +133,7 @@ const Charts = (() => {
     const text = element('p', { class: 'note' });
     host.append(text);
     function note() {
-      text.textContent = `Points: measured, with 68\u00a0% limits. Line: model; dashed: its parts for ${near.label} without vibrations and resonances (point at a curve for its parts). Crosses: where N is read (1 s) and K (3 s).`
+      text.textContent = `Points: measured, with 68\u00a0% limits. Line: model; dashed: its parts for ${near.label}, without vibrations (point at a curve for its parts). Crosses: where N is read (1 s) and K (3 s).`
         + (Object.keys(near.upper).length ? ' Shaded: unresolved terms, up to their 95\u00a0% limits (dotted).' : '')
         + (near.unresolved.length ? ' "?": not resolved.' : '');
     }

@@ -86,7 +86,7 @@ def test_a_reduction_and_bare_coefficients_say_what_they_are(
         assert f'error growth of the complete model over 1 to {horizon:g} s' in text
         raised = 'raised from 1.000e-05 to cover the error growth of the other terms'
         assert raised in text or name == 'glim'  # only the larger K, of the accelerometer
-        assert 'not in the model, set to cover the error growth of the other terms' in text
+        assert 'not resolved, set to cover the error growth of the other terms' in text
 
 
 def test_k_of_the_reduction_bounds_the_growth(known_results: Results) -> None:
