@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from allan_ros.core.errors import AllanError
 from allan_ros.core.noise import (
     FLICKER_FLOOR,
     NoiseTerms,
@@ -112,3 +113,9 @@ def test_parts_add_up_to_the_model_and_a_filter_may_be_negative():
     assert list(parts) == ['N', 'K', 'GM 30 s', 'sine 5 Hz', 'filter']
     np.testing.assert_allclose(sum(parts.values()), model.avar(tau, 0.01))
     assert np.all(parts['filter'] < 0.0)
+
+
+@pytest.mark.parametrize('bad', [{'N': -1.0}, {'K': math.nan}, {'R': math.inf}])
+def test_impossible_coefficients_are_refused(bad):
+    with pytest.raises(AllanError):
+        NoiseTerms(**bad)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import fft
 
+from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import joined
 from allan_ros.core.noise import FLICKER_FLOOR, term_avar
 from allan_ros.core.simulate import (
@@ -184,3 +185,8 @@ def test_warm_up_decays():
     t, y = record(Faults(warmup_gyro=0.1, warmup_accel=-0.2, warmup_time=30.0))
     np.testing.assert_allclose(y[:, 0], 0.1 * np.exp(-t / 30.0))
     np.testing.assert_allclose(y[:, 5], -0.2 * np.exp(-t / 30.0))
+
+
+def test_nothing_to_simulate_is_rejected():
+    with pytest.raises(AllanError, match='longer time'):
+        next(simulate_imu(1e-9, 100.0, QUIET, QUIET))

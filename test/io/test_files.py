@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.files import ABANDONED_S, open_regular, read_bounded, write_atomic
+from allan_ros.io.files import ABANDONED_S, write_atomic
 
 
 def test_content_replaces_content(tmp_path: Path) -> None:
@@ -58,26 +58,3 @@ def test_only_abandoned_temporary_files_are_removed(tmp_path: Path) -> None:
     os.utime(abandoned, (long_ago, long_ago))
     write_atomic(tmp_path / 'sums.json', 'whole')
     assert sorted(os.listdir(tmp_path)) == sorted([fresh.name, 'sums.json'])
-
-
-@pytest.mark.parametrize('kind', ['folder', 'fifo', 'device', 'link to a device'])
-def test_only_regular_files_are_opened(kind: str, tmp_path: Path) -> None:
-    path = tmp_path / 'x'
-    if kind == 'folder':
-        path.mkdir()
-    elif kind == 'fifo':
-        os.mkfifo(path)
-    elif kind == 'device':
-        path = Path('/dev/zero')
-    else:
-        path.symlink_to('/dev/zero')
-    with pytest.raises(AllanError, match='give a regular file'):
-        open_regular(path)
-
-
-def test_no_more_than_the_limit_is_read(tmp_path: Path) -> None:
-    path = tmp_path / 'x'
-    path.write_bytes(b'12345')
-    assert read_bounded(path, 5) == b'12345'
-    with pytest.raises(AllanError, match='larger than 4 bytes'):
-        read_bounded(path, 4)

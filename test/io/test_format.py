@@ -12,7 +12,6 @@ from allan_ros.core.fit import Coefficient
 from allan_ros.io.format import (
     ShownUnit,
     interval_text,
-    shown_unit,
     significant,
     value_text,
 )
@@ -55,14 +54,3 @@ def test_a_value_has_its_interval_and_its_sign() -> None:
 )
 def test_an_unresolved_term_is_shown_by_its_limit(coefficient: Coefficient, text: str) -> None:
     assert value_text(coefficient, PLAIN) == text
-
-
-def test_units() -> None:
-    # 1 deg/h = pi/180/3600 rad/s, 1 ug = 9.80665e-6 m/s^2
-    assert shown_unit('gyro_x', 'B', 'deg/h') == (
-        'deg/h',
-        pytest.approx(180.0 / math.pi * 3600.0),
-    )
-    assert shown_unit('accel_z', 'B', 'deg/h') == ('ug', pytest.approx(1.0 / 9.80665e-6))
-    assert shown_unit('gyro_y', 'K', 'SI') == ('rad/s^2/sqrt(Hz)', 1.0)
-    assert shown_unit('gyro_y', 'signal', 'deg/h') == ('deg/s', pytest.approx(180.0 / math.pi))

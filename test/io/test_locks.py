@@ -81,11 +81,6 @@ def test_a_link_in_its_place_is_not_followed(tmp_path: Path) -> None:
     assert victim.read_text() == 'precious'
 
 
-def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(AllanError, match='No such file or directory'):
-        PathLock(tmp_path / 'missing' / 'imu.json').acquire()
-
-
 @pytest.mark.skipif(not hasattr(os, 'mkfifo'), reason='no FIFOs on this system')
 @pytest.mark.parametrize('make', [os.mkfifo, os.mkdir])
 def test_a_lock_file_that_is_not_a_regular_file_is_rejected(

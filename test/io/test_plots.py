@@ -10,8 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from allan_ros.core.errors import AllanError
-from allan_ros.io.format import check_plots
 from allan_ros.io.plots import figure_files, render_figure, sensor_figure
 from allan_ros.io.results import Results
 
@@ -59,8 +57,3 @@ def test_each_sensor_with_a_curve_gives_a_file_in_each_format(small_results: Res
     pdf = files['allan_accel.pdf']
     assert b'/FontFile2' in pdf and b'/Type3' not in pdf  # TrueType, type 42
     assert figure_files(replace(small_results, axes={}), ('png',)) == {}
-
-
-def test_unknown_formats_are_rejected() -> None:
-    with pytest.raises(AllanError, match="plots is 'gif': choose one of png, svg, pdf"):
-        check_plots(('png', 'gif'))

@@ -50,18 +50,14 @@ def with_process(fit: AxisFit, process: GaussMarkov) -> AxisFit:
     return replace(fit, model=model, processes=Processes((process,)))
 
 
-def test_a_term_that_is_not_resolved_has_its_upper_limit() -> None:
+def test_a_term_has_its_estimate_or_its_upper_limit() -> None:
     fit = fit_with(K=Coefficient(0.0, (0.0, 2e-6), 2e-6, 'not_observable'))
     assert axis_level('gyro_x', fit, 'K') == Level('gyro_x', 'K', 2e-6, None, True)
     with pytest.raises(AllanError, match=r'K of gyro_x is not observable .below 2e-06.*--strict'):
         axis_level('gyro_x', fit, 'K', strict=True)
-
-
-def test_a_resolved_term_has_its_estimate() -> None:
     fit = fit_with(K=Coefficient(1e-6, (8e-7, 2e-6), 1.9e-6))
-    assert axis_level('gyro_x', fit, 'K', strict=True) == Level(
-        'gyro_x', 'K', 1e-6, (8e-7, 2e-6), False
-    )
+    known = Level('gyro_x', 'K', 1e-6, (8e-7, 2e-6), False)
+    assert axis_level('gyro_x', fit, 'K', strict=True) == known
 
 
 @pytest.mark.parametrize('value', [None, 0.0, -1e-9, math.inf, math.nan])

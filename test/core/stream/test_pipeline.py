@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from support.sums import assert_identical
 
 from allan_ros.core.allan.running import RunningSums
+from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import fit_noise
-from allan_ros.core.imu import AXES, ImuBatch, ImuIdentity
+from allan_ros.core.imu import AXES, ImuBatch, ImuIdentity, even_stamps
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.stream.pipeline import ImuStream
 
@@ -580,3 +581,8 @@ def test_an_axis_at_the_end_of_its_range_is_reported(lsb):
         samples[:, 5] = np.minimum(samples[:, 5], end)
         clipped = [f for f in accumulate(times, samples).findings if f.id == 'clipped']
         assert [f.axes for f in clipped] == [('accel_z',)]
+
+
+def test_a_rate_whose_stamps_do_not_fit_into_64_bits_is_refused():
+    with pytest.raises(AllanError, match='too low'):
+        even_stamps(0, 10, 1e-300)

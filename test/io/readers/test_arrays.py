@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.recordings import outcome, read, refused
+from support.recordings import read, refused
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, STANDARD_GRAVITY, joined
@@ -137,7 +137,7 @@ def test_errors_are_reported(content: dict[str, np.ndarray], says: str, tmp_path
 
 
 @pytest.mark.parametrize('name', ['imu.npz', 'imu.npy'])
-def test_damaged_files_are_reported(name: str, tmp_path: Path) -> None:
+def test_truncated_files_are_reported(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     if name == 'imu.npz':
         np.savez_compressed(path, imu=IMU)
@@ -147,14 +147,6 @@ def test_damaged_files_are_reported(name: str, tmp_path: Path) -> None:
     for length in (5, 60, 100, 3000, len(data) - 1):
         path.write_bytes(data[:length])
         refused(path)
-    for seed in range(30):
-        rng = np.random.default_rng(seed)
-        flipped = bytearray(data)
-        for at in rng.integers(0, len(data), size=20):
-            flipped[at] = rng.integers(0, 256)
-        path.write_bytes(bytes(flipped))
-        _, said = outcome(path)
-        assert '\n' not in said
 
 
 @pytest.mark.parametrize(

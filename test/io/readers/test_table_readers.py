@@ -23,6 +23,11 @@ ROW = '1,2,3,4,5,6'
 VALUES = np.arange(1.0, 7.0)
 
 
+def table(folder: Path, text: str) -> Path:
+    (folder / 'imu.csv').write_text(text, encoding='utf-8')
+    return folder / 'imu.csv'
+
+
 def echoed(name: str) -> str:
     return f'field.{name}.x,field.{name}.y,field.{name}.z,field.{name}_covariance0'
 
@@ -98,8 +103,7 @@ def test_headers_of_many_tools_are_understood(
     ],
 )
 def test_units_are_scaled_to_si(header: str, options: Any, tmp_path: Path) -> None:
-    path = tmp_path / 'imu.csv'
-    path.write_text(f'{header}\n1,{ROW}\n', encoding='utf-8')
+    path = table(tmp_path, f'{header}\n1,{ROW}\n')
     scale = np.repeat([DEG, STANDARD_GRAVITY], 3)
     np.testing.assert_array_equal(read(path, **options).samples, [VALUES * scale])
 
@@ -114,16 +118,14 @@ def test_columns_can_be_named_and_left_out(tmp_path: Path) -> None:
 
 def test_a_rate_replaces_missing_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tables, 'BATCH', 7)  # stamps must continue across batches
-    path = tmp_path / 'imu.csv'
-    path.write_text('gx,gy,gz\n' + '1,2,3\n' * 20)
+    path = table(tmp_path, 'gx,gy,gz\n' + '1,2,3\n' * 20)
     back = read(path, rate_hz=200.0)
     np.testing.assert_array_equal(back.stamps_ns, np.arange(20) * 5_000_000)
     assert len(back.frame_ids) == 3
 
 
 def test_missing_values_are_nan(tmp_path: Path) -> None:
-    path = tmp_path / 'imu.csv'
-    path.write_text('t;gx;gy;gz\n\n1;1;;3\n# a pause\n2;nan;2,5;inf\n')
+    path = table(tmp_path, 't;gx;gy;gz\n\n1;1;;3\n# a pause\n2;nan;2,5;inf\n')
     expected = [[1, np.nan, 3], [np.nan, 2.5, np.inf]]
     np.testing.assert_array_equal(read(path).samples[:, :3], expected)
 
@@ -139,16 +141,14 @@ def test_each_date_has_its_own_time_zone(tmp_path: Path) -> None:
 
 
 def test_a_comment_can_name_the_frame(tmp_path: Path) -> None:
-    path = tmp_path / 'imu.csv'
-    path.write_text('# frame_id: left\nt,gx\n1,1\n2,1\n# frame_id: right\n3,1\n')
+    path = table(tmp_path, '# frame_id: left\nt,gx\n1,1\n2,1\n# frame_id: right\n3,1\n')
     assert read(path).frame_ids == ['left', 'right']
 
 
 @pytest.mark.parametrize('last', ['3,1,2', '3,1,2,1', '3,1,2,1.23', '3,1,2,"1'])
 def test_a_last_line_without_a_line_end_is_not_used(last: str, tmp_path: Path) -> None:
     """A number may be truncated, such as 1.23e-05 to 1.23, and still be a number."""
-    path = tmp_path / 'imu.csv'
-    path.write_text(f't,gx[rad/s],gy[rad/s],gz[rad/s]\n1,1,2,3\n2,1,2,3\n{last}')
+    path = table(tmp_path, f't,gx[rad/s],gy[rad/s],gz[rad/s]\n1,1,2,3\n2,1,2,3\n{last}')
     back = read(path)
     assert len(back.stamps_ns) == 2
     assert [finding.id for finding in back.findings] == ['table_cut']
@@ -156,11 +156,8 @@ def test_a_last_line_without_a_line_end_is_not_used(last: str, tmp_path: Path) -
 
 
 def test_a_quoted_cell_may_contain_line_breaks(tmp_path: Path) -> None:
-    path = tmp_path / 'imu.csv'
-    path.write_text(
-        't,"gx\n[deg/s]",gy [deg/s],gz [deg/s],note\n1,1,2,3,"first\n\nline"\n2,1,2,3,x\n'
-    )
-    back = read(path)
+    header = 't,"gx\n[deg/s]",gy [deg/s],gz [deg/s],note'
+    back = read(table(tmp_path, f'{header}\n1,1,2,3,"first\n\nline"\n2,1,2,3,x\n'))
     np.testing.assert_allclose(back.samples[:, :3], [[DEG, 2 * DEG, 3 * DEG]] * 2)
     assert back.findings == ()
 
@@ -190,8 +187,7 @@ def test_columns_can_be_picked_by_their_names(tmp_path: Path) -> None:
 def test_an_unstated_unit_is_a_warning(
     header: str, options: Any, assumed: list[str], gyro_unit: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / 'imu.csv'
-    path.write_text(f'{header}\n1,1,2,3\n2,1,2,3\n')
+    path = table(tmp_path, f'{header}\n1,1,2,3\n2,1,2,3\n')
     back = read(path, **options)
     found = [f for f in back.findings if f.id == 'unit_assumed']
     assert [f.severity for f in found] == ['warning'] * len(assumed)
@@ -233,8 +229,7 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
 def test_errors_are_reported_with_line_and_column(
     text: str, options: Any, says: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / 'imu.csv'
-    path.write_text(text)
+    path = table(tmp_path, text)
     assert says in refused(path, **options)
 
 

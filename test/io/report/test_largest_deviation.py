@@ -63,8 +63,8 @@ def check(results: ar.Results) -> list[tuple[float, float] | None]:
 
 @pytest.mark.parametrize(
     ('hours', 'gyro'),
-    [(1 / 3, GYRO), (2.0, GYRO), (1 / 3, {**GYRO, 'R': 200.0})],
-    ids=['20min', '2h', 'ramp'],
+    [(1 / 3, GYRO), (2.0, {**GYRO, 'R': 200.0})],
+    ids=['short', 'ramp'],
 )
 def test_five_terms_do_not_deviate(hours: float, gyro: dict[str, float]) -> None:
     """Terms that are not resolved cause no stated deviation; fixed seeds.
