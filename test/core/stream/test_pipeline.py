@@ -13,7 +13,7 @@ from support.sums import assert_identical
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import fit_noise
-from allan_ros.core.imu import AXES, ImuBatch, ImuIdentity, even_stamps
+from allan_ros.core.imu import AXES, LARGEST, ImuBatch, ImuIdentity, even_stamps
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.stream.pipeline import ImuStream
 
@@ -115,6 +115,10 @@ TIMES = {
 }
 VALUES = {
     'nan': ('not_finite', lambda x, i, g: np.where(g.random(x.shape) < 0.001, np.nan, x)),
+    'impossible': (
+        'not_finite',
+        lambda x, i, g: np.where(g.random(x.shape) < 0.001, 1.1 * LARGEST, x),
+    ),
     'nan first': (None, lambda x, i, g: np.where(i > 3000, x, np.nan)),
     'motion': ('motion', lambda x, i, g: x + g.normal(size=x.shape) * (i % 5000 < 900)),
     'shocks': ('shocks', lambda x, i, g: x + g.normal(size=x.shape) * (i % 1500 < 90)[::-1]),
