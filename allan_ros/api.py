@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The public functions `analyze`, `merge`, `compare`, `inflate` and `simulate`.
+"""The public functions, such as `analyze`, `merge`, `compare` and `simulate`.
 
 The command line calls the functions of this file, too, so both give the same results.
 """

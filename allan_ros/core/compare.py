@@ -188,7 +188,7 @@ class Difference:
         return 'different' if low > limit or high < -limit else 'undecided'
 
     def against(self, reference: str, margin: float) -> Comparison | None:
-        """Return the second recording compared with the first, whose value is the limit.
+        """Compare the second recording with the value of the first one, which is used as a limit.
 
         ``reference`` is the name of the first recording. The verdict is 'exceeds' if the second
         recording is significantly higher by more than the fraction ``margin``. It is 'undecided' if
@@ -317,7 +317,7 @@ def _estimate(c: Coefficient) -> Estimate | None:
 
 
 def _limit(c: Coefficient) -> float | None:
-    """Return the 95 % upper limit of a coefficient that is not observable."""
+    """Return the 95 % upper limit of a coefficient that is not resolved."""
     known = c.status == 'not_observable' and c.upper95 is not None and 0.0 < c.upper95 < math.inf
     return c.upper95 if known else None
 

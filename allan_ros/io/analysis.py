@@ -135,7 +135,7 @@ def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Res
 def analyze_sums(
     sums: Sequence[AllanSums], provenance: Provenance, method: str = 'likelihood'
 ) -> Results:
-    """Fit sums that are in memory, for example those of a running node, and return the results.
+    """Fit sums that are in memory, for example in a running node, and return the results.
 
     ``sums`` has one item with all axes, or one item for each sensor if their rates differ. Raises
     AllanError if there are too few data.

@@ -46,7 +46,7 @@ def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Leve
         )
     if strict:
         raise AllanError(
-            f'{term} of {axis} is not observable (below {limit:.3g}): record longer, or omit '
+            f'{term} of {axis} is not resolved (below {limit:.3g}): record longer, or omit '
             '--strict to write the limit'
         )
     return Level(axis, term, limit, is_limit=True)

@@ -97,7 +97,7 @@ class Levels:
         return float(np.sqrt(max(variance - 2.0 / self.dof.sum(), 0.0)) / 2.0)
 
     def extremes(self, axis: int) -> tuple[float, float]:
-        """Return the lowest and the highest N of parts of the data, relative to N."""
+        """Return the lowest and the highest N in parts of the data, divided by N of all data."""
         part = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
         rows = (slice(*np.flatnonzero(part == i)[[0, -1]] + [0, 1]) for i in np.unique(part))
         mean = np.float64(self.mean(axis)) or np.nan

@@ -69,7 +69,7 @@ class _Change:
 
     @property
     def is_relevant(self) -> bool:
-        """Whether the settled value is outside the interval of all data, or `SHIFT` away."""
+        """Whether the settled value is outside the interval of all data, or differs by `SHIFT`."""
         a, b = self.complete, self.settled
         low, high = a.ci95 or (0.0, math.inf if a.upper95 is None else a.upper95)
         if b.status != 'estimated' or b.value is None:

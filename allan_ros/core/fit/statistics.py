@@ -255,7 +255,10 @@ def _interpolation_gain(sums: AllanSums, f: Floats, octaves: Ints) -> Floats:
 
 
 def _groups(means: list[tuple[int, Floats]], edge: float) -> tuple[int, tuple[Group, ...]]:
-    """Return the common step of the block means, and the contrasts of all segments."""
+    """Return the samples per block mean, and contrasts in groups of segments of equal length.
+
+    All block means are first brought to the longest of their steps.
+    """
     step = max((one for one, _ in means), default=1)
     values = [_coarser(y, step // one) for one, y in means]
     exact = len({y.shape[1] for y in values}) <= EQUAL_LENGTHS

@@ -215,7 +215,7 @@ class StreamHealth:
 
 @dataclass(frozen=True)
 class Accumulation:
-    """The results of a stream.
+    """What a stream has accumulated: sums, health, findings and segments.
 
     ``sums`` has one entry for all axes, or one per sensor if their rates differ. A sensor without
     data has no entry. If the sample rate or the frame_id changed, only the sums with the longest

@@ -292,7 +292,7 @@ def level_words(level: Level) -> str:
     words = f'{level.term} of {level.axis}'
     if level.is_limit:
         limit = significant(level.raised_from or level.value, LIMIT_DIGITS)
-        words += f' not observable, 95 % upper limit {limit} {unit}'
+        words += f' not resolved, 95 % upper limit {limit} {unit}'
         return f'{words}, raised to cover the error growth' if level.raised_from else words
     words += f' {significant(level.value, VALUE_DIGITS)} {unit}'
     if level.ci95 is not None:

@@ -138,14 +138,14 @@ def filter_table(results: Results) -> str:
 def _origin(level: Level) -> str:
     what = f'{level.term} of {level.axis.replace("_", " ")}'
     if level.is_limit:
-        what += ', 95&nbsp;% upper limit because it is not resolved'
+        what += ' is not resolved: its 95&nbsp;% upper limit'
     if level.raised_from:
         factor = significant(level.value / level.raised_from, 2)
         measured = f'<span class="nowrap">{level.raised_from:.4g}</span>'
         return f'{what}, raised {factor} times from {measured} as measured'
     if level.raised_from is not None:
         return f'{what}, which is not resolved: set to cover the error growth'
-    return f'{what} as measured'
+    return what if level.is_limit else f'{what} as measured'
 
 
 def growth_table(sensor: str, axes: Axes) -> Iterator[str]:

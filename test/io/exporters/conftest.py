@@ -25,7 +25,7 @@ SHARES = {'x': 0.6, 'y': 0.8, 'z': 1.0}
 """Level of each axis relative to its sensor: z is the worst, the mean is sqrt(2/3) times z."""
 
 LEVELS = {'gyro': {'N': 1e-3, 'B': 1e-4, 'K': 1e-5}, 'accel': {'N': 2e-3, 'B': 3e-4, 'K': 2e-5}}
-"""In SI. K of accel_z is not observable and its limit is 3e-5."""
+"""In SI. K of accel_z is not resolved and its limit is 3e-5."""
 
 START_NS = 1_700_000_000 * 10**9
 """2023-11-14 22:13:20 UTC."""

@@ -99,7 +99,7 @@ def test_a_bias_from_the_limit_of_k_is_named_a_limit(known_results: Results, tar
     assert 'export_limits' in {said.id for said in made.findings}
     assert 'from the 95 % upper limit of K' in made.text
     assert 'upper limits instead of measurements: none' not in made.text
-    with pytest.raises(AllanError, match='not observable'):
+    with pytest.raises(AllanError, match='not resolved'):
         make_export(known, target, ExportOptions(strict=True))
 
 

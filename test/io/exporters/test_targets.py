@@ -74,11 +74,11 @@ def test_a_reduction_and_bare_coefficients_say_what_they_are(
 ) -> None:
     bare = make_export(known_results, name, ExportOptions(fidelity='coefficients'))
     walk = target_of(name).walk
-    assert ('not observable, 95 % upper limit 3.00e-05' in bare.text) == walk
+    assert ('not resolved, 95 % upper limit 3.00e-05' in bare.text) == walk
     assert ('export_limits' in [said.id for said in bare.findings]) == walk
     assert 'fidelity: N and K as measured' in bare.text and 'raised' not in bare.text
     if walk:
-        with pytest.raises(AllanError, match='K of accel_z is not observable'):
+        with pytest.raises(AllanError, match='K of accel_z is not resolved'):
             numbers(known_results, name, strict=True)
         # the reduction covers B, so K may be unknown
         text = make_export(known_results, name, ExportOptions(strict=True)).text
