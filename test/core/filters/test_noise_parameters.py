@@ -97,6 +97,15 @@ def test_limits_are_not_used_if_other_drift_is_resolved() -> None:
     assert not one.levels['K'].is_limit
 
 
+def test_a_k_of_the_model_that_is_not_resolved_is_not_stated_as_measured() -> None:
+    unsure = Coefficient(1e-6, None, 1e-3, 'not_observable')
+    fit = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=resolved(1e-6))
+    fit, same = replace(fit, noise={**fit.noise, 'K': unsure}), fit
+    one, other = (reduce_axis('gyro_x', each).levels['K'] for each in (fit, same))
+    assert one.value == other.value > 1e-6
+    assert (one.raised_from, other.raised_from) == (0.0, 1e-6)
+
+
 def test_fast_drift_becomes_white_noise_and_k_has_its_limit() -> None:
     process = GaussMarkov(3e-3, (2e-3, 4e-3), 0.02, (0.01, 0.03))
     fit = with_process(fit_with(N=resolved(1e-3), K=hidden(1e-5)), process)
