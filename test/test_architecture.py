@@ -155,36 +155,26 @@ ALL = 'numpy scipy matplotlib pandas rosbags yaml rclpy'
 LARGE = 'scipy.optimize scipy.signal scipy.spatial scipy.stats matplotlib pandas rosbags'
 
 
-@pytest.mark.parametrize(
-    ('code', 'libraries'),
-    [
-        ("assert 'analyze' in dir(allan_ros)", ALL),
-        (HELP, ALL),
-        (EVERY_MODULE, f'{LARGE} rclpy'),
-        ('import allan_ros.core.stream.pipeline', 'scipy'),
-        ('import allan_ros.io.plots', 'matplotlib.pyplot'),
-        (ANALYZE, LARGE),
-        (BIAS, LARGE),
-        ('import allan_ros.nodes.monitor', f'{LARGE} scipy'),
-        (CHECKPOINT, 'scipy'),
-    ],
-    ids=[
-        'package',
-        'help',
-        'every module',
-        'pipeline',
-        'plots',
-        'analyze',
-        'bias',
-        'monitor',
-        'checkpoint',
-    ],
-)
-def test_no_large_library_is_loaded_before_it_is_needed(code: str, libraries: str) -> None:
+STARTS = {
+    'package': ("assert 'analyze' in dir(allan_ros)", ALL),
+    'help': (HELP, ALL),
+    'every module': (EVERY_MODULE, f'{LARGE} rclpy'),
+    'pipeline': ('import allan_ros.core.stream.pipeline', 'scipy'),
+    'plots': ('import allan_ros.io.plots', 'matplotlib.pyplot'),
+    'analyze': (ANALYZE, LARGE),
+    'bias': (BIAS, LARGE),
+    'monitor': ('import allan_ros.nodes.monitor', f'{LARGE} scipy'),
+    'checkpoint': (CHECKPOINT, 'scipy'),
+}
+
+
+@pytest.mark.parametrize('start', STARTS)
+def test_no_large_library_is_loaded_before_it_is_needed(start: str) -> None:
     """Each library costs 0.2 to 1 s of CPU time at every start of `allan` or a node, and up to
     20 MB.
     """
-    if 'monitor' in code:
+    code, libraries = STARTS[start]
+    if start == 'monitor':
         pytest.importorskip('rclpy')
     check = (
         f'import sys, allan_ros\n{code}\nsys.exit(str({{*{libraries.split()}}} & {{*sys.modules}}))'

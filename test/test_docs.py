@@ -66,13 +66,11 @@ def test_the_index_leads_to_every_page() -> None:
 
 @pytest.mark.parametrize('page', PAGES, ids=named)
 def test_commands_are_understood(page: Path) -> None:
-    for verb, *words in commands_of(page):
+    commands = commands_of(page)
+    assert commands or page.name != 'README.md' or page.parent != ROOT
+    for verb, *words in commands:
         ends = [words.index(sign) for sign in ('>', '|') if sign in words]
         build_parser(verb).parse_args([verb, *words[: min(ends, default=None)]])
-
-
-def test_there_are_commands_to_try() -> None:
-    assert sum(len(commands_of(page)) for page in PAGES) > 20
 
 
 @pytest.mark.parametrize('page', PAGES, ids=named)

@@ -82,17 +82,6 @@ def test_a_link_in_place_of_the_test_file_is_not_followed(tmp_path: Path) -> Non
     assert victim.read_text() == 'precious'
 
 
-def test_a_corrupt_checkpoint_is_renamed_in_its_folder(tmp_path: Path) -> None:
-    path = tmp_path / 'deep' / 'imu.json'
-    path.parent.mkdir()
-    path.write_text('{"schema": 1e400}')
-    checkpoint = Checkpoint(path, LOG)
-    checkpoint.close()
-    assert checkpoint.loaded is not None and not checkpoint.earlier[0]
-    assert [p.name for p in path.parent.iterdir()] == ['imu.json.corrupt']
-    assert list(tmp_path.iterdir()) == [path.parent]
-
-
 @pytest.mark.parametrize('label', ['../x', '/etc/x', 'a/b', '..', 'a\0b', 'a b', '~', 'é/..'])
 def test_a_label_is_not_a_path(label: str) -> None:
     pytest.importorskip('rclpy')

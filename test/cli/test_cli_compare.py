@@ -38,9 +38,13 @@ def test_a_recording_and_its_results_compare_equally(
 
 def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path, capsys) -> None:
     document = json.loads((analyzed / 'results.json').read_text())
-    noise = document['axes']['gyro_z']['noise']['N']
-    noise['value'] *= 2
-    noise['ci95'] = [2 * end for end in noise['ci95']]
+    noise = document['axes']['gyro_z']['noise']
+    noise['N']['value'] *= 2
+    noise['N']['ci95'] = [2 * end for end in noise['N']['ci95']]
+    hidden = next(term for term in 'KBR' if noise[term]['status'] != 'estimated')
+    value = 1000 * noise[hidden]['upper95']  # its ratio has a bound; that of N is measured
+    noise[hidden].update(value=value, ci95=[0.99 * value, 1.01 * value])
+    noise[hidden].update(upper95=None, status='estimated')
     worse = tmp_path / 'worse.json'
     worse.write_text(json.dumps(document))
     words = ['compare', str(analyzed), str(worse)]
@@ -78,12 +82,11 @@ def test_incomparable_inputs_give_one_line(
     assert said in error and error.count('\n') == 1
 
 
-@pytest.mark.parametrize('columns', [60, 100, 160])
-def test_the_list_fits_the_terminal(columns: int, monkeypatch, capsys) -> None:
-    monkeypatch.setenv('COLUMNS', str(columns))
+def test_the_list_fits_the_terminal(monkeypatch, capsys) -> None:
+    monkeypatch.setenv('COLUMNS', '60')
     assert main(['sensors']) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= columns
+    assert max(map(len, lines)) <= 60
     assert [line.split()[0] for line in lines[1 : len(sensor_names()) + 1]] == sensor_names()
 
 
@@ -98,26 +101,6 @@ def test_one_datasheet_is_shown_with_its_sources(capsys) -> None:
     assert main(['sensors', '--json']) == 0
     assert shown in json.loads(capsys.readouterr().out)['sensors']
     assert main(['sensors', 'adis16475']) == 1
-
-
-def test_a_measured_ratio_precedes_a_bound(analyzed: Path, tmp_path: Path, capsys) -> None:
-    document = json.loads((analyzed / 'results.json').read_text())
-    noise = document['axes']['gyro_z']['noise']
-    noise['N']['value'] *= 10
-    noise['N']['ci95'] = [10 * end for end in noise['N']['ci95']]
-    hidden = next(t for t in 'KBR' if noise[t]['status'] != 'estimated')
-    value = 1000 * noise[hidden]['upper95']
-    noise[hidden] = {
-        **noise[hidden],
-        'value': value,
-        'ci95': [0.99 * value, 1.01 * value],
-        'upper95': None,
-        'status': 'estimated',
-    }
-    worse = tmp_path / 'worse.json'
-    worse.write_text(json.dumps(document))
-    assert main(['compare', str(analyzed), str(worse)]) == 0
-    assert capsys.readouterr().out.startswith('worse is 10.0x noisier than run in gyro z N (')
 
 
 def test_equality_is_answered_and_sets_the_exit_code(

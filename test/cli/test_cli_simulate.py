@@ -1,7 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import astuple
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,12 +37,14 @@ def test_the_preset_is_table_1_of_the_paper(tmp_path):
     assert samples[:, 5].mean() == pytest.approx(9.80665, abs=0.01)
 
 
-@pytest.mark.parametrize('name', ['bag', 'a.bag', 'a.csv', 'a.npz'])
+@pytest.mark.parametrize('name', ['bag', 'a.bag', 'a.csv', 'a.npz', 'a.mcap', 'a.db3'])
 def test_every_format_contains_the_same_samples(tmp_path, name):
     if name == 'a.bag':
         pytest.importorskip('rosbags')
     reference = simulate(tmp_path / 'reference.npz', '--gyro', 'N=0.3', '--seed', '3')
-    found = simulate(tmp_path / name, '--gyro', 'N=0.3', '--seed', '3')
+    for again in ([], ['--overwrite']):
+        found = simulate(tmp_path / name, '--gyro', 'N=0.3', '--seed', '3', *again)
+        assert (tmp_path / name).is_file() == ('.' in name)
     assert np.array_equal(found[0], reference[0])
     assert np.array_equal(found[1], reference[1])
 
@@ -69,24 +70,15 @@ def test_terms_that_a_datasheet_does_not_state_are_named(tmp_path, capsys):
     assert 'states no' not in capsys.readouterr().err
 
 
-def test_a_truth_can_be_simulated_again(tmp_path):
-    first = simulate(tmp_path / 'a.npz', '--preset', 'paper', '--seed', '9')
-    again = simulate(
-        tmp_path / 'b.npz', '--spec', str(truth_path(tmp_path / 'a.npz')), '--seed', '9'
-    )
-    assert np.array_equal(first[1], again[1])
-    assert first[2] == again[2]
-
-
-def test_faults_are_passed_on(tmp_path):
+def test_faults_are_passed_on_and_a_truth_can_be_simulated_again(tmp_path):
     spec = tmp_path / 'spec.yaml'
     spec.write_text(
         'faults: {gaps: [[5, 2], [20, 1.5]], motion: [[10, 3]], motion_gyro: 2, lsb_accel: 0.5}\n'
         'noise: {gyro: {N: 0.001}}\n'
     )
-    stamps, samples, _ = simulate(tmp_path / 'a.npz', '--spec', str(spec))
+    stamps, samples, truth = simulate(tmp_path / 'a.npz', '--spec', str(spec))
     again = simulate(tmp_path / 'b.npz', '--spec', str(truth_path(tmp_path / 'a.npz')))
-    assert np.array_equal(samples, again[1])
+    assert np.array_equal(samples, again[1]) and truth == again[2]
     steps = np.diff(stamps) / 1e9
     assert sorted(steps[steps > 0.03]) == pytest.approx([1.52, 2.02])
     t = (stamps - stamps[0]) / 1e9
@@ -125,14 +117,3 @@ def test_an_existing_recording_is_kept_by_default(tmp_path, capsys):
     kept = read_noise(truth_path(out))['gyro_x']
     assert astuple(kept) == pytest.approx((0.0, np.pi / 180 / 60, 0.0, 0.0, 0.0))
     simulate(out, '--gyro', 'N=2', '--overwrite')
-
-
-@pytest.mark.parametrize('suffix', ['mcap', 'db3'])
-def test_the_suffix_of_a_file_gives_a_file(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f'short.{suffix}'
-    words = ['simulate', str(path), '--preset', 'paper', '--hours', '0.01', '--rate', '50']
-    for again in ([], ['--overwrite']):
-        assert main([*words, *again]) == 0
-        assert path.is_file()
-    assert {p.name for p in tmp_path.iterdir()} == {path.name, f'{path.name}.truth.json'}
-    assert main(['analyze', str(path), '-q']) == 0

@@ -56,10 +56,5 @@ def test_the_factor_is_measured_with_vibration_included(
     assert at_1s['ci95'][0] < 4.0 < at_1s['ci95'][1]
     names = {path.name for path in (tmp_path / 'out').iterdir()}
     assert {'inflation.json', 'comparison.json'} <= names
-
-
-def test_a_horizon_of_zero_gives_one_line(
-    recordings: tuple[str, str], capsys: pytest.CaptureFixture[str]
-) -> None:
     assert main(['inflate', *recordings, '--horizon', '0']) == 1
     assert 'give a time above 0 s' in capsys.readouterr().err

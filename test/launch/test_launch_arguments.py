@@ -108,14 +108,12 @@ CONFIG = """/**:
 
 
 def filled(value, folder):
-    """Return the value with the temporary folder inserted."""
     return value.replace('{folder}', folder) if isinstance(value, str) else value
 
 
 @pytest.mark.launch_test
 @launch_testing.parametrize('case', list(CASES))
 def generate_test_description(case):
-    """Start the launch file with the arguments of a case."""
     folder = tempfile.mkdtemp(prefix='allan_ros_launch_')
     Path(folder, 'config.yaml').write_text(CONFIG)
     if 'baseline' in CASES[case][0]:
@@ -128,20 +126,15 @@ def generate_test_description(case):
 
 
 class TestArguments(unittest.TestCase):
-    """Tests while the nodes are running."""
-
     def setUp(self):
-        """Create a client node."""
         rclpy.init()
         self.node = rclpy.create_node('test_client')
 
     def tearDown(self):
-        """Destroy the client node."""
         self.node.destroy_node()
         rclpy.shutdown()
 
     def until(self, holds):
-        """Spin until the condition is true, and return its value."""
         deadline = time.monotonic() + PATIENCE_S
         while not (value := holds()):
             assert time.monotonic() < deadline, 'waited too long'
@@ -149,7 +142,6 @@ class TestArguments(unittest.TestCase):
         return value
 
     def parameters(self, node, names):
-        """Return the values of parameters of a node."""
         client = self.node.create_client(GetParameters, f'{node}/get_parameters')
         self.until(client.service_is_ready)
 
@@ -163,7 +155,6 @@ class TestArguments(unittest.TestCase):
         return [rclpy.parameter.parameter_value_to_python(value) for value in values]
 
     def test_parameters_and_topics(self, case, folder):
-        """Every node has the parameters and topics of its case."""
         _, nodes, topics = CASES[case]
         for node, wanted in nodes.items():
             found = self.parameters(node, list(wanted))
@@ -174,8 +165,5 @@ class TestArguments(unittest.TestCase):
 
 @launch_testing.post_shutdown_test()
 class TestExit(unittest.TestCase):
-    """Tests after the nodes were interrupted."""
-
     def test_every_node_ends_with_code_0(self, proc_info):
-        """SIGINT ends every node cleanly."""
         launch_testing.asserts.assertExitCodes(proc_info)

@@ -110,6 +110,7 @@ class Graph:
         self._server = server
         self._processes: list[NodeProcess] = []
         self._nodes: list[Any] = []
+        self._others: list[Any] = []
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self.node = Node('test_client', context=self._context)
@@ -142,6 +143,14 @@ class Graph:
         self._executor.add_node(made)
         self._nodes.append(made)
         return made
+
+    def add_node(self, name: str) -> Any:
+        """Return a new node of another package, with the executor of the client."""
+        from rclpy.node import Node
+
+        self._others.append(Node(name, context=self._context))
+        self._executor.add_node(self._others[-1])
+        return self._others[-1]
 
     def stop(self, node: Any) -> None:
         """End a node in this process as `shell.run` does."""
@@ -184,15 +193,6 @@ class Graph:
         counts = ', '.join(f'{v.key} {v.value}' for v in known)
         said = '; '.join(f'{s.name}: {s.level!r} {s.message}' for s in self.statuses.values())
         return f'{said} ({counts})'
-
-    def override(self, **parameters: Any) -> None:
-        """Give the client node parameter overrides, as a launch file does, for publishers
-        created later.
-        """
-        from rclpy.parameter import Parameter
-
-        for name, value in parameters.items():
-            self.node._parameter_overrides[name] = Parameter(name, value=value)
 
     def publisher(self, topic: str = 'imu/data') -> Any:
         """Return a publisher of Imu that keeps all messages, once it and a subscriber have
@@ -304,7 +304,8 @@ class Graph:
         for node in [*self._nodes]:
             self.stop(node)
         self._executor.shutdown()
-        self.node.destroy_node()
+        for node in (*self._others, self.node):
+            node.destroy_node()
         self._context.shutdown()
 
     def _on_diagnostics(self, message: Any) -> None:

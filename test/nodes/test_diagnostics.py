@@ -34,7 +34,6 @@ from allan_ros.nodes.diagnostics import (
     AxisView,
     axis_status,
     input_status,
-    key_values,
     metrics_text,
 )
 
@@ -78,14 +77,10 @@ def test_the_coefficients_are_shown_in_both_unit_systems(sums):
     assert told['N 95 % [deg/sqrt(h)]'] == '0.190..0.210'
     assert told['N verdict'] == 'estimated' and told['K verdict'] == 'not observable'
     assert told['B [deg/h]'] == '< 0.206'
-    assert told['static data [s]'] == '24.995' and told['fit age [s]'] == '3'
-
-
-def test_known_values_can_be_plotted(sums):
-    told = values(status_of(sums))
     # plain numbers, since plotters draw neither "0.190..0.210" nor "< 0.206"
     assert [float(told[f'N {end} [deg/sqrt(h)]']) for end in ('low', 'high')] == [0.19, 0.21]
     assert float(told['B high [deg/h]']) == 0.206 and 'B low [deg/h]' not in told
+    assert told['static data [s]'] == '24.995' and told['fit age [s]'] == '3'
 
 
 def test_the_status_before_a_fit_is_reported(sums):
@@ -97,12 +92,6 @@ def test_a_failed_fit_is_an_error_with_its_reason(sums):
     failed = status_of(sums, problems=(finding('fit_failed', reason='the numbers are damaged'),))
     assert failed.level == DiagnosticStatus.ERROR
     assert failed.message.startswith('The fit failed: the numbers are damaged.')
-
-
-def test_foreign_text_is_escaped():
-    frame = 'imu\x1b[2J\u202e'
-    status = of_input(StreamHealth(Counts(), frame_id=frame), others=[('publishers', frame)])
-    assert all(v.value.isprintable() for v in status.values)
 
 
 def test_only_relevant_terms_are_recommended(sums):
@@ -163,21 +152,16 @@ def test_the_message_of_the_input_is_its_most_severe_finding():
     assert values(status)['finding: several_publishers'].startswith('2 publishers')
 
 
-def test_moving_is_ok_and_its_samples_are_not_used():
-    status = of_input(StreamHealth(Counts(), 'moving', 100.0))
+def test_moving_is_ok_and_foreign_text_is_escaped():
+    frame = 'imu\x1b[2J\u202e'
+    health = StreamHealth(Counts(), 'moving', 100.0, frame_id=frame)
+    status = of_input(health, others=[('publishers', frame)])
     assert status.level == DiagnosticStatus.OK
     assert status.message.startswith('moving, 100 Hz: not at rest yet')
-
-
-def test_the_share_of_still_time_is_a_number():
+    assert all(v.value.isprintable() for v in status.values)
+    assert values(status)['share at rest'] == 'unknown'
     moved = StreamHealth(Counts(received=9000, used=8000, moving=2000), 'at_rest', 200.0)
     assert values(of_input(moved))['share at rest'] == '0.8'
-    assert values(of_input(StreamHealth(Counts())))['share at rest'] == 'unknown'
-
-
-def test_values_are_strings():
-    pairs = [('a', 1), ('b', 0.1234567), ('c', None), ('d', 'x'), ('e', float('nan'))]
-    assert [v.value for v in key_values(pairs)] == ['1', '0.123457', 'unknown', 'x', 'nan']
 
 
 def check_status(status: DiagnosticStatus) -> None:

@@ -50,6 +50,10 @@ def page(node: Node) -> Iterator[LivePage]:
     made.close()
 
 
+def port_of(page: LivePage) -> int:
+    return int(page.address.rsplit(':', 1)[1].strip('/'))
+
+
 def read(address: str) -> str:
     with urllib.request.urlopen(address, timeout=PATIENCE_S) as answer:
         assert answer.headers['Refresh'] == str(REFRESH_S)
@@ -66,6 +70,8 @@ def test_the_report_follows_the_sums(page: LivePage, small_run) -> None:
     assert 'Noise of unit 7' in first and 'data-kind="allan"' in first
     assert 'OUT OF DATE: the node has stopped' in first  # nothing publishes this topic
     assert 'id="live"' in first and 'OUT OF DATE' not in _with_age('<body>', 3.0, True)
+    with socket.create_connection(('127.0.0.1', port_of(page))) as leaving:
+        leaving.sendall(b'GET / HTTP/1.0\r\nHost: localhost\r\n\r\n')
     page.on_sums(TOPIC, String(data='{"schema": "odd"}'))
     assert TOPIC in read(page.address)
     page.on_sums('/other/sums', String(data=text))
@@ -74,18 +80,17 @@ def test_the_report_follows_the_sums(page: LivePage, small_run) -> None:
 
 
 def test_other_hosts_and_unknown_paths_are_rejected(page: LivePage) -> None:
-    port = int(page.address.rsplit(':', 1)[1].strip('/'))
     for host, path, code in (('evil.example', '/', 403), ('localhost', '/none', 404)):
-        connection = http.client.HTTPConnection('127.0.0.1', port, timeout=PATIENCE_S)
+        connection = http.client.HTTPConnection('127.0.0.1', port_of(page), timeout=PATIENCE_S)
         connection.request('GET', path, headers={'Host': host})
         assert connection.getresponse().status == code
         connection.close()
 
 
 def test_half_requests_do_not_exhaust_the_threads(page: LivePage) -> None:
-    port = int(page.address.rsplit(':', 1)[1].strip('/'))
     before = threading.active_count()
-    halves = [socket.create_connection(('127.0.0.1', port)) for _ in range(2 * MOST_REQUESTS)]
+    place = ('127.0.0.1', port_of(page))
+    halves = [socket.create_connection(place) for _ in range(2 * MOST_REQUESTS)]
     for half in halves:
         with contextlib.suppress(OSError):
             half.sendall(b'GET / HT')
@@ -109,21 +114,6 @@ def test_a_port_in_use_is_one_line(node: Node) -> None:
         port = taken.getsockname()[1]
         with pytest.raises(AllanError, match=f'port {port} cannot be used'):
             LivePage(node, port)
-
-
-def test_a_closed_connection_does_not_stop_the_live_page(
-    page: LivePage, small_run, browser: Chromium
-) -> None:
-    sums, provenance = small_run
-    page.on_sums(TOPIC, String(data=to_json(Snapshot(((sums,), provenance)).to_document())))
-    port = int(page.address.rsplit(':', 1)[1].strip('/'))
-    with socket.create_connection(('127.0.0.1', port)) as leaving:
-        leaving.sendall(b'GET / HTTP/1.0\r\nHost: localhost\r\n\r\n')
-    browser.complaints.clear()
-    browser.call('Page.navigate', url=page.address)
-    browser.wait_for('typeof Chart !== "undefined" && Chart.all.length >= 2')
-    assert browser.complaints == []
-    browser.call('Page.navigate', url='about:blank')
 
 
 def test_a_browser_follows_a_live_monitor(graph, still_imu, browser: Chromium) -> None:

@@ -107,15 +107,6 @@ def test_the_relay_subtracts_a_fresh_bias_at_rest_only(
     np.testing.assert_array_equal(stale, samples[2, :3])
 
 
-def test_the_relay_keeps_the_bias_by_default(
-    graph: Any, still_imu: Callable[..., ImuBatch]
-) -> None:
-    batch = biased(still_imu(1))
-    sent = [bytes(p) for p in encode_imus(batch, 'cdr')]
-    (found,) = relayed_rates(graph, sent, message_at(batch))
-    np.testing.assert_array_equal(found, batch.samples[0, :3])
-
-
 def test_an_axis_without_a_bias_has_a_variance_of_minus_one() -> None:
     from allan_ros.core.filters.bias import AxisBias, BiasEstimate
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -17,7 +16,6 @@ import pytest
 pytest.importorskip('rclpy')
 
 from std_msgs.msg import String
-from support.node_server import PATIENCE_S
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.noise_parameters import white_variances
@@ -96,8 +94,7 @@ def variances(results: Results, rate: float | None = None) -> dict[str, Any]:
 def test_only_the_covariances_change_and_no_burst_is_lost(
     graph, still_imu: Callable[..., ImuBatch], results: Results, plain: bool
 ):
-    start = graph.run if plain else graph.start
-    start('relay', **{'relay.plain_callback': plain})
+    graph.run('relay', **{'relay.plain_callback': plain})
     received = raw(graph)
     publisher = graph.publisher()
     model = publish_model(graph, results)
@@ -137,22 +134,6 @@ def test_it_passes_on_until_there_is_a_model(graph, still_imu, results: Results)
     graph.send(publisher, batch)
     graph.until(lambda: len(received) == 20)
     assert received[10:] != payloads(batch)
-
-
-def test_after_a_withdrawal_no_covariance_is_filled(graph, still_imu, results: Results):
-    graph.run('relay')
-    received = raw(graph)
-    publisher = graph.publisher()
-    model = publish_model(graph, results)
-    filled(graph)
-    invalidated = replace(results, axes={}, samples=0)
-    model.publish(String(data=json.dumps(results_to_document(invalidated, curves=False))))
-    status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
-    assert status.message.startswith('The noise model on /noise_model was invalidated')
-    batch = still_imu(10)
-    graph.send(publisher, batch)
-    graph.until(lambda: len(received) == 10)
-    assert received == payloads(batch)
 
 
 def test_two_relays_to_one_topic_are_reported(graph):
@@ -262,8 +243,12 @@ def test_parameters_act_while_it_runs(graph, still_imu, results: Results):
     assert not refused.successful and 'choose one of white, sample' in refused.reason
 
 
-def test_a_model_that_cannot_be_read_is_reported(graph, still_imu, results: Results):
+def test_a_model_that_is_invalidated_or_cannot_be_read_is_reported(
+    graph, still_imu, results: Results
+):
     graph.run('relay')
+    received = raw(graph)
+    source = graph.publisher()
     publisher = publish_model(graph, results)
     filled(graph)
     rateless = json.dumps({**results_to_document(results), 'tau0_s': 0.0})
@@ -274,6 +259,14 @@ def test_a_model_that_cannot_be_read_is_reported(graph, still_imu, results: Resu
         whole = json.dumps(results_to_document(results))  # with the curves, as results.json
         publisher.publish(String(data=whole))
         filled(graph)
+    invalidated = replace(results, axes={}, samples=0)
+    publisher.publish(String(data=json.dumps(results_to_document(invalidated, curves=False))))
+    status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
+    assert status.message.startswith('The noise model on /noise_model was invalidated')
+    batch = still_imu(10)
+    graph.send(source, batch)
+    graph.until(lambda: len(received) == 10)
+    assert received == payloads(batch)
 
 
 def test_a_relay_to_itself_is_rejected(graph):
@@ -281,47 +274,32 @@ def test_a_relay_to_itself_is_rejected(graph):
         graph.run('relay', remap={OUT: 'imu/data'})
 
 
-def test_messages_are_relayed_also_if_waiting_for_them_fails(ros_domain, still_imu):
-    import rclpy
-    from rclpy.executors import SingleThreadedExecutor
+def test_messages_are_relayed_also_if_waiting_for_them_fails(graph, still_imu):
     from rclpy.impl.implementation_singleton import rclpy_implementation
-    from rclpy.qos import QoSProfile
-    from sensor_msgs.msg import Imu
 
-    from allan_ros.nodes.monitor import Relay
-
-    rclpy.init()
-    relay, executor = Relay(), SingleThreadedExecutor()
-    executor.add_node(relay)
+    relay = graph.run('relay')
     (part,) = relay._parts
     part.close()
     part._stop.clear()
-    received: list[bytes] = []
-    relay.create_subscription(Imu, OUT, received.append, QoSProfile(depth=100), raw=True)
-    publisher = relay.create_publisher(Imu, 'imu/data', QoSProfile(depth=100))
+    received = raw(graph)
+    publisher = graph.publisher()
     # a wait set without room for a subscription: adding one fails each time
     wait_set = rclpy_implementation.WaitSet(0, 0, 0, 0, 0, 0, relay.context.handle)
     thread = threading.Thread(target=part._work, args=(wait_set,))
     thread.start()
+    (payload,) = payloads(still_imu(1))
+    publisher.publish(payload)
     try:
-        deadline = time.monotonic() + PATIENCE_S
-        (payload,) = payloads(still_imu(1))
-        while not received:
-            assert time.monotonic() < deadline
-            publisher.publish(payload)
-            executor.spin_once(timeout_sec=0.05)
+        graph.until(lambda: received)
         assert received[0] == payload
         assert [where for where, _ in relay._faults] == ['relay wait']
     finally:
-        relay.close()
+        part._stop.set()
         thread.join()
-        executor.shutdown()
-        relay.destroy_node()
-        rclpy.shutdown()
 
 
 def test_the_monitor_relays_what_it_measures(graph, still_imu):
-    graph.start('monitor', **{'relay.enabled': True, 'relay.debiased': True})
+    graph.run('monitor', **{'relay.enabled': True, 'relay.debiased': True})
     received = raw(graph)
     publisher = graph.publisher()
     batch = still_imu(6000)

@@ -63,7 +63,6 @@ sys.exit(getattr(__main__, program)())
     [
         ('watch --once', 'allan_watch'),
         ('monitor', 'allan_monitor'),
-        ('ros2 watch', 'ros2 allan watch'),
         ('ros2 check', 'ros2 allan check'),
         ('ros2 save', 'ros2 allan save'),
     ],
@@ -84,7 +83,6 @@ def test_without_rclpy_a_program_ends_with_one_line(
     ('words', 'reason'),
     [
         ('monitor --ros-args --params-file /no/such.yaml', '/no/such.yaml'),
-        ('monitor --ros-args -p estimator.sensor:=no-such-imu', "no datasheet 'no-such-imu'"),
         ('monitor --ros-args -p checkpoint.period:=-1.0', 'checkpoint.period'),
         ('accumulator --ros-args -p input.topics:=[a,b]', 'use allan_monitor for several IMUs'),
     ],
@@ -95,6 +93,27 @@ def test_a_node_that_cannot_start_ends_with_one_line(graph, words: str, reason: 
     assert node.wait() == 1
     assert f'allan_{name} stops: ' in node.output and 'Traceback' not in node.output
     assert reason in node.output
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'reason'),
+    [
+        ({'estimator.sensor': 'no-such-imu'}, 'no datasheet'),
+        ({'estimator.baseline': '/no/such/results.json'}, 'no such file'),
+        ({'input.labels': ('a b',)}, 'letters, digits and underscores'),
+        ({'input.accel_topics': ('a', 'b')}, 'accel_topics has 2 entries for 1 topics'),
+        ({'relay.enabled': True, 'input.accel_unit': 'g'}, 'excludes input'),
+        ({'push.node': 'imu_filter'}, 'give a full name'),
+        ({'push.node': '/a', 'push.filter': 'none-such'}, 'no plan for push.filter'),
+        (
+            {'push.node': '/a', 'input.topics': ('a', 'b'), 'push.filter': 'noise_densities'},
+            'there are 2 IMUs',
+        ),
+    ],
+)
+def test_bad_parameters_are_rejected_at_start(graph, parameters, reason: str) -> None:
+    with pytest.raises(AllanError, match=reason):
+        graph.run('monitor', **parameters)
 
 
 def test_one_line_states_what_a_node_does(
@@ -146,14 +165,26 @@ def test_a_jump_of_the_stamps_is_not_a_loss_of_messages(graph, still_imu) -> Non
     assert not [v for v in status.values if 'queue' in v.value]
 
 
-def test_a_start_without_a_driver_is_not_an_error_at_once(graph) -> None:
-    given = {'relay.enabled': True, 'input.stale_after': 2.0}
+def test_silence_is_an_error_with_its_age_but_not_at_once(graph, still_imu) -> None:
+    given = {'relay.enabled': True, 'input.hardware_ids': ('SN-7',), 'input.stale_after': 2.0}
     graph.run('monitor', **given)
     status = graph.until(lambda: graph.status('input'))
     assert status.level == OK and status.message == 'waiting for the first message'
-    assert graph.until(lambda: graph.status('relay')).level == OK
-    status = graph.until(lambda: (s := graph.status('input')).level == ERROR and s)
-    assert status.message.startswith('Nothing publishes on /imu/data.')
+    relay = graph.until(lambda: graph.status('relay'))
+    assert relay.level == OK and relay.hardware_id == 'SN-7'
+
+    def error(text: str) -> None:
+        graph.until(lambda: text in graph.status('input').message)
+        assert graph.status('input').level == ERROR
+
+    error('Nothing publishes on /imu/data.')
+    publisher = graph.publisher()
+    graph.send(publisher, still_imu(100))
+    graph.until(lambda: graph.status('input').level == OK)
+    error('No message on /imu/data for')
+    assert 'cable' in graph.status('input').message
+    graph.node.destroy_publisher(publisher)
+    error('its publisher is gone')
 
 
 def test_units_of_the_driver_are_converted(graph, still_imu, tmp_path: Path) -> None:
@@ -171,13 +202,3 @@ def test_units_of_the_driver_are_converted(graph, still_imu, tmp_path: Path) -> 
     # half of the mean square second difference is the variance of white noise
     variance = [x / (2.0 * sums['count'][0]) for x in sums['sum_sq'][0]]
     assert variance == pytest.approx([1e-6] * 3 + [1e-4] * 3, rel=0.5)
-
-
-def test_the_relay_of_other_units_is_rejected(graph) -> None:
-    with pytest.raises(AllanError, match='excludes input'):
-        graph.run('monitor', **{'relay.enabled': True, 'input.accel_unit': 'g'})
-
-
-def test_the_relay_names_the_serial_number_given(graph) -> None:
-    graph.run('monitor', **{'relay.enabled': True, 'input.hardware_ids': ('SN-7',)})
-    assert graph.until(lambda: graph.status('relay')).hardware_id == 'SN-7'

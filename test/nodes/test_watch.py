@@ -89,14 +89,9 @@ def test_the_watcher_shows_each_status(graph, still_imu):
     watch = graph.start('watch', '--plain')
     publisher = graph.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
     graph.introduce(publisher, wanted=2)
-    good = DiagnosticStatus(name='allan_monitor: imu gyro x', message='N 0.172 deg/sqrt(h)')
-    bad = DiagnosticStatus(
-        name='allan_monitor: input', message='nothing comes', level=DiagnosticStatus.ERROR
-    )
-    unrelated = DiagnosticStatus(name='battery: charge', message='full')
-    publisher.publish(DiagnosticArray(status=[good, bad, unrelated]))
-    graph.until(lambda: 'imu gyro x' in watch.output)
+    good = status('allan_monitor: imu gyro x', message='N 0.172 deg/sqrt(h)')
+    bad = status('allan_monitor: input', DiagnosticStatus.ERROR, 'nothing comes')
+    publisher.publish(DiagnosticArray(status=[good, bad, status('battery: charge')]))
+    graph.until(lambda: 'imu gyro x: N 0.172 deg/sqrt(h)' in watch.output)
     assert watch.stop() == 0
-    assert 'ERROR input: nothing comes' in watch.output
-    assert 'imu gyro x' in watch.output and '0.172 deg/sqrt(h)' in watch.output
-    assert 'battery' not in watch.output
+    assert 'ERROR input: nothing comes' in watch.output and 'battery' not in watch.output
