@@ -96,7 +96,7 @@ def test_steps_of_the_bias_are_located() -> None:
     (found,) = (f for f in model.findings if f.id in CHANGES)
     assert found.id == 'bias_steps' and found.axes == ('gyro_y',)
     assert found.values['size'].value == pytest.approx(100.0 * DEG_H, rel=0.15)
-    assert found.values['after'].value < 0.2 * found.values['before'].value
+    assert 0.8 < found.values['share'] <= 1.0
     assert found.values['at'] == '3 h, 6 h'
 
 
