@@ -164,7 +164,7 @@ class AxisData:
         """
         columns = [self.statistics.column(each, self.axis) for each in components]
         power = [each.power for each in columns]
-        low = [[each.low[g] for each in columns] for g in range(len(self.low))]
+        low = [[each.low[g][1:, 1:] for each in columns] for g in range(len(self.low))]
         for i, at in tangents:
             kind, *shape = components[i]
             h = TANGENT_STEP[PROCESS_TYPES[kind].shape[at]]
@@ -172,8 +172,8 @@ class AxisData:
             above = self.statistics.column((kind, *shape), self.axis)
             power.append((above.power - power[i]) / h)
             for group, a in zip(low, above.low):
-                group.append((a - group[i]) / h)
-        return Columns(np.array(power).T[self.used], [np.array(group)[:, 1:, 1:] for group in low])
+                group.append((a[1:, 1:] - group[i]) / h)
+        return Columns(np.array(power).T[self.used], [np.array(group) for group in low])
 
     def moments(self, columns: Columns, p: Floats) -> tuple[float, Floats, Floats] | None:
         """Return -2 log L, the information I and the moment m of the step argmin p'Ip - 2m'p.
@@ -195,11 +195,11 @@ class AxisData:
             if bad:
                 return None
             inverse_root = lapack.dtrtri(root, lower=1)[0]
-            z = inverse_root @ gram @ inverse_root.T
-            w = (inverse_root @ d @ inverse_root.T).reshape(len(p), -1)
-            value += 2.0 * count * float(np.log(np.diag(root)).sum()) + float(np.trace(z))
-            information += 0.5 * count * (w @ w.T)
-            moment += 0.5 * (w @ z.ravel())
+            v = inverse_root.T @ inverse_root
+            dv, gv = d @ v, gram @ v
+            value += 2.0 * count * float(np.log(np.diag(root)).sum()) + float(np.trace(gv))
+            information += 0.5 * count * np.tensordot(dv, dv, ((1, 2), (2, 1)))
+            moment += 0.5 * np.tensordot(dv, gv, ((1, 2), (1, 0)))
         return value, information, moment
 
     def start(self, columns: Columns) -> Floats:
