@@ -89,10 +89,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _load(path: str) -> Results:
     """Read results; raise AllanError, which names the kind of the file if it is no results."""
-    from ..io.documents import RESULTS, file_in, load
+    from ..io.documents import load
 
     try:
-        return load(file_in(path, RESULTS))
+        return load(path)
     except AllanError as error:
         raise AllanError(_other_kind(Path(path)) or str(error)) from error
 

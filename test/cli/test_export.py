@@ -36,6 +36,16 @@ def test_every_target_is_written(analyzed: Path, tmp_path: Path, target: str) ->
     assert (tmp_path / target_of(target).file_name).read_bytes() == named.read_bytes()
 
 
+def test_a_folder_of_two_analyses_is_not_exported(
+    analyzed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'results.json').write_bytes((analyzed / 'results.json').read_bytes())
+    document = json.loads((analyzed / 'sums.json').read_text())
+    (tmp_path / 'sums.json').write_text(json.dumps({**document, 'sums': document['sums'] * 2}))
+    assert main(['export', str(tmp_path), '--to', 'kalibr']) == 1
+    assert 'of different analyses' in capsys.readouterr().err
+
+
 def test_list_explains_each_target_in_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['export', '--list']) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -93,7 +93,8 @@ def clipped_share(samples: Floats) -> float:
 
 ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2
 """The samples alternate if the means of even and odd ones differ by this number of standard
-deviations on this number of axes."""
+deviations on this number of axes, and by more than `SEPARATION_STEPS` steps of the resolution: a
+counter with carry alternates between adjacent counts."""
 
 SWITCH_SHARE, SEPARATION, SEPARATION_STEPS = 0.25, 8.0, 1.5
 """The samples of an axis come from two IMUs if the largest gap between their values is at least the
@@ -118,7 +119,10 @@ def are_interleaved(rows: Floats) -> bool:
         rows = np.round(rows / (ROUNDING_ERROR * np.ptp(rows, axis=1, keepdims=True)))
         difference = np.abs(rows[:, ::2].sum(axis=1) - rows[:, 1::2].sum(axis=1))
         sigma = np.sqrt(0.5 * n * np.mean((rows[:, 2:] - rows[:, :-2]) ** 2, axis=1))
-        if np.count_nonzero(difference > ALTERNATE_SIGMAS * sigma) >= ALTERNATE_AXES:
+        levels = np.diff(np.sort(rows))
+        steps = np.where(levels > 0.0, levels, np.inf).min(axis=1)
+        least = np.maximum(ALTERNATE_SIGMAS * sigma, 0.5 * n * SEPARATION_STEPS * steps)
+        if np.count_nonzero(difference > least) >= ALTERNATE_AXES:
             return True
         for values in rows:
             ordered = np.sort(values)

@@ -172,3 +172,10 @@ def test_coarse_samples_are_not_those_of_two_imus(step, mean):
     of_two = noise + 30.0 * (np.random.default_rng(2).random(2000) < 0.5)
     assert not are_interleaved(np.round(noise / step + mean) * step)
     assert are_interleaved(np.round(of_two / step + mean) * step)
+
+
+@pytest.mark.parametrize('mean', [0.25, 0.5])
+def test_a_pulse_counter_with_carry_is_not_two_imus(mean):
+    jitter = 1e-3 * np.random.default_rng(1).standard_normal((6, 2000))
+    counts = np.diff(np.floor(mean * np.arange(2001) + 0.1 + np.pad(jitter, ((0, 0), (1, 0)))))
+    assert not are_interleaved(counts)
