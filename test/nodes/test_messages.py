@@ -92,17 +92,17 @@ def message_at(batch: ImuBatch) -> Any:
     return bias_message(known, batch.frame_id)
 
 
-def test_the_relay_subtracts_a_fresh_bias_at_rest_only(
-    graph: Any, still_imu: Callable[..., ImuBatch]
+@pytest.mark.parametrize('options', [{'relay.subtract_bias': True}, {}])
+def test_the_relay_subtracts_a_fresh_bias_at_rest_only_if_configured(
+    graph: Any, still_imu: Callable[..., ImuBatch], options: dict[str, bool]
 ) -> None:
     batch = biased(still_imu(3))
     samples, stamps = batch.samples.copy(), batch.stamps_ns.copy()
     samples[1, 2] += 1.0  # turning
     stamps[2] += 3600 * 10**9  # an hour later
     sent = [bytes(p) for p in encode_imus(ImuBatch(stamps, samples, None, batch.frame_id), 'cdr')]
-    options = {'relay.subtract_bias': True}
     still, turning, stale = relayed_rates(graph, sent, message_at(batch), **options)
-    np.testing.assert_allclose(still, samples[0, :3] - BIAS, atol=1e-12)
+    np.testing.assert_allclose(still, samples[0, :3] - BIAS * bool(options), atol=1e-12)
     np.testing.assert_array_equal(turning, samples[1, :3])
     np.testing.assert_array_equal(stale, samples[2, :3])
 
