@@ -23,38 +23,37 @@ class Interval(NamedTuple):
     gain: float
 
 
-def covariance_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[tuple[int, int]]) -> Floats:
-    """Return the covariance of all coefficients of a fit, then of its shapes.
+def information_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[tuple[int, int]]) -> Floats:
+    """Return the Fisher information of the coefficients of a fit, then of the shapes.
 
-    ``shapes`` are pairs: index of a component, index of a number of its shape. The shape is
-    in logarithms, times the coefficient. A coefficient at 0 has the variance that it would have if
-    it were fitted.
+    ``shapes`` are pairs: index of a component, index of a number of its shape. The unknown is the
+    logarithm of this number times the coefficient.
     """
-    n, size = len(fit.p), len(fit.p) + len(shapes)
-    p = np.append(fit.p, np.zeros(len(shapes)))
-    moments = data.moments(data.columns(fit.components, shapes), p)
-    information = fit.information if moments is None else moments[1]
-    out = np.zeros((size, size))
-    always = [*fit.free, *range(n, size)]
-    out[np.ix_(always, always)] = inverse(information[np.ix_(always, always)])
-    for i in np.setdiff1d(np.arange(n), fit.free):
-        on = [i, *always]
-        out[i, i] = inverse(information[np.ix_(on, on)])[0, 0]
-    return out
+    columns = data.columns(fit.components, shapes)
+    moments = data.moments(columns, np.append(fit.p, np.zeros(len(shapes))))
+    assert moments is not None  # the model of a fit is positive
+    return moments[1]
 
 
-def profile_interval(data: AxisData, fit: Fit, i: int, variance: float = 0.0) -> Interval:
+def profile_interval(
+    data: AxisData, fit: Fit, i: int, with_shapes: Floats | None = None
+) -> Interval:
     """Return the interval of the coefficient ``i`` of a fit, by its profile likelihood.
 
     All other coefficients are fitted again at each value. It is the set of values whose
-    -2 log L exceeds the minimum by at most 3.84, and is wider if ``variance``, the
-    variance with unknown shapes of processes, is larger than with known shapes.
+    -2 log L exceeds the minimum by at most 3.84. With ``with_shapes``, from
+    `information_with_shapes`, it is wider by the ratio of the standard errors with unknown and with
+    known shapes.
     """
     estimate = float(fit.p[i])
     on = np.union1d(fit.free, [i])
     covariance = inverse(fit.information[np.ix_(on, on)])[:, int(np.searchsorted(on, i))]
     error = math.sqrt(covariance[np.searchsorted(on, i)])
-    wider = max(math.sqrt(variance) / error, 1.0)
+    wider = 1.0
+    if with_shapes is not None:
+        every = np.append(on, np.arange(len(fit.p), len(with_shapes)))
+        scatter = np.diag(inverse(with_shapes[np.ix_(every, every)]))
+        wider = max(math.sqrt(scatter[np.searchsorted(on, i)]) / error, 1.0)
 
     def distance(value: float) -> float:
         start = fit.p.copy()

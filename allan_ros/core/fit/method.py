@@ -20,11 +20,11 @@ from .findings import axis_findings, merge_equal
 from .intervals import (
     Interval,
     RampEstimate,
-    covariance_with_shapes,
+    information_with_shapes,
     profile_interval,
     ramp_estimate,
 )
-from .likelihood import AxisData
+from .likelihood import AxisData, inverse
 from .limits import GAIN_RESOLVED, LEAST_DRIFT_S, LEAST_STATISTICS, RAMP_RESOLVED
 from .model import (
     RANDOM_TERMS,
@@ -111,16 +111,19 @@ def axis_fit(result: Estimate, tau0: float, brief: bool = False) -> AxisFit:
         for at in range(len(c) - 1)
         if fit.p[k] > 0.0 and c not in rules.base
     ]
-    every = covariance_with_shapes(data, fit, shaped)
-    intervals = [profile_interval(data, fit, i, every[i, i]) for i in range(len(RANDOM_TERMS))]
+    information = information_with_shapes(data, fit, shaped)
+    intervals = [profile_interval(data, fit, i, information) for i in range(len(RANDOM_TERMS))]
+    n, scale = len(fit.p), data.scale
+    on = [*fit.free, *range(n, len(information))]
+    every = np.zeros_like(information)
+    every[np.ix_(on, on)] = inverse(information[np.ix_(on, on)])
+    covariance = every[:n, :n] * scale**2
     result = result._replace(fit=fit)
     value, number = result.chi_squared if len(data.power) else (0.0, 0.0)
     if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
         # A q that is not resolved nearly doubles the error of N.
         fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
         result = result._replace(fit=fit)
-    n, scale = len(fit.p), data.scale
-    covariance = every[:n, :n] * scale**2
     noise = {
         name: random_coefficient(name, float(fit.p[t]) * scale, covariance[t, t], each, scale, tau0)
         for t, (name, each) in enumerate(zip(RANDOM_TERMS, intervals))

@@ -233,8 +233,8 @@ class Selection:
     def imitates_filter(self, fit: Fit) -> bool:
         """Return whether processes have the smooth spectrum of a low-pass filter.
 
-        They are close sinusoids, or a broad resonance near the highest frequency. A filter does not
-        bend the spectrum far below that.
+        They are close sinusoids, or a broad resonance near the highest frequency. Six octaves below
+        it, a filter does not bend the spectrum.
         """
         lines = (c[1] for c in fit.components if c[0] == 'sinusoid')
         f = np.log2(sorted(each for each in lines if each > self.fastest / 64.0))
