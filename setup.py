@@ -12,6 +12,7 @@ from setuptools import find_packages, setup
 
 PACKAGE = 'allan_ros'
 DASK = 'distributed>=2022.2'
+PLOTS = 'matplotlib>=3.5'
 ULOG = 'pyulog>=1.0'
 README = Path(__file__).resolve().with_name('README.md')
 """In the folder of the resolved path: `colcon build --symlink-install` runs a link to this file."""
@@ -83,7 +84,6 @@ setup(
     python_requires='>=3.10',
     install_requires=[
         'argcomplete>=1.8',  # shell completion; loaded only then
-        'matplotlib>=3.5',
         'numpy>=1.21',
         'PyYAML>=5.4',
         'rich>=10',  # tables of allan_watch; plain text without it
@@ -97,6 +97,7 @@ setup(
         'dask': [DASK],
         'jazzy': ros_wheels('jazzy'),
         'kilted': ros_wheels('kilted'),
+        'plots': [PLOTS],  # figures as files; the report draws its own charts
         'ulog': [ULOG],  # PX4 logs
         # For tests: filter libraries that read the exported files. gtsam 4.2 requires numpy 1, and
         # newer versions do not support Python 3.10.
@@ -113,6 +114,7 @@ setup(
             'pytest>=7',
             'pytest-xdist>=3',
             DASK,
+            PLOTS,
             ULOG,
         ],
     },

@@ -9,11 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
 
+from ..core.errors import AllanError
 from ..core.fit import TERMS
 from ..core.imu import AXES, SENSORS
 from .axis_result import AxisResult
@@ -26,6 +23,17 @@ from .format import (
     shown_unit,
     value_text,
 )
+
+try:
+    from matplotlib import rc_context
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator
+except ImportError as error:
+    raise AllanError(
+        f'figures need matplotlib, which cannot be imported ({error}): install it with pip or apt, '
+        'or use the charts of report.html'
+    ) from None
 
 if TYPE_CHECKING:
     from .common import CommonResult

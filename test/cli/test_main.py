@@ -204,7 +204,7 @@ def test_a_missing_matplotlib_is_noticed_before_anything_is_read(
     missing = tmp_path / 'missing.csv'  # reading it first would end in another error
     assert main(words.format(missing, tmp_path / 'out').split()) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert ': --plots needs matplotlib, which is not installed: ' in line
+    assert ': figures need matplotlib, which cannot be imported ' in line
     assert main(['analyze', str(recording), '--method', 'paper', '-q']) == 0
 
 
