@@ -7,7 +7,7 @@ DISTRO ?= jazzy
 VENV ?= .venv
 # One more than two cores, because tests of nodes wait most of the time.
 JOBS ?= 3
-HOURS ?= 2
+HOURS ?= 1
 # Extra of setup.py with filter libraries and another DDS, which only tests use; empty: none.
 CONSUMERS ?= consumers
 TESTS ?= test
@@ -42,7 +42,7 @@ help:  ## show this help
 
 venv: $(VENV)/.tested  ## create the environment, with rclpy wheels where they exist
 
-demo: $(VENV)/.ready  ## simulate the IMU of a paper (HOURS=2), analyze it, compare with the truth
+demo: $(VENV)/.ready  ## simulate the IMU of a paper (HOURS=1), analyze it, compare with the truth
 	$(VENV)/bin/python scripts/demo.py demo --hours $(HOURS)
 
 test: unit lint  ## run all tests, then check style and types
