@@ -214,8 +214,8 @@ class AxisResult:
         return state_space(reduce_axis(self.name, self.fit, 'processes').model)
 
     @cached_property
-    def reductions(self) -> dict[tuple[States, float, bool], Reduction]:
-        """Reduced-order models that were computed: (states, horizon in s, strict) -> model."""
+    def reductions(self) -> dict[tuple[States, float], Reduction]:
+        """Reduced-order models that were computed: (states, horizon in s) -> model."""
         return {}
 
     @property

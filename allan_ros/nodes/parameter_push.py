@@ -51,7 +51,6 @@ TARGETS = {
     'imu_filter_madgwick': False,  # gain in rad/s, zeta in rad/s^2; no state for the gyro bias
     'kalibr': True,  # continuous densities N and K
     'fast_lio': True,  # variances N^2 f and K^2 f
-    'fusioncore': True,  # standard deviations per sample N sqrt(f)
 }
 """Export targets that may be sent to a running node -> whether the filter must estimate the bias,
 because the rows do not cover it. The code that shows the convention is named in `docs/targets.md`.

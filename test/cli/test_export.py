@@ -97,11 +97,6 @@ def test_wrong_units_are_not_silent(tmp_path: Path, capsys: pytest.CaptureFixtur
         (['export', '{above}', '--to', 'kalibr'], 'give one of these folders'),
         (['export', '{results}', '--to', 'robot_localization'], 'the node allan_imu_relay'),
         (['export', '{results}', '--to', 'px4', '--against', '{yaml}'], 'no number of EKF2_GYR'),
-        (
-            ['export', '{results}', '--to', 'kalibr', '--fidelity', 'coefficients', '--strict'],
-            'or omit --strict',
-        ),
-        (['export', '{results}', '--to', 'kalibr', '--axis', 'each'], 'worst or mean'),
         (['export', '{results}', '--to', 'kalibr', '--inflate', '0.5'], 'inflate is 0.5'),
         (['export', '{results}', '--to', 'kalibr', '--horizon', '-1'], 'horizon is -1'),
         (['export', '{results}', '--to', 'kalibr', '--filter-rate', '-1'], 'filter_rate is -1'),

@@ -42,12 +42,6 @@ def read_lines(text: str) -> dict[str, float]:
     }
 
 
-def read_matlab(text: str) -> dict[str, Any]:
-    """Return field -> numbers of the assignments to the structure ``imu``."""
-    rows = re.findall(r'^imu\.(\w+) = \[(.*)\];$', text, re.MULTILINE)
-    return {key: [float(word) for word in values.split()] for key, values in rows}
-
-
 def run_python(text: str) -> dict[str, Any]:
     names: dict[str, Any] = {}
     exec(text, names)
@@ -71,23 +65,16 @@ READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
     'fast_livo2': (read_yaml, ('imu',)),
     'point_lio': (read_yaml, ('mapping',)),
     'glim': (json.loads, ('sensors',)),
-    'lvi_sam': (read_yaml, ('lvi_sam',)),
     'gtsam': (run_python, ()),
     'basalt': (json.loads, ('value0',)),
     'msckf_vio': (read_yaml, ('noise',)),
-    'fusioncore': (read_yaml, NODE),
     'px4': (read_lines, ()),
     'ardupilot': (read_lines, ()),
     'kf_gins': (read_yaml, ('imunoise',)),
-    'ob_gins': (read_yaml, ('imumodel',)),
-    'navego': (read_matlab, ()),
-    'pyins': (run_python, ()),
     'imu_filter_madgwick': (read_yaml, NODE),
     'temperature': (read_yaml, ()),
     'state_space': (json.loads, ('axes', 'accel_z')),
     'gazebo': (read_gazebo, ()),
-    'isaac_sim': (run_python, ('AXES', 'gyro_x')),
-    'webots': (run_python, ('AXES', 'gyro_x')),
 }
 """Target -> parser of its file, and the keys of the mappings that contain the numbers."""
 
@@ -99,7 +86,6 @@ openvins accelerometer_noise_density 2e-3 accelerometer_random_walk 3e-5
 openvins gyroscope_noise_density 1e-3 gyroscope_random_walk 1e-5 update_rate 200
 orb_slam3 IMU.NoiseGyro 1e-3 IMU.NoiseAcc 2e-3 IMU.GyroWalk 1e-5 IMU.AccWalk 3e-5 IMU.Frequency 200
 lio_sam imuAccNoise 2e-3 imuGyrNoise 1e-3 imuAccBiasN 3e-5 imuGyrBiasN 1e-5
-lvi_sam imuAccNoise 2e-3 imuGyrNoise 1e-3 imuAccBiasN 3e-5 imuGyrBiasN 1e-5
 msckf_vio gyro 1e-3 acc 2e-3 gyro_bias 1e-5 acc_bias 3e-5
 state_space white 2e-3
 # the walk of the accelerometer, over sqrt(10)
@@ -107,23 +93,15 @@ glim imu_acc_noise 2e-3 imu_gyro_noise 1e-3 imu_bias_noise 9.48683e-6
 # 0.6, 0.8 and 1 times the level
 basalt imu_update_rate 200 accel_noise_std 1.2e-3,1.6e-3,2e-3 gyro_noise_std 6e-4,8e-4,1e-3
 basalt accel_bias_std 1.2e-5,1.6e-5,3e-5 gyro_bias_std 6e-6,8e-6,1e-5
-pyins gyro_noise 6e-4,8e-4,1e-3 accel_noise 1.2e-3,1.6e-3,2e-3
-pyins gyro_bias_walk 6e-6,8e-6,1e-5 accel_bias_walk 1.2e-5,1.6e-5,3e-5
-navego arw 6e-4,8e-4,1e-3 vrw 1.2e-3,1.6e-3,2e-3
-isaac_sim white 6e-4
-webots white 6e-4
 # their squares
 gtsam accelerometerCovariance 1.44e-6,2.56e-6,4e-6 gyroscopeCovariance 3.6e-7,6.4e-7,1e-6
 gtsam biasAccCovariance 1.44e-10,2.56e-10,9e-10 biasOmegaCovariance 3.6e-11,6.4e-11,1e-10
 # 1e-3 rad/sqrt(s) is 180/pi 60 times that in deg/sqrt(h), 3.43775; 2e-3 m/s/sqrt(s) is 0.12
 # m/s/sqrt(h). The bias is tested elsewhere.
 kf_gins arw 2.06265,2.75020,3.43775 vrw 0.072,0.096,0.12
-ob_gins arw 3.43775 vrw 0.12
 # times sqrt(200) = 14.1421; squares times and over 200
 vins_fusion acc_n 0.0282843 gyr_n 0.0141421 acc_w 4.24264e-4 gyr_w 1.41421e-4
 gazebo stddev 0.0141421 mean 0
-fusioncore imu.gyro_noise 0.0141421 imu.accel_noise 0.0282843
-fusioncore ukf.q_gyro_bias 5e-13 ukf.q_accel_bias 4.5e-12
 fast_lio acc_cov 8e-4 gyr_cov 2e-4 b_acc_cov 1.8e-7 b_gyr_cov 2e-8
 fast_livo2 gyr_cov 2e-4 acc_cov 8e-4
 point_lio imu_meas_omg_cov 2e-4 imu_meas_acc_cov 8e-4

@@ -20,63 +20,37 @@ from ..fit.model import AxisFit
 from ..imu import AXES, SENSORS
 from ..noise import ProcessModel
 from .growth import has_drift, interval_models
-from .reductions import HORIZON_S, Level, Reduction, States, horizon_text, reduce_model
+from .reductions import HORIZON_S, Level, Reduction, States, reduce_model
 
 
-def axis_level(axis: str, fit: AxisFit, term: str, strict: bool = False) -> Level:
+def axis_level(axis: str, fit: AxisFit, term: str) -> Level:
     """Return the fitted coefficient of a term, or its 95 % upper limit if it is not resolved.
 
-    With the limit, a filter overestimates the noise and gives its other sensors more weight. If
-    ``strict`` is set, limits and estimates without a 95 % interval are rejected. ``axis`` is the
-    name of the axis in messages.
-
-    Raises
-    ------
-    AllanError
-        If there is neither a positive estimate nor a finite limit, or ``strict`` rejects it.
+    With the limit, a filter overestimates the noise and gives its other sensors more weight.
+    ``axis`` is the name of the axis in messages. Raises AllanError if there is neither a positive
+    estimate nor a finite limit.
     """
     coefficient = fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
     if coefficient.status == 'estimated' and value is not None and 0.0 < value < math.inf:
-        return _accepted(Level(axis, term, value, coefficient.ci95), strict)
+        return Level(axis, term, value, coefficient.ci95)
     if limit is None or not 0.0 < limit < math.inf:
         raise AllanError(
             f'{term} of {axis} has neither a value nor a limit: record longer, or fit with '
             'method likelihood'
         )
-    if strict:
-        raise AllanError(
-            f'{term} of {axis} is not resolved (below {limit:.3g}): record longer, or omit '
-            '--strict to write the limit'
-        )
     return Level(axis, term, limit, is_limit=True)
 
 
-def _accepted(level: Level, strict: bool) -> Level:
-    """Return the level; raise `AllanError` if ``strict`` is set and it has no interval."""
-    if strict and level.no_interval:
-        raise AllanError(
-            f'{level.term} of {level.axis} has no 95 % interval: record longer, fit with method '
-            'likelihood, or omit --strict'
-        )
-    return level
-
-
 def reduce_axis(
-    axis: str,
-    fit: AxisFit,
-    states: States = 'walk',
-    horizon: float = HORIZON_S,
-    strict: bool = False,
+    axis: str, fit: AxisFit, states: States = 'walk', horizon: float = HORIZON_S
 ) -> Reduction:
     """Return the noise model of one axis, reduced to the states of a filter.
 
     N is replaced by its upper limit if it is not resolved, and so is K if the model has no drift.
 
     ``states`` are the states with which the filter models the bias, and ``horizon`` the longest
-    time in s that it integrates without a correction. ``strict`` rejects upper limits, values
-    without a 95 % interval, and poor reductions (see `Reduction.poor`), but accepts values that the
-    reduction increased. ``axis`` is the name of the axis in messages.
+    time in s that it integrates without a correction. ``axis`` is the name of the axis in messages.
 
     The ``levels`` of the result are N and, if it has a random walk, K. The interval of an increased
     value ranges over the reductions of the models at the lower and at the upper ends of the 95 %
@@ -85,24 +59,17 @@ def reduce_axis(
     Raises
     ------
     AllanError
-        If a required coefficient has neither a value nor a limit, or ``strict`` rejects the result.
+        If a required coefficient has neither a value nor a limit.
     """
-    white, walk = axis_level(axis, fit, 'N', strict), None
+    white, walk = axis_level(axis, fit, 'N'), None
     model = replace(fit.model, terms=replace(fit.model.terms, N=white.value))
     resolved_walk = model.terms.K
     reduction = reduce_model(model, states, horizon)
     # without drift, or if all drift is fast and became white noise
     if not has_drift(model) or (states == 'walk' and not reduction.model.terms.K):
-        walk = axis_level(axis, fit, 'K', strict)
+        walk = axis_level(axis, fit, 'K')
         with_walk = replace(model, terms=replace(model.terms, K=walk.value))
         reduction = reduce_model(with_walk, states, horizon)
-    if strict and reduction.poor:
-        raise AllanError(
-            f'{axis}: the error growth of {_NAMES[states]} is wrong by a factor of '
-            f'{max(reduction.ratio[1], 1.0 / reduction.ratio[0]):.1f} over '
-            f'{horizon_text(horizon)}: choose another --horizon, write state_space, or omit '
-            '--strict'
-        )
     n, k = reduction.model.terms.N, reduction.model.terms.K
     ends = interval_models(fit) if states in ('none', 'walk') else None
     of_ends = [reduce_model(one, states, horizon).model.terms for one in ends or ()]
@@ -111,7 +78,6 @@ def reduce_axis(
         if k > 1.001 * resolved_walk:
             measured = resolved_walk if fit.noise['K'].status == 'estimated' else 0.0
             walk = _raised(walk, k, measured, [one.K for one in of_ends])
-        walk = _accepted(walk, strict)
     if n > 1.001 * white.value:
         white = _raised(white, n, white.value, [one.N for one in of_ends])
     return reduction._replace(levels={'N': white, **({'K': walk} if walk else {})})
@@ -120,34 +86,6 @@ def reduce_axis(
 def _raised(level: Level, value: float, fitted: float, ends: Sequence[float]) -> Level:
     ci95 = (min(*ends, value), max(*ends, value)) if ends else None
     return level._replace(value=value, ci95=ci95, raised_from=fitted)
-
-
-_NAMES = {
-    'none': 'white noise alone',
-    'walk': 'a random walk',
-    'processes': 'the process model',
-}
-
-
-def sensor_levels(levels: Sequence[Level], rule: str) -> tuple[Level, ...]:
-    """Combine the levels of the axes x, y and z into the levels of the sensor.
-
-    ``rule`` is 'worst' (the largest), 'mean' (the root mean square of values and of interval ends)
-    or 'each' (all three).
-    """
-    if rule == 'each':
-        return tuple(levels)
-    if rule == 'worst':
-        return (max(levels, key=lambda level: level.value),)
-    first = levels[0]
-    low, high = (_root_mean_square(ends) for ends in zip(*(one.interval for one in levels)))
-    limit = any(level.is_limit for level in levels)
-    value = _root_mean_square([level.value for level in levels])
-    return (Level(first.axis, first.term, value, (low, high), limit),)
-
-
-def _root_mean_square(values: Sequence[float]) -> float:
-    return math.sqrt(sum(value * value for value in values) / len(values))
 
 
 SAMPLE_WINDOW_S = 1.0

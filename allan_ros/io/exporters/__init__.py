@@ -36,23 +36,16 @@ TARGETS = {
     'fast_livo2': 'FAST-LIVO2 parameters: variance N^2 f',
     'point_lio': 'Point-LIO parameters: variances N^2 f and K^2 f',
     'glim': 'GLIM config_sensors.json: continuous density N, and K for the time between two scans',
-    'lvi_sam': 'LVI-SAM params_lidar.yaml: continuous densities N and K',
     'gtsam': 'GTSAM PreintegrationCombinedParams in Python: continuous covariances N^2 and K^2',
     'basalt': 'Basalt calibration JSON: continuous densities N and K of each axis',
     'msckf_vio': 'MSCKF_VIO parameters: continuous densities N and K',
-    'fusioncore': 'FusionCore ROS 2 parameters: std per sample, bias variance per step',
     'px4': 'PX4 EKF2 parameters: std per EKF step, within their ranges',
     'ardupilot': 'ArduPilot EK3 parameters: std per EKF step, within their ranges',
     'kf_gins': 'KF-GINS imunoise: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias, of each axis',
-    'ob_gins': 'OB_GINS and IC-GVINS imumodel: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias',
-    'navego': 'NaveGo structure for ins_gnss.m: SI densities and a Gauss-Markov bias, of each axis',
-    'pyins': 'pyins EstimationModel in Python: continuous densities N and K of each axis',
     'imu_filter_madgwick': 'imu_filter_madgwick ROS 2 parameters: gain and zeta at a horizon',
     'temperature': 'YAML: bias of each axis over temperature (b0, b1, b2) in SI and K',
     'state_space': 'JSON allan_ros/state_space/2: all processes, and Phi, Qd, R of each axis',
     'gazebo': 'Gazebo SDF <imu>: std per sample and a Gauss-Markov bias, of each axis',
-    'isaac_sim': 'Isaac Sim: Python module that adds the noise to the readings of the IMU sensor',
-    'webots': 'Webots: Python module that adds the noise in the controller',
 }
 """Target -> description of its file."""
 
@@ -61,9 +54,6 @@ WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
 
 FROM_DATASHEET = 'datasheet'
 """Method of results that contain the figures of a datasheet."""
-
-AXIS_RULE = 'worst'
-"""Default of `ExportOptions.axis` for one number per sensor, as users of Kalibr expect."""
 
 VIO_HORIZON_S = 30.0
 """Longest integration in s between corrections by a camera or lidar."""
@@ -85,12 +75,6 @@ Value = Any
 class ExportOptions(CheckedSettings):
     """Options of a file for a filter."""
 
-    axis: str = parameter(
-        '',
-        'Value of a sensor: the worst of three axes, their root mean square (mean), or each axis '
-        'if the file takes three numbers. Default: each where possible, else worst.',
-        choices=('', 'worst', 'mean', 'each'),
-    )
     inflate: float = parameter(
         1.0,
         'Factor on every noise level, for vibration and model errors that add to the noise at '
@@ -105,12 +89,6 @@ class ExportOptions(CheckedSettings):
         unit='Hz',
         low=0.0,
         high=1e6,
-    )
-    strict: bool = parameter(
-        False,
-        'Stop with an error instead of writing a 95 % upper limit, a value without a 95 % '
-        'interval, or a reduction whose error growth is wrong by more than a factor of 2. A value '
-        'that the reduction raises is accepted.',
     )
     fidelity: str = parameter(
         'reduction',
@@ -140,7 +118,7 @@ class Key(NamedTuple):
     name: str
     sensor: str  # 'gyro' or 'accel'; '-' for both, where N or K is the larger of the two
     # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
-    # 'common_tau': correlation time of all axes; 'rate'; 'topic'
+    # 'common_tau': correlation time of all axes, in h; 'rate'; 'topic'
     what: str
     unit: str = ''  # one of `model.NOTATIONS`, or a unit
     limits: tuple[float, float] | None = None  # range that the filter accepts
@@ -230,7 +208,7 @@ class Target:
     notes: tuple[str, ...] = ()  # further information for the user of this file
     # yields the rows of a file that is too complex for a table
     rows: Callable[[FilterNoise], Iterable[Row]] | None = None
-    three: bool = False  # whether the file takes three numbers per sensor
+    three: bool = False  # whether the file takes x, y and z of a sensor; else the largest
     rate_hz: float | None = None  # the filter's own rate; None if it steps with the samples
     horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
     # whether the target models the bias as a random walk; then N and K are adjusted together

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Export targets whose rows are computed: state space, simulators, Madgwick filter, temperature.
+"""Export targets whose rows are computed: state space, Gazebo, Madgwick filter, temperature.
 
 The document ``allan_ros/state_space/2`` has for each axis under ``axes``: the levels ``white``,
 ``walk`` and ``gauss_markov`` in SI, and the matrices of
@@ -13,96 +13,45 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
-from itertools import chain
 
 from ...core.errors import AllanError
 from ...core.filters.growth import drift_model, interval_models
-from ...core.filters.noise_parameters import sensor_levels
 from ...core.filters.reductions import Level, StateSpace
 from ...core.imu import AXES, SI_UNITS, sensor_of
 from ...core.noise import ProcessModel
 from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
-from . import ANY_NODE, INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target, Value
+from . import ANY_NODE, INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
 from .model import FilterNoise, Notation, clamped, rounded
-from .text import json_form, line_form, xml_form, yaml_form
+from .text import json_form, xml_form, yaml_form
 
 SCHEMA = 'allan_ros/state_space/2'
-
-CONTENT = 'exact discrete state space of the fitted processes (IEEE Std 952; van Loan 1978)'
 
 MATRIX_DIGITS = 12
 """Significant digits of the matrices: diagonal elements of Phi are close to 1."""
 
 
-def _axes(noise: FilterNoise) -> dict[str, tuple[StateSpace, dict[str, Value]]]:
-    found = {}
-    for axis in noise.results.axes:
-        model, inflate = noise.reduction(axis, 'processes').model, noise.options.inflate
-        processes = [[rounded(inflate * sigma), rounded(tau)] for sigma, tau in model.gauss_markov]
-        white, walk = (rounded(inflate * level) for level in (model.terms.N, model.terms.K))
-        space = StateSpace(white, walk, tuple((sigma, tau) for sigma, tau in processes))
-        found[axis] = space, {'white': white, 'walk': walk, 'gauss_markov': processes}
-    return found
-
-
 def _document(noise: FilterNoise) -> Iterator[Row]:
     yield Row(('schema',), SCHEMA)
     yield Row(('rate_hz',), noise.rate)
-    step = 1.0 / noise.rate
-    for axis, (space, written) in _axes(noise).items():
-        levels = tuple(noise.reduction(axis, 'processes').levels.values())
+    step, inflate = 1.0 / noise.rate, noise.options.inflate
+    for axis, result in noise.results.axes.items():
+        reduction = noise.reduction(axis, 'processes')
+        model, levels = reduction.model, tuple(reduction.levels.values())
+        processes = [[rounded(inflate * sigma), rounded(tau)] for sigma, tau in model.gauss_markov]
+        white, walk = (rounded(inflate * level) for level in (model.terms.N, model.terms.K))
+        space = StateSpace(white, walk, tuple((sigma, tau) for sigma, tau in processes))
         document = {
             'unit': SI_UNITS[sensor_of(axis)]['B'],
-            **written,
-            'ramp': rounded(noise.results.axes[axis].fit.model.terms.R),
+            'white': white,
+            'walk': walk,
+            'gauss_markov': processes,
+            'ramp': rounded(result.fit.model.terms.R),
             'limits': [level.term for level in levels if level.is_limit],
             'Phi': rounded(space.transition(step).tolist(), MATRIX_DIGITS),
             'Qd': rounded(space.noise(step).tolist(), MATRIX_DIGITS),
             'R': rounded(space.sample_variance(noise.rate)),
         }
         yield Row(('axes', axis), document, levels=levels)
-
-
-def _module(noise: FilterNoise) -> Iterator[Row]:
-    axes = {axis: written for axis, (_, written) in _axes(noise).items()}
-    levels = (noise.reduction(axis, 'processes').levels.values() for axis in axes)
-    yield Row(('AXES',), axes, levels=tuple(chain(*levels)))
-
-
-_CODE = '''
-
-class ImuNoise:
-    """Simulated noise of all axes; the result of a call is added to ideal samples."""
-
-    def __init__(self, rng=None):
-        self.rng = rng or np.random.default_rng()
-        self.bias = {
-            axis: [0.0, *(sigma * self.rng.standard_normal() for sigma, _ in noise['gauss_markov'])]
-            for axis, noise in AXES.items()
-        }
-
-    def __call__(self, dt):
-        """Return the noise of the next sample of each axis, dt s after the last one."""
-        sample = {}
-        for axis, noise in AXES.items():
-            bias, draw = self.bias[axis], self.rng.standard_normal
-            bias[0] += noise['walk'] * math.sqrt(dt) * draw()
-            for i, (sigma, tau) in enumerate(noise['gauss_markov'], 1):
-                driven = sigma * math.sqrt(-math.expm1(-2 * dt / tau))
-                bias[i] = math.exp(-dt / tau) * bias[i] + driven * draw()
-            sample[axis] = sum(bias) + noise['white'] / math.sqrt(dt) * draw()
-        return sample
-
-    def add(self, angular_velocity, linear_acceleration, dt):
-        """Return the two vectors (x, y, z) with noise added."""
-        sample = self(dt)
-        gyro, accel = (
-            np.array([sample.get(f'{sensor}_{axis}', 0.0) for axis in 'xyz'])
-            for sensor in ('gyro', 'accel')
-        )
-        return np.asarray(angular_velocity) + gyro, np.asarray(linear_acceleration) + accel
-'''
 
 
 def _gazebo(noise: FilterNoise) -> Iterator[Row]:
@@ -176,7 +125,7 @@ def _madgwick(noise: FilterNoise) -> Iterator[Row]:
         low, high = map(gain, ends, white.interval) if ends else (0.0, math.inf)
         value = gain(result.fit.model, white.value)
         gains.append(Level(axis, 'gain', value, (low, high), white.is_limit))
-    (worst,) = sensor_levels(gains, noise.rule)
+    worst = max(gains, key=lambda level: level.value)
     words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s'
     words += f'{" and the bias" if noise.bias else ""}: '
     words += ', '.join(f'{level.axis} {level.value:.3g}' for level in gains)
@@ -224,21 +173,11 @@ def _temperature(noise: FilterNoise) -> Iterator[Row]:
             yield Row((f'{sensor}_{what}',), values, f'[{unit}]: {"; ".join(text)}', unit, widest)
 
 
-_complete = partial(Target, three=True, horizon_s=INS_HORIZON_S, walk=False)
-
-_python = partial(
-    _complete,
-    form=line_form(
-        '{key} = {value}', before='\nimport math\n\nimport numpy as np\n\n', after=_CODE
-    ),
-    rows=_module,
-)
-
-
 COMPUTED = {
-    'state_space': _complete(
+    'state_space': Target(
         'state_space.json',
-        f'{CONTENT}; Phi, Qd: a step of 1/rate_hz of (integral, walk, Gauss-Markov ...); '
+        'exact discrete state space of the fitted processes (IEEE Std 952; van Loan 1978); '
+        'Phi, Qd: a step of 1/rate_hz of (integral, walk, Gauss-Markov ...); '
         'R = N^2 f: variance of a sample',
         json_form,
         rows=_document,
@@ -247,23 +186,9 @@ COMPUTED = {
             'walk covers a ramp and slow sinusoids over the horizon, because they have no '
             'states; if K is not resolved, it contains 15 % of the expected K^2',
         ),
-    ),
-    'isaac_sim': _python(
-        'isaac_sim_imu_noise.py',
-        f'{CONTENT}; the IMU sensor of Isaac Sim adds no noise, so a script adds it to its reading',
-        notes=(
-            'noise = ImuNoise(); frame = imu.get_current_frame(); gyro, accel = '
-            "noise.add(frame['ang_vel'], frame['lin_acc'], physics_dt)",
-        ),
-    ),
-    'webots': _python(
-        'webots_imu_noise.py',
-        f'{CONTENT}; the lookupTable of the Gyro and Accelerometer nodes scales noise with the '
-        'value (no noise at rest), so the controller adds it',
-        notes=(
-            'noise = ImuNoise(); gyro, accel = noise.add(gyro.getValues(), '
-            'accelerometer.getValues(), timestep / 1000)',
-        ),
+        three=True,
+        horizon_s=INS_HORIZON_S,
+        walk=False,
     ),
     'gazebo': Target(
         'gazebo_imu.sdf',

@@ -18,12 +18,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...core.errors import AllanError
-from ...core.filters.noise_parameters import axis_level, reduce_axis, sensor_levels
+from ...core.filters.noise_parameters import axis_level, reduce_axis
 from ...core.filters.reductions import Level, Reduction, States, closest_process, horizon_text
 from ...core.findings import Finding, finding
 from ...core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ..format import LIMIT_DIGITS, VALUE_DIGITS, significant
-from . import AXIS_RULE, FROM_DATASHEET, ExportOptions, Key, Row, Target
+from . import FROM_DATASHEET, ExportOptions, Key, Row, Target
 
 if TYPE_CHECKING:
     from ..axis_result import AxisResult
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 DIGITS = 6
 """Significant digits of numbers in a file, more than any interval justifies."""
-
-UNITS_S = {'s': 1.0, 'h': HOUR}
 
 WRONG_UNITS = ('gyro_unit', 'accel_unit', 'accel_scale')
 """Findings that the samples are not in SI units: no file is written without `--force`."""
@@ -70,7 +68,6 @@ NOTATIONS = {
     'std': Notation('{term} sqrt(f)', '{std}', 1.0, 0.5),
     'variance': Notation('{term}^2 f', '({std})^2', 2.0, 1.0),
     'step_std': Notation('{term} / sqrt(f)', '{bias}', 1.0, -0.5),
-    'step_variance': Notation('{term}^2 / f', '({bias})^2', 2.0, -1.0),
     'covariance': Notation('{term}^2', '({density})^2', 2.0),
 }
 """Notations in which filters expect N and K."""
@@ -91,13 +88,11 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
 class FilterNoise:
     """The noise of one IMU in the convention of one target, with one set of options.
 
-    The constructor raises AllanError if an option does not apply to the target. Every method raises
-    it if a sensor is absent, or an axis has neither a value nor a limit.
+    The constructor raises AllanError if the units of the samples are probably wrong. Every method
+    raises it if a sensor is absent, or an axis has neither a value nor a limit.
 
     Attributes
     ----------
-    rule : str
-        How the axes of a sensor are combined: 'worst', 'mean' or 'each'.
     rate : float
         Rate of the filter in Hz.
     horizon : float
@@ -113,8 +108,6 @@ class FilterNoise:
         target: Target,
         bias: Mapping[str, float] = {},
     ) -> None:
-        if options.axis == 'each' and not target.three:
-            raise AllanError('this file takes one number per sensor: choose --axis worst or mean')
         if not 0.0 < results.tau0 < math.inf:
             raise AllanError('these results have no sample rate: record longer, or analyze again')
         wrong = [each for each in results.findings if each.id in WRONG_UNITS]
@@ -126,7 +119,6 @@ class FilterNoise:
         self.options = options
         self.target = target
         self.bias = bias
-        self.rule = options.axis or ('each' if target.three else AXIS_RULE)
         self.rate, self.rate_words = rounded(results.rate_hz), 'the rate of the recording'
         if results.method == FROM_DATASHEET:
             self.rate_words = 'assumed: state it with --filter-rate'
@@ -159,31 +151,28 @@ class FilterNoise:
             recorded = next((topic for topic in topics if topic), DEFAULT_TOPIC)
             return Row(path, self.options.topic or recorded)
         if key.what == 'common_tau':
-            words = f'[{key.unit}]: one correlation time for all axes'
-            return Row(path, rounded(self.common_tau / UNITS_S[key.unit]), words, key.unit)
+            words = '[h]: one correlation time for all axes'
+            return Row(path, rounded(self.common_tau / HOUR), words, 'h')
         return self._process_row(path, key)
 
     def level_row(self, path: tuple[str, ...], sensor: str, term: str, notation: Notation) -> Row:
-        """Return the row of N, K or R of a sensor, combined over its axes by `rule`."""
+        """Return the row of N, K or R of a sensor: of the worst axis, or of x, y and z."""
         units, inflate = SI_UNITS[sensor], self.options.inflate
-        measured = [self.level(axis, term) for axis in self.axes_of(sensor)]
-        levels = sensor_levels(measured, self.rule)
-        named = measured if self.rule == 'mean' else levels
+        levels = [self.level(axis, term) for axis in self.axes_of(sensor)]
+        if not self.target.three:
+            levels = [max(levels, key=lambda level: level.value)]
         std = units['B' if term == 'N' else 'R']
         unit = notation.unit.format(density=units[term], std=std, bias=units['B'])
         formula = notation.formula.format(term=term)
         words = (
-            f'[{unit}]{f" = {formula}" if formula else ""}: {"; ".join(map(level_words, named))}'
+            f'[{unit}]{f" = {formula}" if formula else ""}: {"; ".join(map(level_words, levels))}'
         )
         values = [rounded(notation.number(inflate * one.value, self.rate)) for one in levels]
         intervals = (one.interval for one in levels)
         widest = max(intervals, key=lambda ends: ends[1] / ends[0] if ends[0] else math.inf)
         low, high = (notation.number(inflate * end, self.rate) for end in widest)
-        return Row(path, self._value(values), words, unit, (low, high), tuple(named))
-
-    def _value(self, values: list[float]) -> float | list[float]:
-        """Return the value of a key from one number, or three of x, y, z."""
-        return values * (3 // len(values)) if self.target.three else values[0]
+        value = values if self.target.three else values[0]
+        return Row(path, value, words, unit, (low, high), tuple(levels))
 
     def level(self, axis: str, term: str) -> Level:
         """Return the noise level of a term of one axis.
@@ -193,17 +182,17 @@ class FilterNoise:
         """
         reduces = term == 'K' or (term == 'N' and self.target.walk)
         if self.options.fidelity == 'coefficients' or not reduces:
-            return axis_level(axis, self.results.axes[axis].fit, term, self.options.strict)
+            return axis_level(axis, self.results.axes[axis].fit, term)
         return self.reduction(axis).levels[term]
 
     def _process_row(self, path: tuple[str, ...], key: Key) -> Row:
-        """Return the row of sigma, tau or the driving density of the Gauss-Markov bias.
+        """Return the row of sigma, tau or the driving density of the Gauss-Markov bias of x, y, z.
 
         It is the process whose growth is closest to the growth of the drift of each axis.
         """
         axes = self.axes_of(key.sensor)
         common = any(each.what == 'common_tau' for each in self.target.keys)
-        tau = self.common_tau if common or self.rule != 'each' else None
+        tau = self.common_tau if common else None
         # the axes without a fitted process, and K from which their process is computed
         walks, pairs = {}, []
         for name, axis in axes.items():
@@ -216,14 +205,11 @@ class FilterNoise:
             pairs.append(pair)
         taus = [pair[1] for pair in pairs]
         if key.what == 'tau':
-            return Row(path, rounded(self._value(taus)), '[s]', key.unit)
-        sigmas = [Level(name, 'sigma', sigma) for name, (sigma, _) in zip(axes, pairs)]
-        values = [one.value for one in sensor_levels(sigmas, self.rule)]
-        values = [self.options.inflate * value / UNITS[key.unit].factor for value in values]
+            return Row(path, rounded(taus), '[s]', key.unit)
+        values = [self.options.inflate * sigma / UNITS[key.unit].factor for sigma, _ in pairs]
         equals = ''
         if key.what == 'driving':
             equals = ' = sigma sqrt(2 / tau)'
-            values *= 3 // len(values)
             values = [value * math.sqrt(2.0 / one) for value, one in zip(values, taus)]
         si = SI_UNITS[key.sensor]['B']
         described = '; '.join(
@@ -237,7 +223,7 @@ class FilterNoise:
         note = finding('export_no_gauss_markov', tuple(walks), horizons=horizon_text(self.horizon))
         return Row(
             path,
-            rounded(self._value(values)),
+            rounded(values),
             words,
             key.unit,
             levels=tuple(walks.values()),
@@ -255,7 +241,7 @@ class FilterNoise:
 
     def reduction(self, axis: str, states: States = 'walk') -> Reduction:
         """Return the reduced-order model of one axis for a filter with these states."""
-        result, key = self.results.axes[axis], (states, self.horizon, self.options.strict)
+        result, key = self.results.axes[axis], (states, self.horizon)
         if key not in result.reductions:
             result.reductions[key] = reduce_axis(axis, result.fit, *key)
         self._reductions[axis, states] = result.reductions[key]
@@ -288,7 +274,7 @@ class FilterNoise:
 
 def level_words(level: Level) -> str:
     """Return the term, axis, value and 95 % interval of a noise level as text, in SI."""
-    unit = SI_UNITS[sensor_of(level.axis)]['B' if level.term == 'sigma' else level.term]
+    unit = SI_UNITS[sensor_of(level.axis)][level.term]
     words = f'{level.term} of {level.axis}'
     if level.is_limit:
         limit = significant(level.raised_from or level.value, LIMIT_DIGITS)

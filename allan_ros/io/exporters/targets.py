@@ -8,12 +8,10 @@ continuous densities, f is the rate in Hz.
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from . import ANY_NODE, INS_HORIZON_S, Key, Target, Value, keys_of, noise_keys
-from .text import json_form, line_form, matlab_literal, opencv_form, yaml_form
+from .text import json_form, line_form, opencv_form, yaml_form
 
 KALIBR_KEYS = keys_of("""
 accelerometer_noise_density  accel  N
@@ -57,38 +55,10 @@ def set_noise(params):
     return params
 '''
 
-PYINS_CODE = '''
-
-def models(gyro_bias_sd, accel_bias_sd):
-    """Return the two arguments gyro_model and accel_model of the filters of pyins.
-
-    The standard deviations of the initial biases in rad/s and m/s^2 are not measured here.
-    """
-    from pyins.inertial_sensor import EstimationModel
-
-    return (
-        EstimationModel(gyro_bias_sd, gyro_noise, gyro_bias_walk),
-        EstimationModel(accel_bias_sd, accel_noise, accel_bias_walk),
-    )
-'''
-
 FLOOR_NOTE = (
     'this is the noise at rest, a lower limit: propellers, vibration and clipping add to it, and '
     'the defaults of the autopilot include them; use lower values only after checking the logs'
 )
-
-GAUSS_MARKOV_INS = keys_of("""
-arw       gyro   N           deg/sqrt(h)
-vrw       accel  N           m/s/sqrt(h)
-gbstd     gyro   sigma       deg/h
-abstd     accel  sigma       mGal
-corrtime  -      common_tau  h
-""")
-"""Keys of KF-GINS and OB_GINS."""
-
-
-_ins = partial(Target, horizon_s=INS_HORIZON_S, walk=False)
-
 
 FILTERS = {
     'kalibr': Target(
@@ -212,15 +182,6 @@ FILTERS = {
         ),
         rate_hz=10.0,
     ),
-    'lvi_sam': Target(
-        'lvi_sam_imu.yaml',
-        'continuous time, squared for GTSAM; the walks are multiplied by the root of the time '
-        'between two biases (src/lidar_odometry/imuPreintegration.cpp)',
-        yaml_form,
-        noise_keys('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
-        parent=('lvi_sam',),
-        notes=('params_camera.yaml has the convention of VINS: write it with --to vins_fusion',),
-    ),
     'gtsam': Target(
         'gtsam_imu.py',
         'continuous covariances, divided or multiplied by the time step '
@@ -259,25 +220,6 @@ FILTERS = {
             'load it in the node: <rosparam command="load" file="..."/>, after its other noise',
         ),
     ),
-    'fusioncore': Target(
-        'fusioncore_imu.yaml',
-        'R is the square of a standard deviation per sample (sensors/imu.hpp); q is the '
-        'variance that each prediction adds, one per sample (src/ukf.cpp)',
-        yaml_form,
-        keys_of("""
-        imu.gyro_noise    gyro   N  std
-        imu.accel_noise   accel  N  std
-        ukf.q_gyro_bias   gyro   K  step_variance
-        ukf.q_accel_bias  accel  K  step_variance
-        """),
-        parent=ANY_NODE,
-        notes=(
-            'the README of FusionCore names the angular random walk of the datasheet: entered as a '
-            'density, it is sqrt(f) times too small (docs/certified-configs multiplies by sqrt(f))',
-            'q of angular velocity and acceleration is motion of the robot, not measured here',
-        ),
-        horizon_s=INS_HORIZON_S,
-    ),
     # EKF2 and EK3 add (dt noise)^2 to the variance of angle and velocity and (dt bias_noise)^2 to
     # the variance of the bias, where dt is the step of the filter; samples are averaged to this
     # step before.
@@ -313,12 +255,18 @@ FILTERS = {
         rate_hz=1.0 / 0.012,
         horizon_s=INS_HORIZON_S,
     ),
-    'kf_gins': _ins(
+    'kf_gins': Target(
         'kf_gins_imu.yaml',
         'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
         '2 sigma^2 / corrtime (src/kf_gins.cpp, src/kf-gins/gi_engine.cpp)',
         yaml_form,
-        GAUSS_MARKOV_INS,
+        keys_of("""
+        arw       gyro   N           deg/sqrt(h)
+        vrw       accel  N           m/s/sqrt(h)
+        gbstd     gyro   sigma       deg/h
+        abstd     accel  sigma       mGal
+        corrtime  -      common_tau
+        """),
         parent=('imunoise',),
         notes=(
             'gbstd and abstd are also the initial uncertainty of the bias: set initbgstd and '
@@ -327,43 +275,8 @@ FILTERS = {
             'x, y, z are the axes of the messages; KF-GINS expects forward, right, down',
         ),
         three=True,
-    ),
-    'ob_gins': _ins(
-        'ob_gins_imu.yaml',
-        'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
-        '2 sigma^2 / corrtime (src/ob_gins.cc, src/preintegration/preintegration_normal.cc)',
-        yaml_form,
-        GAUSS_MARKOV_INS,
-        parent=('imumodel',),
-        notes=('IC-GVINS reads the same keys (config/gvins.yaml)',),
-    ),
-    # ins_gnss.m uses gb_psd and ab_psd as the density of the noise that drives the bias.
-    'navego': _ins(
-        'navego_imu.m',
-        'SI fields of the structure that ins_gnss.m takes: Q of arw, vrw, gb_psd, ab_psd '
-        'squared, bias -1/corr (ins-gnss/ins_gnss.m, F_update.m)',
-        line_form('imu.{key} = {value};', comment='%', literal=matlab_literal),
-        keys_of("""
-        arw      gyro   N
-        vrw      accel  N
-        gb_dyn   gyro   sigma    rad/s
-        gb_corr  gyro   tau      s
-        gb_psd   gyro   driving  rad/s^2/sqrt(Hz)
-        ab_dyn   accel  sigma    m/s^2
-        ab_corr  accel  tau      s
-        ab_psd   accel  driving  m/s^3/sqrt(Hz)
-        """),
-        notes=('run it after imu_si_errors.m, which computes gb_psd and ab_psd differently',),
-        three=True,
-    ),
-    'pyins': Target(
-        'pyins_imu.py',
-        'continuous time: Q of noise and bias_walk squared, made discrete by van Loan '
-        '(pyins/inertial_sensor.py, pyins/filters.py)',
-        line_form('{key} = {value}', before='\n', after=PYINS_CODE),
-        noise_keys('gyro_noise accel_noise gyro_bias_walk accel_bias_walk'),
-        three=True,
         horizon_s=INS_HORIZON_S,
+        walk=False,
     ),
 }
 """Name -> target."""

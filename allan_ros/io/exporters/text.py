@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,11 +18,11 @@ from ...core.errors import AllanError, one_line
 from ...core.filters.growth import growth_table, predicted_growth
 from ...core.filters.reductions import horizon_text
 from ...core.findings import duration_text
-from ...core.imu import AXES, DEGREE, SENSORS, UNITS, sensor_of
+from ...core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
 from ...core.noise import NoiseTerms, ProcessModel
 from ..format import significant
 from . import FROM_DATASHEET, ExportOptions, Form, Key, Row, Target, Value, target_of
-from .model import UNITS_S, WRONG_UNITS, FilterNoise, notation_of
+from .model import WRONG_UNITS, FilterNoise, notation_of
 
 if TYPE_CHECKING:
     from ..results import Results
@@ -31,12 +31,6 @@ if TYPE_CHECKING:
 
 NAMED_SOURCES = 3
 """Largest number of recordings that the header comment names; others are counted."""
-
-RULE_WORDS = {
-    'worst': 'worst (the largest of x, y, z)',
-    'mean': 'mean (root mean square of x, y, z)',
-    'each': 'each (x, y, z)',
-}
 
 
 def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str]:
@@ -63,13 +57,14 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
             f'measured (allan_ros {__version__})',
             *(f'source: {source.path}' for source in results.provenance.sources),
         ]
+    rule = 'each (x, y, z)' if target.three else 'worst (the largest of x, y, z)'
     inflation = f'x{inflate:g} on every N, K and bias; the levels below are without it'
     lines = [
         *(f'warning: {note}' for note in results.findings if note.id in first),
         *title,
         f'convention: {target.convention}',
         f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
-        f'axis rule: {RULE_WORDS[noise.rule]}; inflation: {inflation if inflate > 1 else "none"}',
+        f'axis rule: {rule}; inflation: {inflation if inflate > 1 else "none"}',
     ]
     if noise.options.fidelity == 'coefficients':
         lines.append('fidelity: N and K as measured; they underestimate flicker and drift')
@@ -130,31 +125,19 @@ def json_form(rows: Sequence[Row], header: Sequence[str]) -> str:
     return INNERMOST_LIST.sub(lambda found: f'[{" ".join(found[1].split())}]', text) + '\n'
 
 
-def line_form(
-    line: str,
-    comment: str = '#',
-    before: str = '',
-    after: str = '',
-    literal: Callable[[Value], str] = repr,
-) -> Form:
+def line_form(line: str, before: str = '', after: str = '') -> Form:
     """Return the format of a file with one line per key.
 
-    ``line`` is a `str.format` template of key and value, ``comment`` the start of a comment line.
-    ``before`` is text between header and lines, ``after`` text after the lines. ``literal``
-    converts a value to the text of the language.
+    ``line`` is a `str.format` template of key and value. ``before`` is text between header and
+    lines, ``after`` text after the lines.
     """
 
     def form(rows: Sequence[Row], header: Sequence[str]) -> str:
-        comments = ''.join(f'{comment} {text}\n' for text in header)
-        lines = (line.format(key=row.key, value=literal(row.value)) + '\n' for row in rows)
+        comments = ''.join(f'# {text}\n' for text in header)
+        lines = (line.format(key=row.key, value=row.value) + '\n' for row in rows)
         return f'{comments}{before}{"".join(lines)}{after}'
 
     return form
-
-
-def matlab_literal(value: Value) -> str:
-    """Return a number or a list of numbers as a MATLAB literal."""
-    return f'[{" ".join(map(repr, value))}]' if isinstance(value, list) else repr(value)
 
 
 def xml_form(rows: Sequence[Row], header: Sequence[str]) -> str:
@@ -226,8 +209,8 @@ DIGITS = 2
 ROUNDING = 0.01
 """Relative difference that is due to the rounding of the numbers in a file."""
 
-COMMENT = re.compile(r'(?m)^\s*(?:#|%|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
-"""Comments of YAML, MATLAB, Python and JSON, and strings with a space."""
+COMMENT = re.compile(r'(?m)^\s*(?:#|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
+"""Comments of YAML, Python and JSON, and strings with a space."""
 
 NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
 
@@ -337,10 +320,7 @@ def file_models(target: Target, text: str, rate: float) -> Mapping[str, ProcessM
     for sensor, place in SENSORS.items():
         for i, axis in enumerate(AXES[place]):
             one = {w: v[i % len(v)] for (s, w), v in values.items() if s == sensor}
-            tau = one.get('tau', one.get('common_tau', math.nan))
-            sigma = one.get('driving', math.nan) * math.sqrt(tau / 2.0)
-            sigma = one.get('sigma', sigma) if math.isnan(sigma) else sigma
-            process = () if math.isnan(sigma) else ((sigma, tau),)
+            process = ((one['sigma'], one['common_tau']),) if 'sigma' in one else ()
             models[axis] = ProcessModel(NoiseTerms(N=one['N'], K=one.get('K', 0.0)), process)
     return models
 
@@ -348,9 +328,8 @@ def file_models(target: Target, text: str, rate: float) -> Mapping[str, ProcessM
 def _numbers(plain: str, key: Key) -> list[float]:
     """Return the one or three numbers of a key in a text without comments."""
     name = key.name
-    *parents, last = map(re.escape, name.split('.'))
-    prefix = f'(?:(?:{"|".join(["imu", *parents])})[.])?'
-    values = re.findall(rf'(?<![\w.]){prefix}{last}["\']?\s*[:=,\s]\s*(\[[^\]]*\]|{NUMBER})', plain)
+    known = re.escape(name)
+    values = re.findall(rf'(?<![\w.]){known}["\']?\s*[:=,\s]\s*(\[[^\]]*\]|{NUMBER})', plain)
     numbers = [[float(n) for n in re.findall(NUMBER, value)] for value in dict.fromkeys(values)]
     if len(numbers) != 1 or len(numbers[0]) not in (1, 3):
         what = 'contains no number' if not numbers else 'contains several values'
@@ -366,5 +345,5 @@ def _si(key: Key, numbers: list[float], rate: float) -> list[float]:
     if key.what in ('N', 'K'):
         notation = notation_of(key)
         return [notation.level(value, rate) for value in numbers]
-    factor = UNITS_S[key.unit] if 'tau' in key.what else UNITS[key.unit].factor
+    factor = HOUR if key.what == 'common_tau' else UNITS[key.unit].factor
     return [value * factor for value in numbers]
