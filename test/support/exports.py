@@ -65,12 +65,14 @@ READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
     'fast_livo2': (read_yaml, ('imu',)),
     'point_lio': (read_yaml, ('mapping',)),
     'glim': (json.loads, ('sensors',)),
+    'lvi_sam': (read_yaml, ('lvi_sam',)),
     'gtsam': (run_python, ()),
     'basalt': (json.loads, ('value0',)),
     'msckf_vio': (read_yaml, ('noise',)),
     'px4': (read_lines, ()),
     'ardupilot': (read_lines, ()),
     'kf_gins': (read_yaml, ('imunoise',)),
+    'pyins': (run_python, ()),
     'imu_filter_madgwick': (read_yaml, NODE),
     'temperature': (read_yaml, ()),
     'state_space': (json.loads, ('axes', 'accel_z')),
@@ -86,6 +88,7 @@ openvins accelerometer_noise_density 2e-3 accelerometer_random_walk 3e-5
 openvins gyroscope_noise_density 1e-3 gyroscope_random_walk 1e-5 update_rate 200
 orb_slam3 IMU.NoiseGyro 1e-3 IMU.NoiseAcc 2e-3 IMU.GyroWalk 1e-5 IMU.AccWalk 3e-5 IMU.Frequency 200
 lio_sam imuAccNoise 2e-3 imuGyrNoise 1e-3 imuAccBiasN 3e-5 imuGyrBiasN 1e-5
+lvi_sam imuAccNoise 2e-3 imuGyrNoise 1e-3 imuAccBiasN 3e-5 imuGyrBiasN 1e-5
 msckf_vio gyro 1e-3 acc 2e-3 gyro_bias 1e-5 acc_bias 3e-5
 state_space white 2e-3
 # the walk of the accelerometer, over sqrt(10)
@@ -93,6 +96,8 @@ glim imu_acc_noise 2e-3 imu_gyro_noise 1e-3 imu_bias_noise 9.48683e-6
 # 0.6, 0.8 and 1 times the level
 basalt imu_update_rate 200 accel_noise_std 1.2e-3,1.6e-3,2e-3 gyro_noise_std 6e-4,8e-4,1e-3
 basalt accel_bias_std 1.2e-5,1.6e-5,3e-5 gyro_bias_std 6e-6,8e-6,1e-5
+pyins gyro_noise 6e-4,8e-4,1e-3 accel_noise 1.2e-3,1.6e-3,2e-3
+pyins gyro_bias_walk 6e-6,8e-6,1e-5 accel_bias_walk 1.2e-5,1.6e-5,3e-5
 # their squares
 gtsam accelerometerCovariance 1.44e-6,2.56e-6,4e-6 gyroscopeCovariance 3.6e-7,6.4e-7,1e-6
 gtsam biasAccCovariance 1.44e-10,2.56e-10,9e-10 biasOmegaCovariance 3.6e-11,6.4e-11,1e-10

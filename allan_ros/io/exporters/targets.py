@@ -55,6 +55,21 @@ def set_noise(params):
     return params
 '''
 
+PYINS_CODE = '''
+
+def models(gyro_bias_sd, accel_bias_sd):
+    """Return the two arguments gyro_model and accel_model of the filters of pyins.
+
+    The standard deviations of the initial biases in rad/s and m/s^2 are not measured here.
+    """
+    from pyins.inertial_sensor import EstimationModel
+
+    return (
+        EstimationModel(gyro_bias_sd, gyro_noise, gyro_bias_walk),
+        EstimationModel(accel_bias_sd, accel_noise, accel_bias_walk),
+    )
+'''
+
 FLOOR_NOTE = (
     'this is the noise at rest, a lower limit: propellers, vibration and clipping add to it, and '
     'the defaults of the autopilot include them; use lower values only after checking the logs'
@@ -182,6 +197,15 @@ FILTERS = {
         ),
         rate_hz=10.0,
     ),
+    'lvi_sam': Target(
+        'lvi_sam_imu.yaml',
+        'continuous time, squared for GTSAM; the walks are multiplied by the root of the time '
+        'between two biases (src/lidar_odometry/imuPreintegration.cpp)',
+        yaml_form,
+        noise_keys('imuGyrNoise imuAccNoise imuGyrBiasN imuAccBiasN'),
+        parent=('lvi_sam',),
+        notes=('params_camera.yaml has the convention of VINS: write it with --to vins_fusion',),
+    ),
     'gtsam': Target(
         'gtsam_imu.py',
         'continuous covariances, divided or multiplied by the time step '
@@ -277,6 +301,15 @@ FILTERS = {
         three=True,
         horizon_s=INS_HORIZON_S,
         walk=False,
+    ),
+    'pyins': Target(
+        'pyins_imu.py',
+        'continuous time: Q of noise and bias_walk squared, made discrete by van Loan '
+        '(pyins/inertial_sensor.py, pyins/filters.py)',
+        line_form('{key} = {value}', before='\n', after=PYINS_CODE),
+        noise_keys('gyro_noise accel_noise gyro_bias_walk accel_bias_walk'),
+        three=True,
+        horizon_s=INS_HORIZON_S,
     ),
 }
 """Name -> target."""
