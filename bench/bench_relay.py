@@ -153,7 +153,6 @@ def main() -> None:
     measure('empty subscriber', Process('-c', EMPTY_SUBSCRIBER), client, publisher, payload, direct)
     for name, module, parameters in (
         ('relay', 'relay', ()),
-        ('relay, callback', 'relay', ('relay.plain_callback:=true',)),
         ('in the monitor', 'monitor', ('relay.enabled:=true',)),
     ):
         with node(module, ros=parameters) as process:

@@ -33,6 +33,9 @@ from .node import AllanNode, Part, Periodic
 from .settings import CheckpointSettings, InputSettings, WatchedImu, home_of
 from .shell import LATCHED
 
+UPDATE_S = 0.5
+"""Period in s at which fetched messages are decoded and accumulated."""
+
 NEW_PASS_SHARE = 0.1
 """If stamps jump back to a point within this share of the pass, the recording is played again."""
 
@@ -73,7 +76,7 @@ class ImuWatch(Part):
         self.frame_id = ''
         self._axes: tuple[str, ...] = ()  # axes with a finite value so far
         self._published: tuple[AllanSums, ...] = ()
-        self._published_state: object = '', (), []  # `_state` of the published sums
+        self._published_state: object = '', (), False, []  # `_state` of the published sums
         self._faults: tuple[Finding, ...] = ()
         self._received = 0  # number of messages at the last status
         self._events: tuple[object, ...]
@@ -85,7 +88,7 @@ class ImuWatch(Part):
         self._subscribers = 0
         node.create_service(Trigger, f'{home}reset', self._on_reset)
         node.create_service(Trigger, f'{home}save', self._on_save)
-        self._update_due = Periodic(lambda: self._settings.value.update_period)
+        self._update_due = Periodic(lambda: UPDATE_S)
         self._sums_due = Periodic(lambda: node.publish.value.sums_period)
         self._save_due = Periodic(lambda: checkpoint.value.period)
 
@@ -287,7 +290,8 @@ class ImuWatch(Part):
 
     def _state(self) -> object:
         """Return what the estimator must know at once when it changes."""
-        return self.frame_id, self._axes, [(f.id, f.axes) for f in self._faults]
+        means = any(len(each.end_ns) for each in self._stream.means())
+        return self.frame_id, self._axes, means, [(f.id, f.axes) for f in self._faults]
 
     def _publish(self, total: Total) -> None:
         """Pass the sums to the listener, and publish them if there is a subscriber."""

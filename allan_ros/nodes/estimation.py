@@ -30,7 +30,7 @@ from ..io.datasheets import load_sensor
 from ..io.documents import load, results_to_document
 from ..io.results import Results
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
-from .messages import REPLACED_SHARE, AllanPlot, BiasPublisher, Snapshot, replaced_share
+from .messages import REPLACED_SHARE, BiasPublisher, Snapshot, replaced_share
 from .node import AllanNode, Part
 from .settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
@@ -85,8 +85,7 @@ class ImuEstimate(Part):
         self._changes: dict[str, tuple[Difference, ...]] = {}
         home = home_of(label)
         self._publisher = node.create_publisher(String, f'{home}noise_model', LATCHED)
-        self._bias = BiasPublisher(node, home, settings.value)
-        self._plot = AllanPlot(node, home, lambda: settings.value.plot_period, worker)
+        self._bias = BiasPublisher(node, home)
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
     def process(self, snapshot: Snapshot) -> None:
@@ -107,7 +106,6 @@ class ImuEstimate(Part):
 
     def tick(self, now: float) -> None:
         """Publish the result of a fit that has ended."""
-        self._plot.tick(now)
         if self._fitting is None or not self._fitting.done():
             return
         fitting, self._fitting = self._fitting, None
@@ -222,7 +220,6 @@ class ImuEstimate(Part):
             document['bias'] = bias
         text = json.dumps(document, separators=(',', ':'), allow_nan=False)
         self._publisher.publish(String(data=text))
-        self._plot.set_results(results if results.axes else None)
         if self._listener is not None:
             self._listener(results, self._bias.largest())
 

@@ -53,6 +53,9 @@ except ImportError:  # Humble
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 
+QUEUE_DEPTH = 4000
+"""Queue depth of the subscription, in messages; ``qos_overrides`` change it."""
+
 DRAIN_LIMIT = 50_000
 """Largest number of messages fetched at once: a fast publisher must not block the node."""
 
@@ -170,7 +173,7 @@ class ImuInput:
         self._publisher_count, self._alone = 1, True
         self._scale = sample_factors(settings.gyro_unit, settings.accel_unit)
         self._subscription, self.polled = subscribe_raw(
-            node, topic, self._collect, settings.queue_depth, settings.plain_callback
+            node, topic, self._collect, QUEUE_DEPTH, plain=False
         )
         self.topic = self._subscription.topic_name
         self._loss = _loss_event(self._subscription)

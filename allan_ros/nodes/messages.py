@@ -1,20 +1,17 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that the nodes publish for each IMU: sums, bias and Allan plots."""
+"""Messages that the nodes publish for each IMU: the sums and the bias."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from rclpy.node import Node
-from sensor_msgs.msg import CompressedImage
 
 from ..core.allan.periods import KEPT_SEGMENTS
 from ..core.allan.sums import AllanSums
@@ -22,15 +19,14 @@ from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
 from ..core.findings import Finding
-from ..core.imu import AXES, SENSORS, ImuIdentity
+from ..core.imu import AXES, ImuIdentity
 from ..core.stream.health import Means
 from ..io.checkpoint import Total
 from ..io.documents import finding_from_document, sums_file_from_document, sums_file_to_document
 from ..io.files import parse_json
 from ..io.recorded import with_accel
 from ..io.results import Results
-from .settings import EstimatorSettings
-from .shell import LATCHED, Worker
+from .shell import LATCHED
 
 REPLACED_SHARE = 0.1
 """Coefficients are invalidated if their sums lose a larger share of the samples. A small loss is
@@ -41,8 +37,6 @@ ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
 
 UNKNOWN = -1.0
 """Variance of an axis whose bias is unknown, as in sensor_msgs/Imu."""
-
-Pictures = dict[str, bytes]
 
 
 @dataclass(frozen=True)
@@ -176,9 +170,8 @@ class BiasPublisher:
     ``home`` is the prefix of the topic, such as ``~/`` or ``~/<label>/``.
     """
 
-    def __init__(self, node: Node, home: str, settings: EstimatorSettings) -> None:
-        tolerance = {'gyro': settings.bias_tolerance_gyro, 'accel': settings.bias_tolerance_accel}
-        self._tracker = BiasTracker(tolerance)
+    def __init__(self, node: Node, home: str) -> None:
+        self._tracker = BiasTracker()
         self._publisher = node.create_publisher(TwistWithCovarianceStamped, f'{home}bias', LATCHED)
         self._last_ns = 0
         self._turn_on: dict[str, TurnOnBias] = {}
@@ -210,7 +203,6 @@ class BiasPublisher:
             (f'bias at rest [{unit}]', bias.estimate.value),
             (f'bias 95 % interval [{unit}]', f'{low:.6g} .. {high:.6g}'),
             ('bias optimal averaging time [s]', bias.optimal_s),
-            (f'bias stays within +-{bias.tolerance:.3g} {unit} for [s]', bias.within_s),
         ]
         if (turn_on := self._turn_on.get(axis)) and turn_on.std:
             count = turn_on.recordings
@@ -232,8 +224,6 @@ class BiasPublisher:
                 'ci95': list(bias.estimate.ci95),
                 'end_ns': bias.end_ns,
                 'optimal_averaging_s': bias.optimal_s,
-                'tolerance': bias.tolerance,
-                'within_s': bias.within_s,
             }
             for axis, bias in self._known().items()
         }
@@ -255,78 +245,3 @@ def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarian
             setattr(vector[sensor], letter, bias.estimate.value)
     message.twist.covariance = covariance
     return message
-
-
-class AllanPlot:
-    """Publishes the Allan plots of the gyro and the accelerometer as PNG.
-
-    The topics are ``<home>allan_plot/<sensor>/compressed``. ``period`` returns the shortest time
-    between two plots in s. A plot takes a second, so the ``worker`` thread draws it. Without a
-    subscriber, nothing is drawn and matplotlib is not imported.
-    """
-
-    def __init__(self, node: Node, home: str, period: Callable[[], float], worker: Worker) -> None:
-        self._node, self._period, self._worker = node, period, worker
-        self._publishers = {
-            sensor: node.create_publisher(
-                CompressedImage, f'{home}allan_plot/{sensor}/compressed', LATCHED
-            )
-            for sensor in SENSORS
-        }
-        self._results: Results | None = None
-        self._drawn: dict[str, Results] = {}
-        self._drawing: Future[Pictures] | None = None
-        self._next = 0.0
-        self._enabled = True
-
-    def set_results(self, results: Results | None) -> None:
-        """Set the results that the next plot shows; with None, no plot is drawn."""
-        self._results = results
-
-    def tick(self, now: float) -> None:
-        """Publish finished plots, and draw new ones if there are subscribers."""
-        if self._drawing is not None:
-            if self._drawing.done():
-                drawing, self._drawing = self._drawing, None
-                self._publish(drawing)
-            return
-        results = self._results
-        if results is None or now < self._next or not self._enabled:
-            return
-        wanted = [
-            sensor
-            for sensor, publisher in self._publishers.items()
-            if self._drawn.get(sensor) is not results and publisher.get_subscription_count()
-        ]
-        if wanted:
-            self._next = now + self._period()
-            self._drawn.update(dict.fromkeys(wanted, results))
-            self._drawing = self._worker.submit(partial(_draw, results, wanted))
-
-    def _publish(self, drawing: Future[Pictures]) -> None:
-        try:
-            pictures = drawing.result()
-        except Exception as error:  # a plot that fails must not end the node
-            self._enabled = False
-            self._node.get_logger().warning(
-                f'no allan_plot is published, because drawing failed ({error!r}): if matplotlib '
-                'is missing, install python3-matplotlib and restart the node'
-            )
-            return
-        for sensor, picture in pictures.items():
-            message = CompressedImage(format='png')
-            message.header.stamp = self._node.get_clock().now().to_msg()
-            message.data.frombytes(picture)  # an array.array avoids a copy into a list of ints
-            self._publishers[sensor].publish(message)
-
-
-def _draw(results: Results, sensors: list[str]) -> Pictures:
-    """Return the plot of each sensor that has results, as PNG."""
-    from ..io.plots import render_figure, sensor_figure
-
-    figures = {sensor: sensor_figure(results, sensor) for sensor in sensors}
-    return {
-        sensor: render_figure(figure, 'png')
-        for sensor, figure in figures.items()
-        if figure is not None
-    }

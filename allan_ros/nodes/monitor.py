@@ -34,8 +34,7 @@ class Accumulator(AllanNode):
             )
         inputs = watches(self, imus[0])
         described = ' and '.join(watch.description for watch in inputs)
-        period = self.parameters.group('input', InputSettings).value.drain_period
-        self.begin(inputs, f'accumulates {described}', period)
+        self.begin(inputs, f'accumulates {described}')
 
 
 class Estimator(AllanNode):
@@ -91,7 +90,7 @@ class Monitor(AllanNode):
             described += [watch.description for watch in inputs]
             if relayed:
                 parts.append(ImuRelay(self, imu, home_of(imu.label)))
-        self.begin([*parts, push], f'monitors {", ".join(described)}', settings.drain_period)
+        self.begin([*parts, push], f'monitors {", ".join(described)}')
 
 
 NODES: dict[str, tuple[Callable[[], AllanNode], str, str]] = {

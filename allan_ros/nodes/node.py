@@ -33,7 +33,7 @@ from .shell import STEADY
 T = TypeVar('T', bound=CheckedSettings)
 
 TICK_S = 0.1
-"""Default period in s of the timer that polls the parts of a node."""
+"""Period in s of the timer that polls the parts of a node."""
 
 METRICS_S = 5.0
 """Period in s at which the metrics file is written."""
@@ -225,14 +225,14 @@ class AllanNode(Node):
         self.metrics_file = ''
         self._metrics_due = Periodic(lambda: METRICS_S)
 
-    def begin(self, parts: Sequence[Part], purpose: str, period: float = TICK_S) -> None:
-        """Start a timer with this period in s that polls the parts, and log the purpose."""
+    def begin(self, parts: Sequence[Part], purpose: str) -> None:
+        """Start a timer that polls the parts, and log the purpose."""
         self._parts = parts
         settings = ', '.join(self.parameters.changes()) or 'all defaults'
         self.get_logger().info(f'{purpose}; settings: {settings}')
         for line in self.parameters.unknown():
             self.get_logger().warning(line)
-        self.create_timer(period, self._tick, clock=STEADY)
+        self.create_timer(TICK_S, self._tick, clock=STEADY)
 
     def close(self) -> None:
         """Close all parts of the node."""

@@ -7,13 +7,13 @@ so a value is set only if
 
 - its target is in `TARGETS`: the convention of its rows was verified in the code of a filter;
 - the input has no fault, and the value covers the bias at rest unless the filter estimates it;
-- its 95 % interval is narrow (``push.ratio``);
+- its 95 % interval is narrow (`SETTLED_RATIO`);
 - it differs from the value that was found by at most ``push.max_factor``.
 
 When the noise model is invalidated, the input has a fault, or this node ends, the values that were
 found are set again. The node uses the parameter services of the other node. Before each update it
-reads the present values, also to notice a restart of the node. A value that the node rejects is not
-sent again, and a value that an operator or another node has changed is left as it is.
+reads the present values, also to notice a restart of the node. A value that the node refuses is not
+sent again. A parameter that an operator or another node has changed is left as it is.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from ..io.files import config_file, read_yaml
 from ..io.results import Results
 from .diagnostics import key_values, status_name
 from .node import AllanNode, Part
-from .settings import PushSettings
+from .settings import SETTLED_RATIO, PushSettings
 
 SCHEMA = 'allan_ros/push/1'
 
@@ -61,6 +61,12 @@ ANSWER_S = 5.0
 
 RETRY_S = 1.0
 """Period in s at which an update is retried until values and node are available."""
+
+CHANGE = 0.1
+"""A value is set again when it has changed by more than this fraction."""
+
+Numbers = tuple[float, ...]
+"""Value of a parameter: one number for a double, several for an array of doubles."""
 
 
 @dataclass(frozen=True)
@@ -106,17 +112,17 @@ class Proposal:
     """A proposed value of a parameter: one number, or three."""
 
     name: str
-    values: tuple[float, ...]
+    values: Numbers
     interval: tuple[float, float]
     origin: str
 
-    def differs(self, current: Sequence[float], change: float) -> bool:
-        """Return whether any value differs from the current one by more than a fraction of it."""
-        if len(current) != len(self.values):
+    def differs(self, other: Numbers) -> bool:
+        """Return whether any number differs from the other one by more than `CHANGE`."""
+        if len(other) != len(self.values):
             return True
-        return not all(abs(v - c) <= change * abs(c) for v, c in zip(self.values, current))
+        return not all(abs(v - c) <= CHANGE * abs(c) for v, c in zip(self.values, other))
 
-    def refusal(self, found: Sequence[float], factor: float) -> str:
+    def refusal(self, found: Numbers, factor: float) -> str:
         """Return why the value must not replace the one that was found; '' if it may."""
         if len(found) != len(self.values):
             return f'has {len(found)} numbers in the node, the model gives {len(self.values)}'
@@ -135,6 +141,18 @@ class Proposal:
         return ''
 
 
+@dataclass
+class Held:
+    """What is known of one parameter of the node; a value is empty if there is none."""
+
+    now: Numbers  # when it was last read or set
+    found: Numbers = ()  # before this node set it
+    sent: Numbers = ()  # sent last, perhaps without an answer
+    refused: Numbers = ()  # refused last by the node
+    origin: str = ''  # how the present value was computed
+    left: bool = False  # whether someone else has changed it
+
+
 class ParameterPush(Part):
     """Sets parameters of the node ``push.node`` whenever the noise model has changed enough.
 
@@ -151,11 +169,7 @@ class ParameterPush(Part):
         self._bias: Mapping[str, float] = {}
         self._covered: Mapping[str, float] = {}  # bias at the last update
         self._invalid = ''  # why there are no results
-        self._former: dict[str, ParameterValue] = {}
-        self._current: dict[str, ParameterValue] = {}
-        self._sent: dict[str, tuple[float, ...]] = {}  # perhaps without an answer
-        self._set_by: dict[str, Proposal] = {}
-        self._rejected: dict[str, Proposal] = {}
+        self._held: dict[str, Held] = {}
         self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> warning, text
         self._calls: list[Any] = []  # futures of the answers that `_on_answers` processes
         self._on_answers: Callable[[list[Any]], object] = list.clear
@@ -199,7 +213,7 @@ class ParameterPush(Part):
         settings = self._settings.value
         if self._plan is None or now < self._due_at:
             return
-        if not (self._former if self._results is None else settings.enabled):
+        if not (self._found() if self._results is None else settings.enabled):
             return
         self._due_at = now + RETRY_S
         ready = self._proposals(self._plan, self._results, settings) if self._results else []
@@ -224,15 +238,14 @@ class ParameterPush(Part):
             return []
         enabled = self._settings.value.enabled
         problems = [f'{name}: {note}' if name else note for name, (_, note) in self._notes.items()]
-        done = [
-            f'{name} = {_text(_numbers(self._current[name]))} (was {_text(_numbers(value))})'
-            for name, value in self._former.items()
-            if self._current[name] != value
-        ]
+        done, pairs = [], {}
+        for name, held in self._held.items():
+            pairs[name] = _text(held.now)
+            if held.found:
+                pairs[f'former {name}'], pairs[f'origin of {name}'] = _text(held.found), held.origin
+                if held.now != held.found:
+                    done.append(f'{name} = {_text(held.now)} (was {_text(held.found)})')
         said = f'set {", ".join(done)}' if done else 'nothing set yet'
-        pairs = {name: _text(_numbers(value)) for name, value in self._current.items()}
-        pairs |= {f'former {name}': _text(_numbers(v)) for name, v in self._former.items()}
-        pairs |= {f'origin of {name}': proposal.origin for name, proposal in self._set_by.items()}
         warned = any(warning for warning, _ in self._notes.values())
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if warned and enabled else DiagnosticStatus.OK,
@@ -246,7 +259,7 @@ class ParameterPush(Part):
         """Restore the values that were found: nothing would undo the others after this node."""
         self._cancel_calls()
         self._plan = None
-        if not (self._former and self._set.service_is_ready()):
+        if not (self._found() and self._set.service_is_ready()):
             return
         answer = self._set.call_async(self._restoration())
         executor = SingleThreadedExecutor(context=self._owner.context)
@@ -277,16 +290,16 @@ class ParameterPush(Part):
         for row in rows:
             name = plan.names.get(row.name, '') if plan.names else row.name
             low, high = row.interval
-            if name and row.ratio > settings.ratio:
+            if name and row.ratio > SETTLED_RATIO:
                 why = (
                     f'between {low:.3g} and {high:.3g}: it will be set when this interval is '
-                    f'within a factor of {settings.ratio:g}'
+                    f'within a factor of {SETTLED_RATIO:g}'
                 )
                 self._note(name, why, warning=False)
             elif name:
                 proposal = Proposal(name, row.values, row.interval, row.words)
-                rejected = self._rejected.get(name)
-                if rejected is None or proposal.differs(rejected.values, settings.change):
+                held = self._held.get(name)
+                if held is None or (not held.left and proposal.differs(held.refused)):
                     ready.append(proposal)
         return ready
 
@@ -308,66 +321,58 @@ class ParameterPush(Part):
             return
         wanted, settings = [], self._settings.value
         for proposal, answer in zip(proposals, answers):
-            name, value = proposal.name, next(iter(answer.values), ParameterValue())
-            if not self._has_right_type(proposal, value):
+            name, values = proposal.name, self._numbers_of(proposal, answer.values)
+            if values is None:
                 continue
-            if name in self._former and _numbers(value) not in (
-                *(_numbers(known[name]) for known in (self._current, self._former)),
-                self._sent[name],
-            ):
-                self._rejected[name] = proposal
-                for known in (self._former, self._current, self._set_by):
-                    known.pop(name, None)
-                self._note(name, f'was changed to {_text(_numbers(value))}, and is left so')
+            held = self._held.setdefault(name, Held(values))
+            if held.found and values not in (held.now, held.found, held.sent):
+                self._held[name] = Held(values, left=True)
+                self._note(name, f'was changed to {_text(values)}, and is left so')
                 continue
-            self._current[name] = value
-            found = _numbers(self._former.get(name, value))
+            held.now = values
+            found = held.found or values
             if refusal := proposal.refusal(found, settings.max_factor):
                 self._note(name, refusal, warning=any(found))
                 continue
             self._notes.pop(name, None)
-            if proposal.differs(_numbers(value), settings.change):
+            if proposal.differs(values):
+                held.found, held.sent = found, proposal.values  # the answer may be lost
                 wanted.append(proposal)
         if wanted:
-            for p in wanted:  # before they are sent: an answer may be lost
-                self._former.setdefault(p.name, self._current[p.name])
-                self._sent[p.name] = p.values
-            messages = [_message(p, self._current[p.name]) for p in wanted]
+            messages = [_message(p.name, p.values) for p in wanted]
             request = SetParameters.Request(parameters=messages)
             self._call(self._set, [request], partial(self._on_set, wanted))
 
-    def _has_right_type(self, proposal: Proposal, value: ParameterValue) -> bool:
-        """Return whether the parameter has the type of the proposal; if not, store a note."""
+    def _numbers_of(self, proposal: Proposal, values: Sequence[ParameterValue]) -> Numbers | None:
+        """Return the value in an answer; None, with a note, if it has not the proposal's type."""
+        several = len(proposal.values) > 1
         kind, wanted = 'a double', ParameterType.PARAMETER_DOUBLE
-        if len(proposal.values) > 1:
+        if several:
             kind, wanted = 'an array of doubles', ParameterType.PARAMETER_DOUBLE_ARRAY
+        value = values[0] if values else ParameterValue()
         if value.type == wanted:
-            return True
+            return tuple(value.double_array_value) if several else (value.double_value,)
         unset = value.type == ParameterType.PARAMETER_NOT_SET
         what = 'not declared' if unset else 'of another type'
-        self._rejected[proposal.name] = proposal
         self._note(proposal.name, f'is {what} in {self.node}: {kind} would be set')
-        return False
+        return None
 
     def _on_set(self, wanted: list[Proposal], answers: list[Any]) -> None:
-        """Store and log which values the node has accepted or rejected."""
+        """Store and log which values the node has accepted or refused."""
         for proposal, result in zip(wanted, answers[0].results):
-            name, value = proposal.name, _text(proposal.values)
+            name, value, held = proposal.name, _text(proposal.values), self._held[proposal.name]
             if not result.successful:
-                self._rejected[name] = proposal
-                if self._current[name] == self._former[name]:
-                    del self._former[name]
+                held.refused = proposal.values
+                if held.now == held.found:
+                    held.found = ()
                 self._note(name, f'{self.node} refused {value}: {result.reason or "no reason"}')
                 continue
-            self._rejected.pop(name, None)
-            before = self._current[name]
-            self._current[name] = _message(proposal, before).value
-            self._set_by[name] = proposal
             low, high = proposal.interval
             self._log.info(
-                f'{name} of {self.node}: {_text(_numbers(before))} -> {value} '
+                f'{name} of {self.node}: {_text(held.now)} -> {value} '
                 f'(95 %: {low:.3g} to {high:.3g}; {proposal.origin})'
             )
+            held.now, held.refused, held.origin = proposal.values, (), proposal.origin
 
     def _note(self, name: str, note: str, warning: bool = True) -> None:
         """Store a message about a parameter ('' for the node), and log the first of its kind."""
@@ -377,25 +382,28 @@ class ParameterPush(Part):
 
     # --- restoring --------------------------------------------------------------------------------
 
+    def _found(self) -> dict[str, Numbers]:
+        """Return the value that was found of each parameter that has been set."""
+        return {name: held.found for name, held in self._held.items() if held.found}
+
     def _restoration(self) -> Any:
         """Return a request that sets all values that were found."""
-        former = self._former.items()
-        parameters = [ParameterMessage(name=name, value=value) for name, value in former]
+        parameters = [_message(name, values) for name, values in self._found().items()]
         return SetParameters.Request(parameters=parameters)
 
     def _on_restored(self, reason: str, answers: list[Any]) -> str:
-        """Clear the stored values if all were restored; return the reasons of the others."""
+        """Forget the parameters if all were restored; return the reasons of the others."""
+        found = self._found()
         failed = [
             f'{name}: {result.reason or "refused"}'
-            for name, result in zip(self._former, answers[0].results)
+            for name, result in zip(found, answers[0].results)
             if not result.successful
         ]
-        values = (f'{name} = {_text(_numbers(v))}' for name, v in self._former.items())
+        values = (f'{name} = {_text(values)}' for name, values in found.items())
         said = f'restored {", ".join(values)}{f", because {reason}" if reason else ""}'
         if not failed:
-            stored = (self._former, self._current, self._set_by, self._rejected, self._notes)
-            for each in stored:
-                each.clear()
+            self._held = {name: held for name, held in self._held.items() if held.left}
+            self._notes = {name: self._notes[name] for name in self._held}
             self._covered = {}
         self._note('', '; '.join(failed) or said, warning=bool(failed or reason))
         return '; '.join(failed)
@@ -408,7 +416,7 @@ class ParameterPush(Part):
             off = Parameter('push.enabled', Parameter.Type.BOOL, False)
             self._owner.set_parameters([off])
         self._cancel_calls()
-        if not self._former:
+        if not self._found():
             response.message = 'nothing was set, so there is nothing to restore'
             return response
         if not self._set.service_is_ready():
@@ -424,21 +432,10 @@ class ParameterPush(Part):
         return response
 
 
-def _numbers(value: ParameterValue) -> tuple[float, ...]:
-    """Return the numbers of a parameter that is a double or an array of doubles."""
-    array = value.type == ParameterType.PARAMETER_DOUBLE_ARRAY
-    return tuple(value.double_array_value) if array else (value.double_value,)
+def _message(name: str, values: Numbers) -> ParameterMessage:
+    value = list(values) if len(values) > 1 else values[0]
+    return Parameter(name, value=value).to_parameter_msg()
 
 
-def _message(proposal: Proposal, current: ParameterValue) -> ParameterMessage:
-    """Return the proposed parameter, with the type of the current value."""
-    value = ParameterValue(type=current.type)
-    if current.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
-        value.double_array_value = list(proposal.values)
-    else:
-        (value.double_value,) = proposal.values
-    return ParameterMessage(name=proposal.name, value=value)
-
-
-def _text(values: tuple[float, ...]) -> str:
+def _text(values: Numbers) -> str:
     return ' '.join(f'{value:.4g}' for value in values)

@@ -9,6 +9,7 @@ executor's callback, and no other task of the node delays a message. It uses a w
 
 from __future__ import annotations
 
+import operator
 import sys
 import threading
 import time
@@ -23,24 +24,22 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
 from ..core.errors import AllanError, one_line
-from ..core.filters.noise_parameters import (
-    Variances,
-    measured_variances,
-    white_ratio,
-    white_variances,
-)
+from ..core.filters.noise_parameters import Variances, white_ratio, white_variances
 from ..core.findings import Finding, finding
 from ..core.imu import SENSORS, ImuIdentity, sensor_of
 from ..core.stream.transport import faults_of
 from ..io.documents import results_from_document
 from ..io.files import parse_json
-from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of, subtract_gyro_bias
+from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of
 from ..io.results import Results
 from .diagnostics import status_name, status_of
 from .imu_input import full_name, qos_text, subscribe_raw
 from .node import AllanNode, Part
-from .settings import RelaySettings, WatchedImu
+from .settings import SETTLED_RATIO, RelaySettings, WatchedImu
 from .shell import LATCHED
+
+QUEUE_DEPTH = 1000
+"""Queue depth of the subscription and the publisher, in messages."""
 
 WAIT_NS = 100_000_000
 """Time in ns after which the waiting thread checks whether it should end."""
@@ -60,14 +59,12 @@ DISCOVERY_S = 5.0
 
 VARIANCE_UNITS = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
 
-RECEIVED, FILLED, PASSED, HELD, MALFORMED, UNPUBLISHED, UNBIASED = COUNTS = (
+RECEIVED, FILLED, PASSED, MALFORMED, UNPUBLISHED = COUNTS = (
     'received',
     'filled',
     'passed on as they are',
-    'held back',
     'malformed',
     'not published',
-    'gyro bias subtracted',
 )
 """Names of the message counts in diagnostics."""
 
@@ -77,13 +74,8 @@ def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Vari
 
     They do not cover the bias.
     """
-    if settings.variance == 'sample':
-        stds = {name: axis.sample_std for name, axis in results.axes.items()}
-        found = measured_variances(stds, settings.inflate)
-    else:
-        fits = {name: axis.fit for name, axis in results.axes.items()}
-        rate = settings.rate or results.rate_hz
-        found = white_variances(fits, rate, settings.inflate, settings.horizon)
+    fits = {name: axis.fit for name, axis in results.axes.items()}
+    found = white_variances(fits, results.rate_hz, settings.inflate, settings.horizon)
     faults = faults_of(results.findings)
     bad = {sensor_of(axis) for fault in faults for axis in fault.axes}
     return {sensor: variances for sensor, variances in found.items() if sensor not in bad}
@@ -115,25 +107,23 @@ class ImuRelay(Part):
 
     def __init__(self, node: AllanNode, imu: WatchedImu, home: str = '') -> None:
         self._node, self._imu = node, imu
-        self._settings = settings = node.parameters.group('relay', RelaySettings)
+        self._settings = node.parameters.group('relay', RelaySettings)
         self._began = time.monotonic()
         self._invalidated = False
         self._counts = dict.fromkeys(COUNTS, 0)
         self._other_frame = 0
         self._results: Results | None = None
         self._problem: tuple[Finding, ...] = ()
-        self._noise: dict[str, Variances] = {}
         self._variances: dict[str, Variances] = {}
-        self._patch = self._unbiased_patch = CovariancePatch({})
-        self._made_of: tuple[Results, RelaySettings] | None = None
+        self._patch = CovariancePatch({})
+        self._made_of: tuple[object, ...] = ()
         self._ratio = 1.0  # of the interval of the variances with a horizon
         self._last_malformed = self._last_frame = ''
         overriding = QoSOverridingOptions.with_default_policies()
-        depth = settings.value.queue_depth
         self._publisher = node.create_publisher(
             Imu,
             f'{imu.topic}_with_covariance',
-            QoSProfile(depth=depth),
+            QoSProfile(depth=QUEUE_DEPTH),
             qos_overriding_options=overriding,
         )
         self._model = node.create_subscription(
@@ -143,9 +133,9 @@ class ImuRelay(Part):
         node.create_subscription(TwistWithCovarianceStamped, f'{home}bias', self._on_bias, LATCHED)
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
-        wait_set = None if settings.value.plain_callback else self._wait_set()
+        wait_set = self._wait_set()
         self._subscription, drained = subscribe_raw(
-            node, imu.topic, self._relay, depth, plain=wait_set is None
+            node, imu.topic, self._relay, QUEUE_DEPTH, plain=wait_set is None
         )
         if self._subscription.topic_name == self._publisher.topic_name:
             raise AllanError(
@@ -167,32 +157,23 @@ class ImuRelay(Part):
         )
 
     def tick(self, now: float) -> None:
-        """Compute the covariances again if the noise model or the parameters have changed."""
-        results, settings = self._results, self._settings.value
-        if results is None:
-            self._noise, self._made_of = {}, None
-        elif not self._made_of or self._made_of[0] is not results or self._made_of[1] != settings:
-            fits = {name: axis.fit for name, axis in results.axes.items()}
-            gated = settings.horizon and settings.variance == 'white'
-            self._ratio = white_ratio(fits, settings.horizon) if gated else 1.0
-            settled = self._ratio <= settings.ratio
-            self._noise = relay_variances(results, settings) if settled else {}
-            self._made_of = results, settings
-        else:
+        """Make a new patch if the noise model, the bias or the parameters have changed."""
+        results, settings, bias = self._results, self._settings.value, self._bias
+        made_of = results, settings, bias
+        if len(self._made_of) == 3 and all(map(operator.is_, made_of, self._made_of)):
             return
-        self._make_patches()
-
-    def _make_patches(self) -> None:
-        """Make the patches of messages with and without bias."""
-        results, settings = self._results, self._settings.value
-        frame_id = results.identity.frame_id if results else ''
-        rate = settings.rate or (results.rate_hz if results else 0.0)
-        bias = None if settings.debiased else self._bias
-        self._variances = cover_bias(self._noise, bias, settings.horizon * rate)
-        self._patch, self._unbiased_patch = (
-            CovariancePatch(each, settings.overwrite, frame_id)
-            for each in (self._variances, self._noise)
-        )
+        self._made_of, self._ratio, noise, frame_id = made_of, 1.0, {}, ''
+        if results is not None:
+            frame_id = results.identity.frame_id
+            if settings.horizon:
+                fits = {name: axis.fit for name, axis in results.axes.items()}
+                self._ratio = white_ratio(fits, settings.horizon)
+            if self._ratio <= SETTLED_RATIO:
+                noise = relay_variances(results, settings)
+            if not settings.debiased:
+                noise = cover_bias(noise, bias, settings.horizon * results.rate_hz)
+        self._variances = noise
+        self._patch = CovariancePatch(noise, settings.overwrite, frame_id)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the status of the relay."""
@@ -201,7 +182,6 @@ class ImuRelay(Part):
             ('from', self._subscription.topic_name),
             ('to', self._publisher.topic_name),
             *((f'{what} [messages]', count) for what, count in self._counts.items()),
-            ('variance', self._settings.value.variance),
             ('messages taken by', 'a thread' if self._thread else 'a callback'),
             *(
                 (f'variance of {sensor} {axis} [{VARIANCE_UNITS[sensor]}]', variance)
@@ -228,18 +208,13 @@ class ImuRelay(Part):
         """Publish one message with the known covariances filled in."""
         counts = self._counts
         counts[RECEIVED] += 1
-        if not self._noise and self._settings.value.until_model == 'hold':
-            counts[HELD] += 1
-            return
         try:
-            unbiased = self._subtract_bias(payload)
-            patch = self._patch if unbiased is payload else self._unbiased_patch
-            patched = patch.patch(unbiased)
+            patched = self._patch.patch(payload)
         except MalformedMessage as error:
             counts[MALFORMED] += 1
             self._last_malformed = str(error)
-            patched = unbiased = payload
-        if patched is not unbiased:
+            patched = payload
+        if patched is not payload:
             counts[FILLED] += 1
         else:
             counts[PASSED] += 1
@@ -249,25 +224,9 @@ class ImuRelay(Part):
         except rclpy_implementation.RCLError:  # the queue of a reliable subscriber stayed full
             counts[UNPUBLISHED] += 1
 
-    def _subtract_bias(self, payload: bytes) -> bytes:
-        """Return the message without the gyro bias, or unchanged if the bias does not apply."""
-        settings, bias = self._settings.value, self._bias
-        if not settings.subtract_bias or bias is None or bias.twist.covariance[21] < 0.0:
-            return payload
-        if bias.header.frame_id not in ('', frame_id_of(payload)):
-            return payload
-        stamp, rates = bias.header.stamp, bias.twist.twist.angular
-        end_ns = stamp.sec * 10**9 + stamp.nanosec
-        valid_ns = round(settings.bias_max_age * 1e9)
-        window = end_ns - valid_ns, end_ns + valid_ns
-        bias_xyz = (rates.x, rates.y, rates.z)
-        unbiased = subtract_gyro_bias(payload, bias_xyz, settings.bias_rate_limit, *window)
-        self._counts[UNBIASED] += unbiased is not payload
-        return unbiased
-
     def _on_bias(self, message: TwistWithCovarianceStamped) -> None:
         self._bias = message
-        self._make_patches()
+        self.tick(time.monotonic())
 
     def _note_frame(self, payload: bytes) -> None:
         """Count a message whose frame_id differs from the frame_id of the noise model."""
@@ -323,22 +282,16 @@ class ImuRelay(Part):
         self._results, self._problem = (results if results.axes else None), ()
         self.tick(time.monotonic())
 
-    @property
-    def _done(self) -> str:
-        """What happens to messages without variances."""
-        passed = self._settings.value.until_model == 'pass'
-        return 'passed on unchanged' if passed else 'held back'
-
     def _missing_model(self, now: float) -> Finding:
         """Return a finding with the reason why there is no noise model."""
-        topic, seconds, done = self._model.topic_name, now - self._began, self._done
+        topic, seconds = self._model.topic_name, now - self._began
         if self._invalidated:
-            return finding('relay_invalidated', topic=topic, done=done)
+            return finding('relay_invalidated', topic=topic)
         if seconds > DISCOVERY_S and not self._node.count_publishers(topic):
-            return finding('relay_without_model', topic=topic, done=done)
+            return finding('relay_without_model', topic=topic)
         if seconds > MODEL_GRACE_S:
-            return finding('relay_late_model', topic=topic, seconds=seconds, done=done)
-        return finding('relay_waits', topic=topic, done=done)
+            return finding('relay_late_model', topic=topic, seconds=seconds)
+        return finding('relay_waits', topic=topic)
 
     def _findings(self, now: float) -> list[Finding]:
         """Return the present problems; the cause comes before its effects."""
@@ -358,11 +311,11 @@ class ImuRelay(Part):
         else:
             faults = faults_of(results.findings)
             found += faults
-            settings, known = self._settings.value, {sensor_of(axis) for axis in results.axes}
-            if self._ratio > settings.ratio:
-                horizon, ratio = settings.horizon, self._ratio
-                values: dict[str, Any] = {'horizon': horizon, 'ratio': ratio, 'done': self._done}
-                found.append(finding('relay_unsettled', **values))
+            known = {sensor_of(axis) for axis in results.axes}
+            if self._ratio > SETTLED_RATIO:
+                horizon = self._settings.value.horizon
+                known_to = {'ratio': self._ratio, 'limit': SETTLED_RATIO}
+                found.append(finding('relay_unsettled', (), horizon=horizon, **known_to))
             elif not faults:
                 for sensor in SENSORS:
                     if sensor in known - self._variances.keys():

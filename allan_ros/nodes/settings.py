@@ -16,6 +16,10 @@ from ..core.errors import AllanError
 from ..core.imu import SAMPLE_UNITS
 from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter, parameter
 
+SETTLED_RATIO = 1.5
+"""Numbers are given to a filter once the upper end of their 95 % interval is at most this many
+times the lower end. (Values from a short record are limits that fall by orders of magnitude.)"""
+
 
 def home_of(label: str) -> str:
     """Return the prefix of topics and services of an IMU; one IMU alone has no label."""
@@ -61,15 +65,6 @@ class InputSettings(CheckedSettings):
     hardware_ids: tuple[str, ...] = fixed_parameter(
         ('',), 'One serial number per topic; empty: the frame_id is used.'
     )
-    queue_depth: int = fixed_parameter(
-        4000, 'Queue depth of the subscription.', 'messages', 1, 1_000_000
-    )
-    drain_period: float = fixed_parameter(
-        0.1, 'Period at which queued messages are fetched.', 's', 0.005, 1.0
-    )
-    update_period: float = fixed_parameter(
-        0.5, 'Period at which fetched messages are decoded and accumulated.', 's', 0.005, 10.0
-    )
     stale_after: float = parameter(
         2.0, 'Time without a message after which an error is reported.', 's', 0.1, 3600.0
     )
@@ -82,11 +77,6 @@ class InputSettings(CheckedSettings):
         'm/s^2',
         'Unit of linear_acceleration as the driver publishes it; ROS requires m/s^2.',
         choices=SAMPLE_UNITS['accel'],
-    )
-    plain_callback: bool = fixed_parameter(
-        False,
-        'Receive each message in a callback instead of fetching queued messages; needs more CPU '
-        'time.',
     )
 
     def __post_init__(self) -> None:
@@ -187,24 +177,6 @@ class EstimatorSettings(CheckedSettings):
         1.0,
         604800.0,
     )
-    bias_tolerance_gyro: float = fixed_parameter(
-        0.0,
-        'Tolerance of the gyro bias: diagnostics show how long the bias stays within it; 0: the '
-        'width of its 95 % interval.',
-        unit='rad/s',
-        low=0.0,
-        high=10.0,
-    )
-    bias_tolerance_accel: float = fixed_parameter(
-        0.0, 'Tolerance of the accel bias; 0: the width of its 95 % interval.', 'm/s^2', 0.0, 100.0
-    )
-    plot_period: float = parameter(
-        10.0,
-        'Shortest time between two Allan plots, which are drawn only for subscribers.',
-        's',
-        1.0,
-        86400.0,
-    )
 
 
 @dataclass(frozen=True)
@@ -214,68 +186,20 @@ class RelaySettings(CheckedSettings):
     enabled: bool = fixed_parameter(
         False, 'Whether allan_monitor republishes each Imu, on <topic>_with_covariance.'
     )
-    until_model: str = parameter(
-        'pass',
-        'Before there is a noise model, messages are passed on unchanged (pass) or dropped (hold).',
-        choices=('pass', 'hold'),
-    )
-    variance: str = parameter(
-        'white',
-        'Variance to fill in: white is N^2 f, which keeps a filter consistent; sample is the '
-        'variance of the samples within a second.',
-        choices=('white', 'sample'),
-    )
-    rate: float = parameter(
-        0.0,
-        'Rate f of the messages if they were averaged before the relay; 0: rate of the noise '
-        'model.',
-        unit='Hz',
-        low=0.0,
-        high=1_000_000.0,
-    )
     horizon: float = parameter(
         0.0,
-        'For filters without a bias state: the white variance is raised until it covers all drift '
+        'For filters without a bias state: the variance is raised until it covers all drift '
         'over this time; 0: white noise alone.',
         unit='s',
         low=0.0,
         high=1e6,
-    )
-    ratio: float = parameter(
-        1.5,
-        'With a horizon, variances are filled in once the upper end of the 95 % interval of the '
-        'density is at most this many times the lower end.',
-        low=1.0,
-        high=1000.0,
     )
     debiased: bool = parameter(
         False,
         'The driver removes the gyro bias or the filter estimates it, so no variance covers it.',
     )
     inflate: float = parameter(1.0, 'Factor on the standard deviation.', '', 1.0, 1000.0)
-    subtract_bias: bool = parameter(
-        False,
-        'Subtract the gyro bias, received on the topic bias, from the angular velocity while the '
-        'IMU is at rest and the bias is recent.',
-    )
-    bias_max_age: float = parameter(
-        60.0, 'Largest age of a bias that is subtracted.', 's', 1.0, 86400.0
-    )
-    bias_rate_limit: float = parameter(
-        0.05,
-        'Largest difference between angular velocity and bias at which the bias is subtracted.',
-        unit='rad/s',
-        low=1e-4,
-        high=10.0,
-    )
     overwrite: bool = parameter(False, 'Replace covariances that the driver has set.')
-    queue_depth: int = fixed_parameter(
-        1000, 'Queue depth of the subscription and the publisher.', 'messages', 1, 1_000_000
-    )
-    plain_callback: bool = fixed_parameter(
-        False,
-        'Receive each message in a callback instead of a separate thread; needs more CPU time.',
-    )
 
 
 @dataclass(frozen=True)
@@ -289,13 +213,6 @@ class PushSettings(CheckedSettings):
     enabled: bool = parameter(
         True, 'Whether parameters are set; ~/restore undoes all changes and sets this to false.'
     )
-    ratio: float = parameter(
-        1.5,
-        'A value is set once the upper end of its 95 % interval is at most this many times the '
-        'lower end.',
-        low=1.0,
-        high=1000.0,
-    )
     max_factor: float = parameter(
         10.0,
         'A value that differs by more than this factor from the one that was found in the node is '
@@ -304,12 +221,9 @@ class PushSettings(CheckedSettings):
         high=1e6,
     )
     debiased: bool = parameter(
-        False, 'The driver or the relay removes the gyro bias, so no value has to cover it.'
+        False, 'The driver removes the gyro bias, so no value has to cover it.'
     )
     period: float = parameter(300.0, 'Shortest time between two changes.', 's', 0.1, 604800.0)
-    change: float = parameter(
-        0.1, 'A value is set again when it has changed by more than this fraction.', '', 0.0, 10.0
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -92,7 +92,7 @@ CASES = {
         {
             '/allan_accumulator': {'input.topics': ['imu/data']},
             '/allan_estimator': {'estimator.method': 'likelihood'},
-            '/allan_imu_relay': {'relay.until_model': 'pass'},
+            '/allan_imu_relay': {'relay.horizon': 0.0},
         },
         {'/camera/imu', '/allan_accumulator/sums', '/imu/data_with_covariance'},
     ),

@@ -48,7 +48,7 @@ BURST = 2000
 
 _PERIODS = {'publish.sums_period': 0.3, 'publish.diagnostics_period': 0.2}
 
-_INPUT = {**_PERIODS, 'input.drain_period': 0.02, 'input.stale_after': 3600.0}
+_INPUT = {**_PERIODS, 'input.stale_after': 3600.0}
 
 QUICK: dict[str, dict[str, Any]] = {
     'accumulator': _INPUT,

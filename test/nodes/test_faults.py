@@ -21,7 +21,7 @@ from allan_ros.io.analysis import analyze_sums
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results
 from allan_ros.nodes.relaying import cover_bias, relay_variances
-from allan_ros.nodes.settings import RelaySettings
+from allan_ros.nodes.settings import SETTLED_RATIO, RelaySettings
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 
@@ -92,9 +92,9 @@ def test_a_variance_with_a_horizon_waits_until_it_is_known(seconds: int) -> None
     fits = {name: axis.fit for name, axis in found.axes.items()}
     ratio = white_ratio(fits, 10.0)
     x, y, z = relay_variances(found, RelaySettings(horizon=10.0))['gyro']
-    if ratio <= RelaySettings().ratio:
+    if ratio <= SETTLED_RATIO:
         assert min(x, y, z) > 0.5e-6 and max(x, y, z) < 2.25e-6
-    assert (ratio <= RelaySettings().ratio) == (seconds > 100)
+    assert (ratio <= SETTLED_RATIO) == (seconds > 100)
 
 
 def test_a_sensor_with_a_fault_has_no_variances(results: Results) -> None:

@@ -232,13 +232,11 @@ class BiasFilter:
 
 @dataclass(frozen=True)
 class AxisBias:
-    """The current bias of one axis, its best averaging time and how long it is valid."""
+    """The current bias of one axis, and its best averaging time."""
 
     estimate: BiasEstimate  # mean bias over the 10 s after ``end_ns``
     end_ns: int  # end of the latest mean in ns
     optimal_s: float  # averaging time in s whose mean predicts the bias best
-    within_s: float  # time in s for which the bias stays within the tolerance (95 %)
-    tolerance: float  # in the unit of the samples
 
 
 class BiasTracker:
@@ -246,21 +244,12 @@ class BiasTracker:
 
     When the model of an axis changes, its filter restarts from the stored means. When the time
     jumps back, as after a reset, the stored means are dropped.
-
-    Parameters
-    ----------
-    tolerance : mapping of 'gyro' and 'accel' to float
-        Accepted error of a bias in the unit of the samples, from which `AxisBias.within_s` is
-        computed. If it is 0 or missing, twice the half-width of the 95 % interval after a long rest
-        is used.
     """
 
-    def __init__(self, tolerance: Mapping[str, float]) -> None:
-        self._tolerance = tolerance
+    def __init__(self) -> None:
         self._models: dict[str, BiasModel] = {}
         self._filters: dict[str, BiasFilter] = {}
-        # axis -> `AxisBias.optimal_s`, `within_s` and `tolerance`
-        self._windows: dict[str, tuple[float, float, float]] = {}
+        self._windows: dict[str, float] = {}  # axis -> `AxisBias.optimal_s`
         self._kept: dict[str, deque[tuple[int, float]]] = {}
 
     def add_means(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
@@ -294,13 +283,8 @@ class BiasTracker:
             return None
         bias, end_ns = self._filters[axis], self._kept[axis][-1][0]
         if axis not in self._windows:
-            model = self._models[axis]
-            tolerance = self._tolerance.get(axis.split('_', 1)[0], 0.0)
-            if not tolerance:
-                tolerance = 2.0 * Z_95 * _converged_filter(model).estimate().std
-            within = time_within(model, tolerance)
-            self._windows[axis] = (optimal_window(model.processes), within, tolerance)
-        return AxisBias(bias.estimate(), end_ns, *self._windows[axis])
+            self._windows[axis] = optimal_window(self._models[axis].processes)
+        return AxisBias(bias.estimate(), end_ns, self._windows[axis])
 
     def _restart(self, axis: str) -> None:
         """Run a new filter of an axis over the stored means."""
@@ -327,23 +311,3 @@ def optimal_window(model: ProcessModel) -> float:
     windows = np.geomspace(1.0, LONGEST_S, 200)
     error = predicted_growth(drift_model(model), AHEAD_S, windows)
     return float(windows[int(np.argmin(error))])
-
-
-def time_within(model: BiasModel, tolerance: float) -> float:
-    """Return the time in s for which an estimated bias is valid within +-``tolerance`` (95 %).
-
-    The bias is estimated after a long rest. The time is at most `LONGEST_S`, and 0 if the 95 %
-    interval of the estimate is already wider than the tolerance.
-    """
-    bias = _converged_filter(model)
-    after = np.concatenate([[0.0], np.geomspace(1.0, LONGEST_S, 120)])
-    kept = [t for t in after if Z_95 * bias.estimate(float(t)).std <= tolerance]
-    return float(max(kept, default=0.0))
-
-
-def _converged_filter(model: BiasModel) -> BiasFilter:
-    """Return a filter after an hour at rest; its covariance does not depend on the measurements."""
-    bias = BiasFilter(model, period=10.0)
-    for _ in range(360):
-        bias.update(0.0)
-    return bias

@@ -346,29 +346,6 @@ class CovariancePatch:
         return self._overwrite or not any(numbers)
 
 
-def subtract_gyro_bias(
-    payload: bytes, bias: tuple[float, float, float], rate_limit: float, first_ns: int, last_ns: int
-) -> bytes:
-    """Subtract ``bias``, in rad/s, from the angular velocity of an Imu message in CDR.
-
-    Returns the payload unchanged if its stamp is not between ``first_ns`` and ``last_ns``, or if an
-    angular velocity is NaN or differs from the bias by more than ``rate_limit`` in rad/s.
-
-    Raises MalformedMessage when the payload is not an Imu message in plain CDR.
-    """
-    order, _, offsets, _ = _layout_of(payload)
-    seconds, nanoseconds = struct.unpack_from(f'{order}iI', payload, offsets['sec'])
-    if not first_ns <= seconds * NANOSECONDS + nanoseconds <= last_ns:
-        return payload
-    rates = struct.unpack_from(f'{order}3d', payload, offsets['gyro'])
-    corrected = [rate - known for rate, known in zip(rates, bias)]
-    if not all(abs(rate) <= rate_limit for rate in corrected):
-        return payload
-    patched = bytearray(payload)
-    struct.pack_into(f'{order}3d', patched, offsets['gyro'], *corrected)
-    return bytes(patched)
-
-
 def frame_id_of(payload: bytes) -> str:
     """Return header.frame_id of an Imu message in CDR.
 

@@ -15,7 +15,6 @@ from allan_ros.core.filters.bias import (
     BiasModel,
     BiasTracker,
     optimal_window,
-    time_within,
     turn_on_bias,
 )
 from allan_ros.core.fit.model import AxisFit, Coefficient
@@ -122,14 +121,8 @@ def test_the_optimal_average_balances_noise_and_drift():
     assert optimal_window(ProcessModel(NoiseTerms(N=1.0))) == pytest.approx(1e6)
 
 
-def test_the_bias_stays_longer_within_a_wider_tolerance():
-    times = [time_within(MODEL, tolerance * HOUR_BIAS) for tolerance in (5.0, 20.0, 50.0)]
-    assert times[0] == 0.0
-    assert 60.0 < times[1] < 600.0 < times[2] < 3600.0
-
-
 def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> None:
-    tracker = BiasTracker({'gyro': 0.0})
+    tracker = BiasTracker()
     ends = [10**18 + 10**9 * i for i in range(1, 301)]
     values = (2.0 * HOUR_BIAS + TERMS.N * np.random.default_rng(5).normal(size=300)).tolist()
     tracker.add_means('gyro_x', ends, values)
@@ -143,7 +136,6 @@ def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> Non
     assert found.estimate == direct.estimate()
     assert found.end_ns == ends[-1]
     assert found.optimal_s == optimal_window(ProcessModel(TERMS))
-    assert found.within_s > 60.0
     tracker.add_means('gyro_x', ends[-10:], values[-10:])  # skipped: already added
     assert tracker.bias('gyro_x') == found
     tracker.add_means('gyro_x', [ends[-1] + 61 * 10**9], [values[0]])
@@ -156,12 +148,6 @@ def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> Non
     tracker.add_means('gyro_x', [5 * 10**9], [1.0])  # an earlier time: the means are dropped
     restarted = tracker.bias('gyro_x')
     assert restarted is not None and restarted.estimate.value == pytest.approx(1.0, rel=1e-3)
-    strict = BiasTracker({'gyro': 20.0 * HOUR_BIAS})
-    strict.set_models({'gyro_x': MODEL})
-    strict.add_means('gyro_x', [10**9], [0.0])
-    given = strict.bias('gyro_x')
-    assert given is not None and given.tolerance == 20.0 * HOUR_BIAS
-    assert given.within_s == time_within(MODEL, given.tolerance)
 
 
 @pytest.mark.parametrize('noise', [0.0, 1.0])
