@@ -280,10 +280,8 @@ def merge(*sources: Results | str | os.PathLike[str], method: str = 'likelihood'
 @public
 def compare(
     *sources: Results | str | os.PathLike[str],
-    labels: Sequence[str] = (),
     sensor: str | Sequence[str] = (),
     margin: float = MARGIN,
-    within: float = 0.0,
     method: str = 'likelihood',
     observer: Observer = Silent(),
 ) -> RunComparison:
@@ -293,17 +291,13 @@ def compare(
     ----------
     *sources : Results or path
         Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
-        analysis, or a recording.
-    labels : sequence of str
-        Names of the recordings in the output; by default their paths, or A, B, C ...
+        analysis, or a recording. In the output, their names are the paths, or A, B, C ...
     sensor : str or sequence of str
         Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
         .yaml files.
     margin : float
         A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above it
         by this fraction.
-    within : float
-        Also test whether the coefficients are the same up to this fraction; 0 for no such test.
     method : str
         Method of the fit of sums and recordings, as in `analyze`; results are not fitted again.
     observer : Observer
@@ -313,8 +307,7 @@ def compare(
     -------
     RunComparison
         The differences of each recording from the first one (``pairs``), the comparisons with
-        the datasheets (``datasheets``), and whether any of them is significant (``differs``); with
-        ``within``, whether the recordings are the same up to this fraction (``equivalent``).
+        the datasheets (``datasheets``), and whether any of them is significant (``differs``).
 
     Raises
     ------
@@ -330,33 +323,23 @@ def compare(
     True
     """
     ResultSettings(method=method, margin=margin)  # checks them before recordings are read
-    check_range(0.0, 10.0, within=within)
-    expect(LIST, labels=labels)
-    if len(labels) > len(sources):
-        raise AllanError(
-            f'{len(labels)} labels for {len(sources)} inputs: give at most one per input'
-        )
     expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
     sensors = [sensor] if isinstance(sensor, PATH) else sensor
     sheets = [load_sensor(str(name)) for name in sensors]
     paths = [chr(ord('A') + i) if isinstance(s, Results) else str(s) for i, s in enumerate(sources)]
-    names = [*labels, *labels_of(paths)[len(labels) :]]
-    for name in names:
-        expect(str, label=name)
-        if names.count(name) > 1:
-            raise AllanError(f'two inputs are called {name!r}: give each a label')
+    names = labels_of(paths)
+    if len({*names}) < len(names):
+        raise AllanError('an input is given twice: give different recordings')
     if len(sources) + len(sheets) < 2 or not sources:
         raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
     from .io.comparison import Subject, compare_runs
 
     runs = (results_of(source, method, observer) for source in sources)
-    return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin, within)
+    return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin)
 
 
 @public
-def common(
-    *sources: Any, labels: Sequence[str] = (), rate: float = 0.0, **options: Any
-) -> CommonResult:
+def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     """Separate the noise that several IMUs at rest on one body have in common from their own noise.
 
     The samples are aligned by their stamps: the recordings must be made together, with one clock,
@@ -366,9 +349,8 @@ def common(
     ----------
     *sources : path, DataFrame, mapping of columns, or ImuBatch
         One recording of each IMU, or a bag whose Imu topics are the IMUs. The axes of a single IMU
-        are compared with each other.
-    labels : sequence of str
-        Names of the IMUs in the output; by default their paths or topics, or A, B, C ...
+        are compared with each other. In the output, the names of the IMUs are the paths or topics,
+        or A, B, C ...
     rate : float
         Sample rate in Hz, as in `analyze`.
     **options
@@ -402,7 +384,6 @@ def common(
     from .io.readers.arrays import recording_in_memory
 
     reading, settings = _settings(options, rate)
-    expect(LIST, labels=labels)
     recordings: dict[str, Recording] = {}
     paths = [str(s) if isinstance(s, PATH) else chr(ord('A') + i) for i, s in enumerate(sources)]
     for source, path, label in zip(sources, paths, labels_of(paths)):
@@ -413,10 +394,9 @@ def common(
         for topic in topics if len(topics) > 1 else [reading.topic]:
             name = topic if topics[1:] and len(sources) == 1 else f'{label} {topic}'.strip()
             recordings[name] = ReadJob(path, replace(reading, topic=topic)).open()
-    if not recordings or len({*labels}) < len(labels) or len(labels) > len(recordings):
-        raise AllanError(f'{len(recordings)} IMUs, labels {list(labels)}: give one label for each')
-    names = [*labels, *list(recordings)[len(labels) :]]
-    return common_of(dict(zip(names, recordings.values())), settings)
+    if not recordings:
+        raise AllanError('no recording is given: give one of each IMU')
+    return common_of(recordings, settings)
 
 
 @public

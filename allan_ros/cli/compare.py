@@ -7,28 +7,24 @@ a datasheet. Recordings are compared with the first one, and with each datasheet
 to recordings and sums; a results.json is not fitted again.
 
   allan compare monday tuesday
-  allan compare run1 run2 --label cold --label warm -o compared
+  allan compare cold warm -o compared
   allan compare results sensor:adis16475-3 --fail-on-difference
-  allan compare reference today --within 5% --fail-on-difference
   allan compare left.mcap right.mcap top.mcap --common
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from .. import api
 from ..api import ResultSettings
 from ..core.errors import AllanError
 from ..io.common import common_lines
-from ..io.comparison import (
-    comparison_document,
-    inflation_document,
-    write_comparison,
-)
-from ..io.files import to_json, write_atomic, write_together
-from ..io.format import check_plots
+from ..io.comparison import comparison_document, inflation_document
+from ..io.files import to_json, write_together
 from ..io.result_files import made_folder
 from .console import Console, width
 from .options import Command, Settings
@@ -44,86 +40,67 @@ EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, o
 def run(args: argparse.Namespace) -> int:
     """Compare the inputs, print the comparison, and write the files; return the exit code."""
     console = Console.of(args)
-    _check_folder(args)
     if args.common:
         return _common(args, console)
     if args.topic or args.accel_topic:
         raise AllanError('--topic and --accel-topic need --common: analyze one topic, then compare')
-    given = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
+    sheets = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
     comparison = api.compare(
-        *(text for text in args.inputs if text not in given),
-        labels=args.label,
-        sensor=[text[len(SENSOR_PREFIX) :] for text in given] + args.sensor,
+        *(text for text in args.inputs if text not in sheets),
+        sensor=[text[len(SENSOR_PREFIX) :] for text in sheets],
         margin=args.margin,
-        within=args.within or 0.0,
         method=args.method,
         observer=console,
     )
-    if console.json:
-        console.document(comparison_document(comparison))
-    elif not (console.quiet and args.output):
-        print('\n'.join(comparison_lines(comparison, args.units, width())))
-    if args.output:
-        written = write_comparison(args.output, comparison, args.units, args.plots)
-        console.say(f'written to {args.output}: {", ".join(path.name for path in written)}')
+    text = '\n'.join(comparison_lines(comparison, args.units, width()))
+    _show(args, console, text, {'comparison.json': comparison_document(comparison)})
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
+
+
+def _show(
+    args: argparse.Namespace,
+    console: Console,
+    text: str,
+    documents: Mapping[str, Any],
+) -> None:
+    """Print the text, or with --json the first document; write the documents to the folder."""
+    if console.json:
+        console.document(next(iter(documents.values())))
+    elif not (console.quiet and args.output):
+        print(text)
+    if args.output:
+        files: dict[str, str | bytes] = {name: to_json(each) for name, each in documents.items()}
+        write_together(made_folder(Path(args.output)), files)
+        console.say(f'written to {args.output}: {", ".join(files)}')
 
 
 def _common(args: argparse.Namespace, console: Console) -> int:
     """Print and write the noise that the IMUs have in common; return the exit code."""
     default = ResultSettings()
-    judged = args.sensor or args.within or args.fail_on_difference or args.margin != default.margin
-    if judged or args.method != default.method:
+    if args.fail_on_difference or (args.margin, args.method) != (default.margin, default.method):
         raise AllanError(
-            '--common judges and fits nothing: omit --sensor, --within, --fail-on-difference, '
-            '--margin and --method'
+            '--common judges and fits nothing: omit --fail-on-difference, --margin and --method'
         )
     for text in args.inputs:
         if text.startswith(SENSOR_PREFIX) or api.is_document(text):
             raise AllanError(
                 f'{text}: --common needs the samples: give recordings, not results or datasheets'
             )
-    topics = {'topic': args.topic, 'accel_topic': args.accel_topic}
-    common = api.common(*args.inputs, labels=args.label, **topics)
-    if console.json:
-        console.document(common.document())
-    elif not (console.quiet and args.output):
-        print('\n'.join(common_lines(common, args.units)))
-    if args.output:
-        files: dict[str, str | bytes] = {'common.json': to_json(common.document())}
-        if args.plots:
-            from ..io.plots import rendered
-
-            files |= rendered({'common': common.plot()}, args.plots)
-        write_together(made_folder(Path(args.output)), files)
-        console.say(f'written to {args.output}: {", ".join(files)}')
+    common = api.common(*args.inputs, topic=args.topic, accel_topic=args.accel_topic)
+    text = '\n'.join(common_lines(common, args.units))
+    _show(args, console, text, {'common.json': common.document()})
     return 0
-
-
-def _check_folder(args: argparse.Namespace) -> None:
-    """Raise AllanError if a format of figures is unknown, or no folder is given for figures."""
-    check_plots(args.plots)
-    if args.plots and not args.output:
-        raise AllanError('--plots needs a folder: give one with -o')
 
 
 def inflate(args: argparse.Namespace) -> int:
     """Print and write how much running motors increase the noise; return the exit code."""
     console = Console.of(args)
-    if not 0.0 < args.horizon < float('inf'):
-        raise AllanError(f'--horizon {args.horizon:g}: give a time above 0 s')
-    _check_folder(args)
     inflation = api.inflate(args.rest, args.running, horizon=args.horizon, observer=console)
-    if console.json:
-        console.document(inflation_document(inflation))
-    elif not (console.quiet and args.output):
-        print(inflation)
-    if args.output:
-        written = write_comparison(args.output, inflation.comparison, args.units, args.plots)
-        path = written[0].parent / 'inflation.json'
-        write_atomic(path, to_json(inflation_document(inflation)))
-        names = ', '.join(one.name for one in (path, *written))
-        console.say(f'written to {args.output}: {names}')
+    documents = {
+        'inflation.json': inflation_document(inflation),
+        'comparison.json': comparison_document(inflation.comparison),
+    }
+    _show(args, console, str(inflation), documents)
     return 0
 
 
@@ -140,32 +117,25 @@ increase as a factor, and the ratio of the Allan deviations.
 
 COMPARE_OPTIONS = f"""
 inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
--o --output DIR  folder for comparison.json and plots (default: none)
---label TEXT...  name of an input, such as a temperature or a serial number; give one per input, in
-    the same order (default: name of folder or file)
---sensor NAME...  also compare with this datasheet, like sensor:NAME; `allan sensors` lists the
-    names
---within PERCENT  also test whether the coefficients are the same up to this, such as 5%%
+-o --output DIR  folder for comparison.json (default: none)
 --common  separate the noise that IMUs on one body have in common (vibration) from the noise of
     each; the inputs are recordings made at the same time, or a bag with several Imu topics
 --topic TOPIC []  with --common: Imu topic, if a bag has several (default: all of them are IMUs)
 --accel-topic TOPIC []  with --common: topic of the accelerometer, if the gyro has another topic
 --fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a
-    datasheet is exceeded; with --within, if N is not shown to be the same, or another term differs
+    datasheet is exceeded
 """
 
 INFLATE_OPTIONS = """
 rest REST  the robot at rest, motors off
 running RUNNING  the robot at rest, motors on
 --horizon SECONDS [30]  longest time that the filter integrates without correction
--o --output DIR  folder for inflation.json, comparison.json and plots
+-o --output DIR  folder for inflation.json and comparison.json
 """
 
-UNITS = Settings('result', ResultSettings, ['method', 'sensor', 'baseline', 'margin', 'export'])
-
-RESULT = Settings('result', ResultSettings, ['sensor', 'baseline', 'export'])
+RESULT = Settings('result', ResultSettings, ['sensor', 'baseline', 'export', 'plots'])
 
 COMMANDS = {
     'compare': Command(__doc__ or '', [COMPARE_OPTIONS, RESULT], run, EXITS),
-    'inflate': Command(INFLATE, [INFLATE_OPTIONS, UNITS], inflate),
+    'inflate': Command(INFLATE, [INFLATE_OPTIONS], inflate),
 }

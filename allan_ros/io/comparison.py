@@ -5,10 +5,8 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from ..core.compare import FAMILY_ERROR, Difference, differences
@@ -16,10 +14,9 @@ from ..core.errors import AllanError, one_line
 from ..core.fields import plain
 from ..core.filters.noise_parameters import TermInflation
 from ..core.filters.reductions import horizon_text, shortest_horizon
-from ..core.imu import SENSORS, SI_UNITS, sensor_of
+from ..core.imu import SI_UNITS, sensor_of
 from .datasheets import Datasheet, DatasheetComparison, comparison_to_document
 from .documents import results_to_document
-from .files import to_json, write_together
 from .format import significant
 from .from_datasheet import against_measured
 from .results import Results
@@ -70,43 +67,26 @@ class RunComparison:
     pairs: tuple[Pair, ...]
     datasheets: tuple[tuple[str, DatasheetComparison], ...]
     family_error: float = FAMILY_ERROR
-    within: float = 0.0  # fraction for the tests of equivalence; 0 for none
 
     def __repr__(self) -> str:
         return '\n'.join(comparison_headline(self))
 
     @property
-    def equivalent(self) -> bool:
-        """Whether N of all axes is the same up to ``within``, and no other term is different."""
-        results = (
-            (d.quantity, d.equivalence(self.within))
-            for pair in self.pairs
-            for d in pair.differences
-            if d.tau is None
-        )
-        return all(r == 'same' or (r == 'undecided' and term != 'N') for term, r in results)
-
-    @property
     def differs(self) -> bool:
-        """Whether any difference is significant, or a limit of a datasheet is exceeded.
-
-        With ``within``, equality up to this fraction is required instead.
-        """
+        """Whether any difference is significant, or a limit of a datasheet is exceeded."""
         if any(comparison.verdict == 'exceeds' for _, comparison in self.datasheets):
             return True
-        return not self.equivalent if self.within else any(p.significant for p in self.pairs)
+        return any(pair.significant for pair in self.pairs)
 
 
 def compare_runs(
     runs: Sequence[Subject],
     datasheets: Sequence[Datasheet] = (),
     margin: float = 0.0,
-    within: float = 0.0,
 ) -> RunComparison:
     """Compare each recording with the first one, and every recording with each datasheet.
 
-    With ``within``, the comparison also tests whether the coefficients are the same up to this
-    fraction. A limit of a datasheet is exceeded if the 95 % interval is completely above
+    A limit of a datasheet is exceeded if the 95 % interval is completely above
     limit * (1 + ``margin``). Raises AllanError when two recordings have no common axis.
     """
     first, *others = runs
@@ -126,7 +106,6 @@ def compare_runs(
             for run in runs
             if (checked := run.results.against_datasheet(datasheet, margin).datasheet)
         ),
-        within=within,
     )
 
 
@@ -137,7 +116,6 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
         'schema': SCHEMA,
         'family_error': comparison.family_error,
         'differs': comparison.differs,
-        'within': comparison.within or None,
         'runs': [
             {'label': run.label, 'results': results_to_document(run.results, curves=False)}
             for run in comparison.runs
@@ -155,9 +133,6 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
                         'ci95': plain(d.ci95),
                         'p': plain(d.p),
                         'verdict': d.verdict,
-                        'equivalence': d.equivalence(comparison.within)
-                        if comparison.within
-                        else None,
                     }
                     for d in pair.differences
                 ],
@@ -186,8 +161,6 @@ def comparison_headline(comparison: RunComparison) -> Iterator[str]:
     """Yield a sentence for each pair, with its largest difference, and for each datasheet."""
     for pair in comparison.pairs:
         yield _pair_sentence(pair, comparison.family_error)
-        if comparison.within:
-            yield _equivalence_sentence(pair, comparison.within)
     results = {run.label: run.results for run in comparison.runs}
     for label, checked in comparison.datasheets:
         yield _datasheet_sentence(label, checked)
@@ -253,23 +226,6 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
     return text
 
 
-def _equivalence_sentence(pair: Pair, within: float) -> str:
-    found: dict[str, dict[str, list[str]]] = {'same': {}, 'different': {}, 'undecided': {}}
-    for d in pair.differences:
-        if d.tau is None and d.p is not None:
-            terms = found[d.equivalence(within)]
-            terms.setdefault(d.quantity, []).append(d.axis.replace('_', ' '))
-    texts = (
-        '; '.join(f'{term} of {", ".join(axes)}' for term, axes in terms.items())
-        for terms in found.values()
-    )
-    same, different, undecided = (text or 'no term' for text in texts)
-    return (
-        f'{pair.second} is the same as {pair.first} to {100.0 * within:g} % in {same}; it differs '
-        f'by more in {different}; undecided, because the intervals are too wide: {undecided}'
-    )
-
-
 def _ratio_above_one(difference: Difference) -> tuple[float | None, float, float]:
     """Return the ratio of the noisier to the quieter (or None), and its 95 % interval."""
     (low, high), ratio = difference.ci95 or (1.0, 1.0), difference.ratio
@@ -291,29 +247,6 @@ def _datasheet_sentence(label: str, comparison: DatasheetComparison) -> str:
         return f'{label} cannot be judged by the datasheet of {name} yet: no number is settled'
     note = f'; {unsettled} of {len(checks)} are undecided' if unsettled else ''
     return f'{label} is within the datasheet of {name}{note}'
-
-
-def write_comparison(
-    folder: str | os.PathLike[str],
-    comparison: RunComparison,
-    units: str = 'deg/h',
-    plots: Sequence[str] = (),
-) -> list[Path]:
-    """Write comparison.json, and figures in the formats ``plots``; return the paths.
-
-    ``units`` of the figures are 'deg/h' or 'SI'.
-    """
-    from .result_files import made_folder
-
-    place = made_folder(Path(folder))
-    contents: dict[str, str | bytes] = {'comparison.json': to_json(comparison_document(comparison))}
-    if plots:
-        from .plots import comparison_figure, rendered  # imports matplotlib
-
-        figures = {f'compare_{s}': comparison_figure(comparison, s, units) for s in SENSORS}
-        contents |= rendered(figures, plots)
-    write_together(place, contents)
-    return [place / name for name in contents]
 
 
 REST, RUNNING = 'at rest', 'at rest, motors on'

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of one sensor, drawn with matplotlib: its Allan deviation, or several recordings."""
+"""Figures of one sensor, drawn with matplotlib: its Allan deviation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ try:
     from matplotlib import rc_context
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator
 except ImportError as error:
     raise AllanError(
         f'figures need matplotlib, which cannot be imported ({error}): install it with pip or apt, '
@@ -36,8 +35,6 @@ except ImportError as error:
     ) from None
 
 if TYPE_CHECKING:
-    from .common import CommonResult
-    from .comparison import RunComparison
     from .results import Results
 
 RC: dict[str, Any] = {
@@ -59,16 +56,6 @@ BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
 """Opacity of the 68 % limits, and of the possible contribution of unresolved terms."""
 
 TAU_LABEL = 'averaging time τ [s]'
-
-RUN_STYLES: tuple[tuple[str, str, Any], ...] = (
-    ('black', 'o', '-'),
-    ('#D55E00', 's', '--'),
-    ('#0072B2', '^', '-.'),
-    ('#009E73', 'D', ':'),
-    ('#CC79A7', 'v', (0, (5, 1, 1, 1, 1, 1))),
-    ('#E69F00', 'P', (0, (8, 2))),
-)
-"""Color of Okabe and Ito (2008), marker and dashes of each recording."""
 
 
 class _ShownFigure(Figure):
@@ -127,64 +114,11 @@ def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure
         f'{results.rate_hz:.4g} Hz, {results.duration_s / 3600.0:.3g} h'
     )
     with rc_context(RC):
-        figure, panels = _new_figure(len(axes), 1, title)
-        for (panel,), (name, axis) in zip(panels, axes.items()):
+        figure, panels = _new_figure(len(axes), title)
+        for panel, (name, axis) in zip(panels, axes.items()):
             _draw_axis(panel, name, axis, units)
             if panel.lines:
                 panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5))
-    return figure
-
-
-def comparison_figure(
-    comparison: RunComparison, sensor: str, units: str = 'deg/h'
-) -> Figure | None:
-    """Return the curves of several recordings with a row for each axis; None without a curve.
-
-    The left panel shows the deviations with their 68.3 % limits. The right panel shows the ratios
-    to the first recording with 95 % intervals; significant ones are filled.
-    """
-    runs = comparison.runs
-    names = [
-        name
-        for name in AXES[SENSORS[sensor]]
-        if any(run.results.axes[name].curve for run in runs if name in run.results.axes)
-    ]
-    if not names:
-        return None
-    ratios = bool(comparison.pairs)
-    title = f'{SENSOR_NAMES[sensor]}: Allan deviation'
-    if ratios:
-        title += f', and its ratio to {runs[0].label} (filled: significant)'
-    with rc_context(RC):
-        figure, panels = _new_figure(len(names), 1 + ratios, title)
-        for row, name in zip(panels, names):
-            for i, run in enumerate(runs):
-                if name in run.results.axes:
-                    _draw_run(row[0], i, run.label, name, run.results.axes[name], units)
-            if ratios:
-                _draw_ratios(row[1], name, comparison)
-        for panel in [row[0] for row in panels if row[0].lines][:1]:
-            for text in panel.legend().get_texts():
-                text.set_parse_math(False)
-    return figure
-
-
-def common_figure(common: CommonResult) -> Figure:
-    """Return the coherence of each axis with 95 % limits, in a panel for each axis."""
-    names = list(dict.fromkeys(row.axis for row in common.rows))
-    with rc_context(RC):
-        title = 'coherence: 0 for independent, 1 for common noise'
-        figure, panels = _new_figure(len(names), 1, title)
-        for (panel,), name in zip(panels, names):
-            panel.set(xscale='log', ylim=(-1.05, 1.05), ylabel=name.replace('_', ' '))
-            panel.axhline(0.0, color='k', lw=0.8)
-            for i, row in enumerate(row for row in common.rows if row.axis == name):
-                color, _, dashes = RUN_STYLES[i % len(RUN_STYLES)]
-                tau, value, low, high = row.coherence
-                panel.plot(tau, value, color=color, ls=dashes, lw=1.0, label=row.label)
-                panel.fill_between(tau, low, high, color=color, alpha=BAND_ALPHA, lw=0)
-        for text in panels[0][0].legend().get_texts():
-            text.set_parse_math(False)
     return figure
 
 
@@ -208,15 +142,14 @@ def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'deg/h')
         panel.legend()
 
 
-def _new_figure(rows: int, columns: int, title: str) -> tuple[Figure, Any]:
-    """Return a figure and its panels, (rows, columns), which share the averaging times."""
+def _new_figure(rows: int, title: str) -> tuple[Figure, Any]:
+    """Return a figure and its panels, (rows,), which share the averaging times."""
     size = (WIDTH_IN, HEAD_IN + ROW_IN * rows)
     figure = _ShownFigure(figsize=size, layout='constrained')
-    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
     heading = figure.suptitle(title, fontsize='medium', fontweight='bold')
     heading.set_parse_math(False)  # labels of users may contain dollar signs
-    for panel in panels[-1]:
-        panel.set_xlabel(TAU_LABEL)
+    panels[-1].set_xlabel(TAU_LABEL)
     return figure, panels
 
 
@@ -258,38 +191,3 @@ def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
         text = f'{part} {value_text(coefficient, unit)} {pretty_unit(unit.name)}'
         text += f' ({interval})' if interval else ''
     return f'{text}, likely' if part in axis.fit.likely else text
-
-
-def _draw_run(panel: Axes, run: int, label: str, name: str, axis: AxisResult, units: str) -> None:
-    unit = shown_unit(name, 'B', units)
-    curve = drawn_curve(axis, unit.factor)
-    panel.set_ylabel(f'{name.replace("_", " ")} [{pretty_unit(unit.name)}]')
-    if curve is None or not curve.any:
-        return
-    color, marker, dashes = RUN_STYLES[run % len(RUN_STYLES)]
-    panel.fill_between(curve.tau, curve.low, curve.high, color=color, alpha=BAND_ALPHA, lw=0)
-    style = {'color': color, 'ls': dashes, 'marker': marker, 'ms': 3.0, 'lw': 1.0}
-    panel.loglog(curve.tau, curve.adev, markevery=(run, len(RUN_STYLES)), label=label, **style)
-
-
-def _draw_ratios(panel: Axes, axis: str, comparison: RunComparison) -> None:
-    panel.set(xscale='log', yscale='log', ylabel='ratio')
-    panel.axhline(1.0, color='k', lw=0.8)
-    for run, pair in enumerate(comparison.pairs, 1):
-        shift = 1.05 ** (run - 1)  # otherwise the ratios would overlap
-        color, marker, _ = RUN_STYLES[run % len(RUN_STYLES)]
-        for d in pair.differences:
-            if d.axis == axis and d.tau and d.ratio and d.ci95 and d.ci95[0] > 0.0:
-                low, high = d.ratio - d.ci95[0], d.ci95[1] - d.ratio
-                panel.errorbar(
-                    *([d.tau * shift], [d.ratio], [[low], [high]]),
-                    color=color, marker=marker, ms=4.0, lw=0.9, capsize=1.5,
-                    mfc=color if d.significant else 'none',
-                )  # fmt: skip
-    # round numbers instead of powers of ten: most ratios are between 0.1 and 10
-    low, high = panel.get_ylim()
-    digits = (1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 7.0) if high / low < 5.0 else (1.0, 2.0, 5.0)
-    panel.yaxis.set_major_locator(LogLocator(subs=digits if high / low < 30.0 else (1.0,)))
-    panel.yaxis.set_major_formatter('{x:g}')
-    panel.yaxis.set_minor_formatter('')
-    panel.set_ylim(low, high)

@@ -57,4 +57,4 @@ def test_the_factor_is_measured_with_vibration_included(
     names = {path.name for path in (tmp_path / 'out').iterdir()}
     assert {'inflation.json', 'comparison.json'} <= names
     assert main(['inflate', *recordings, '--horizon', '0']) == 1
-    assert 'give a time above 0 s' in capsys.readouterr().err
+    assert 'horizon is 0.0: it must lie between' in capsys.readouterr().err
