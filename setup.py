@@ -83,7 +83,6 @@ setup(
     ],
     python_requires='>=3.10',
     install_requires=[
-        'argcomplete>=1.8',  # shell completion; loaded only then
         'numpy>=1.21',
         'PyYAML>=5.4',
         'rich>=10',  # tables of allan_watch; plain text without it

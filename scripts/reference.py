@@ -82,12 +82,6 @@ Results go to stdout, all else to stderr. `analyze --json` prints the content of
 
 `NO_COLOR` and `FORCE_COLOR` turn colors off and on ([no-color.org](https://no-color.org)),
 `COLUMNS` sets the width. By default, the terminal determines colors and width.
-
-**Completion** of verbs, options, datasheets, targets and topics of a bag, by
-[argcomplete](https://kislyuk.github.io/argcomplete/), where `allan` is on the PATH:
-
-    eval "$(register-python-argcomplete allan)"            # in ~/.bashrc, or ~/.zshrc
-    register-python-argcomplete --shell fish allan | source  # in ~/.config/fish/config.fish
 """
 
 

@@ -49,7 +49,6 @@ from .batch import (
     split_by_topic,
 )
 from .console import Console, colored, width
-from .main import RECORDINGS
 from .options import Command, Settings, settings_of
 from .tables import findings_lines, results_lines
 
@@ -80,6 +79,9 @@ inputs INPUT...  recording, earlier sums, or a folder of recordings
     workers must see the same paths
 """
 
+
+RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
+"""Suffixes of the recordings that `analyze` reads."""
 
 METADATA = 'metadata.yaml'
 

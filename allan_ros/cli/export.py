@@ -18,7 +18,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..core.errors import AllanError
 from ..core.fields import plain
@@ -29,9 +29,6 @@ from ..io.files import MAX_BYTES, read_text
 from ..io.format import shown_unit, significant
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
-
-if TYPE_CHECKING:
-    from ..io.results import Results
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,6 +47,7 @@ def run(args: argparse.Namespace) -> int:
             'give a results.json or its folder, or --sensor NAME, and --to TARGET; --list shows '
             'the targets'
         )
+    from ..io.documents import load
     from ..io.exporters import make_export, target_of
     from ..io.exporters.text import against, verdicts
     from ..io.files import write_atomic
@@ -61,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
         results = sensor(args.sensor).results(options.filter_rate or DEFAULT_RATE_HZ)
     else:
-        results = _load(args.results)
+        results = load(args.results)
     if args.against:
         drifts = against(results, args.to, read_text(args.against, MAX_BYTES), options)
         if console.json:
@@ -87,46 +85,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _load(path: str) -> Results:
-    """Read results; raise AllanError, which names the kind of the file if it is no results."""
-    from ..io.documents import load
-
-    try:
-        return load(path)
-    except AllanError as error:
-        raise AllanError(_other_kind(Path(path)) or str(error)) from error
-
-
-def _other_kind(path: Path) -> str:
-    """Return what a path is instead of results, and what reads it; '' if it is not known."""
-    from ..io.readers import family_of
-
-    inside = sorted(path.iterdir())[:MANY] if path.is_dir() else []
-    if path.suffix in FILES or not path.exists():
-        return f'{path}: is {FILES[path.suffix]}' if path.is_file() else ''
-    if any((one / 'results.json').is_file() for one in inside):
-        return f'{path}: contains the results of several recordings: give one of these folders'
-    for one in inside or [path]:
-        try:
-            if not one.is_dir() and family_of(one):
-                return f'{path}: is a recording: run "allan analyze {path} -o results" first'
-        except AllanError:
-            continue
-    return ''
-
-
-FILES = {
-    '.html': 'a report: give the folder that contains it',
-    **dict.fromkeys(
-        ('.yaml', '.params', '.parm', '.sdf', '.m', '.py'),
-        'a file of a filter: give the results of allan analyze, and this file with --against',
-    ),
-}
-"""Suffix -> what a file is that contains no results."""
-
-MANY = 1000
-"""Largest number of files of a folder that are examined."""
-
 GAP = 2
 """Characters between two columns."""
 
@@ -145,15 +103,10 @@ HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Print one datasheet, a list of all, or results as an entry for the file of a datasheet."""
-    from ..io.from_datasheet import measured_entry, measured_lines
+    """Print one datasheet, or a list of all."""
+    from ..io.from_datasheet import measured_lines
 
     console = Console.of(args)
-    if vars(args)['from']:
-        if args.name:
-            raise AllanError(f'--from prints an entry for any sensor: omit {args.name}')
-        print(measured_entry(_load(vars(args)['from'])))
-        return 0
     if args.name:
         sheet = load_sensor(args.name)
         if console.json:
@@ -250,7 +203,6 @@ that ends in .yaml is a path.
 
   allan sensors
   allan sensors icm-42688-p
-  allan sensors --from results    (an entry for the catalogue)
   allan analyze my_bag --sensor icm-42688-p
 """
 
@@ -266,7 +218,6 @@ results RESULTS?  results.json, or its folder
 
 SENSOR_OPTIONS = """
 name NAME?  sensor to show with its sources and measured values (default: list all)
---from RESULTS  results.json or its folder: print an entry "measured" for the file of a sensor
 """
 
 COMMANDS = {

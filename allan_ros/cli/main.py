@@ -1,9 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-# PYTHON_ARGCOMPLETE_OK
-"""The command `allan`: parser of all verbs, exit codes, and shell completion.
+"""The command `allan`: parser of all verbs, and exit codes.
 
-The module of a verb is imported when the verb is called, argcomplete only for shell completion.
+The module of a verb is imported when the verb is called.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ import sys
 import textwrap
 import traceback
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -186,81 +184,6 @@ def _exits_text(exits: dict[int, str]) -> str:
     return '\n'.join(['exit codes:', *lines])
 
 
-RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
-"""Suffixes of the recordings that `analyze` reads."""
-
-NAMED = ('sensor', 'name', 'to', 'export', 'topic', 'accel_topic')
-"""Arguments whose values are completed by `_names`."""
-
-DOCUMENTS = ('.json',)
-"""Suffix of results and sums."""
-
-
-def complete() -> None:
-    """Answer a completion request and exit; return if argcomplete is not installed."""
-    try:
-        import argcomplete
-    except ImportError:
-        return
-
-    words = os.environ.get('COMP_LINE', '').split()
-    parser = build_parser(next((word for word in words if word in VERBS), ''))
-    _attach(parser)
-    argcomplete.autocomplete(parser)
-
-
-def _attach(parser: argparse.ArgumentParser) -> None:
-    """Add a completer to the arguments that expect a file, or a name without fixed choices."""
-    from argcomplete.completers import FilesCompleter
-
-    files = {
-        'inputs': (*DOCUMENTS, *RECORDINGS),
-        'results': DOCUMENTS,
-        'baseline': DOCUMENTS,
-    }
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for sub in action.choices.values():
-                _attach(sub)
-        elif action.dest in files:
-            action.completer = FilesCompleter(files[action.dest])  # type: ignore[attr-defined]
-        elif action.dest in NAMED and not action.choices:
-            action.completer = partial(_names, action.dest)  # type: ignore[attr-defined]
-
-
-def _names(what: str, prefix: str, parsed_args: argparse.Namespace, **_: Any) -> list[str]:
-    """Return the names that can complete an argument; an empty list if they cannot be read.
-
-    ``what`` is the name of the argument, ``prefix`` the word to complete.
-    """
-    try:
-        if what.endswith('topic'):
-            return _topics(parsed_args)
-        if what in ('sensor', 'name'):
-            from ..io.datasheets import sensor_names
-
-            return sensor_names()
-    except (AllanError, OSError):
-        return []
-    from ..io.exporters import TARGETS
-
-    given, comma, _last = prefix.rpartition(',')  # of kalibr,openvins,...
-    return [f'{given}{comma}{name}' for name in TARGETS if name not in given.split(',')]
-
-
-def _topics(parsed_args: argparse.Namespace) -> list[str]:
-    """Return the Imu topics of the bags on the command line, or all topics if none is Imu."""
-    from ..io.readers.bag import bag_of
-    from ..io.readers.cdr import IMU_TYPE
-
-    topics = []
-    for path in getattr(parsed_args, 'inputs', None) or ():
-        bag = bag_of(Path(path))
-        topics += bag.storage(bag.files[0]).topics
-    imus = {topic.name for topic in topics if topic.type == IMU_TYPE}
-    return sorted(imus or {topic.name for topic in topics})
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit code; errors become one line on stderr.
 
@@ -346,8 +269,6 @@ def console() -> None:
             setattr(sys, name, open(os.devnull, 'w'))  # noqa: SIM115
         # a file name may contain characters outside the encoding of the terminal
         getattr(sys, name).reconfigure(errors='backslashreplace')
-    if '_ARGCOMPLETE' in os.environ:
-        complete()
     # handle SIGTERM like Ctrl-C
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(main())

@@ -57,8 +57,6 @@ recording:
   --start SECONDS [1577836800]  first stamp in Unix time, by default 2020-01-01
   --frame-id TEXT [imu_link]  frame_id of the messages
   --topic TEXT [/imu/data]  topic of a bag
-  --storage NAME  mcap, sqlite3, ros1, csv or npz (default: by the suffix of OUT)
-  --compression NAME [none]  none, chunk, message or file; for ros1 bz2 or lz4, for npz deflate
   --overwrite  replace an existing recording
 """
 
@@ -98,8 +96,6 @@ def run(args: argparse.Namespace) -> int:
     written = write_recording(
         args.output,
         _tracked(batches, samples, console),
-        storage=args.storage,
-        compression=args.compression,
         topic=args.topic,
         overwrite=args.overwrite,
     )

@@ -132,8 +132,6 @@ class AxisResult:
     ('accel_z', 20.0)
     >>> [one.horizon for one in axis.growth][:2]  # s
     [1.0, 10.0]
-    >>> axis.position_growth[0].std < axis.growth[0].std  # m and m/s after 1 s
-    True
     >>> [q.unit for q in (axis.Q, axis.B, axis.K, axis.R)]
     ['m/s', 'm/s^2', 'm/s^3/sqrt(Hz)', 'm/s^3']
     """
@@ -223,12 +221,6 @@ class AxisResult:
         """Predicted standard deviation of the angle error (rad) or velocity error (m/s), with 95 %
         intervals, for several durations of integration without a correction."""
         return growth_table(self.fit)
-
-    @property
-    def position_growth(self) -> tuple[Growth, ...]:
-        """Predicted standard deviation of the position error (m), with 95 % intervals, for several
-        durations of integration without a correction; empty for a gyro."""
-        return growth_table(self.fit, 2) if sensor_of(self.name) == 'accel' else ()
 
     def quantity(self, term: str) -> Quantity:
         """Return the coefficient of a term ('Q', 'N', 'B', 'K' or 'R') in SI.

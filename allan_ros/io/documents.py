@@ -351,7 +351,6 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'turn_on': plain(axis.turn_on),
         'temperature': plain(axis.temperature),
         'growth': plain(axis.growth),
-        'position_growth': plain(axis.position_growth),
         'processes': plain(fit.processes, NAMES),
         'deviation': plain(fit.deviation),
         'reading': plain(axis.regions),

@@ -171,29 +171,10 @@ def measured_values(results: Results) -> dict[tuple[str, str], MeasuredValue]:
     return found
 
 
-def _text(kind: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
+def _text(kind: str, term: str, *values: float) -> tuple[str, ...]:
     """Return the values of a term as text, followed by the unit of the catalogue."""
     unit = SHOWN.get((kind, term), DATASHEET_UNITS[kind][term])
-    return *(significant(value / UNITS[unit].factor, digits) for value in values), unit
-
-
-def measured_entry(results: Results) -> str:
-    """Return the YAML text of results for the list ``measured`` in the file of a sensor."""
-    terms: dict[str, list[str]] = {}
-    for (kind, term), ends in measured_values(results).items():
-        value, low, high, unit = _text(kind, term, *ends, digits=4)
-        text = f'{term}: {{value: {value}, low: {low}, high: {high}, unit: {unit}}}'
-        terms.setdefault(kind, []).append(text)
-    lines = [
-        'measured:',
-        '  - by: your name or organization',
-        '    url: where the recording or the results can be found',
-        f'    hours: {results.duration_s / 3600.0:.3g}',
-        f'    condition: {results.rate_hz:.4g} Hz, temperature, unit',
-    ]
-    for kind, texts in terms.items():
-        lines += [f'    {kind}:', *(f'      {text}' for text in texts)]
-    return '\n'.join(lines)
+    return *(significant(value / UNITS[unit].factor, 3) for value in values), unit
 
 
 class AgainstMeasured(NamedTuple):

@@ -202,7 +202,6 @@ class BiasPublisher:
         pairs: list[tuple[str, object]] = [
             (f'bias at rest [{unit}]', bias.estimate.value),
             (f'bias 95 % interval [{unit}]', f'{low:.6g} .. {high:.6g}'),
-            ('bias optimal averaging time [s]', bias.optimal_s),
         ]
         if (turn_on := self._turn_on.get(axis)) and turn_on.std:
             count = turn_on.recordings
@@ -223,7 +222,6 @@ class BiasPublisher:
                 'value': bias.estimate.value,
                 'ci95': list(bias.estimate.ci95),
                 'end_ns': bias.end_ns,
-                'optimal_averaging_s': bias.optimal_s,
             }
             for axis, bias in self._known().items()
         }

@@ -69,7 +69,6 @@ def test_a_folder_of_damaged_logs_has_a_line_for_each(
 @pytest.mark.parametrize(
     ('words', 'said'),
     [
-        ('export {npz} --to kalibr', 'is a recording: run "allan analyze'),
         (
             'export {truth} --to kalibr',
             'contains the truth of a simulation; `allan simulate --spec',

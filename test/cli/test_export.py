@@ -91,10 +91,11 @@ def test_wrong_units_are_not_silent(tmp_path: Path, capsys: pytest.CaptureFixtur
         (['export', '/no/such.json', '--to', 'kalibr'], 'no such file'),
         (['export', '{results}', '--to', 'temperature'], 'no bias over temperature'),
         (['export', '{results}', '--to', 'klibr'], 'Known are kalibr, openvins'),
-        (['export', '{yaml}', '--to', 'kalibr'], 'a file of a filter: give the results'),
-        (['export', '{report}', '--to', 'kalibr'], 'is a report: give the folder'),
-        (['export', '{recording}', '--to', 'kalibr'], 'is a recording: run "allan analyze'),
-        (['export', '{above}', '--to', 'kalibr'], 'give one of these folders'),
+        (
+            ['export', '{recording}', '--to', 'kalibr'],
+            'is not a JSON document; `allan analyze` reads',
+        ),
+        (['export', '{above}', '--to', 'kalibr'], 'no results.json in this folder'),
         (['export', '{results}', '--to', 'robot_localization'], 'the node allan_imu_relay'),
         (['export', '{results}', '--to', 'px4', '--against', '{yaml}'], 'no number of EKF2_GYR'),
         (['export', '{results}', '--to', 'kalibr', '--inflate', '0.5'], 'inflate is 0.5'),
@@ -114,7 +115,6 @@ def test_an_error_of_the_user_gives_one_line_and_exit_code_1(
 ) -> None:
     files = {
         '{recording}': str(recording),
-        '{report}': str(analyzed / 'report.html'),
         '{results}': str(analyzed / 'results.json'),
         '{sums}': str(analyzed / 'sums.json'),
         '{yaml}': str(analyzed / 'imu.yaml'),

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate of the bias of a sensor at rest, with its interval and its future drift.
+"""Estimate of the bias of a sensor at rest with its interval, and its repeatability.
 
 The bias is defined as the mean of the samples over the next 10 s without their white noise. A
 Kalman filter estimates it from means over 1 s; its states are the noise processes of the sensor.
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..errors import AllanError
 from ..fit.model import Z_95, AxisFit
 from ..noise import ProcessModel
-from .growth import drift_model, predicted_growth
+from .growth import drift_model
 from .reductions import state_space
 
 Floats = NDArray[np.float64]
@@ -30,9 +30,6 @@ MEAN_S = 1.0
 
 AHEAD_S = 10.0
 """Time in s over which the future bias is averaged."""
-
-LONGEST_S = 1e6
-"""Longest prediction horizon in s."""
 
 KEPT_MEANS = 600
 """Number of means of an axis that are stored to restart the filter when its model changes."""
@@ -203,8 +200,8 @@ class BiasFilter:
         if self._known and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
 
-    def estimate(self, after: float = 0.0) -> BiasEstimate:
-        """Return the predicted mean bias over 10 s, starting ``after`` s after the last mean.
+    def estimate(self) -> BiasEstimate:
+        """Return the predicted mean bias over the next 10 s.
 
         Raises
         ------
@@ -213,15 +210,10 @@ class BiasFilter:
         """
         if not self._known:
             raise AllanError('the bias is not known: keep the sensor at rest for a second')
-        state, covariance = self._state, self._covariance
-        if after > 0.0:
-            phi = self._space.transition(after)
-            state = phi @ state
-            covariance = phi @ covariance @ phi.T + self._space.noise(after)
         mean = self._space.transition(AHEAD_S)[0, 1:] / AHEAD_S
         added = self._space.noise(AHEAD_S)[0, 0] - self._space.white**2 * AHEAD_S
-        variance = mean @ covariance[1:, 1:] @ mean + added / AHEAD_S**2
-        return BiasEstimate(float(mean @ state[1:]), math.sqrt(max(float(variance), 0.0)))
+        variance = mean @ self._covariance[1:, 1:] @ mean + added / AHEAD_S**2
+        return BiasEstimate(float(mean @ self._state[1:]), math.sqrt(max(float(variance), 0.0)))
 
     def _predict(self, phi: Floats, noise: Floats) -> None:
         phi = phi.copy()
@@ -232,11 +224,10 @@ class BiasFilter:
 
 @dataclass(frozen=True)
 class AxisBias:
-    """The current bias of one axis, and its best averaging time."""
+    """The current bias of one axis."""
 
     estimate: BiasEstimate  # mean bias over the 10 s after ``end_ns``
     end_ns: int  # end of the latest mean in ns
-    optimal_s: float  # averaging time in s whose mean predicts the bias best
 
 
 class BiasTracker:
@@ -249,7 +240,6 @@ class BiasTracker:
     def __init__(self) -> None:
         self._models: dict[str, BiasModel] = {}
         self._filters: dict[str, BiasFilter] = {}
-        self._windows: dict[str, float] = {}  # axis -> `AxisBias.optimal_s`
         self._kept: dict[str, deque[tuple[int, float]]] = {}
 
     def add_means(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
@@ -273,7 +263,7 @@ class BiasTracker:
         """Replace the models of all axes, given by axis name."""
         if models == self._models:
             return
-        self._models, self._filters, self._windows = dict(models), {}, {}
+        self._models, self._filters = dict(models), {}
         for axis in models:
             self._restart(axis)
 
@@ -281,10 +271,7 @@ class BiasTracker:
         """Return the bias of an axis, or None without a model or a mean."""
         if axis not in self._filters:
             return None
-        bias, end_ns = self._filters[axis], self._kept[axis][-1][0]
-        if axis not in self._windows:
-            self._windows[axis] = optimal_window(self._models[axis].processes)
-        return AxisBias(bias.estimate(), end_ns, self._windows[axis])
+        return AxisBias(self._filters[axis].estimate(), self._kept[axis][-1][0])
 
     def _restart(self, axis: str) -> None:
         """Run a new filter of an axis over the stored means."""
@@ -301,13 +288,3 @@ def _add(bias: BiasFilter, means: Iterable[tuple[int, float]], last: int | None 
             bias.pause(pause)
         bias.update(mean)
         last = end
-
-
-def optimal_window(model: ProcessModel) -> float:
-    """Return the averaging time in s, at most `LONGEST_S`, whose mean predicts the bias best.
-
-    A longer time reduces the white noise of the mean, but the bias drifts within it.
-    """
-    windows = np.geomspace(1.0, LONGEST_S, 200)
-    error = predicted_growth(drift_model(model), AHEAD_S, windows)
-    return float(windows[int(np.argmin(error))])

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Predicted error growth of an integrated sensor: angle of a gyro, velocity and position.
+"""Predicted error growth of an integrated sensor: angle of a gyro, velocity of an accelerometer.
 
 The bias is averaged over the W seconds before time 0 and subtracted. At the prediction horizon h,
-the integral theta of the samples (angle of a gyro, velocity of an accelerometer) has the error
+the integral theta of the samples (angle or velocity) has the error
 
     e(h) = theta(h) - theta(0) - (h/W) (theta(0) - theta(-W)).
 
@@ -14,9 +14,6 @@ intrinsic random functions and their applications, 1973), one per process:
     N: -N^2 |t|/2    B: B^2 t^2 ln|t|/(2 pi)    K: K^2 |t|^3/12
     Gauss-Markov (sigma, T): -sigma^2 T^2 (x - 1 + exp(-x) - x^2/2), x = |t|/T
     sinusoid (a, f): a^2 cos(w t)/(2 w^2), w = 2 pi f
-
-The position error is the integral of e from 0 to h. It requires the generalized covariances C of
-the integral of theta with theta (C' = G) and H of the integral with itself (H'' = -G).
 """
 
 from __future__ import annotations
@@ -32,8 +29,6 @@ from ..fit.model import AxisFit
 from ..noise import NoiseTerms, ProcessModel
 
 Floats = NDArray[np.float64]
-Kernels = tuple[Floats, Floats, Floats]
-"""Generalized covariances G, C and H at given lags."""
 
 SLOW_SINUSOID_HZ = 0.1
 """Sinusoids up to this frequency are treated as drift of the sensor (temperature cycles); faster
@@ -46,17 +41,12 @@ GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
 """Prediction horizons of `growth_table` and averaging time of the bias before them, in s."""
 
-_SERIES_BELOW = 1.0
-"""Argument below which `_remainder` uses a power series instead of differences, which would cancel
-significant digits."""
-
-_SERIES_TERMS = 20
-"""Number of terms of this series; the truncation error is below 1/20!."""
+_SERIES_BELOW, _SERIES_TERMS = 1.0, 23
+"""Argument below which `_gauss_markov` uses a power series instead of differences, which would
+cancel significant digits, and the power at which the series ends."""
 
 
-def predicted_growth(
-    model: ProcessModel, horizon: ArrayLike, window: ArrayLike, integrals: int = 1
-) -> Floats:
+def predicted_growth(model: ProcessModel, horizon: ArrayLike, window: ArrayLike) -> Floats:
     """Return the standard deviation of the error of the integrated samples, without quantization.
 
     Parameters
@@ -67,13 +57,11 @@ def predicted_growth(
         Prediction horizons h in s, above 0.
     window : array
         Times W in s over which the bias was averaged before, above 0; broadcasts with ``horizon``.
-    integrals : 1 or 2
-        1 for the angle of a gyro or the velocity of an accelerometer, 2 for its position.
 
     Returns
     -------
     float64 array
-        In the unit of the samples times s (or s^2).
+        In the unit of the samples times s.
 
     Examples
     --------
@@ -83,7 +71,7 @@ def predicted_growth(
     >>> float(predicted_growth(ProcessModel(NoiseTerms(N=1.0)), 8.0, 8.0))
     4.0
     """
-    variances = [variance for _, variance in growth_parts(model, horizon, window, integrals)]
+    variances = [variance for _, variance in growth_parts(model, horizon, window)]
     return np.asarray(np.sqrt(np.maximum(sum(variances, np.zeros(np.shape(horizon))), 0.0)))
 
 
@@ -106,7 +94,7 @@ def has_drift(model: ProcessModel) -> bool:
 
 @dataclass(frozen=True)
 class Growth:
-    """Predicted error of an angle, velocity or position at a time after the last correction.
+    """Predicted error of an angle or velocity at a time after the last correction.
 
     Attributes
     ----------
@@ -115,8 +103,7 @@ class Growth:
     window : float
         Time in s before the correction, over which the bias was averaged.
     std : float
-        Predicted standard deviation of the error, in the unit of the samples times s, or s^2 for a
-        position.
+        Predicted standard deviation of the error, in the unit of the samples times s.
     ci95 : (low, high) or None
         95 % interval of ``std``; None if a term of the model has no interval.
     """
@@ -129,15 +116,13 @@ class Growth:
 
 def growth_table(
     fit: AxisFit,
-    integrals: int = 1,
     horizons: tuple[float, ...] = GROWTH_S,
     window: float = GROWTH_WINDOW_S,
 ) -> tuple[Growth, ...]:
     """Return the predicted error at some times after the last correction.
 
     ``horizons`` are these times and ``window`` the time over which the bias was averaged before, in
-    s. ``integrals`` is 1 for the angle of a gyro or the velocity of an accelerometer, 2 for its
-    position. Terms that are not resolved are included with their estimates. For the upper end of
+    s. Terms that are not resolved are included with their estimates. For the upper end of
     the interval, all terms have their 95 % upper limits.
 
     The distances of the ends of the interval from the estimate are added in quadrature over the
@@ -147,13 +132,13 @@ def growth_table(
     """
     h = np.array(horizons)
     model = drift_model(fit.model)
-    std = predicted_growth(model, h, window, integrals)
+    std = predicted_growth(model, h, window)
     intervals: list[tuple[float, float] | None] = [None] * len(h)
     if ends := interval_models(fit):
         low, high = map(drift_model, ends)
         limits = {t: getattr(high.terms, t) or _limit(fit, t) for t in 'NBKR'}
         high = replace(high, terms=NoiseTerms(**limits))
-        parts = [dict(growth_parts(one, h, window, integrals)) for one in (model, low, high)]
+        parts = [dict(growth_parts(one, h, window)) for one in (model, low, high)]
         zero = np.zeros(len(h))
         total, below, above = zero, zero, zero
         for name in {**parts[0], **parts[2]}:
@@ -208,27 +193,26 @@ def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel] | None:
 
 
 def growth_parts(
-    model: ProcessModel, horizon: ArrayLike, window: ArrayLike, integrals: int = 1
+    model: ProcessModel, horizon: ArrayLike, window: ArrayLike
 ) -> Iterator[tuple[str, Floats]]:
     """Yield (name, variance of the error due to it) for each process of the model that is not 0.
 
     The parameters are the same as in `predicted_growth`. The variance is an array over the
-    horizons, in the squared unit of the samples times s^2 (or s^4).
+    horizons, in the squared unit of the samples times s^2.
     """
     h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
     terms = model.terms
     if terms.N:
-        yield 'N', terms.N**2 * _unit_error(_white, h, w, integrals)
+        yield 'N', terms.N**2 * _unit_error(_white, h, w)
     if terms.B:
-        yield 'B', terms.B**2 * _unit_error(_flicker, h, w, integrals)
+        yield 'B', terms.B**2 * _unit_error(_flicker, h, w)
     if terms.K:
-        yield 'K', terms.K**2 * _unit_error(_walk, h, w, integrals)
+        yield 'K', terms.K**2 * _unit_error(_walk, h, w)
     if terms.R:
-        ramp = h * (h + w) / 2.0 if integrals == 1 else h * h * (h / 6.0 + w / 4.0)
+        ramp = h * (h + w) / 2.0
         # bounded, because a document may state any R
         yield 'R', np.minimum(abs(terms.R) * ramp, LARGEST_ERROR) ** 2
-    # the kernels are in units of tau: the variance of theta scales with tau^2, and the variance of
-    # its integral with tau^4
+    # the kernels are in units of tau: the variance of theta scales with tau^2
     scaled = [
         *(('gauss_markov', i, *pair, _gauss_markov) for i, pair in enumerate(model.gauss_markov)),
         *(
@@ -237,73 +221,44 @@ def growth_parts(
         ),
     ]
     for name, i, level, tau, kernel in scaled:
-        scale = tau ** (2 * integrals)
-        yield f'{name} {i}', level**2 * scale * _unit_error(kernel, h / tau, w / tau, integrals)
+        yield f'{name} {i}', level**2 * tau**2 * _unit_error(kernel, h / tau, w / tau)
 
 
-def _unit_error(
-    kernel: Callable[[Floats], Kernels], h: Floats, w: Floats, integrals: int
-) -> Floats:
+def _unit_error(kernel: Callable[[Floats], Floats], h: Floats, w: Floats) -> Floats:
     """Return the variance of the integration error due to a process with coefficient 1."""
     ratio = h / w
-    zero = np.zeros_like(h)
-    if integrals == 1:
-        at = np.stack([h, zero, -w], axis=-1)
-        c = np.stack([np.ones_like(h), -(1.0 + ratio), ratio], axis=-1)
-        g, _, _ = kernel(at[..., :, None] - at[..., None, :])
-        return np.asarray(np.einsum('...i,...ij,...j->...', c, g, c))
-    # p = Psi(h) - Psi(0) - h theta(0) - (h^2/2W) (theta(0) - theta(-W)), Psi the integral of theta
-    psi_at = np.stack([h, zero], axis=-1)
-    psi = np.broadcast_to(np.array([1.0, -1.0]), psi_at.shape)
-    theta_at = np.stack([zero, -w], axis=-1)
-    theta = np.stack([-h * (1.0 + ratio / 2.0), h * ratio / 2.0], axis=-1)
-    _, _, hh = kernel(psi_at[..., :, None] - psi_at[..., None, :])
-    g, _, _ = kernel(theta_at[..., :, None] - theta_at[..., None, :])
-    _, cc, _ = kernel(psi_at[..., :, None] - theta_at[..., None, :])
-    return np.asarray(
-        np.einsum('...i,...ij,...j->...', psi, hh, psi)
-        + np.einsum('...i,...ij,...j->...', theta, g, theta)
-        + 2.0 * np.einsum('...i,...ij,...j->...', psi, cc, theta)
-    )
+    at = np.stack([h, np.zeros_like(h), -w], axis=-1)
+    c = np.stack([np.ones_like(h), -(1.0 + ratio), ratio], axis=-1)
+    covariance = kernel(at[..., :, None] - at[..., None, :])
+    return np.asarray(np.einsum('...i,...ij,...j->...', c, covariance, c))
 
 
-def _white(t: Floats) -> Kernels:
-    a = np.abs(t)
-    return -a / 2.0, -t * a / 4.0, a**3 / 12.0
+def _white(t: Floats) -> Floats:
+    return -np.abs(t) / 2.0
 
 
-def _flicker(t: Floats) -> Kernels:
+def _flicker(t: Floats) -> Floats:
     a = np.abs(t)
     log = np.log(np.where(a > 0.0, a, 1.0))
-    unit = 1.0 / (2.0 * math.pi)
-    return (
-        unit * t * t * log,
-        unit * t**3 * (log / 3.0 - 1.0 / 9.0),
-        -unit * t**4 * (log / 12.0 - 7.0 / 144.0),
-    )
+    return 1.0 / (2.0 * math.pi) * t * t * log
 
 
-def _walk(t: Floats) -> Kernels:
-    a = np.abs(t)
-    return a**3 / 12.0, t * a**3 / 48.0, -(a**5) / 240.0
+def _walk(t: Floats) -> Floats:
+    return np.abs(t) ** 3 / 12.0
 
 
-def _gauss_markov(x: Floats) -> Kernels:
-    a, sign = np.abs(x), np.sign(x)
-    return -_remainder(a, 3), sign * _remainder(a, 4), _remainder(a, 5)
-
-
-def _sinusoid(x: Floats) -> Kernels:
-    return np.cos(x) / 2.0, np.sin(x) / 2.0, np.cos(x) / 2.0
-
-
-def _remainder(x: Floats, order: int) -> Floats:
-    """Return exp(-x) minus its Taylor polynomial of degree ``order`` - 1, to full precision."""
-    small = np.where(x < _SERIES_BELOW, x, 0.0)
-    series = np.zeros_like(x)
-    for j in range(order + _SERIES_TERMS, order - 1, -1):
+def _gauss_markov(x: Floats) -> Floats:
+    """Return 1 - x + x^2/2 - exp(-x) of the magnitude of x, to full precision."""
+    a = np.abs(x)
+    small = np.where(a < _SERIES_BELOW, a, 0.0)
+    series = np.zeros_like(a)
+    for j in range(_SERIES_TERMS, 2, -1):
         series = (-1.0) ** j / math.factorial(j) + series * small
-    large = np.exp(-x)
-    for j in range(order):
-        large = large - (-x) ** j / math.factorial(j)
-    return np.where(x < _SERIES_BELOW, series * small**order, large)
+    large = np.exp(-a)
+    for j in range(3):
+        large = large - (-a) ** j / math.factorial(j)
+    return -np.where(a < _SERIES_BELOW, series * small**3, large)
+
+
+def _sinusoid(x: Floats) -> Floats:
+    return np.cos(x) / 2.0

@@ -1,9 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate of the bias at rest, coverage of its interval, and time within a tolerance."""
+"""Estimate of the bias at rest, and coverage of its interval."""
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -14,7 +15,6 @@ from allan_ros.core.filters.bias import (
     BiasFilter,
     BiasModel,
     BiasTracker,
-    optimal_window,
     turn_on_bias,
 )
 from allan_ros.core.fit.model import AxisFit, Coefficient
@@ -46,7 +46,9 @@ def test_the_interval_covers_the_present_and_the_future_bias():
             tracker.update(float(mean))
             if k >= 300 and k % 200 == 0 and k + 610 <= len(means):
                 for after, hit in hits.items():
-                    low, high = tracker.estimate(after).ci95
+                    later = copy.deepcopy(tracker)
+                    later.pause(after)
+                    low, high = later.estimate().ci95
                     hit.append(low < means[k + after : k + after + 10].mean() < high)
     for hit in hits.values():
         assert len(hit) == 156
@@ -69,7 +71,8 @@ def test_a_ramp_that_is_not_resolved_widens_the_interval():
         tracker = BiasFilter(one)
         for _ in range(1200):
             tracker.update(0.0)
-        stds.append(tracker.estimate(600.0).std)
+        tracker.pause(600.0)
+        stds.append(tracker.estimate().std)
     assert stds[0] > 1.01 * stds[1], stds
 
 
@@ -90,14 +93,14 @@ def test_white_noise_averages_out_and_a_pause_widens_the_interval():
         tracker.update(3.0)
     estimate = tracker.estimate()
     assert (estimate.value, estimate.std) == pytest.approx((3.0, 0.1), rel=0.01)
-    tracker.pause(500.0)
-    assert tracker.estimate(1000.0).std == pytest.approx(0.1, rel=0.01)
+    tracker.pause(1500.0)
+    assert tracker.estimate().std == pytest.approx(0.1, rel=0.01)
     drifting = BiasFilter(MODEL)
     for _ in range(300):
         drifting.update(1e-4)
-    later = drifting.estimate(120.0)
+    before = drifting.estimate()
     drifting.pause(120.0)
-    assert drifting.estimate() == pytest.approx(later)
+    assert drifting.estimate().std > 1.1 * before.std
 
 
 @pytest.mark.parametrize('step, within', [(5.0, 10), (1.5, 40)])
@@ -114,13 +117,6 @@ def test_a_step_of_the_bias_is_followed_at_once(step: float, within: int):
     assert low < step < high < step + 1.5
 
 
-def test_the_optimal_average_balances_noise_and_drift():
-    white_and_walk = ProcessModel(NoiseTerms(N=1.0, K=0.01))
-    # e over 10 s with W: 100 N^2/W + 100 K^2 W/3 has its minimum at sqrt(3) N/K
-    assert optimal_window(white_and_walk) == pytest.approx(math.sqrt(3.0) * 100.0, rel=0.05)
-    assert optimal_window(ProcessModel(NoiseTerms(N=1.0))) == pytest.approx(1e6)
-
-
 def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> None:
     tracker = BiasTracker()
     ends = [10**18 + 10**9 * i for i in range(1, 301)]
@@ -135,7 +131,6 @@ def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> Non
     assert found is not None
     assert found.estimate == direct.estimate()
     assert found.end_ns == ends[-1]
-    assert found.optimal_s == optimal_window(ProcessModel(TERMS))
     tracker.add_means('gyro_x', ends[-10:], values[-10:])  # skipped: already added
     assert tracker.bias('gyro_x') == found
     tracker.add_means('gyro_x', [ends[-1] + 61 * 10**9], [values[0]])

@@ -114,10 +114,6 @@ def test_the_predicted_growth_has_an_interval() -> None:
     # of white noise, B and K alone, after 100 s: only the limit of K widens it to one side
     assert high / growth.std > growth.std / low
     assert growth_table(fit_with(N=resolved(1e-3), B=Coefficient(1e-4)))[0].ci95 is None
-    # twice integrated white noise with a known bias: N sqrt(h^3/3), plus the error of the bias
-    # over 100 s, N / sqrt(100) h^2 / 2
-    white = growth_table(fit_with(N=resolved(1e-3)), integrals=2)[1]
-    assert white.std == pytest.approx(1e-3 * math.hypot(math.sqrt(1000.0 / 3.0), 5.0))
 
 
 def test_a_term_that_is_not_resolved_is_included_with_its_estimate() -> None:
