@@ -52,7 +52,7 @@ def test_the_estimator_publishes_the_bias(graph: Any, still_imu: Callable[..., I
 def test_an_axis_without_a_bias_has_a_variance_of_minus_one() -> None:
     from allan_ros.core.filters.bias import AxisBias, BiasEstimate
 
-    bias = AxisBias(BiasEstimate(0.5, 0.1), 3 * 10**9 + 7, 1.0)
+    bias = AxisBias(BiasEstimate(0.5, 0.1), 3 * 10**9 + 7)
     message = bias_message({'accel_y': bias}, 'imu')
     assert message.twist.twist.linear.y == 0.5
     diagonal = [message.twist.covariance[7 * row] for row in range(6)]
