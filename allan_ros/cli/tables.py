@@ -15,7 +15,7 @@ from ..core.fit import TERMS, Coefficient
 from ..core.fit.findings import SMALL_DEVIATION
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..io.datasheets import DatasheetComparison
-from ..io.exporters import Row, target_rows
+from ..io.exporters import RAISED, origin_text, target_rows
 from ..io.format import (
     VALUE_DIGITS,
     ShownUnit,
@@ -205,28 +205,10 @@ def _filter_lines(results: Results, columns: int) -> Iterator[str]:
     name = max(len(row.key) for row in rows)
     for row in rows:
         text = f'{row.key:{name}}  {significant(row.value, VALUE_DIGITS):9}'
-        yield from wrapped(f'{text} {origin(row)}'.rstrip(), columns, ' ' * (name + 12))
-    raised = sorted({o.term for row in rows for o in row.levels if o.raised_from is not None})
-    if raised:
-        yield from wrapped(
-            f'{" and ".join(raised)} {"are" if len(raised) > 1 else "is"} raised because a filter '
-            'with N and K alone would otherwise underestimate the growth of the error, to which B '
-            'and other terms contribute.',
-            columns,
-        )
-
-
-def origin(row: Row) -> str:
-    """Return how a number for a filter differs from the coefficient as measured."""
-    (level,) = row.levels
-    name = f'{level.term} of {level.axis}'
-    limit = ', a 95 % upper limit' if level.is_limit else ''
-    if level.raised_from is None:
-        return f'{name} as measured{limit}'
-    if not level.raised_from:
-        return f'covers the growth of the error; {name} is not resolved'
-    factor, measured = level.value / level.raised_from, significant(level.raised_from, VALUE_DIGITS)
-    return f'{factor:.3g} times {name} as measured, {measured}{limit}'
+        (level,) = row.levels
+        yield from wrapped(f'{text} {origin_text(level)}', columns, ' ' * (name + 12))
+    if any(level.raised_from is not None for row in rows for level in row.levels):
+        yield from wrapped(RAISED, columns)
 
 
 def _legend(results: Results, complete: bool) -> str:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -36,14 +36,6 @@ WRONG_UNITS = ('gyro_unit', 'gyro_unit_changed', 'accel_unit')
 
 TOO_SHORT_S = 20.0
 """Time at rest in s below which no verdict is given."""
-
-ALIKE = 1.15
-"""Ratio of the white noise of two axes above which a sentence names the difference. Smaller ratios
-are common between units of one model."""
-
-ODD_AXIS = 2.0
-"""Ratio of the white noise of two axes above which the noisier axis should be checked; the z axis
-of many accelerometers reaches 1.5."""
 
 NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
 """Ids of findings whose remedy is not a next step: they need no action, or only a longer recording,
@@ -78,23 +70,12 @@ class Verdict:
         return asdict(self)
 
 
-def verdict_of(
-    results: Results,
-    comparisons: Sequence[Comparison] | None = None,
-    units: str = 'deg/h',
-    spelled: Callable[[str], str] = str,
-) -> Verdict:
-    """Return the verdict on the IMU of the results.
-
-    ``comparisons`` with a datasheet and with earlier runs are by default taken from the results.
-    ``units`` of the texts is 'deg/h' or 'SI', and ``spelled`` returns the spelling of a
-    unit.
-    """
-    comparisons = results.comparisons if comparisons is None else comparisons
+def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
+    """Return the verdict on the IMU of the results; ``units`` of its texts is 'deg/h' or 'SI'."""
+    comparisons = results.comparisons
     level = _level(results, comparisons)
-    summary = _summary(results, comparisons, units, spelled)
-    warnings = (finding_text(found, results, units) for found in warnings_and_errors(results))
-    reasons = (*_axis_differences(results), *warnings)
+    summary = _summary(results, comparisons, units)
+    reasons = tuple(finding_text(f, results, units) for f in warnings_and_errors(results))
     steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
     return Verdict(level, summary, reasons, steps)
 
@@ -132,17 +113,15 @@ def too_short(results: Results) -> bool:
     return not measured(results) or results.duration_s < TOO_SHORT_S
 
 
-def _summary(
-    results: Results, comparisons: Sequence[Comparison], units: str, spelled: Callable[[str], str]
-) -> str:
+def _summary(results: Results, comparisons: Sequence[Comparison], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
     wrong = [f for f in grouped(results.findings) if f.id in WRONG_UNITS]
     if wrong and not faults and not too_short(results):
         return finding_text(wrong[0], results, units)
     beyond = [c for c in comparisons if c.verdict == 'exceeds']
     if beyond and not too_short(results):
-        excesses = _excesses(results, beyond, units, spelled)
-        return f'Above {_references(beyond)}: {_joined(list(excesses))}.'
+        excesses = list(_excesses(results, beyond, units))
+        return f'Above {_references(beyond)}: {_joined(excesses)}.'
     if faults:
         return finding_text(faults[0], results, units)
     if not measured(results):
@@ -203,9 +182,7 @@ def _references(comparisons: Sequence[Comparison]) -> str:
     return _joined(list(dict.fromkeys(c.reference for c in comparisons)))
 
 
-def _excesses(
-    results: Results, beyond: Sequence[Comparison], units: str, spelled: Callable[[str], str]
-) -> Iterator[str]:
+def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
     groups: dict[tuple[str, str, float | None], list[Comparison]] = {}
     for c in beyond:
         groups.setdefault((sensor_of(c.axis), c.term, c.tau), []).append(c)
@@ -215,30 +192,8 @@ def _excesses(
         ratios = [c.at_least for c in group]
         times = dict.fromkeys(f'{ratio:.2g}' for ratio in (min(ratios), max(ratios)))
         limit = significant(max(c.limit for c in group) * unit.factor, 3)
-        shown = f'{limit} {spelled(unit.name)}'
         what = f'deviation at {significant(tau, 2)} s' if tau else term
-        yield f'{what} of {where} (at least {" to ".join(times)} times {shown})'
-
-
-def _axis_differences(results: Results) -> Iterator[str]:
-    for where in SENSORS.values():
-        known = {
-            axis: c.value
-            for axis in AXES[where]
-            if axis in results.axes
-            and (c := results.axes[axis].fit.noise['N']).status == 'estimated'
-            and c.value
-        }
-        if len(known) < 2:
-            continue
-        noisy, quiet = max(known, key=known.__getitem__), min(known, key=known.__getitem__)
-        ratio = known[noisy] / known[quiet]
-        if ratio > ALIKE:
-            check = ': check that axis' if ratio > ODD_AXIS else ''
-            yield (
-                f'{_axis(noisy).capitalize()} has {ratio:.2g} times the white noise of '
-                f'{_axis(quiet)}{check}.'
-            )
+        yield f'{what} of {where} (at least {" to ".join(times)} times {limit} {unit.name})'
 
 
 def warnings_and_errors(results: Results) -> list[Finding]:

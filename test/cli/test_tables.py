@@ -14,7 +14,6 @@ from allan_ros.cli.tables import (
     coefficient_rows,
     comparison_lines,
     findings_lines,
-    origin,
     results_lines,
 )
 from allan_ros.core.filters.reductions import Level
@@ -22,7 +21,7 @@ from allan_ros.core.findings import CATALOG, Finding, finding
 from allan_ros.core.fit import TERMS, Coefficient, Deviation
 from allan_ros.io.comparison import Subject, compare_runs
 from allan_ros.io.datasheets import load_sensor
-from allan_ros.io.exporters import Row, target_rows
+from allan_ros.io.exporters import origin_text, target_rows
 from allan_ros.io.format import interval_text, shown_unit, value_text
 from allan_ros.io.results import Results
 from allan_ros.io.verdict import headline, summary_lines, verdict_of
@@ -74,8 +73,7 @@ def test_constant_data_have_one_line(small_results: Results) -> None:
 
 def test_a_raised_k_has_its_factor_and_the_measured_value(small_results: Results) -> None:
     raised = Level('gyro_x', 'K', 3e-6, None, False, 1e-6)
-    row = Row(('gyroscope_random_walk',), 3e-6, levels=(raised,))
-    assert origin(row) == '3 times K of gyro_x as measured, 1.000e-06'
+    assert origin_text(raised) == 'K of gyro x, raised 3 times from 1e-06 as measured'
     lines = lines_of(small_results, 'deg/h', 200)
     rows = {row.key: row for row in target_rows(small_results, 'kalibr')}
     shown = [line.split() for line in lines if line.split(' ')[0] in rows]

@@ -193,6 +193,22 @@ def noise_keys(names: str, unit: str = 'density') -> tuple[Key, ...]:
     return keys_of('\n'.join(f'{name} {what} {unit}' for name, what in zip(names.split(), whats)))
 
 
+RAISED = 'Raised numbers cover B and correlated noise, for which such a filter has no states.'
+"""Explanation of numbers that are larger than the coefficients as measured."""
+
+
+def origin_text(level: Level) -> str:
+    """Return how a number for a filter differs from the coefficient as measured."""
+    name = f'{level.term} of {level.axis.replace("_", " ")}'
+    if level.raised_from == 0.0:
+        return f'{name} is not resolved: set to cover the error growth'
+    words = f'{name} is not resolved: its 95 % upper limit' if level.is_limit else name
+    if level.raised_from is None:
+        return words if level.is_limit else f'{name} as measured'
+    factor, measured = level.value / level.raised_from, level.raised_from
+    return f'{words}, raised {factor:.3g} times from {measured:.4g} as measured'
+
+
 Form = Callable[[Sequence[Row], Sequence[str]], str]
 """Text format: (rows, lines of the header) -> text of a file."""
 

@@ -24,7 +24,7 @@ import numpy
 import scipy
 
 from ... import __version__
-from ...core.findings import Finding, duration_text, grouped
+from ...core.findings import Finding, duration_text
 from ...core.imu import AXES, SENSORS
 from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
@@ -33,7 +33,6 @@ from ..signal import SignalSummary
 from ..verdict import (
     WORDS,
     Verdict,
-    finding_text,
     findings_and_notes,
     too_short,
     used_samples,
@@ -204,9 +203,7 @@ def _items(texts: Iterable[str]) -> str:
 
 
 def _verdict_section(results: Results, verdict: Verdict) -> str:
-    summary = in_units(
-        lambda system: escape(verdict_of(results, units=system, spelled=pretty_unit).summary)
-    )
+    summary = in_units(lambda system: escape(verdict_of(results, units=system).summary))
     found = findings_and_notes(results)
     counts = [
         f'{n} {word}{"" if n == 1 else "s"}'
@@ -224,16 +221,11 @@ def _verdict_section(results: Results, verdict: Verdict) -> str:
 
 
 def _next_steps(results: Results, verdict: Verdict, units: str) -> Iterator[str]:
-    """Yield what the recording shows, and the next steps that the findings do not contain."""
-    listed = {finding_text(f, results, units) for f in grouped(results.findings)}
+    """Yield the next steps that the findings do not contain."""
     remedies = tuple(r for f in results.findings if (r := f.texts(units).remedy.rstrip('.')))
     steps = [step for step in verdict.next_steps if not step.startswith(remedies)]
-    reasons = [reason for reason in verdict.reasons if reason not in listed]
-    if steps or reasons:
-        yield '<section id="next">'
-        yield f'<h2>What to do next</h2><ol>{_items(steps)}</ol>' if steps else ''
-        yield f'<h2>What the recording shows</h2><ul>{_items(reasons)}</ul>' if reasons else ''
-        yield '</section>'
+    if steps:
+        yield f'<section id="next"><h2>What to do next</h2><ol>{_items(steps)}</ol></section>'
 
 
 def _comparisons(
@@ -325,6 +317,5 @@ def _sensor_section(sensor: str, axes: Mapping[str, AxisResult]) -> str:
     return (
         f'<section id="{sensor}" class="sensor"><h2>{SENSOR_NAMES[sensor]}</h2>'
         f'{headline_table(sensor, axes)}'
-        f'<div class="charts" data-kind="allan" data-sensor="{sensor}"></div>'
-        f'<div class="copy" data-sensor="{sensor}" hidden></div></section>'
+        f'<div class="charts" data-kind="allan" data-sensor="{sensor}"></div></section>'
     )

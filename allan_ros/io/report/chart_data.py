@@ -21,7 +21,6 @@ from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
 from ..format import SENSOR_NAMES, drawn_curve, pretty_unit, shown_unit, temperature_text
 from ..signal import SignalSummary
-from .tables import coefficients_tsv
 
 if TYPE_CHECKING:
     from ..results import Results
@@ -53,7 +52,6 @@ def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) 
         'density': _density(axes, results),
         'signal': None if summary is None else _signal(axes, summary),
         'trends': trends(results, sensor, summary),
-        'copy': {units: coefficients_tsv(results, list(axes), units) for units in UNIT_SYSTEMS},
     }
 
 

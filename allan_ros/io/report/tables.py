@@ -13,19 +13,17 @@ import numpy as np
 
 from ...core.compare import Comparison
 from ...core.errors import AllanError
-from ...core.filters.reductions import Level
 from ...core.fit import TERMS, Coefficient
 from ...core.fit.interpretation import ADVISED_TERMS
 from ...core.settings import UNIT_SYSTEMS
 from ..axis_result import AxisResult
 from ..datasheets import DatasheetComparison
-from ..exporters import target_of, target_rows
+from ..exporters import RAISED, origin_text, target_of, target_rows
 from ..format import (
     NOTHING_KNOWN,
     ShownUnit,
     deviation_text,
     interval_text,
-    known_numbers,
     part_text,
     pretty_unit,
     shown_unit,
@@ -118,34 +116,16 @@ def filter_table(results: Results) -> str:
     raised = any(level.raised_from is not None for row in rows for level in row.levels)
     body = ''.join(
         f'<tr><th scope="row"><code>{escape(row.key)}</code>'
-        f'<small>{", ".join(map(_origin, row.levels))}</small></th>'
+        f'<small>{escape(", ".join(map(origin_text, row.levels)))}</small></th>'
         f'<td><b>{row.value:.4g}</b></td></tr>'
         for row in rows
         if row.levels
     )
-    note = (
-        'K is raised because such a filter has no states for bias instability (B) and correlated '
-        'noise: with K as measured it would be too certain of its bias. '
-        if raised
-        else ''
-    )
+    note = f'{RAISED} ' if raised else ''
     return f'<table class="filter"><tbody>{body}</tbody></table>' + _note(
         f'{note}In SI, the worst axis of each sensor, for integration up to '
         f'{target_of("kalibr").horizon_s:g} s without a correction.'
     )
-
-
-def _origin(level: Level) -> str:
-    what = f'{level.term} of {level.axis.replace("_", " ")}'
-    if level.is_limit:
-        what += ' is not resolved: its 95&nbsp;% upper limit'
-    if level.raised_from:
-        factor = significant(level.value / level.raised_from, 2)
-        measured = f'<span class="nowrap">{level.raised_from:.4g}</span>'
-        return f'{what}, raised {factor} times from {measured} as measured'
-    if level.raised_from is not None:
-        return f'{what}, which is not resolved: set to cover the error growth'
-    return what if level.is_limit else f'{what} as measured'
 
 
 def growth_table(sensor: str, axes: Axes) -> Iterator[str]:
@@ -330,14 +310,3 @@ def _ends(interval: str) -> str:
 
 def _note(text: str) -> str:
     return f'<p class="note">{escape(text, quote=False).replace(" %", "&nbsp;%")}</p>'
-
-
-def coefficients_tsv(results: Results, axes: Sequence[str], units: str) -> str:
-    """Return the coefficients of some axes as tab-separated values, with ASCII names of units."""
-    lines = ['axis\tterm\tvalue\tlow95\thigh95\tupper95\tunit']
-    for axis in axes:
-        for term, c in results.axes[axis].fit.noise.items():
-            unit = shown_unit(axis, term, units)
-            shown = ('' if n is None else f'{n:g}' for n in known_numbers(c, unit))
-            lines.append('\t'.join([axis, term, *shown, unit.name]))
-    return '\n'.join(lines) + '\n'
