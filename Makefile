@@ -8,6 +8,8 @@ VENV ?= .venv
 # One more than two cores, because tests of nodes wait most of the time.
 JOBS ?= 3
 HOURS ?= 1
+# Multiple of the inputs of test_fuzz.py that `make fuzz` tries.
+TIMES ?= 20
 # Extra of setup.py with filter libraries and another DDS, which only tests use; empty: none.
 CONSUMERS ?= consumers
 TESTS ?= test
@@ -64,7 +66,7 @@ bench: $(VENV)/.tested  ## run the benchmarks
 	@for file in $(wildcard bench/bench_*.py); do echo "== $$file"; $(VENV)/bin/python $$file || exit 1; done
 
 fuzz: $(VENV)/.tested  ## try damaged inputs of every kind: no crash, no silent loss
-	$(VENV)/bin/python -m fuzz
+	ALLAN_ROS_FUZZ=$(TIMES) $(VENV)/bin/python -m pytest -q -o faulthandler_timeout=600 test/test_fuzz.py
 
 audit: $(VENV)/.tested  ## list what is installed with its licenses, ask PyPI for vulnerabilities
 	$(VENV)/bin/python -m pip install $(PIP_OPTIONS) --editable '.[audit]'

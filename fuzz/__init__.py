@@ -1,8 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fuzzing with damaged inputs of every kind; `harness` states the rule that is checked.
+"""Damaged inputs of every kind, for `test/test_fuzz.py`; `make fuzz` tries many of them.
 
-make fuzz                                        all targets, 60 s
-python -m fuzz --seconds 600 mcap documents      two of them, ten minutes
-python -m fuzz --seconds 2400                    all targets, 40 min
+The rule that is checked: every input gives a valid result or an `AllanError` of one printable line,
+and nothing is written next to the input. Each target is a module with ``INPUTS``, which draws the
+inputs, and ``check``, which takes an input and an empty folder, returns whether the input was
+accepted, and raises if the rule is broken.
 """

@@ -12,7 +12,6 @@ from typing import Any
 from hypothesis import strategies as st
 
 from .damage import ODD_TEXTS, any_bytes, floats, signed, texts
-from .harness import Target
 from .mcap_target import IMU_TYPE, Plan, build
 from .reading import MESSAGES, read_and_check
 
@@ -120,4 +119,4 @@ def check(made: tuple[bytes, bytes | None], folder: Path) -> bool:
     return read_and_check(bag)
 
 
-TARGET = Target('folder', _folders(), check)
+INPUTS = _folders()

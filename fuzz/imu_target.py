@@ -15,8 +15,7 @@ from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.readers.cdr import CovariancePatch, MalformedMessage, decode_imus, frame_id_of
 
 from .damage import any_bytes, floats, texts
-from .harness import BrokenRule, Target, check_line
-from .reading import payloads
+from .reading import BrokenRule, check_line, payloads
 
 VARIANCES = {'gyro': (1.0, 2.0, 3.0), 'accel': (4.0, 5.0, 6.0)}
 REPEATS = (1, 1, 1, 30, 700, 1100)
@@ -91,4 +90,4 @@ def check(stream: list[bytes], folder: Path) -> bool:
     return len(good) == len(stream)
 
 
-TARGET = Target('imu', _stream(), check)
+INPUTS = _stream()

@@ -15,8 +15,7 @@ from allan_ros.io.readers import open_recordings
 from allan_ros.io.writing import write_recording
 
 from .damage import damaged
-from .harness import BrokenRule, Target, refused_or_valid
-from .reading import small_batch
+from .reading import BrokenRule, refused_or_valid, small_batch
 
 SAMPLES = 600
 FORMS = {
@@ -70,4 +69,4 @@ def check(made: tuple[str, bytes], folder: Path) -> bool:
     return outcome.valid
 
 
-TARGET = Target('losses', _damaged(), check)
+INPUTS = _damaged()

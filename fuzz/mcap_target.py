@@ -19,7 +19,6 @@ from typing import Any
 from hypothesis import strategies as st
 
 from .damage import any_bytes, damaged, integers, texts
-from .harness import Target
 from .reading import MESSAGES, PERIOD_NS, START_NS, payloads, read_and_check
 
 MAGIC = b'\x89MCAP0\r\n'
@@ -230,4 +229,4 @@ def check(data: bytes, folder: Path) -> bool:
     return read_and_check(path)
 
 
-TARGET = Target('mcap', _files(), check)
+INPUTS = _files()

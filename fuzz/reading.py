@@ -4,23 +4,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.readers import ReadOptions, open_recordings
 from allan_ros.io.readers.cdr import encode_imus
 
-from .harness import BrokenRule, check_line, refused_or_valid
-
 MESSAGES = 40
 """Number of messages of a small bag, enough for several chunks or pages."""
 
+LONGEST_LINE = 4000
+"""Largest length of an error message, in characters."""
+
 START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 5_000_000
+
+
+class BrokenRule(AssertionError):
+    """An input that should have been rejected was accepted, or the error message is invalid."""
+
+
+@dataclass
+class Outcome:
+    """The result of one input: valid, unless it is rejected."""
+
+    valid: bool = True
+
+
+@contextmanager
+def refused_or_valid() -> Iterator[Outcome]:
+    """Catch an `AllanError` with a valid message; anything else is a crash."""
+    outcome = Outcome()
+    try:
+        yield outcome
+    except AllanError as error:
+        check_line(str(error))
+        outcome.valid = False
+
+
+def check_line(text: str) -> None:
+    """Raise unless the text is one printable line of limited length."""
+    if not text or not text.isprintable() or len(text) > LONGEST_LINE:
+        raise BrokenRule(f'not a printable line: {text[:200]!r}')
 
 
 def small_batch(n: int = MESSAGES, frame_id: str = 'imu') -> ImuBatch:
@@ -37,7 +70,7 @@ def payloads(encoding: Any, n: int = MESSAGES) -> list[bytes]:
 def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> bool:
     """Compute the sums of a recording, and return whether it is valid.
 
-    Raises BrokenRule when reading breaks the rule of `harness`.
+    Raises BrokenRule when reading breaks the rule of this package.
     """
     before = sorted(path.parent.rglob('*'))
     with refused_or_valid() as outcome:

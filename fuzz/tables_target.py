@@ -17,7 +17,6 @@ from allan_ros.io.readers import ReadOptions
 from allan_ros.io.writing import write_table
 
 from .damage import any_bytes, signed, texts
-from .harness import Target
 from .reading import read_and_check, small_batch
 
 HEADERS = ['t,gx,gy,gz,ax,ay,az', 'stamp_ns;gyro_x;gyro_y;gyro_z', 'sec,nanosec,wx,wy,wz', '"']
@@ -120,4 +119,4 @@ def check(made: tuple[str, bytes], folder: Path) -> bool:
     return read_and_check(path) | read_and_check(path, options)
 
 
-TARGET = Target('tables', _files(), check)
+INPUTS = _files()

@@ -23,7 +23,7 @@ from allan_ros.io.files import parse_json, to_json
 from allan_ros.io.plots import sensor_figure
 from allan_ros.io.recorded import Provenance
 from allan_ros.io.results import Results
-from fuzz.harness import check_line
+from fuzz.reading import check_line
 
 SUMS = {'noisy': noisy_sums, 'noiseless': noiseless_sums}
 
