@@ -39,21 +39,21 @@ RECORDINGS = 2
 """Number of recordings that are read in sequence and in parallel."""
 MESSAGE_BYTES = 31 + 324
 """Bytes of an Imu message in a chunk: header and payload (frame_id ``imu_link``)."""
-STORAGES = {'mcap zstd': ('mcap', 'chunk'), 'sqlite3': ('sqlite3', 'none')}
+STORAGES = {'mcap zstd': ('mcap', 'storage'), 'sqlite3': ('sqlite3', 'none')}
 
 
 def bag(folder: Path, name: str, messages: int) -> Path:
     """Return a simulated bag of this storage and length; an existing one is reused."""
     from allan_ros.core.noise import NoiseTerms
     from allan_ros.core.simulate import simulate_imu
-    from allan_ros.io.writing import write_recording
+    from fuzz.reading import write_bag
 
     storage, compression = STORAGES[name]
     path = folder / f'{storage}_{messages}'
     if not path.exists():
         gyro, accel = NoiseTerms(N=7e-5, B=2.5e-5, K=4e-6), NoiseTerms(N=2e-4, B=4e-5)
         batches = simulate_imu(messages / RATE_HZ, RATE_HZ, [gyro] * 3, [accel] * 3, seed=5)
-        write_recording(path, batches, storage=storage, compression=compression)
+        write_bag(path, batches, storage, compression)
     return path
 
 

@@ -17,10 +17,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from allan_ros.io.writing import write_recording
-
 from .mcap_target import MAGIC, record
-from .reading import BrokenRule, read_and_check, small_batch
+from .reading import BrokenRule, read_and_check, small_batch, write_bag
 
 GROWTH_BYTES = 450 << 20
 """Memory that reading one of these may take: three chunks of the largest size."""
@@ -98,8 +96,8 @@ HEADS = {
 
 
 def _special(folder: Path, kind: str, place: str) -> Path:
-    write_recording(folder / 'a', [small_batch(9)])
-    write_recording(folder / 'b', [small_batch(9)], storage='sqlite3')
+    write_bag(folder / 'a', [small_batch(9)])
+    write_bag(folder / 'b', [small_batch(9)], 'sqlite3')
     path = folder / place
     path.unlink(missing_ok=True)
     if kind == 'fifo':
@@ -112,7 +110,7 @@ def _special(folder: Path, kind: str, place: str) -> Path:
 
 
 def _messages(folder: Path, how: str, size: int) -> Path:
-    write_recording(folder / 'b', [small_batch(9)], storage='sqlite3', compression='message')
+    write_bag(folder / 'b', [small_batch(9)], 'sqlite3', 'message')
     bomb = packed(how, size)
     with closing(sqlite3.connect(folder / 'b/b.db3')) as connection, connection:
         connection.execute('UPDATE messages SET data = ? WHERE id > 3', (bomb,))

@@ -12,15 +12,15 @@ from typing import Any
 from hypothesis import strategies as st
 
 from allan_ros.io.readers import open_recordings
-from allan_ros.io.writing import write_recording
+from allan_ros.io.writing import write_table
 
 from .damage import damaged
-from .reading import BrokenRule, refused_or_valid, small_batch
+from .reading import BrokenRule, refused_or_valid, small_batch, write_bag
 
 SAMPLES = 600
 FORMS = {
     'run.mcap': ('mcap', 'none'),
-    'zstd.mcap': ('mcap', 'chunk'),
+    'zstd.mcap': ('mcap', 'storage'),
     'run.db3': ('sqlite3', 'none'),
     'run.csv': ('csv', 'none'),
 }
@@ -35,9 +35,11 @@ def seeds() -> dict[str, dict[str, bytes]]:
     found = {}
     for name, (storage, compression) in FORMS.items():
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder, 'run' if storage in ('mcap', 'sqlite3') else name)
-            batches = [small_batch(SAMPLES)]
-            write_recording(path, batches, storage=storage, compression=compression)
+            path, batches = Path(folder, name), [small_batch(SAMPLES)]
+            if storage == 'csv':
+                write_table(path, batches)
+            else:
+                write_bag(path, batches, storage, compression)
             files = path.iterdir() if path.is_dir() else [path]
             found[name] = {file.name: file.read_bytes() for file in files}
     return found

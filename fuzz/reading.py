@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.readers import ReadOptions, open_recordings
-from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 
 MESSAGES = 40
 """Number of messages of a small bag, enough for several chunks or pages."""
@@ -65,6 +65,38 @@ def small_batch(n: int = MESSAGES, frame_id: str = 'imu') -> ImuBatch:
 def payloads(encoding: Any, n: int = MESSAGES) -> list[bytes]:
     """Return the messages of `small_batch`."""
     return [bytes(payload) for payload in encode_imus(small_batch(n), encoding)]
+
+
+def write_bag(
+    path: Path, batches: Iterable[ImuBatch], storage: str = 'mcap', compression: str = 'none'
+) -> None:
+    """Write samples to a bag with rosbags.
+
+    ``storage`` is 'mcap', 'sqlite3' or 'ros1', ``compression`` is 'none', 'storage' (the chunks of
+    mcap), 'message' or 'file', or for a ROS 1 bag also 'bz2' or 'lz4'.
+    """
+    from rosbags import rosbag1, rosbag2, typesys
+
+    writer: Any
+    if storage == 'ros1':
+        writer, store = rosbag1.Writer(path), typesys.Stores.ROS1_NOETIC
+        if compression != 'none':
+            writer.set_compression(writer.CompressionFormat[compression.upper()])
+    else:
+        plugin = rosbag2.StoragePlugin[storage.upper()]
+        writer = rosbag2.Writer(path, version=8, storage_plugin=plugin)
+        store = typesys.Stores.ROS2_JAZZY
+        mode = rosbag2.CompressionMode[compression.upper()]
+        writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(
+            '/imu/data', IMU_TYPE, typestore=typesys.get_typestore(store)
+        )
+        for batch in batches:
+            times = batch.stamps_ns if batch.record_ns is None else batch.record_ns
+            payloads = encode_imus(batch, 'ros1' if storage == 'ros1' else 'cdr')
+            for time_ns, payload in zip(times.tolist(), payloads):
+                writer.write(connection, time_ns, payload)
 
 
 def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> bool:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write samples as a recording: rosbag2 (mcap, sqlite3), ROS 1 bag, CSV or npz.
+"""Write samples as a recording: the folder of an mcap bag, or a file .mcap, .csv, .tsv or .npz.
 
 Bags are written by the package ``rosbags``. A recording is written to a temporary folder next to
 its path and renamed when it is complete. Every format stores int64 stamps and float64 samples, so
@@ -16,28 +16,14 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..core.errors import AllanError
-from ..core.imu import AXES, NANOSECONDS, ImuBatch
+from ..core.imu import AXES, NANOSECONDS, ImuBatch, joined
 from .readers.cdr import IMU_TYPE, encode_imus
 from .readers.storage import optional_package
 from .readers.tables import FRAME_COMMENT
-
-COMPRESSIONS: dict[str, tuple[str, ...]] = {
-    'mcap': ('none', 'chunk', 'message', 'file'),
-    'sqlite3': ('none', 'message', 'file'),
-    'ros1': ('none', 'bz2', 'lz4'),
-    'csv': ('none',),
-    'npz': ('none', 'deflate'),
-}
-"""Storage -> possible kinds of compression; rosbag2 (mcap, sqlite3) uses zstd."""
-STORAGE_OF_SUFFIX = {'.bag': 'ros1', '.csv': 'csv', '.tsv': 'csv', '.npz': 'npz'}
-DEFAULT_STORAGE = 'mcap'
-FILE_SUFFIXES = {'.mcap': 'mcap', '.db3': 'sqlite3'}
-"""Suffix of a single file, instead of a bag with metadata.yaml -> its storage."""
 
 METADATA_VERSION = 8
 """Version of metadata.yaml, as of ROS 2 Jazzy."""
@@ -47,8 +33,6 @@ def write_recording(
     path: str | os.PathLike[str],
     batches: Iterable[ImuBatch],
     *,
-    storage: str | None = None,
-    compression: str = 'none',
     topic: str = '/imu/data',
     overwrite: bool = False,
 ) -> int:
@@ -57,14 +41,9 @@ def write_recording(
     Parameters
     ----------
     path : path
-        The bag directory (rosbag2) or file (ROS 1, CSV, TSV, npz).
+        A file .mcap, .csv, .tsv or .npz; otherwise the folder of an mcap bag.
     batches : iterable of ImuBatch
-        The batches in recorded order.
-    storage : 'mcap', 'sqlite3', 'ros1', 'csv' or 'npz', optional
-        By default from the suffix: .mcap, .db3, .bag, .csv, .tsv, .npz; otherwise an mcap bag.
-    compression : str
-        'none'; also 'chunk' (mcap), 'message', 'file' (mcap, sqlite3), 'bz2', 'lz4' (ros1) or
-        'deflate' (npz).
+        The batches in recorded order, all with the same frame_id.
     topic : str
         Topic name in a bag.
     overwrite : bool
@@ -73,21 +52,22 @@ def write_recording(
     Raises
     ------
     AllanError
-        When the path exists or cannot be written, or the storage or compression is unknown.
+        When the path exists or cannot be written, or is named like a bag of another format.
     """
     path = Path(path)
-    by_suffix = {**STORAGE_OF_SUFFIX, **FILE_SUFFIXES}
-    storage = storage or by_suffix.get(path.suffix.lower(), DEFAULT_STORAGE)
-    if storage not in COMPRESSIONS:
-        raise AllanError(f'storage {storage!r} is unknown: choose one of {", ".join(COMPRESSIONS)}')
-    if compression not in COMPRESSIONS[storage]:
+    suffix = path.suffix.lower()
+    if suffix in ('.bag', '.db3'):
         raise AllanError(
-            f'{storage} cannot be compressed with {compression!r}: '
-            f'choose one of {", ".join(COMPRESSIONS[storage])}'
+            f'{path}: such bags cannot be written: name a folder for an mcap bag, or a file .mcap, '
+            '.csv, .tsv or .npz'
         )
     try:
         with _draft(path, overwrite) as draft:
-            return _write(draft, batches, storage, compression, topic)
+            if suffix in ('.csv', '.tsv'):
+                return write_table(draft, batches)
+            if suffix == '.npz':
+                return _write_npz(draft, batches)
+            return _write_bag(draft, batches, topic)
     except OSError as error:
         raise AllanError(
             f'{path} cannot be written ({error.strerror or error}): '
@@ -97,21 +77,8 @@ def write_recording(
         raise AllanError(f'{path} cannot be written ({error}): check the stamps') from error
 
 
-def _write(
-    path: Path, batches: Iterable[ImuBatch], storage: str, compression: str, topic: str
-) -> int:
-    if storage in ('mcap', 'sqlite3', 'ros1'):
-        written = _write_bag(path, batches, storage, compression, topic)
-        if path.suffix.lower() in FILE_SUFFIXES and path.is_dir():
-            _keep_storage_file(path)
-        return written
-    if storage == 'csv':
-        return write_table(path, batches)
-    return _write_npz(path, batches, deflate=compression == 'deflate')
-
-
 def _keep_storage_file(bag: Path) -> None:
-    """Replace the folder of a bag by its storage file, for a path such as ``name.mcap``."""
+    """Replace the folder of a bag by its mcap file."""
     (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
     kept = file.rename(bag.with_name(f'{bag.name}.file'))
     shutil.rmtree(bag)
@@ -138,87 +105,48 @@ def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _write_bag(
-    path: Path, batches: Iterable[ImuBatch], storage: str, compression: str, topic: str
-) -> int:
+def _write_bag(path: Path, batches: Iterable[ImuBatch], topic: str) -> int:
     purpose = f'{path}: writing a bag'
     typesys = optional_package('rosbags.typesys', purpose)
-    package = 'rosbags.rosbag1' if storage == 'ros1' else 'rosbags.rosbag2'
-    rosbag: Any = optional_package(package, purpose)
-    if storage == 'ros1':
-        writer, store = rosbag.Writer(path), typesys.Stores.ROS1_NOETIC
-        if compression != 'none':
-            writer.set_compression(writer.CompressionFormat[compression.upper()])
-    else:
-        plugin = rosbag.StoragePlugin[storage.upper()]
-        writer = rosbag.Writer(path, version=METADATA_VERSION, storage_plugin=plugin)
-        store = typesys.Stores.ROS2_JAZZY
-        mode = {'chunk': 'STORAGE'}.get(compression, compression.upper())
-        writer.set_compression(rosbag.CompressionMode[mode], rosbag.CompressionFormat.ZSTD)
+    rosbag2 = optional_package('rosbags.rosbag2', purpose)
+    plugin = rosbag2.StoragePlugin.MCAP
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     written = 0
-    with writer:
-        connection = writer.add_connection(topic, IMU_TYPE, typestore=typesys.get_typestore(store))
+    with rosbag2.Writer(path, version=METADATA_VERSION, storage_plugin=plugin) as writer:
+        connection = writer.add_connection(topic, IMU_TYPE, typestore=store)
         for batch in batches:
-            times = batch.stamps_ns if batch.record_ns is None else batch.record_ns
-            payloads = encode_imus(batch, 'ros1' if storage == 'ros1' else 'cdr')
-            for time_ns, payload in zip(times.tolist(), payloads):
+            for time_ns, payload in zip(batch.stamps_ns.tolist(), encode_imus(batch, 'cdr')):
                 writer.write(connection, time_ns, payload)
             written += len(batch)
+    if path.suffix.lower() == '.mcap':
+        _keep_storage_file(path)
     return written
-
-
-MIXED = '{}: some batches have record times and some do not: write a bag'
 
 
 def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
     """Write the batches as a table, and return the number of rows.
 
-    The delimiter is a tab if the suffix is .tsv, else a comma. Raises AllanError when only some of
-    the batches have record times.
+    The delimiter is a tab if the suffix is .tsv, else a comma.
     """
     delimiter = '\t' if path.suffix.lower() == '.tsv' else ','
     written = 0
-    frame_id: str | None = None
-    with_record: bool | None = None
     with path.open('w', encoding='utf-8', newline='\n') as file:
         for batch in batches:
-            if batch.frame_id != frame_id:
-                frame_id = batch.frame_id
-                file.write(f'{FRAME_COMMENT} {" ".join(frame_id.split())}\n')
-            if with_record is None:
-                with_record = batch.record_ns is not None
-                names = ['stamp_ns', *AXES] + ['record_ns'] * with_record
-                file.write(delimiter.join(names) + '\n')
-            if with_record != (batch.record_ns is not None):
-                raise AllanError(MIXED.format(path))
+            if not written:
+                file.write(f'{FRAME_COMMENT} {" ".join(batch.frame_id.split())}\n')
+                file.write(delimiter.join(['stamp_ns', *AXES]) + '\n')
             columns = [map(str, batch.stamps_ns.tolist())]
             columns += [map(repr, axis) for axis in batch.samples.T.tolist()]
-            if batch.record_ns is not None:
-                columns.append(map(str, batch.record_ns.tolist()))
             file.writelines(delimiter.join(row) + '\n' for row in zip(*columns))
             written += len(batch)
     return written
 
 
-def _write_npz(path: Path, batches: Iterable[ImuBatch], deflate: bool) -> int:
-    """Write the arrays ``imu`` (with t in s), ``stamps_ns``, ``frame_id`` and, if known,
-    ``record_ns``, of which all are in memory; return the number of samples."""
-    parts = list(batches)
-    frames = list(dict.fromkeys(batch.frame_id for batch in parts)) or ['']
-    if len(frames) > 1:
-        raise AllanError(f'{path}: npz stores one frame_id, not {len(frames)}: write a bag')
-    record = [batch.record_ns for batch in parts if batch.record_ns is not None]
-    if len(record) not in (0, len(parts)):
-        raise AllanError(MIXED.format(path))
-    stamps = np.concatenate([np.empty(0, np.int64), *(batch.stamps_ns for batch in parts)])
-    samples = np.concatenate([np.empty((0, len(AXES))), *(batch.samples for batch in parts)])
-    arrays: dict[str, Any] = {
-        'imu': np.column_stack([stamps / NANOSECONDS, samples]),
-        'stamps_ns': stamps,
-        'frame_id': np.array(frames[0]),
-    }
-    if record:
-        arrays['record_ns'] = np.concatenate(record)
+def _write_npz(path: Path, batches: Iterable[ImuBatch]) -> int:
+    """Write the arrays ``imu`` (with t in s), ``stamps_ns`` and ``frame_id``, of which all are in
+    memory; return the number of samples."""
+    whole = joined(list(batches))
+    imu = np.column_stack([whole.stamps_ns / NANOSECONDS, whole.samples])
     with path.open('wb') as file:
-        (np.savez_compressed if deflate else np.savez)(file, **arrays)
-    return len(stamps)
+        np.savez(file, imu=imu, stamps_ns=whole.stamps_ns, frame_id=np.array(whole.frame_id))
+    return len(whole)

@@ -42,7 +42,6 @@ _KINDS = {
         'w_rs_s)_?([xyz])$',
         'accel': '(?:^|_)(?:a|acc|accel|accelerometer|acceleration|lin_acc|linear_acceleration|'
         'a_rs_s)_?([xyz])$',
-        'record': '^record(?:_time|_stamp)?(?:_(s|ms|us|ns))?$',
         'sec': '(?:^|_)secs?()$',
         'nanosec': '(?:^|_)(?:nanosecs?|nsecs?|nanoseconds)()$',
         'stamp': '(?:^|_)(?:timestamp|stamp)s?(?:_(s|ms|us|ns))?$',
@@ -81,7 +80,6 @@ class Columns:
 
     axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
     stamp: tuple[tuple[int, int], ...]  # (column, factor to ns); their sum is the stamp
-    record: tuple[tuple[int, int], ...]  # the same for the record time
     temperature: int | None  # column of the temperature in degC
     units: dict[str, str]  # sensor -> unit of its columns
     assumed: dict[str, str]  # sensor -> name of a column whose unit is not stated anywhere
@@ -201,13 +199,11 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
                 temperature = column
         elif kind:
             stated = (unit if unit in STAMP_UNITS else detail) or options.stamp_unit
-            otherwise = STAMP_UNITS['s'] if kind == 'record' else UNKNOWN
-            times.setdefault(kind, (column, STAMP_UNITS.get(stated, otherwise)))
+            times.setdefault(kind, (column, STAMP_UNITS.get(stated, UNKNOWN)))
     stamp: tuple[str, ...] = next((kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ())
     return Columns(
         axes,
         tuple(times[kind] for kind in stamp),
-        (times['record'],) if 'record' in times else (),
         temperature,
         units,
         assumed,

@@ -80,6 +80,7 @@ class _Table:
     header_line: int  # number of the line with the names; 0 without a header
     columns: Columns
     rate_hz: float  # sample rate if there are no stamps
+    frame_id: str
     _kept: Decimated[tuple[int, float]] = field(default_factory=Decimated)
 
     def read(self, report: Report) -> Iterator[ImuBatch]:
@@ -110,7 +111,7 @@ class _Table:
         return trace_of(self.names[column].strip(), readings)
 
     def _rows(self, file: TextIO, report: Report) -> Iterator[_Rows]:
-        """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
+        """Yield the rows in groups of at most `BATCH` rows.
 
         The last line is not used if it has no line end, because its last number may be truncated.
         """
@@ -120,10 +121,9 @@ class _Table:
                 if not lines.complete:
                     report(finding('table_cut', path=self.path, line=lines.number))
                     break
-                if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
-                    if rows.cells:
-                        yield rows
-                    rows = _Rows(self, rows.first + len(rows.cells), lines.frame_id)
+                if len(rows.cells) == BATCH:
+                    yield rows
+                    rows = _Rows(self, rows.first + BATCH)
                 rows.numbers.append(lines.number)
                 rows.cells.append(cells)
         except csv.Error as error:
@@ -138,12 +138,14 @@ class _Table:
 
 
 def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
-    comment = ''
+    comment = frame_id = ''
     lines = _bounded_lines(path, file)
     number = 0
     for number, line in enumerate(lines, 1):  # noqa: B007
         if line.startswith(COMMENT):
             comment = line
+            if line.startswith(FRAME_COMMENT):
+                frame_id = line[len(FRAME_COMMENT) :].strip()
         elif not line.isspace():
             break
     else:
@@ -179,7 +181,8 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         else:
             times = list(map(_number, takewhile(_is_number, cells))) or [0.0]
             columns = columns.with_time_unit(path, np.array(times), options.stamp_unit)
-    return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz)
+    width, rate_hz = len(first), options.rate_hz
+    return _Table(path, delimiter, width, names, header_line, columns, rate_hz, frame_id)
 
 
 def _names(
@@ -265,23 +268,20 @@ def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
 class _Lines:
     """Iterates over the lines of a table after its header, without comments and empty lines.
 
-    ``number`` is the number of the last line that was read, from 1 on. ``frame_id`` is taken from
-    the last comment that contains one. ``complete`` is whether the last line has a line end.
+    ``number`` is the number of the last line that was read, from 1 on. ``complete`` is whether it
+    has a line end.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:
         self.number = 0
-        self.frame_id = ''
         self.complete = True
         self._table, self._file = table, file
 
     def __iter__(self) -> Iterator[str]:
         for line in _bounded_lines(self._table.path, self._file):
             self.number += 1
-            if line.startswith(COMMENT):
-                if line.startswith(FRAME_COMMENT):
-                    self.frame_id = line[len(FRAME_COMMENT) :].strip()
-            elif self.number > self._table.header_line and not line.isspace():
+            is_data = not line.startswith(COMMENT) and not line.isspace()
+            if is_data and self.number > self._table.header_line:
                 self.complete = line.endswith('\n')
                 yield line
 
@@ -290,7 +290,6 @@ class _Lines:
 class _Rows:
     table: _Table
     first: int = 0  # index of the first row in the table
-    frame_id: str = ''
     numbers: list[int] = field(default_factory=list)  # line number of each row
     cells: list[list[str]] = field(default_factory=list)
 
@@ -309,13 +308,12 @@ class _Rows:
             samples[:, axis] = self._floats(column)
             if scale != 1.0:
                 samples[:, axis] *= scale
-        stamps, record = (
-            sum((self._nanoseconds(*part) for part in parts), np.zeros(n, np.int64))
-            for parts in (meaning.stamp, meaning.record)
-        )
-        if not meaning.stamp:
+        if meaning.stamp:
+            parts = [self._nanoseconds(*part) for part in meaning.stamp]
+            stamps = np.asarray(np.sum(parts, axis=0), np.int64)
+        else:
             stamps = even_stamps(self.first, n, table.rate_hz)
-        return ImuBatch(stamps, samples, record if meaning.record else None, self.frame_id)
+        return ImuBatch(stamps, samples, frame_id=table.frame_id)
 
     def _floats(self, column: int) -> NDArray[np.float64]:
         """Convert a column to numbers; an empty cell becomes NaN."""

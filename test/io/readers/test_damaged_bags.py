@@ -19,10 +19,9 @@ from support.recordings import imu_batches, joined, outcome, read, refused
 
 from allan_ros.io.readers import topics_of
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
-from allan_ros.io.writing import write_recording
 from fuzz.hostile_target import KINDS, MAKE, PLACES
 from fuzz.mcap_target import Plan, build
-from fuzz.reading import small_batch
+from fuzz.reading import small_batch, write_bag
 
 zstandard = pytest.importorskip('zstandard')
 yaml = pytest.importorskip('yaml')
@@ -38,7 +37,7 @@ def ids(back: Any) -> list[str]:
 
 def mcap_file(tmp_path: Path, batches: list[Any]) -> bytes:
     """Return an mcap file of several chunks."""
-    write_recording(tmp_path / 'run', batches)
+    write_bag(tmp_path / 'run', batches)
     return (tmp_path / 'run/run.mcap').read_bytes()
 
 
@@ -71,7 +70,7 @@ def test_a_count_that_differs_is_a_warning(storage: str, tmp_path: Path) -> None
     path.write_bytes(build(Plan(counted=3600)))
     if storage != 'statistics':
         path = tmp_path / 'run'
-        write_recording(path, [small_batch()], storage=storage)
+        write_bag(path, [small_batch()], storage)
         metadata = path / 'metadata.yaml'
         text = metadata.read_text()
         metadata.write_text(text.replace('message_count: 40', 'message_count: 3600'))
@@ -110,12 +109,12 @@ def test_counts_of_zero_do_not_refuse_a_recording(tmp_path: Path) -> None:
         assert len(back.stamps_ns) == 600 and ids(back) == ['count_differs']
 
 
-@pytest.mark.parametrize('compression', ['chunk', 'message'])
+@pytest.mark.parametrize('compression', ['storage', 'message'])
 def test_threads_read_at_the_same_time(compression: str, tmp_path: Path) -> None:
     from concurrent.futures import ThreadPoolExecutor
 
     batches = imu_batches(6000)
-    write_recording(tmp_path / 'run', batches, compression=compression)
+    write_bag(tmp_path / 'run', batches, compression=compression)
     with ThreadPoolExecutor(8) as pool:
         found = list(pool.map(read, [tmp_path / 'run'] * 24))
     for back in found:
@@ -185,7 +184,7 @@ def test_a_chunk_that_became_another_record_is_missed(tmp_path: Path) -> None:
 
 
 def database(tmp_path: Path, batches: list[Any], how: str = 'none') -> Path:
-    write_recording(tmp_path / 'run', batches, storage='sqlite3', compression=how)
+    write_bag(tmp_path / 'run', batches, 'sqlite3', how)
     return next((tmp_path / 'run').glob('*.db3*'))
 
 
@@ -253,7 +252,7 @@ def test_the_log_of_a_database_is_read_and_no_file_created(
     ],
 )
 def test_invalid_metadata_is_rejected(right: str, wrong: str, says: str, tmp_path: Path) -> None:
-    write_recording(tmp_path / 'run', imu_batches(9))
+    write_bag(tmp_path / 'run', imu_batches(9))
     path = tmp_path / 'run/metadata.yaml'
     path.write_text(path.read_text().replace(right, wrong))
     said = refused(tmp_path / 'run')

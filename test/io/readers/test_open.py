@@ -15,6 +15,7 @@ from support.recordings import imu_batches, read, refused
 
 from allan_ros.io.readers.bag import bag_of
 from allan_ros.io.writing import write_recording
+from fuzz.reading import write_bag
 
 pytest.importorskip('rosbags')
 
@@ -118,7 +119,7 @@ def test_bag_files_are_sorted_by_the_numbers_in_their_names(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(('name', 'storage'), [('m', 'mcap'), ('s', 'sqlite3'), ('r.bag', 'ros1')])
 def test_units_are_applied_to_bags(name: str, storage: str, tmp_path: Path) -> None:
-    write_recording(tmp_path / name, imu_batches(30), storage=storage)
+    write_bag(tmp_path / name, imu_batches(30), storage)
     plain = read(tmp_path / name).samples
     back = read(tmp_path / name, gyro_unit='deg/s', accel_unit='g')
     np.testing.assert_array_equal(back.samples[:, :3], plain[:, :3] * (np.pi / 180))
@@ -153,17 +154,17 @@ def read_without(hidden: list[str], *paths: Path) -> list[str]:
 
 def test_bags_are_read_without_optional_packages(tmp_path: Path) -> None:
     """ROS 1 and an Imu in another message need rosbags, and compressed bags need a package."""
-    paths = []
-    for name, storage in (('m', 'mcap'), ('s', 'sqlite3'), ('t.csv', 'csv')):
-        write_recording(tmp_path / name, imu_batches(30), storage=storage)
-        paths.append(tmp_path / name)
+    paths = [tmp_path / name for name in ('m.mcap', 't.csv', 's')]
+    for path in paths[:2]:
+        write_recording(path, imu_batches(30))
+    write_bag(paths[2], imu_batches(30), 'sqlite3')
     hidden = ['rosbags', 'zstandard', 'lz4', 'lz4.frame', 'pyulog']
     assert read_without(hidden, *paths) == ['30 False'] * 3
 
 
 def test_a_missing_package_is_one_line(tmp_path: Path, shared_data: Path) -> None:
-    write_recording(tmp_path / 'z', imu_batches(30), compression='chunk')
-    write_recording(tmp_path / 'r.bag', imu_batches(30))
+    write_bag(tmp_path / 'z', imu_batches(30), compression='storage')
+    write_bag(tmp_path / 'r.bag', imu_batches(30), 'ros1')
     hidden = ['rosbags', 'zstandard', 'lz4', 'lz4.frame', 'pyulog']
     log = shared_data / 'ulog' / 'sample.ulg'
     said = read_without(hidden, tmp_path / 'z', tmp_path / 'r.bag', log)
