@@ -25,7 +25,7 @@ the variance of white noise changes by less than 1e-8."""
 SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
 """Number of samples before and after a spike that are examined. The spike is isolated if its direct
 neighbors, and all others except one, deviate less than this fraction of the smallest possible
-spike. After a mechanical knock, in contrast, several samples deviate."""
+spike. After a shock, in contrast, several samples deviate."""
 
 LONGEST_SHOCK_S, LONGEST_SHOCK = 10.0, 20
 """Longest shock, in s and in windows."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from ..imu import Flags, Floats
 from ..settings import SegmenterSettings
-from .health import are_degrees
 
 LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
@@ -80,9 +79,9 @@ tilt (2 degrees)."""
 LEAVE_RATIO = 0.8
 """A motion ends when the standard deviation is below this fraction of the limit for its start."""
 
-KNOCK_SIGMAS = 20.0
+SHOCK_SIGMAS = 20.0
 """A sample that deviates from the mean of its window by this many standard deviations of the noise
-floor is a mechanical knock."""
+floor is part of a shock."""
 
 STEP_SIGMAS = 8.0
 """Means of neighboring windows that differ by this many standard deviations of the difference
@@ -305,8 +304,7 @@ class NoiseFloor:
             return None
         change = np.abs(_quantile(block.mean, 0.5) - self.mean)
         gravity = float(np.linalg.norm(self.mean[~self.gyro]))
-        rates = np.inf if are_degrees(ratio[self.gyro]) else self.rate_limit
-        allowed = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white
+        allowed = np.where(self.gyro, self.rate_limit, SAME_DIRECTION * gravity) + white
         return None if (change > allowed).any() else ratio
 
     def classify(self, windows: Windows, previous_mean: Floats | None, size: int) -> WindowClass:
@@ -323,22 +321,22 @@ class NoiseFloor:
         # the variance of few samples is uncertain, so short windows are classified by their peak
         uncertain = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
         max_variance = self.settings.motion_ratio**2 * scale + uncertain
-        max_peak = np.maximum(KNOCK_SIGMAS * sigma, 2.5 * lsb) + unknown
+        max_peak = np.maximum(SHOCK_SIGMAS * sigma, 2.5 * lsb) + unknown
         max_step = STEP_SIGMAS * step_sigma + lsb + uncertain
         max_rate = np.maximum(self.rate_limit[:, None], STEP_SIGMAS * step_sigma)
         previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
         means = np.concatenate([previous, windows.mean], axis=1)
         step = np.abs(means[:, 1:] - means[:, :-1])
         noisy = windows.variance > LEAVE_RATIO**2 * max_variance
-        knocked = (windows.peak > max_peak) | (step > max_step)
+        shaken = (windows.peak > max_peak) | (step > max_step)
         rotating = np.abs(windows.mean - self.mean[:, None]) > max_rate
         none = np.zeros(windows.mean.shape[1], bool)
-        if windows.variance.all() and not (noisy | knocked | rotating).any():
+        if windows.variance.all() and not (noisy | shaken | rotating).any():
             return WindowClass(none, ~none, none, none)  # the common case: an IMU at rest
         has_noise = (self.variance > self.lsb**2)[:, None] & (size >= LEAST_WINDOW)
         stuck = ((windows.variance == 0.0) & has_noise).any(axis=0)
-        moving = ((windows.variance > max_variance) | knocked | rotating).any(axis=0) | stuck
-        disturbed = (noisy | knocked).any(axis=0) | stuck
+        moving = ((windows.variance > max_variance) | shaken | rotating).any(axis=0) | stuck
+        disturbed = (noisy | shaken).any(axis=0) | stuck
         return WindowClass(moving, ~(moving | disturbed), stuck, rotating.any(axis=0) & ~disturbed)
 
 
