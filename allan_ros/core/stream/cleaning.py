@@ -3,6 +3,7 @@
 """Selects header or record stamps, excludes unusable samples, and splits looped recordings.
 
 Unusable samples are duplicates, samples that are not finite, and samples with backward stamps.
+Samples that a driver repeats at random are interpolated.
 """
 
 from __future__ import annotations
@@ -178,6 +179,65 @@ class SampleFilter:
             self._backward = 0
             latest = stamps[i]
         return keep
+
+
+LONGEST_REPEAT = 16
+"""Largest number of consecutive repeated samples that are interpolated; a sensor that repeats more
+may be stuck."""
+
+
+class RepeatFilter:
+    """Interpolates samples that repeat the previous one, in evenly spaced blocks.
+
+    ``groups`` are the positions of the axes of each group: a sample is repeated if it equals the
+    previous one on all axes of a group. The last `LONGEST_REPEAT` samples are buffered.
+    """
+
+    def __init__(self, groups: list[list[int]], axes: int) -> None:
+        self._groups = groups
+        self._empty = self._samples = Block.empty(axes)
+        self._past = 0  # number of samples that were already returned
+
+    def feed(self, blocks: list[Block]) -> list[Block]:
+        """Add blocks, and return the samples whose interpolation is complete."""
+        out: list[Block] = []
+        for block in filter(len, blocks):
+            out += self.flush() if block.cut else []
+            self._samples = Block.joined([self._samples, block])
+            out += self._take(LONGEST_REPEAT)
+        return out
+
+    def flush(self) -> list[Block]:
+        """Return the buffered samples at the end of a segment; the last repeats are kept."""
+        out = self._take(0)
+        self._samples, self._past = self._empty, 0
+        return out
+
+    def _take(self, look_ahead: int) -> list[Block]:
+        """Return the samples before the look-ahead, with repeated samples interpolated."""
+        have, begin = self._samples, self._past
+        n, end = len(have), len(have) - look_ahead
+        if end <= begin:
+            return []
+        rows, index = have.rows.copy(), np.arange(n)
+        filled = np.zeros(rows.shape, bool) if have.filled is None else have.filled.copy()
+        for group in self._groups:
+            repeated = np.zeros(n, bool)
+            repeated[1:] = (have.rows[group, 1:] == have.rows[group, :-1]).all(axis=0)
+            left = np.maximum.accumulate(np.where(repeated, -1, index))
+            right = np.minimum.accumulate(np.where(repeated, n, index)[::-1])[::-1]
+            at = np.flatnonzero(repeated & (right < n) & (right - left <= LONGEST_REPEAT + 1))
+            low, high = left[at], right[at]
+            fraction = (at - low) / (high - low)
+            for axis in group:
+                first = have.rows[axis, low]
+                rows[axis, at] = first + fraction * (have.rows[axis, high] - first)
+                filled[axis, at] = True
+        done = Block(have.stamps, rows, filled=filled if filled.any() else None)
+        # a run that begins earlier is too long to be interpolated
+        old = max(0, end - LONGEST_REPEAT - 1)
+        self._samples, self._past = have.part(slice(old, None)).copy(), end - old
+        return [done.part(slice(begin, end), have.cut if begin == 0 else '')]
 
 
 class PassSplitter:

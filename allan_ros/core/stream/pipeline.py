@@ -22,7 +22,7 @@ from ..errors import AllanError
 from ..findings import Finding
 from ..imu import AXES, Block, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
-from .cleaning import SampleFilter, StampChoice
+from .cleaning import RepeatFilter, SampleFilter, StampChoice
 from .health import (
     LISTED_EVENTS,
     LISTED_SEGMENTS,
@@ -39,7 +39,7 @@ from .health import (
     stream_findings,
 )
 from .motion import RELEARNED, MotionGate
-from .sensors import RepeatFilter, SensorPlan, plan_sensors
+from .sensors import SensorPlan, plan_sensors
 from .timing import LEARN, SampleClock
 
 

@@ -163,8 +163,7 @@ def _are_repeated(values: Floats) -> bool:
     """Return whether samples, (axes, n), repeat the previous one more often than by chance.
 
     If all equal samples are in one part of the data, they are no repeats: it has a lower noise.
-    Chance is estimated from the shares of single axes, as if these were independent, and from the
-    share of changed samples that equal the one before the previous one.
+    Chance is estimated from the share of changed samples that equal the one before the previous.
     """
     flags = values[:, 1:] == values[:, :-1]
     both = flags.all(axis=0)
@@ -174,12 +173,8 @@ def _are_repeated(values: Floats) -> bool:
         return False
     if _coincide(flags):
         return True
-    # If a share r of the samples is repeated and axis i is equal by chance with probability q, its
-    # share of equal samples is r + (1 - r) q. All axes are equal by chance in (1 - r) prod(q).
-    least = (1.0 - CHANCE_SHARE) * share
-    by_chance = (1.0 - least) * np.prod((flags.mean(axis=1) - least) / (1.0 - least))
     equal_second = (values[:, 2:] == values[:, :-2]).all(axis=0)[~both[1:]].mean()
-    return bool(max(by_chance, equal_second) <= CHANCE_SHARE * share)
+    return bool(equal_second <= CHANCE_SHARE * share)
 
 
 def _are_regular(repeats: Flags) -> bool:
@@ -213,80 +208,3 @@ def _coincide(flags: Flags) -> bool:
     if not REPEATED_SHARE < joint < 1.0:
         return False
     return bool(np.log(joint) > TOGETHER_LOG_RATIO * np.log(flags.mean(axis=1)).sum())
-
-
-LONGEST_REPEAT = 16
-"""Largest number of consecutive repeated samples that are interpolated; a sensor that repeats more
-may be stuck."""
-
-
-class RepeatFilter:
-    """Interpolates samples that repeat the previous one, in evenly spaced blocks.
-
-    ``groups`` are the positions of the axes of each group: a sample is repeated if it equals the
-    previous one on all axes of a group. At most `LONGEST_REPEAT` + 1 samples are buffered.
-    """
-
-    def __init__(self, groups: list[list[int]], axes: int) -> None:
-        self._groups = groups
-        self._empty = Block.empty(axes)
-        self._restart()
-
-    def _restart(self) -> None:
-        # the last new sample, and the repeats after it, which need the next new sample
-        self._held = self._empty
-        self._repeated = np.zeros((len(self._groups), 0), bool)  # held, to be interpolated
-        self._last: Floats = np.full(len(self._empty.rows), np.nan)  # the last values received
-        self._skipping = np.zeros(len(self._groups), bool)  # whether a run is too long
-
-    def feed(self, blocks: list[Block]) -> list[Block]:
-        """Add blocks, and return the samples whose interpolation is complete."""
-        out: list[Block] = []
-        for block in filter(len, blocks):
-            out += (self.flush() if block.cut else []) + self._add(block)
-        return out
-
-    def flush(self) -> list[Block]:
-        """Return the buffered samples at the end of a segment; the last repeats are kept."""
-        held = self._held
-        self._restart()
-        return [held] if len(held) else []
-
-    def _add(self, block: Block) -> list[Block]:
-        have = Block.joined([self._held, block])
-        old, n = len(self._held), len(have)
-        rows = have.rows.copy()
-        filled = np.zeros(rows.shape, bool) if have.filled is None else have.filled.copy()
-        before = np.column_stack([self._last, block.rows[:, :-1]])
-        equal, self._last = block.rows == before, block.rows[:, -1].copy()
-        repeated = np.zeros((len(self._groups), n), bool)
-        repeated[:, :old] = self._repeated
-        index, keep = np.arange(n), n - 1
-        for i, (flags, group) in enumerate(zip(repeated, self._groups)):
-            flags[old:] = equal[group].all(axis=0)
-            new = np.flatnonzero(~flags[old:])
-            if self._skipping[i]:
-                flags[old : old + int(new[0]) if len(new) else n] = False
-                self._skipping[i] = not len(new)
-            if not flags.any():
-                continue
-            left = np.maximum.accumulate(np.where(flags, -1, index))
-            right = np.minimum.accumulate(np.where(flags, n, index)[::-1])[::-1]
-            length = right - left - 1
-            at = np.flatnonzero(flags & (right < n) & (length <= LONGEST_REPEAT))
-            low, high = left[at], right[at]
-            fraction = (at - low) / (high - low)
-            for axis in group:
-                first = have.rows[axis, low]
-                rows[axis, at] = first + fraction * (have.rows[axis, high] - first)
-                filled[axis, at] = True
-            flags[right < n] = False
-            if flags[-1] and length[-1] > LONGEST_REPEAT:
-                flags[:] = False
-                self._skipping[i] = True
-            elif flags[-1]:
-                keep = min(keep, int(left[-1]))
-        done = Block(have.stamps, rows, have.cut, filled if filled.any() else None)
-        self._held = done.part(slice(keep, None), done.cut if keep == 0 else '').copy()
-        self._repeated = repeated[:, keep:].copy()
-        return [done.part(slice(keep), done.cut)] if keep else []

@@ -8,15 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from allan_ros.core.imu import Block, ImuBatch
-from allan_ros.core.stream.cleaning import BACKWARD_RUN, PassSplitter
+from allan_ros.core.stream.cleaning import (
+    BACKWARD_RUN,
+    LONGEST_REPEAT,
+    PassSplitter,
+    RepeatFilter,
+)
 from allan_ros.core.stream.health import KEPT_MEANS, RunningMeans
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.core.stream.sensors import (
-    LONGEST_REPEAT,
-    RepeatFilter,
-    _line_variance,
-    are_interleaved,
-)
+from allan_ros.core.stream.sensors import _line_variance, are_interleaved
 
 
 def batch(stamps):
