@@ -162,14 +162,8 @@ class MotionGate:
 
     def _learn(self) -> None:
         """Learn the noise floor from the first windows, or drop these if the IMU moved."""
-        groups: list[list[Block]] = []  # blocks with no gap between them
-        for block in self._learning:
-            if block.cut or not groups:
-                groups.append([])
-            groups[-1].append(block)
-        parts, self._learning = [Block.joined(group) for group in groups], []
-        gyro = np.array([axis.startswith('gyro') for axis in self._axes])
-        floor = NoiseFloor.learned([part.rows for part in parts], self.size, gyro, self._settings)
+        parts, self._learning = _without_gaps(self._learning), []
+        floor = self._learned_floor(parts)
         if not floor.is_plausible():
             self._counts.moving += _samples(parts)
             if self._motion is None:
@@ -186,6 +180,11 @@ class MotionGate:
         self._log_motion()
         for part in parts:
             self._add(part)
+
+    def _learned_floor(self, parts: list[Block]) -> NoiseFloor:
+        """Return the noise floor of some windows; there is a gap between two parts."""
+        gyro = np.array([axis.startswith('gyro') for axis in self._axes])
+        return NoiseFloor.learned([part.rows for part in parts], self.size, gyro, self._settings)
 
     # --- windows ----------------------------------------------------------------------------------
 
@@ -334,9 +333,8 @@ class MotionGate:
         assert floor is not None
         block, self._block = self._block, []
         windows = Windows.joined(part.windows for part in block)
-        lower = floor.replacement(windows)
-        if lower is not None:
-            self._floor = lower
+        if floor.is_above(windows):
+            self._floor = self._learned_floor(_without_gaps([part.samples for part in block]))
             self._restart(block)
             return
         samples = Block.joined([part.samples for part in block])
@@ -382,6 +380,16 @@ class MotionGate:
         for part in block:
             self._keep_still(part.samples, self.size, part.windows)
         self._block = []
+
+
+def _without_gaps(blocks: Iterable[Block]) -> list[Block]:
+    """Join the blocks that have no gap between them."""
+    groups: list[list[Block]] = []
+    for block in blocks:
+        if block.cut or not groups:
+            groups.append([])
+        groups[-1].append(block)
+    return [Block.joined(group) for group in groups]
 
 
 def _samples(blocks: Iterable[Block]) -> int:

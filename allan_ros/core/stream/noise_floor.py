@@ -232,29 +232,15 @@ class NoiseFloor:
         large = self.variance > np.where(self.gyro, *PLAUSIBLE_DEVIATION) ** 2
         return not bool((steps | (large & (self.ratio < LOW_FREQUENCY))).any())
 
-    def replacement(self, block: Windows) -> NoiseFloor | None:
-        """Return the noise floor of a block if it is lower by `RELEARN_RATIO`, else None.
+    def is_above(self, block: Windows) -> bool:
+        """Return whether the noise of a block is smaller by `RELEARN_RATIO` on some axis.
 
-        A much lower floor means that the sensor moved when this one was learned.
+        Then the sensor moved when this noise floor was learned.
         """
         # an axis that repeats one value has no noise to compare
         quiet = _quantile(block.variance, QUANTILE)
-        quiet = np.where(quiet > 0.0, quiet, self.variance)
-        if (quiet > self.variance / RELEARN_RATIO**2).all():
-            return None  # the common case
-        new = replace(self, variance=quiet)
-        if not (RELEARN_RATIO**2 * new.scale < self.scale).any():
-            return None
-        at_rest = (block.variance <= 2.0 * quiet[:, None]).all(axis=0)
-        steps = np.abs(np.diff(block.mean, axis=1))
-        mean = block.mean[:, at_rest] if at_rest.any() else block.mean
-        return replace(
-            new,
-            step=MAD_TO_SIGMA * _quantile(steps, QUANTILE),
-            mean=_quantile(mean, 0.5),
-            outliers=np.zeros(len(quiet)),
-            examined=0.0,
-        )
+        quiet = np.maximum(np.where(quiet > 0.0, quiet, self.variance), 0.25 * self.lsb**2)
+        return bool((RELEARN_RATIO**2 * quiet < self.scale).any())
 
     def updated(self, block: Windows, still: Flags, rotating: bool) -> NoiseFloor:
         """Return the noise floor updated by a block of k windows.

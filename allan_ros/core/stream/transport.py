@@ -12,7 +12,6 @@ reception on a steady clock, the stamps, and the sequence numbers of the message
 
 from __future__ import annotations
 
-import math
 from collections import Counter, deque
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -51,16 +50,19 @@ LIVE_PACE = 0.2
 """Largest relative difference between stamps and time of reception that is regarded as live. If a
 recording is played at another speed, clock steps cannot be told from gaps."""
 
+CAUSES = ('messages_lost', 'silent_s', 'stamps_leapt', 'frame_changed', 'dropped')
+"""Counts of known causes of missing samples."""
+
 EXCUSED = 10
-"""Number of observations with usable samples after which a known cause of missing samples does not
-explain new ones."""
+"""Number of observations with usable samples for which a known cause explains missing samples."""
 
 STARTUP_S = 5.0
 """Missing messages are not reported during the first seconds, because discovery takes time."""
 
 STUCK_S, STUCK_RUNS = 1.0, 20
 """An axis is stuck if its value has not changed for this time in s, and for this many times the
-number of samples of its longest earlier run of equal values."""
+number of samples of its longest earlier run of equal values. Runs that were longer than so many
+times the runs before them do not count."""
 
 
 @dataclass
@@ -147,8 +149,7 @@ class ConstantAxes:
     def __init__(self) -> None:
         self._last = np.full(len(AXES), np.nan)
         self._run = np.zeros(len(AXES), np.int64)  # number of equal values up to the latest sample
-        self._longest = np.zeros(len(AXES), np.int64)  # longest run that has ended, if not stuck
-        self._stuck = np.zeros(len(AXES), bool)  # at the last call of `stuck`
+        self._longest = np.zeros(len(AXES), np.int64)  # longest run that has ended, unless stuck
 
     def update(self, samples: NDArray[np.float64]) -> None:
         """Process the next samples, (n, 6)."""
@@ -156,9 +157,10 @@ class ConstantAxes:
             changes = np.flatnonzero(np.diff(column, prepend=self._last[i]) != 0.0)
             if len(changes):
                 runs = np.diff(changes, prepend=-self._run[i])
-                known = np.isfinite(self._last[i]) and not self._stuck[i]
-                ended = runs[0 if known else 1 :].max(initial=0)
-                self._longest[i] = max(self._longest[i], int(ended))
+                runs = runs[0 if np.isfinite(self._last[i]) else 1 :]
+                if self._longest[i]:  # in longer runs, the axis was stuck
+                    runs = runs[runs <= STUCK_RUNS * self._longest[i]]
+                self._longest[i] = max(self._longest[i], runs.max(initial=0))
                 self._run[i] = 0
             self._run[i] += len(column) - (changes[-1] if len(changes) else 0)
         self._last = samples[-1].copy()
@@ -166,8 +168,8 @@ class ConstantAxes:
     def stuck(self, rate_hz: float) -> tuple[str, ...]:
         """Return the stuck axes at this sample rate."""
         needed = np.maximum(STUCK_S * rate_hz, STUCK_RUNS * self._longest)
-        self._stuck = (self._longest > 0) & (self._run > needed) & np.isfinite(self._last)
-        return tuple(AXES[i] for i in np.flatnonzero(self._stuck))
+        stuck = (self._longest > 0) & (self._run > needed) & np.isfinite(self._last)
+        return tuple(AXES[i] for i in np.flatnonzero(stuck))
 
 
 def faults_of(findings: Iterable[Finding], axis: str = '') -> tuple[Finding, ...]:
@@ -190,11 +192,8 @@ class TransportMonitor:
         self._messages = self._usable = self._samples = 0
         # (time, counts at this time) of the last minute; most counts have the id of their finding
         self._history: deque[tuple[float, Counter[str]]] = deque()
-        # number of samples that known causes explain, and that are not yet found to be missing, in
-        # the order of the calls
-        self._excused: deque[float] = deque([0.0], EXCUSED)
-        # missing samples without a known cause; at this call and the previous one, and reported
-        self._unexplained = self._unexplained_before = self._absent = 0.0
+        self._excused = 0  # number of observations for which a cause still explains missing samples
+        self._unexplained = self._absent = 0  # missing samples without a cause; these reported
 
     def set_received(self, time_s: float, messages: int) -> None:
         """Store the number of messages received since the start, and when it last increased."""
@@ -253,40 +252,33 @@ class TransportMonitor:
         counts.update(silent_s=transport.silent_s, stamps_leapt=transport.leapt_s)  # type: ignore
         if c.received < self._samples:
             # a new pass: the counts of the stream start at 0, the counts of the transport continue
-            self._unexplained = self._unexplained_before = self._absent = 0.0
-            self._excused.append(0.0)
+            self._unexplained = self._absent = 0
             self._history = deque([(time_s, counts.copy())])
         self._samples = c.received
         counts.update(events(health))
         counts.update(missing=c.lost, dropped=c.not_finite + c.backward)
         before = self._history[-1][1] if self._history else Counter()
-        self._attribute_missing(_more(counts, before), health.rate_hz or 0.0, progress)
-        counts.update(samples_missing=round(self._absent))
+        self._count_unexplained(_more(counts, before), progress)
+        counts.update(samples_missing=self._absent)
         self._history.append((time_s, counts))
         while len(self._history) > 2 and self._history[1][0] <= time_s - LATELY_S:
             self._history.popleft()
 
-    def _attribute_missing(self, more: Counter[str], rate_hz: float, progress: bool) -> None:
+    def _count_unexplained(self, more: Counter[str], progress: bool) -> None:
         """Count the missing samples that no known cause explains.
 
         ``more`` are the counts since the previous call. A cause is known before the samples are
         found to be missing, because the samples after a gap must be classified first. ``progress``
         tells whether usable samples arrived.
         """
-        # a lost message is missing twice if there are two sensor streams
-        gone = more['messages_lost'] + (more['silent_s'] + more['stamps_leapt']) * rate_hz
-        excused = math.inf if more['frame_changed'] else more['dropped'] + 2.0 * gone
-        self._excused[-1] += max(0.0, excused)
-        missing = float(more['missing'])
-        for i, amount in enumerate(self._excused):
-            used = min(amount, max(0.0, missing))
-            self._excused[i] -= used
-            missing -= used
-        if progress:
-            self._excused.append(0.0)
-        # the decision on the latest samples may still change: use the smaller value of two calls
-        self._unexplained_before, self._unexplained = self._unexplained, self._unexplained + missing
-        self._absent = max(self._absent, min(self._unexplained, self._unexplained_before))
+        if any(more[cause] for cause in CAUSES):
+            self._excused = EXCUSED
+        if not self._excused:
+            before, self._unexplained = self._unexplained, self._unexplained + more['missing']
+            # the decision on the latest samples may still change: use the smaller of two calls
+            self._absent = max(self._absent, min(self._unexplained, before))
+        elif progress:
+            self._excused -= 1
 
     def _silence(
         self,
