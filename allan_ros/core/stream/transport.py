@@ -154,7 +154,7 @@ class ConstantAxes:
     def update(self, samples: NDArray[np.float64]) -> None:
         """Process the next samples, (n, 6)."""
         for i, column in enumerate(samples.T):
-            changes = np.flatnonzero(np.diff(column, prepend=self._last[i]) != 0.0)
+            changes = np.flatnonzero(column != np.append(self._last[i], column[:-1]))
             if len(changes):
                 runs = np.diff(changes, prepend=-self._run[i])
                 runs = runs[0 if np.isfinite(self._last[i]) else 1 :]
