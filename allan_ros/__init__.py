@@ -16,12 +16,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import analyze, common, compare, inflate, merge, simulate
+    from .api import analyze, common, compare, inflate
     from .core.allan.curve import AxisCurve
     from .core.errors import AllanError
     from .io.axis_result import AxisResult, Quantity, adev, fit
     from .io.documents import load
     from .io.results import Results
+    from .io.simulation import simulate
 
 __version__ = '1.0.0'
 
@@ -38,7 +39,6 @@ __all__ = [
     'fit',
     'inflate',
     'load',
-    'merge',
     'sensor',
     'simulate',
 ]
@@ -50,6 +50,7 @@ _HOME = {
     **dict.fromkeys(('Sensor', 'sensor'), 'io.from_datasheet'),
     'load': 'io.documents',
     'Results': 'io.results',
+    'simulate': 'io.simulation',
 }
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The public functions, such as `analyze`, `merge`, `compare` and `simulate`.
+"""The public functions `analyze`, `compare`, `common` and `inflate`.
 
 The command line calls the functions of this file, too, so both give the same results.
 """
@@ -9,34 +9,27 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from numbers import Integral, Real
+from dataclasses import replace
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .core.compare import MARGIN
-from .core.errors import AllanError, one_line
+from .core.errors import AllanError
 from .core.filters.noise_parameters import measure_inflation
-from .core.fit import METHODS
-from .core.imu import ImuBatch, joined
 from .core.settings import (
     LIST,
-    UNIT_SYSTEMS,
-    CheckedSettings,
     SegmenterSettings,
     check_names,
     check_range,
     check_rate,
     describe,
     expect,
-    parameter,
-    settings_from,
 )
-from .io.analysis import analyze_recorded, one_thread
+from .io.analysis import ResultSettings, analyze_recorded, one_thread
 from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH, public
-from .io.format import check_plots
 from .io.readers import ReadOptions, Recording, topics_of
 from .io.recorded import (
     Observer,
@@ -53,61 +46,6 @@ from .io.results import Results
 if TYPE_CHECKING:
     from .io.common import CommonResult
     from .io.comparison import Inflation, RunComparison
-
-NoiseChanges = Mapping[str, Any] | Sequence[Mapping[str, float]]
-"""Coefficients in datasheet units: one mapping such as ``{'N': 0.3}`` for all axes of a sensor, a
-mapping such as ``{'z': {'N': 0.3}}`` for some axes, or a list of three mappings for x, y and z."""
-
-
-@dataclass(frozen=True)
-class ResultSettings(CheckedSettings):
-    """Settings for fitting, comparing, printing and exporting results."""
-
-    method: str = parameter(
-        'likelihood',
-        'Method of the fit: likelihood (maximum likelihood, with confidence intervals), relative '
-        '(least squares on relative residuals) or paper (plain least squares, as in Cong et al. '
-        '2019).',
-        choices=tuple(METHODS),
-    )
-    units: str = parameter(
-        'deg/h',
-        'Units of the output: as in datasheets, such as deg/h and ug, or SI.',
-        choices=UNIT_SYSTEMS,
-    )
-    export: tuple[str, ...] = parameter(
-        (),
-        'Further files for filters: kalibr, openvins, px4 ... (`allan export --list` lists all, '
-        '`allan export` has more options).',
-    )
-    sensor: str = parameter(
-        '',
-        'Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml '
-        'file.',
-    )
-    baseline: str = parameter(
-        '', 'Earlier run of this IMU to compare with: its results.json, or its folder.'
-    )
-    plots: tuple[str, ...] = parameter(
-        (), 'Also draw the Allan deviation of each sensor as a figure: png, svg, pdf.'
-    )
-    margin: float = parameter(
-        MARGIN,
-        'A coefficient exceeds the datasheet or the earlier run if its complete interval lies '
-        'above it by this fraction.',
-        low=0.0,
-        high=100.0,
-        percent=True,
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_plots(self.plots)
-
-    @property
-    def stated_margin(self) -> float | None:
-        """The margin; None if it is the default, so that an earlier comparison keeps its margin."""
-        return None if self.margin == MARGIN else self.margin
 
 
 def results_of(
@@ -161,10 +99,11 @@ def analyze(
 
     Parameters
     ----------
-    source : path, sequence of paths, array, DataFrame, mapping of columns, or ImuBatch
-        Several paths must be of the same IMU and give one common result; a path can also be the
-        sums of an earlier analysis: its folder, sums.json, or a checkpoint. Arrays are (n,) or
-        (n, axes), with one row per sample.
+    source : path, Results, sequence of these, array, DataFrame, mapping of columns, or ImuBatch
+        Several paths or results must be of the same IMU and give one common result. A path can also
+        be the sums of an earlier analysis: its folder, sums.json, or a checkpoint. Sums and results
+        are not read again, but added and fitted. Arrays are (n,) or (n, axes), with one row per
+        sample.
     rate : float
         Sample rate in Hz. It is required for samples without stamps. For recordings it is only
         compared with the stamps, and 0 disables this check.
@@ -214,6 +153,12 @@ def analyze(
     0.001
     >>> round(results['gyro_z'].N.to('deg/sqrt(h)').value, 1)
     3.4
+
+    Two recordings of one IMU, without reading them again:
+
+    >>> a, b = (ar.analyze(ar.simulate(hours=0.1, rate=50, seed=i)) for i in (1, 2))
+    >>> ar.analyze([a, b]).samples == a.samples + b.samples
+    True
     """
     units = {'gyro_unit': gyro_unit, 'accel_unit': accel_unit}
     reading, segmenter = _settings({**options, **units}, rate)
@@ -222,14 +167,19 @@ def analyze(
     expect(Integral, processes=processes)
     if axes is not None:
         expect((str, Sequence), 'a text or a list', axes=axes)
-    if paths := _paths(source):
+    given = list(source) if isinstance(source, (list, tuple)) else [source]
+    if given and all(isinstance(each, (Results, *PATH)) for each in given):
         if axes is not None:
             raise AllanError(
                 'axes are for arrays, not files: name the columns of a table with columns='
             )
-        stored = [load_sums(path) for path in paths if is_document(path)]
-        recordings = [path for path in paths if not is_document(path)]
-        jobs = [ReadJob(path, reading, segmenter, hardware_id, True) for path in recordings]
+        known = [isinstance(each, Results) or is_document(each) for each in given]
+        stored = [_stored(each) for each, is_known in zip(given, known) if is_known]
+        jobs = [
+            ReadJob(str(path), reading, segmenter, hardware_id, True)
+            for path, is_known in zip(given, known)
+            if not is_known
+        ]
         several = min(processes, len(jobs)) > 1
         read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
         recorded = add_recordings([*read, *stored])
@@ -240,41 +190,6 @@ def analyze(
         job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
         recorded = read_recording(job, recording)
     return analyze_recorded(recorded, method).compared(sensor, baseline, margin)
-
-
-def merge(*sources: Results | str | os.PathLike[str], method: str = 'likelihood') -> Results:
-    """Combine several recordings of one IMU into one result, without reading them again.
-
-    The stored sums of second differences are added and fitted together. The result is not compared
-    with the datasheets of its sources; `Results.compared` does this.
-
-    Parameters
-    ----------
-    *sources : Results or path
-        Results of `analyze`, or paths of a sums.json, a checkpoint or the folder of an analysis.
-    method : str
-        Method of the fit: 'likelihood', 'relative' or 'paper', as in `analyze`.
-
-    Returns
-    -------
-    Results
-
-    Raises
-    ------
-    AllanError
-        When the IMUs differ, the recordings overlap, or the sums are missing.
-
-    Examples
-    --------
-    >>> import allan_ros as ar
-    >>> a, b = (ar.analyze(ar.simulate(hours=0.1, rate=50, seed=i)) for i in (1, 2))
-    >>> ar.merge(a, b).samples == a.samples + b.samples
-    True
-    """
-    if not sources:
-        raise AllanError('nothing to merge: give results or paths')
-    ResultSettings(method=method)  # checks it
-    return analyze_recorded(add_recordings(map(_recorded, sources)), method)
 
 
 @public
@@ -348,9 +263,8 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     Parameters
     ----------
     *sources : path, DataFrame, mapping of columns, or ImuBatch
-        One recording of each IMU, or a bag whose Imu topics are the IMUs. The axes of a single IMU
-        are compared with each other. In the output, the names of the IMUs are the paths or topics,
-        or A, B, C ...
+        One recording of each IMU, or a bag whose Imu topics are the IMUs. In the output, the names
+        of the IMUs are the paths or topics, or A, B, C ...
     rate : float
         Sample rate in Hz, as in `analyze`.
     **options
@@ -394,8 +308,8 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
         for topic in topics if len(topics) > 1 else [reading.topic]:
             name = topic if topics[1:] and len(sources) == 1 else f'{label} {topic}'.strip()
             recordings[name] = ReadJob(path, replace(reading, topic=topic)).open()
-    if not recordings:
-        raise AllanError('no recording is given: give one of each IMU')
+    if len(recordings) < 2:
+        raise AllanError(f'{len(recordings)} IMUs: give a recording of each of two or more')
     return common_of(recordings, settings)
 
 
@@ -454,84 +368,6 @@ def inflate(
     return Inflation(axes, compare_runs([Subject(REST, quiet), Subject(RUNNING, loud)]), horizon)
 
 
-@public
-def simulate(
-    hours: float = 1.0,
-    rate: float = 100.0,
-    preset: str = 'paper',
-    *,
-    sensor: str = '',
-    gyro: NoiseChanges | None = None,
-    accel: NoiseChanges | None = None,
-    seed: int = 0,
-    frame_id: str = 'imu_link',
-    **faults: Any,
-) -> ImuBatch:
-    """Simulate the samples of an IMU at rest with known noise.
-
-    Parameters
-    ----------
-    hours, rate : float
-        Duration in h, and sample rate in Hz.
-    preset : str
-        Name of predefined noise: 'paper' (the ADIS16475-3 of Cong et al. 2019), or '' for none.
-    sensor : str
-        Name of a datasheet, whose N and B are used instead of the preset; a term that it does not
-        state is 0.
-    gyro, accel : mapping or list of mappings, optional
-        Coefficients that replace the preset, in datasheet units (gyro N in deg/sqrt(h), B
-        in deg/h; accelerometer N in m/s/sqrt(h), B in ug). For all axes: ``{'N': 0.3, 'B': 7}``.
-        Per axis: a list of three such mappings (x, y, z), or a mapping by axis such as
-        ``{'z': {'N': 0.3}}``.
-    seed : int
-        Seed of the random numbers, 0 or more.
-    frame_id : str
-        The frame_id of the messages.
-    **faults
-        Faults of the IMU, as in the files of `allan simulate --spec`: ``motion``, ``gaps`` (both as
-        pairs of start and length in s), ``low_pass`` (Hz), ``drop`` ...
-
-    Returns
-    -------
-    ImuBatch
-        With ``stamps_ns`` (n,) in ns and ``samples`` (n, 6) in rad/s and m/s^2.
-
-    Raises
-    ------
-    AllanError
-        When an argument is unknown or invalid, or the samples do not fit into memory.
-
-    Examples
-    --------
-    >>> import allan_ros as ar
-    >>> ar.simulate(hours=0.01, rate=200, seed=3).samples.shape
-    (7200, 6)
-    >>> one_noisy = ar.simulate(hours=0.01, gyro={'z': {'N': 5.0}})
-    >>> three = ar.simulate(hours=0.01, gyro=[{'N': 0.1}, {'N': 0.2}, {'N': 0.3}])
-    """
-    from .core.simulate import Faults, simulate_imu
-    from .io.user_files import stated_noise
-
-    check_range(0.0, 1e6, 'h', hours=hours)
-    expect(Real, rate=rate)
-    expect(Integral, seed=seed)
-    expect(str, preset=preset, sensor=sensor, frame_id=frame_id)
-    if seed < 0:
-        raise AllanError(f'seed is {seed}: give a whole number of 0 or more')
-    changes = {**_noise_changes('gyro', gyro), **_noise_changes('accel', accel)}
-    terms = list(stated_noise('' if sensor else preset, sensor, changes=changes).values())
-    batches = simulate_imu(
-        hours * 3600.0,
-        rate,
-        terms[:3],
-        terms[3:],
-        seed=seed,
-        faults=settings_from(Faults, faults),
-        frame_id=frame_id,
-    )
-    return joined(list(batches))
-
-
 def _settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:
     """Divide the options into settings for reading and for the motion gate, both with ``rate``."""
     check_rate(rate)
@@ -543,32 +379,8 @@ def _settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, Seg
     return ReadOptions(rate_hz=rate, **reading), SegmenterSettings(declared_rate=rate, **segmenter)
 
 
-def _noise_changes(sensor: str, given: NoiseChanges | None) -> dict[str, Mapping[str, float]]:
-    """Return ``given`` as a mapping by sensor or axis name, such as ``{'gyro_z': {'N': 0.3}}``."""
-    if not given:
-        return {}
-    if isinstance(given, Mapping):
-        each = set(given) <= set('xyz')
-        return {f'{sensor}_{axis}': given[axis] for axis in given} if each else {sensor: given}
-    if not isinstance(given, (list, tuple)) or len(given) != 3:
-        raise AllanError(
-            f'{sensor} is {one_line(repr(given)):.60}: give one mapping of terms, or three'
-        )
-    return {f'{sensor}_{axis}': terms for axis, terms in zip('xyz', given)}
-
-
-def _paths(source: Any) -> list[str]:
-    """Return the paths of a source; an empty list if it is samples."""
-    if isinstance(source, (str, os.PathLike)):
-        return [str(source)]
-    if not isinstance(source, (list, tuple)):
-        return []
-    paths = [str(each) for each in source if isinstance(each, (str, os.PathLike))]
-    return paths if len(paths) == len(source) else []
-
-
-def _recorded(source: Results | str | os.PathLike[str]) -> RecordingSums:
-    expect((Results, *PATH), 'results or a path', source=source)
+def _stored(source: Results | str | os.PathLike[str]) -> RecordingSums:
+    """Return the sums of results, or of the path of an earlier analysis."""
     if not isinstance(source, Results):
         return load_sums(source)
     if source.recorded is None:

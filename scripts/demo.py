@@ -27,7 +27,7 @@ from allan_ros.io.documents import results_from_document
 from allan_ros.io.files import read_json
 from allan_ros.io.format import interval_text, shown_unit, significant, value_text
 from allan_ros.io.results import Results
-from allan_ros.io.user_files import AxesNoise, read_noise, truth_path
+from allan_ros.io.simulation import AxesNoise, read_noise, truth_path
 
 CONFIDENCE = 0.95
 """Expected fraction of intervals and limits that contain the truth."""

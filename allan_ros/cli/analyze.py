@@ -24,11 +24,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..api import ResultSettings, is_document
+from ..api import is_document
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding
 from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
+from ..io.analysis import ResultSettings
 from ..io.datasheets import load_sensor
 from ..io.documents import RESULTS, load, load_sums, results_to_document
 from ..io.exporters import target_of

@@ -17,12 +17,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..api import ResultSettings, is_document
+from ..api import is_document
 from ..core.errors import AllanError, one_line
 from ..core.findings import SEVERITIES, Finding, by_consequence, finding
 from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
-from ..io.analysis import analyze_recorded
+from ..io.analysis import ResultSettings, analyze_recorded
 from ..io.documents import load, load_sums, results_to_document
 from ..io.files import write_atomic
 from ..io.format import known_numbers, shown_unit, value_text

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import api
-from ..api import ResultSettings
 from ..core.errors import AllanError
+from ..io.analysis import ResultSettings
 from ..io.common import common_lines
 from ..io.comparison import comparison_document, inflation_document
 from ..io.files import to_json, write_together

@@ -24,7 +24,7 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from ..core.errors import AllanError, one_line
+from ..core.errors import one_line
 from ..core.imu import AXES, HOUR, NANOSECONDS, SENSORS
 from ..core.simulate import PRESETS, Faults, samples_in, simulate_imu
 from .console import Console
@@ -63,15 +63,13 @@ recording:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate a recording, and write it and its true values."""
-    from ..io.user_files import read_specification, stated_noise, write_truth
+    from ..io.simulation import read_specification, stated_noise, write_truth
     from ..io.writing import write_recording
 
     changes = {name: getattr(args, name) for name in NOISES if getattr(args, name)}
     stated, faults = read_specification(args.spec) if args.spec else (None, Faults())
     noise = stated_noise(args.preset or '', args.sensor or '', stated, changes)
     samples = samples_in(args.hours * HOUR, args.rate)
-    if args.seed < 0:
-        raise AllanError(f'--seed is {args.seed}: give 0 or more')
     console = Console.of(args)
     for sensor in SENSORS if args.sensor else ():
         axes = [noise[axis] for axis in AXES[SENSORS[sensor]]]

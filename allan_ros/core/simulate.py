@@ -232,9 +232,12 @@ def simulate_imu(
     Raises
     ------
     AllanError
-        When the duration or rate is not positive, or the samples do not fit into memory.
+        When the duration or rate is not positive, the seed is negative, or the samples do not fit
+        into memory.
     """
     n, tau0 = samples_in(seconds, rate), 1.0 / rate
+    if seed < 0:
+        raise AllanError(f'seed is {seed}: give a whole number of 0 or more')
     axis_seeds, fault_seed = (s for s in np.random.SeedSequence(seed).spawn(2))
     try:
         samples = np.empty((n, len(AXES)))

@@ -146,9 +146,9 @@ def test_files(results: ar.Results, tmp_path: Path) -> None:
     assert (tmp_path / 'imu.yaml').read_text() == text
     again = ar.load(tmp_path / 'out')
     assert repr(again).splitlines()[:4] == repr(results).splitlines()[:4]
-    assert ar.merge(again).samples == results.samples
+    assert ar.analyze(again).samples == results.samples
     lonely = ar.load(tmp_path / 'out' / 'results.json')
-    for fails in (lambda: lonely.save(tmp_path / 'x'), lambda: ar.merge(lonely)):
+    for fails in (lambda: lonely.save(tmp_path / 'x'), lambda: ar.analyze(lonely)):
         with pytest.raises(ar.AllanError, match='without their sums'):
             fails()
 
@@ -161,12 +161,12 @@ def test_a_curve_of_another_tool_is_fitted() -> None:
         assert axis.N.to('m/s/sqrt(h)').unit == 'm/s/sqrt(h)'
 
 
-def test_merge_is_the_analysis_of_all() -> None:
+def test_results_are_added() -> None:
     parts = [ar.simulate(hours=0.05, rate=50, seed=i) for i in range(2)]
     one, two = (ar.analyze(part, **QUICK) for part in parts)
-    assert ar.merge(one, two, **QUICK).samples == sum(len(part) for part in parts)
+    assert ar.analyze([one, two], **QUICK).samples == sum(len(part) for part in parts)
     with pytest.raises(ar.AllanError, match='give each recording once'):
-        ar.merge(one, one)
+        ar.analyze([one, one])
 
 
 def test_a_comparison_keeps_its_margin_until_another_is_stated(tmp_path: Path) -> None:
@@ -178,14 +178,14 @@ def test_a_comparison_keeps_its_margin_until_another_is_stated(tmp_path: Path) -
         assert results.compared().comparisons == lenient.comparisons
         strict, expected = results.compared(margin=0.0), plain.compared('adis16475-3', margin=0.0)
         assert (strict.comparisons, strict.findings) == (expected.comparisons, expected.findings)
-    assert ar.merge(lenient, **QUICK).datasheet is None
+    assert ar.analyze(lenient, **QUICK).datasheet is None
 
 
 def test_each_axis_may_have_its_own_noise() -> None:
     def simulated(**noise: Any) -> np.ndarray:
         return ar.simulate(hours=0.01, rate=100, preset='', **noise).samples
 
-    three = simulated(gyro=[{'N': 0.1}, {'N': 0.2}, {}])
+    three = simulated(gyro={'x': {'N': 0.1}, 'y': {'N': 0.2}})
     same = simulated(gyro={'N': 0.1})
     assert three.shape == (3600, 6) and not three[:, 2].any()
     np.testing.assert_array_equal(three[:, 0], same[:, 0])

@@ -11,7 +11,7 @@ from allan_ros.core.imu import shown_unit
 from allan_ros.core.simulate import PRESETS
 from allan_ros.io.datasheets import load_sensor
 from allan_ros.io.readers import open_recordings
-from allan_ros.io.user_files import read_noise, truth_path
+from allan_ros.io.simulation import read_noise, truth_path
 
 SHORT = ['--hours', '0.01', '--rate', '50']  # 1800 samples
 
@@ -94,7 +94,7 @@ def test_faults_are_passed_on_and_a_truth_can_be_simulated_again(tmp_path):
         (['--preset', 'paper', '--hours', '-1'], 'seconds is -3600.0: it must lie between 0'),
         (['--preset', 'paper', '--hours', 'inf'], 'seconds is inf'),
         (['--preset', 'paper', '--rate', '1e-300'], 'rate is 1e-300'),
-        (['--preset', 'paper', '--seed', '-1'], '--seed is -1'),
+        (['--preset', 'paper', '--seed', '-1'], 'seed is -1'),
         (['--sensor', 'nothing'], "no datasheet 'nothing'"),
         (['--spec', 'missing.yaml'], 'missing.yaml: cannot be read'),
     ],

@@ -102,7 +102,7 @@ def test_the_results_have_the_noise_of_both(tmp_path: Path) -> None:
     folder = tmp_path / 'out'
     results.save(folder)
     assert ACCEL in (folder / 'report.html').read_text()
-    assert ar.merge(folder)['accel_x'].N.value == results['accel_x'].N.value
+    assert ar.analyze(folder)['accel_x'].N.value == results['accel_x'].N.value
 
 
 @pytest.mark.parametrize(('one', 'other'), [(GYRO, ACCEL), (ACCEL, GYRO)])

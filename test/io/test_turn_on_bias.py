@@ -25,7 +25,7 @@ def merged() -> ar.Results:
         ar.analyze(offset + WHITE * rng.standard_normal((SAMPLES, 3)), rate=RATE, motion_gate=False)
         for offset in OFFSETS
     ]
-    return ar.merge(ar.merge(runs[0], runs[1]), runs[2])
+    return ar.analyze([ar.analyze(runs[:2]), runs[2]])
 
 
 def test_the_bias_scatters_between_recordings(merged: ar.Results) -> None:

@@ -8,7 +8,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import Faults
-from allan_ros.io.user_files import read_noise, truth_path, write_truth
+from allan_ros.io.simulation import read_noise, truth_path, write_truth
 
 
 @pytest.fixture

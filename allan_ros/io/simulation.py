@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read the noise and faults to simulate from files of the user.
+"""Simulate an IMU with noise and faults that the user states, in Python or in a file.
 
 A specification of a simulated IMU is a YAML or JSON file. ``noise`` maps axes to coefficients: a
 number in datasheet units, or ``{value, unit}``. ``gyro`` and ``accel`` apply to three axes, and a
@@ -19,17 +19,18 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import AllanError
 from ..core.fields import Fields, located
-from ..core.imu import AXES, SI_UNITS, from_datasheet, sensor_of
+from ..core.imu import AXES, SI_UNITS, ImuBatch, from_datasheet, joined, sensor_of
 from ..core.noise import NoiseTerms
-from ..core.settings import settings_from
-from ..core.simulate import PRESETS, Faults
+from ..core.settings import check_range, expect, settings_from
+from ..core.simulate import PRESETS, Faults, simulate_imu
 from .datasheets import load_sensor
-from .files import read_yaml, to_json, write_atomic
+from .files import public, read_yaml, to_json, write_atomic
 
 TRUTH_SCHEMA = 'allan_ros/truth/1'
 
@@ -162,3 +163,81 @@ def write_truth(
     path = truth_path(recording)
     write_atomic(path, to_json(document))
     return path
+
+
+@public
+def simulate(
+    hours: float = 1.0,
+    rate: float = 100.0,
+    preset: str = 'paper',
+    *,
+    sensor: str = '',
+    gyro: Mapping[str, Any] = {},
+    accel: Mapping[str, Any] = {},
+    seed: int = 0,
+    frame_id: str = 'imu_link',
+    **faults: Any,
+) -> ImuBatch:
+    """Simulate the samples of an IMU at rest with known noise.
+
+    Parameters
+    ----------
+    hours, rate : float
+        Duration in h, and sample rate in Hz.
+    preset : str
+        Name of predefined noise: 'paper' (the ADIS16475-3 of Cong et al. 2019), or '' for none.
+    sensor : str
+        Name of a datasheet, whose N and B are used instead of the preset; a term that it does not
+        state is 0.
+    gyro, accel : mapping, optional
+        Coefficients that replace the preset, in datasheet units (gyro N in deg/sqrt(h), B
+        in deg/h; accelerometer N in m/s/sqrt(h), B in ug), for all axes as in
+        ``{'N': 0.3, 'B': 7}``, or by axis as in ``{'z': {'N': 0.3}}``.
+    seed : int
+        Seed of the random numbers, 0 or more.
+    frame_id : str
+        The frame_id of the messages.
+    **faults
+        Faults of the IMU, as in the files of `allan simulate --spec`: ``motion``, ``gaps`` (both as
+        pairs of start and length in s), ``low_pass`` (Hz), ``drop`` ...
+
+    Returns
+    -------
+    ImuBatch
+        With ``stamps_ns`` (n,) in ns and ``samples`` (n, 6) in rad/s and m/s^2.
+
+    Raises
+    ------
+    AllanError
+        When an argument is unknown or invalid, or the samples do not fit into memory.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.simulate(hours=0.01, rate=200, seed=3).samples.shape
+    (7200, 6)
+    >>> one_noisy = ar.simulate(hours=0.01, gyro={'z': {'N': 5.0}})
+    """
+    check_range(0.0, 1e6, 'h', hours=hours)
+    expect(Real, rate=rate)
+    expect(Integral, seed=seed)
+    expect(str, preset=preset, sensor=sensor, frame_id=frame_id)
+    changes = {**_noise_changes('gyro', gyro), **_noise_changes('accel', accel)}
+    terms = list(stated_noise('' if sensor else preset, sensor, changes=changes).values())
+    batches = simulate_imu(
+        hours * 3600.0,
+        rate,
+        terms[:3],
+        terms[3:],
+        seed=seed,
+        faults=settings_from(Faults, faults),
+        frame_id=frame_id,
+    )
+    return joined(list(batches))
+
+
+def _noise_changes(sensor: str, given: Mapping[str, Any]) -> dict[str, Mapping[str, float]]:
+    """Return ``given`` as a mapping by sensor or axis name, such as ``{'gyro_z': {'N': 0.3}}``."""
+    expect(Mapping, 'a mapping of terms', **{sensor: given})
+    each = bool(given) and set(given) <= set('xyz')
+    return {f'{sensor}_{axis}': given[axis] for axis in given} if each else {sensor: given}
