@@ -383,14 +383,7 @@ def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:
 
 
 CONNECT_S = 10.0
-"""Longest time in s to wait for a scheduler."""
-
-WORKER_CHECK_S = 30.0
-"""Time in s between two checks that the cluster has workers."""
-
-NO_WORKER_S = 120.0
-"""Time in s without any worker after which a job fails. A cluster restarts dead workers within
-seconds, on a busy machine within a minute."""
+"""Longest time in s to wait for a scheduler and for its first worker."""
 
 
 def on_cluster(
@@ -408,6 +401,7 @@ def on_cluster(
     """
     try:
         from distributed import Client, KilledWorker
+        from distributed import TimeoutError as Unanswered
     except ImportError as error:
         raise AllanError(
             '--scheduler needs Dask, which is not installed: pip install "allan_ros[dask]"'
@@ -418,43 +412,19 @@ def on_cluster(
         raise AllanError(
             f'no Dask scheduler answers at {address}: check the address and that it runs'
         ) from error
-    outcomes: list[RecordingSums | Finding | None] = []
     with client, console.progress(f'{len(jobs)} on {address}', None) as progress:
-        # not pure: a recording may have changed since an earlier analysis with the same job
-        futures = client.map(work, jobs, pure=False)
-        for future in futures:
-            try:
-                recorded = _result(client, future)
-            except KilledWorker:
-                outcomes.append(None)
-                continue
-            outcomes.append(recorded)
-            progress.advance(recorded.provenance.counts.received)
-        # a crash also loses the queued jobs of the worker: repeat each alone to find the cause
-        for at, job in enumerate(jobs):
-            try:
-                again = outcomes[at] or _result(client, client.submit(work, job, pure=False))
-            except KilledWorker:
-                again = finding('recording_lost', path=job.path)
-            outcomes[at] = again
-    yield from filter(None, outcomes)
-
-
-def _result(client: Any, future: Any) -> RecordingSums:
-    """Wait for the result of a job; raise AllanError after `NO_WORKER_S` without workers."""
-    from distributed import TimeoutError as Unfinished
-
-    waited = 0.0
-    while waited < NO_WORKER_S:
         try:
-            made: RecordingSums = future.result(timeout=WORKER_CHECK_S)
-            return made
-        except Unfinished:
-            # a timeout of the job itself, for example of a remote disk
-            if future.status == 'error':
-                raise
-            waited = 0.0 if client.nthreads() else waited + WORKER_CHECK_S
-    raise AllanError(
-        f'the cluster at {client.scheduler.address} has no worker: start workers with '
-        'allan_ros, or check their logs for the reason'
-    )
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except Unanswered as error:
+            raise AllanError(
+                f'the cluster at {address} has no worker: start workers with allan_ros'
+            ) from error
+        # not pure: a recording may have changed since an earlier analysis with the same job
+        for job, future in zip(jobs, client.map(work, jobs, pure=False)):
+            try:
+                recorded: RecordingSums = future.result()
+            except KilledWorker:
+                yield finding('recording_lost', path=job.path)
+                continue
+            progress.advance(recorded.provenance.counts.received)
+            yield recorded

@@ -7,7 +7,6 @@ a datasheet. Recordings are compared with the first one, and with each datasheet
 to recordings and sums; a results.json is not fitted again.
 
   allan compare monday tuesday
-  allan compare cold warm -o compared
   allan compare results sensor:adis16475-3 --fail-on-difference
   allan compare left.mcap right.mcap top.mcap --common
 """
@@ -16,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from .. import api
@@ -24,8 +22,6 @@ from ..core.errors import AllanError
 from ..io.analysis import ResultSettings
 from ..io.common import common_lines
 from ..io.comparison import comparison_document, inflation_document
-from ..io.files import to_json, write_together
-from ..io.result_files import made_folder
 from .console import Console, width
 from .options import Command, Settings
 from .tables import comparison_lines
@@ -38,7 +34,7 @@ EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, o
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare the inputs, print the comparison, and write the files; return the exit code."""
+    """Compare the inputs, and print the comparison; return the exit code."""
     console = Console.of(args)
     if args.common:
         return _common(args, console)
@@ -53,29 +49,20 @@ def run(args: argparse.Namespace) -> int:
         observer=console,
     )
     text = '\n'.join(comparison_lines(comparison, args.units, width()))
-    _show(args, console, text, {'comparison.json': comparison_document(comparison)})
+    _show(console, text, comparison_document(comparison))
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
 
 
-def _show(
-    args: argparse.Namespace,
-    console: Console,
-    text: str,
-    documents: Mapping[str, Any],
-) -> None:
-    """Print the text, or with --json the first document; write the documents to the folder."""
+def _show(console: Console, text: str, document: Mapping[str, Any]) -> None:
+    """Print the document with --json, else the text."""
     if console.json:
-        console.document(next(iter(documents.values())))
-    elif not (console.quiet and args.output):
+        console.document(document)
+    else:
         print(text)
-    if args.output:
-        files: dict[str, str | bytes] = {name: to_json(each) for name, each in documents.items()}
-        write_together(made_folder(Path(args.output)), files)
-        console.say(f'written to {args.output}: {", ".join(files)}')
 
 
 def _common(args: argparse.Namespace, console: Console) -> int:
-    """Print and write the noise that the IMUs have in common; return the exit code."""
+    """Print the noise that the IMUs have in common; return the exit code."""
     default = ResultSettings()
     if args.fail_on_difference or (args.margin, args.method) != (default.margin, default.method):
         raise AllanError(
@@ -88,19 +75,15 @@ def _common(args: argparse.Namespace, console: Console) -> int:
             )
     common = api.common(*args.inputs, topic=args.topic, accel_topic=args.accel_topic)
     text = '\n'.join(common_lines(common, args.units))
-    _show(args, console, text, {'common.json': common.document()})
+    _show(console, text, common.document())
     return 0
 
 
 def inflate(args: argparse.Namespace) -> int:
-    """Print and write how much running motors increase the noise; return the exit code."""
+    """Print how much running motors increase the noise; return the exit code."""
     console = Console.of(args)
     inflation = api.inflate(args.rest, args.running, horizon=args.horizon, observer=console)
-    documents = {
-        'inflation.json': inflation_document(inflation),
-        'comparison.json': comparison_document(inflation.comparison),
-    }
-    _show(args, console, str(inflation), documents)
+    _show(console, str(inflation), inflation_document(inflation))
     return 0
 
 
@@ -112,12 +95,11 @@ a results.json, the folder of an analysis, or a recording. The output is N and K
 increase as a factor, and the ratio of the Allan deviations.
 
   allan inflate rest/results.json motors_on/results.json
-  allan inflate rest_bag motors_on_bag -o inflation
+  allan inflate rest_bag motors_on_bag --json > inflation.json
 """
 
 COMPARE_OPTIONS = f"""
 inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
--o --output DIR  folder for comparison.json (default: none)
 --common  separate the noise that IMUs on one body have in common (vibration) from the noise of
     each; the inputs are recordings made at the same time, or a bag with several Imu topics
 --topic TOPIC []  with --common: Imu topic, if a bag has several (default: all of them are IMUs)
@@ -130,7 +112,6 @@ INFLATE_OPTIONS = """
 rest REST  the robot at rest, motors off
 running RUNNING  the robot at rest, motors on
 --horizon SECONDS [30]  longest time that the filter integrates without correction
--o --output DIR  folder for inflation.json and comparison.json
 """
 
 RESULT = Settings('result', ResultSettings, ['sensor', 'baseline', 'export', 'plots'])

@@ -16,13 +16,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from ..core.errors import AllanError
 from ..core.fields import plain
-from ..core.imu import SI_UNITS, UNITS, sensor_of
+from ..core.imu import UNITS, sensor_of
 from ..io.datasheets import Datasheet, Limit, load_sensor, sensor_names
 from ..io.exporters import TARGETS, ExportOptions
 from ..io.files import MAX_BYTES, read_text
@@ -110,13 +108,13 @@ def sensors(args: argparse.Namespace) -> int:
     if args.name:
         sheet = load_sensor(args.name)
         if console.json:
-            console.document(sensor_document(args.name, sheet))
+            console.document({'id': args.name, **plain(sheet)})
             return 0
         print('\n'.join([*sensor_lines(sheet, width()), *measured_lines(sheet)]))
         return 0
     sheets = {name: load_sensor(name) for name in sensor_names()}
     if console.json:
-        console.document({'sensors': [sensor_document(n, s) for n, s in sheets.items()]})
+        console.document({'sensors': [{'id': n, **plain(s)} for n, s in sheets.items()]})
     else:
         print('\n'.join(list_lines(sheets, width())))
     return 0
@@ -174,25 +172,6 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
     for key, source in sheet.sources.items():
         parts = (str(source), source.url, f'{SEEN[source.seen]} {source.via}'.strip())
         yield from wrapped(f'{key}: {"; ".join(filter(None, parts))}', columns, '  ')
-
-
-def sensor_document(name: str, sheet: Datasheet) -> dict[str, Any]:
-    """Return a datasheet as plain values, with limits in SI."""
-    limits = {
-        axis: {
-            term: {**asdict(limit), 'unit': SI_UNITS[sensor_of(axis)][term]}
-            for term, limit in terms.items()
-        }
-        for axis, terms in sheet.limits.items()
-    }
-    return {
-        'id': name,
-        **{key: getattr(sheet, key) for key in ('name', 'maker', 'carries', 'remark')},
-        'sources': {key: asdict(source) for key, source in sheet.sources.items()},
-        'limits': limits,
-        'measured': plain(sheet.measured),
-        'range': dict(sheet.range),
-    }
 
 
 SENSORS = """

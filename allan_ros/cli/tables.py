@@ -21,7 +21,6 @@ from ..io.format import (
     ShownUnit,
     deviation_text,
     interval_text,
-    region_text,
     shown_unit,
     significant,
     temperature_text,
@@ -118,7 +117,7 @@ def results_lines(
     """Yield the lines of the results: verdict, coefficients, numbers for a filter, findings, steps.
 
     ``units`` is 'deg/h' or 'SI', ``columns`` the width of the text, ``colors`` whether to color it;
-    ``complete`` includes all findings, and the dominant noise by averaging time.
+    ``complete`` includes all findings.
     """
     yield from wrapped(headline(results), columns, '  ')
     yield from verdict_lines(verdict, columns, colors)
@@ -134,12 +133,8 @@ def results_lines(
             yield from ('' * (not known), f'{sensor} {absent}: no coefficients')
     yield from _temperature_lines(results, units, columns)
     yield from _filter_lines(results, columns)
-    if complete and any(a.regions for a in results.axes.values()):
-        yield ''
-        yield 'dominant noise by averaging time, and slope of the curve'
-        yield from _region_lines(results, columns)
     yield ''
-    yield from wrapped(_legend(results, complete), columns)
+    yield from wrapped(_legend(results), columns)
     if results.datasheet is not None:
         yield ''
         judged = not too_short(results)
@@ -211,18 +206,13 @@ def _filter_lines(results: Results, columns: int) -> Iterator[str]:
         yield from wrapped(RAISED, columns)
 
 
-def _legend(results: Results, complete: bool) -> str:
+def _legend(results: Results) -> str:
     known = [c for axis in results.axes.values() for c in axis.fit.noise.values()]
     if not any(c.ci95 or c.upper95 for c in known):
         return f'method {results.method} gives no intervals'
     text = '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
-    regions = [(r, axis.fit) for axis in results.axes.values() for r in axis.regions if complete]
-    likely = any(fit.likely for _, fit in regions)
-    processes = any('GM' in region.term for region, _ in regions)
     deviates = any(_deviation(results, axis) != NOTHING for axis in results.axes)
-    text += f'; {DEVIATION}: largest difference of the curve from the model' * deviates
-    text += '; "?" is a part of the model that is likely but not resolved' * likely
-    return text + '; "GM" is a Gauss-Markov process with its correlation time' * processes
+    return text + f'; {DEVIATION}: largest difference of the curve from the model' * deviates
 
 
 def coefficient_rows(
@@ -277,13 +267,6 @@ def table_lines(rows: Sequence[tuple[str, Sequence[Cell]]], width: int) -> Itera
             yield (f'{text:{label}}' + ''.join(f'{each:{column}}' for each in upper)).rstrip()
             if not is_flat and any(i for _, i in part):
                 yield (' ' * label + ''.join(f'{i:{column}}' for _, i in part)).rstrip()
-
-
-def _region_lines(results: Results, columns: int) -> Iterator[str]:
-    for axis, result in results.axes.items():
-        if result.regions:
-            reading = ', '.join(region_text(r, result.fit.likely) for r in result.regions)
-            yield from wrapped(f'{axis:{len("accel_x")}}  {reading}', columns, ' ' * 9)
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:

@@ -34,17 +34,6 @@ MAX_TEXT = 100_000
 MAX_ITEMS = 1_000_000
 """Longest list, unless a smaller limit is given for a key."""
 
-KINDS = {
-    'results': 'the results of an analysis; `allan check`, `compare` and `export` read them',
-    'sums_file': 'the sums of an analysis; `allan analyze`, `check` and `compare` read them',
-    'truth': 'the truth of a simulation; `allan simulate --spec` reads it',
-    'sensor': 'a datasheet; --sensor reads it',
-    'comparison': 'a comparison; no verb reads it',
-    'inflation': 'the result of `allan inflate`; no verb reads it',
-    'state_space': 'a state space for a filter; no verb reads it',
-}
-"""Kind of document in a schema -> what it is and what reads it."""
-
 _REQUIRED = object()
 
 
@@ -116,9 +105,6 @@ class Fields:
     def schema(self, expected: str) -> None:
         """Raise AllanError unless the key ``schema`` has the expected value."""
         found = self._document.get('schema')
-        kind = found.split('/')[1] if isinstance(found, str) and found.count('/') == 2 else ''
-        if found != expected and kind in KINDS and f'/{kind}/' not in expected:
-            raise AllanError(f'{self.where}: contains {KINDS[kind]}')
         if found != expected:
             raise AllanError(
                 f'{self.where}: schema is {_shown(found)}, this version reads {expected!r}: '

@@ -85,8 +85,7 @@ class ResultSettings(CheckedSettings):
         'A coefficient exceeds the datasheet or the earlier run if its complete interval lies '
         'above it by this fraction.',
         low=0.0,
-        high=100.0,
-        percent=True,
+        high=1.0,
     )
 
     def __post_init__(self) -> None:

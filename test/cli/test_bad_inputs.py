@@ -69,18 +69,15 @@ def test_a_folder_of_damaged_logs_has_a_line_for_each(
 @pytest.mark.parametrize(
     ('words', 'said'),
     [
-        (
-            'export {truth} --to kalibr',
-            'contains the truth of a simulation; `allan simulate --spec',
-        ),
-        ('analyze {folder}/results.json', 'contains the results of an analysis; `allan check`'),
-        ('compare {npz} {truth}', 'contains the truth of a simulation'),
-        ('simulate x.npz --spec {folder}/results.json', 'contains the results of an'),
+        ('export {truth} --to kalibr', "schema is 'allan_ros/truth/"),
+        ('analyze {folder}/results.json', "schema is 'allan_ros/results/"),
+        ('compare {npz} {truth}', "schema is 'allan_ros/truth/"),
+        ('simulate x.npz --spec {folder}/results.json', "schema is 'allan_ros/results/"),
         ('check {folder}/imu.yaml', 'not a known type of recording'),
         ('check x.csv --rate -1', 'rate is -1.0: it must lie between 1e-06 and 1e+06 Hz'),
     ],
 )
-def test_a_wrong_kind_of_file_is_named_with_what_reads_it(
+def test_a_wrong_kind_of_file_is_named(
     words: str, said: str, recording: Path, analyzed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = {'npz': recording, 'truth': f'{recording}.truth.json', 'folder': analyzed}

@@ -51,9 +51,6 @@ def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path,
     assert capsys.readouterr().out.startswith('worse is 2.00x noisier than run in gyro z N (')
     assert main([*words, '--fail-on-difference', '--json']) == 3
     assert json.loads(capsys.readouterr().out)['differs'] is True
-    assert main([*words, '-o', str(tmp_path / 'out'), '-q']) == 0
-    assert capsys.readouterr().out == ''
-    assert (tmp_path / 'out' / 'comparison.json').is_file()
     assert main(['compare', str(worse), 'sensor:adis16475-3', '--fail-on-difference']) == 3
     said = capsys.readouterr().out
     assert said.startswith('worse exceeds the datasheet of ADIS16475-3 in gyro z N')
@@ -66,7 +63,7 @@ def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path,
         (['sensor:adis16475-3'], 'nothing to compare'),
         (['{run}', '{run}'], 'an input is given twice'),
         (['{run}', 'sensor:none'], "no datasheet 'none'"),
-        (['{run}', '--margin', '-1'], 'margin is -1.0: it must lie between 0 and 100'),
+        (['{run}', '--margin', '-1'], 'margin is -1.0: it must lie between 0 and 1'),
     ],
 )
 def test_incomparable_inputs_give_one_line(
