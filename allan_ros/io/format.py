@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from ..core.findings import prefixed
 from ..core.findings import significant as significant
 from ..core.fit import Coefficient, Deviation
-from ..core.fit.interpretation import Region
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ShownUnit as ShownUnit
 from ..core.imu import shown_unit as shown_unit
@@ -119,12 +118,6 @@ def part_text(part: str, likely: Collection[str]) -> str:
     'B?+GM 110 s'
     """
     return '+'.join(f'{name}?' if name in likely else name for name in part.split('+'))
-
-
-def region_text(region: Region, likely: Collection[str] = ()) -> str:
-    """Return a region as text: its averaging times, `part_text`, and the slope of the curve."""
-    low, high = significant(region.tau_low, 2), significant(region.tau_high, 2)
-    return f'{low}..{high} s {part_text(region.term, likely)} (slope {region.slope:+.2f})'
 
 
 def deviation_text(deviation: Deviation | None) -> str:
