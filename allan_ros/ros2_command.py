@@ -22,8 +22,6 @@ else:
 NODE_VERBS = {
     'watch': 'show /diagnostics of running nodes as a live table',
     'check': 'without a file: show the state; exit code 0 ok, 3 warning, 4 error, 1 no node',
-    'save': 'write the checkpoint of running nodes now',
-    'fit': 'fit the sums of running nodes now',
 }
 """Verb for running nodes -> help text."""
 
@@ -59,8 +57,6 @@ class AllanCommand(Base):  # type: ignore[misc]
                 return 1
             from .nodes import watch
 
-            if verb in ('save', 'fit'):
-                return watch.call_services(verb, words)
             return watch.main(['--check', *words] if verb == 'check' else words)
         from .cli.main import console
 

@@ -159,7 +159,7 @@ class ImuWatch(Part):
             statistics,
             (*found, *self._checkpoint.findings),
             (*(f for f in stream_findings if f.id not in live), *self._noted),
-            static_s=self._static_s(health),
+            static_s=max((s.elapsed_ns * 1e-9 for s in self._sums), default=0.0),
             passes=self._passes,
             streams=max(1, len(self._result.sums)),
             others=others,
@@ -193,13 +193,6 @@ class ImuWatch(Part):
             if replaced_share(self._published, total[0]) > REPLACED_SHARE:
                 self._publish(total)
         return self._result.health, self._result.findings
-
-    def _static_s(self, health: StreamHealth) -> float:
-        """Return the time at rest in s, which includes samples that the sums do not contain yet."""
-        in_sums = max((s.elapsed_ns * 1e-9 for s in self._sums), default=0.0)
-        added = health.counts.used - self._result.health.counts.used
-        streams = max(1, len(self._result.sums))
-        return in_sums + max(0, added) / streams / health.rate_hz if health.rate_hz else in_sums
 
     # --- samples in -------------------------------------------------------------------------------
 

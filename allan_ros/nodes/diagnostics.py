@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,8 +28,6 @@ from ..io.axis_result import AxisResult
 from ..io.datasheets import exceeds_limit
 from ..io.format import (
     LIMIT_DIGITS,
-    ShownUnit,
-    interval_text,
     shown_unit,
     significant,
     value_text,
@@ -41,6 +40,9 @@ LEVELS: Mapping[str, bytes] = {
 }
 """Severity of a finding -> level of a status, which is `bytes` in Python."""
 
+
+NUMBER = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
+"""Values of a status that are written as metrics."""
 
 FINDING = 'finding'
 """Key of a status with the id of the finding in its message. ``finding: <id>`` has the text."""
@@ -200,12 +202,8 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
     pairs: list[tuple[str, object]] = []
     if view.result is not None:
         noise = view.result.fit.noise
-        for units in ('SI', 'deg/h'):
-            for term in TERMS:
-                unit = shown_unit(view.axis, term, units)
-                pairs += _term_pairs(term, noise[term], unit, units == 'SI')
         for term in TERMS:
-            pairs += _limit_pairs(term, noise[term], shown_unit(view.axis, term, 'deg/h'))
+            pairs += _term_pairs(view.axis, term, noise[term])
         pairs += [
             ('fit method', view.method),
             ('fit age [s]', view.fit_age_s),
@@ -224,27 +222,18 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
     return status_of(name, findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
 
-def _term_pairs(
-    term: str, c: Coefficient, unit: ShownUnit, with_verdict: bool
-) -> list[tuple[str, object]]:
-    pairs: list[tuple[str, object]] = [(f'{term} [{unit.name}]', value_text(c, unit))]
-    interval = interval_text(c, unit)
-    if interval:
-        pairs.append((f'{term} 95 % [{unit.name}]', interval))
-    if with_verdict:
-        pairs.append((f'{term} verdict', c.status.replace('_', ' ')))
-    return pairs
-
-
-def _limit_pairs(term: str, c: Coefficient, unit: ShownUnit) -> list[tuple[str, object]]:
-    """Return the ends of the 95 % interval as numbers, because plotters cannot draw 'low..high'."""
-    low, high = c.ci95 if c.status == 'estimated' and c.ci95 else (None, c.upper95)
-    ends = {'low': low, 'high': high}
-    return [
-        (f'{term} {end} [{unit.name}]', significant(value * unit.factor, LIMIT_DIGITS))
-        for end, value in ends.items()
-        if value is not None and math.isfinite(value)
+def _term_pairs(axis: str, term: str, c: Coefficient) -> list[tuple[str, object]]:
+    """Return the value of a term in both units, the ends of its 95 % interval, and its verdict."""
+    si, shown = shown_unit(axis, term, 'SI'), shown_unit(axis, term, 'deg/h')
+    pairs: list[tuple[str, object]] = [
+        (f'{term} [{u.name}]', value_text(c, u)) for u in (si, shown)
     ]
+    low, high = c.ci95 if c.status == 'estimated' and c.ci95 else (None, c.upper95)
+    for end, value in (('low', low), ('high', high)):
+        if value is not None and math.isfinite(value):
+            text = significant(value * shown.factor, LIMIT_DIGITS)
+            pairs.append((f'{term} {end} [{shown.name}]', text))
+    return [*pairs, (f'{term} verdict', c.status.replace('_', ' '))]
 
 
 def _nearest(changes: tuple[Difference, ...], tau: float) -> Difference | None:
@@ -337,61 +326,36 @@ def _longest_tau(sums: AllanSums) -> float | None:
     return float(sums.m[filled[-1]] * sums.tau0) if len(filled) and sums.tau0 else None
 
 
-METRICS_HEADER = """\
-# HELP allan_ros_level Level of a diagnostic status: 0 ok, 1 warning, 2 error, 3 stale.
-# TYPE allan_ros_level gauge
-# HELP allan_ros_value Number in a diagnostic status.
-# TYPE allan_ros_value gauge
-# HELP allan_ros_finding 1 while a status contains this finding.
-# TYPE allan_ros_finding gauge
-# HELP allan_ros_written_seconds Time at which this file was written.
-# TYPE allan_ros_written_seconds gauge
-"""
-
-
-def metrics_text(statuses: Sequence[DiagnosticStatus], time_s: float) -> str:
+def metrics_text(statuses: Sequence[DiagnosticStatus]) -> str:
     """Return statuses as a file for the textfile collector of Prometheus' node exporter.
-
-    ``time_s`` is the system time in s.
 
     Examples
     --------
     >>> from diagnostic_msgs.msg import KeyValue
     >>> status = DiagnosticStatus(name='allan_monitor: imu gyro x', hardware_id='SN 7')
     >>> status.values = [KeyValue(key='N [deg/sqrt(h)]', value='0.24')]
-    >>> print(metrics_text([status], 0.0).splitlines()[-2])
+    >>> print(metrics_text([status]).splitlines()[-1])
     allan_ros_value{node="allan_monitor",status="imu gyro x",hardware_id="SN 7",quantity="N",unit="deg/sqrt(h)"} 0.24
     """  # noqa: E501
-    lines = [line for status in statuses for line in _metrics(status)]
     # all lines of one metric must be consecutive
-    return METRICS_HEADER + '\n'.join(
-        [*sorted(lines), f'allan_ros_written_seconds {time_s:.3f}', '']
-    )
+    return '\n'.join([*sorted(line for status in statuses for line in _metrics(status)), ''])
 
 
 def _metrics(status: DiagnosticStatus) -> Iterator[str]:
     node, _, name = status.name.partition(': ')
     labels = {'node': node, 'status': name, 'hardware_id': status.hardware_id}
-    yield _metric('level', labels, str(int.from_bytes(status.level, 'little')))
+    yield _metric('level', int.from_bytes(status.level, 'little'), **labels)
     for pair in status.values:
-        quantity, unit = re.fullmatch(r'(.*?)(?: \[([^]]*)\])?', pair.key, re.DOTALL).groups('')  # type: ignore[union-attr]
+        quantity, _, unit = pair.key.removesuffix(']').partition(' [')
         if quantity.startswith(f'{FINDING}: '):
-            yield _metric('finding', {**labels, 'id': quantity.removeprefix(f'{FINDING}: ')}, '1')
-        elif _is_number(pair.value):
-            yield _metric('value', {**labels, 'quantity': quantity, 'unit': unit}, pair.value)
+            yield _metric('finding', 1, **labels, id=quantity.removeprefix(f'{FINDING}: '))
+        elif re.fullmatch(NUMBER, pair.value):
+            yield _metric('value', pair.value, **labels, quantity=quantity, unit=unit)
 
 
-def _metric(metric: str, labels: dict[str, str], value: str) -> str:
-    escaped = (f'{name}="{_escaped(text)}"' for name, text in labels.items())
-    return f'allan_ros_{metric}{{{",".join(escaped)}}} {value}'
-
-
-def _escaped(text: str) -> str:
-    return text.replace('\\', r'\\').replace('"', r'\"').replace('\n', r'\n')
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text)) and '_' not in text
-    except ValueError:
-        return False
+def _metric(metric: str, value: object, **labels: str) -> str:
+    # the escapes of JSON for quotation mark, backslash and newline are those of Prometheus
+    shown = ','.join(
+        f'{name}={json.dumps(text, ensure_ascii=False)}' for name, text in labels.items()
+    )
+    return f'allan_ros_{metric}{{{shown}}} {value}'

@@ -276,7 +276,7 @@ class AllanNode(Node):
             statuses.append(status_of(status_name(self, 'node'), recent, '', ()))
         if self.metrics_file and self._metrics_due.due(now):
             try:
-                write_atomic(self.metrics_file, metrics_text(statuses, time.time()))
+                write_atomic(self.metrics_file, metrics_text(statuses))
             except AllanError as error:
                 self.get_logger().warning(str(error), throttle_duration_sec=60.0)
         array = DiagnosticArray(status=statuses)

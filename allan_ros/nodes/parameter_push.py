@@ -10,10 +10,11 @@ so a value is set only if
 - its 95 % interval is narrow (`SETTLED_RATIO`);
 - it differs from the value that was found by at most ``push.max_factor``.
 
-When the noise model is invalidated, the input has a fault, or this node ends, the values that were
-found are set again. The node uses the parameter services of the other node. Before each update it
-reads the present values, also to notice a restart of the node. A value that the node refuses is not
-sent again. A parameter that an operator or another node has changed is left as it is.
+When the noise model is invalidated, the input has a fault, ``push.enabled`` becomes false, or this
+node ends, the values that were found are set again. The node uses the parameter services of the
+other node. Before each update it reads the present values, also to notice a restart of the node. A
+value that the node refuses is not sent again. A parameter that an operator or another node has
+changed is left as it is.
 """
 
 from __future__ import annotations
@@ -28,11 +29,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from std_srvs.srv import Trigger
 
 from ..core.errors import AllanError
 from ..core.fields import Fields
@@ -156,8 +155,8 @@ class Held:
 class ParameterPush(Part):
     """Sets parameters of the node ``push.node`` whenever the noise model has changed enough.
 
-    It declares the parameters ``push.*`` of its ``owner``, and creates the service ``~/restore``.
-    If ``push.node`` is empty, nothing is set. Raises AllanError if the plan cannot be read.
+    It declares the parameters ``push.*`` of its ``owner``. Without ``push.node``, nothing is set.
+    Raises AllanError if the plan cannot be read.
     """
 
     def __init__(self, owner: AllanNode) -> None:
@@ -168,23 +167,17 @@ class ParameterPush(Part):
         self._results: Results | None = None
         self._bias: Mapping[str, float] = {}
         self._covered: Mapping[str, float] = {}  # bias at the last update
-        self._invalid = ''  # why there are no results
+        self._invalid = 'there is no noise model'  # why no value may be set, or ''
+        self._reason = ''  # the same at the last update
         self._held: dict[str, Held] = {}
         self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> warning, text
         self._calls: list[Any] = []  # futures of the answers that `_on_answers` processes
         self._on_answers: Callable[[list[Any]], object] = list.clear
         self._called_at = self._due_at = 0.0
-        owner.create_service(Trigger, '~/restore', self._on_restore)
         if target:
-            # answers must be received while ~/restore waits for them
-            group = ReentrantCallbackGroup()
-            self._set = owner.create_client(
-                SetParameters, f'{target}/set_parameters', callback_group=group
-            )
+            self._set = owner.create_client(SetParameters, f'{target}/set_parameters')
             # created last: a node that answers it has also discovered the other client
-            self._get = owner.create_client(
-                GetParameters, f'{target}/get_parameters', callback_group=group
-            )
+            self._get = owner.create_client(GetParameters, f'{target}/get_parameters')
 
     def offer(self, results: Results, bias: Mapping[str, float]) -> None:
         """Use the latest noise model and bias at rest (axis -> largest value in SI).
@@ -193,12 +186,18 @@ class ParameterPush(Part):
         """
         # without data, the model is still valid
         faults = [fault for fault in faults_of(results.findings) if fault.axes]
-        usable = bool(results.axes) and not faults
         more = any(value > 1.1 * self._covered.get(axis, 0.0) for axis, value in bias.items())
-        if not usable or self._results is None or (self._covered and more):
-            self._due_at = 0.0  # at once: the first model, an invalid one, and a larger bias
-        self._results, self._bias = (results if usable else None), bias
-        self._invalid = str(faults[0]) if faults else 'the noise model was invalidated'
+        if self._covered and more:
+            self._due_at = 0.0  # at once
+        self._results, self._bias = results, bias
+        self._invalid = '' if results.axes else 'the noise model was invalidated'
+        if faults:
+            self._invalid = str(faults[0])
+
+    @property
+    def _refusal(self) -> str:
+        """Why no value may be set, and values that were set are restored; '' if they may."""
+        return self._invalid if self._settings.value.enabled else 'push.enabled is false'
 
     def tick(self, now: float) -> None:
         """Process answers of the node, and start an update if it is due."""
@@ -210,22 +209,23 @@ class ParameterPush(Part):
                 self._cancel_calls()
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
             return
-        settings = self._settings.value
-        if self._plan is None or now < self._due_at:
-            return
-        if not (self._found() if self._results is None else settings.enabled):
+        settings, reason = self._settings.value, self._refusal
+        if reason != self._reason:
+            self._reason, self._due_at = reason, 0.0  # at once
+        if self._plan is None or now < self._due_at or (reason and not self._found()):
             return
         self._due_at = now + RETRY_S
-        ready = self._proposals(self._plan, self._results, settings) if self._results else []
-        if self._results is not None and not ready:
+        ready = []
+        if self._results is not None and not reason:
+            ready = self._proposals(self._plan, self._results, settings)
+        if not (ready or reason):
             return
         if not (self._get.service_is_ready() and self._set.service_is_ready()):
             self._note('', f'{self.node} is not running: start it, or correct push.node')
             return
         self._notes.pop('', None)
-        if self._results is None:
-            then = partial(self._on_restored, self._invalid)
-            self._call(self._set, [self._restoration()], then)
+        if reason:
+            self._call(self._set, [self._restoration()], partial(self._on_restored, reason))
             return
         self._due_at, self._covered = now + settings.period, self._bias
         # one by one: if one of several is not declared, a node returns no value at all
@@ -317,7 +317,7 @@ class ParameterPush(Part):
 
     def _on_read(self, proposals: list[Proposal], answers: list[Any]) -> None:
         """Store the present values of the node, and set those that differ from the proposals."""
-        if self._results is None:  # invalidated in the meantime
+        if self._refusal:  # since the question was asked
             return
         wanted, settings = [], self._settings.value
         for proposal, answer in zip(proposals, answers):
@@ -391,8 +391,8 @@ class ParameterPush(Part):
         parameters = [_message(name, values) for name, values in self._found().items()]
         return SetParameters.Request(parameters=parameters)
 
-    def _on_restored(self, reason: str, answers: list[Any]) -> str:
-        """Forget the parameters if all were restored; return the reasons of the others."""
+    def _on_restored(self, reason: str, answers: list[Any]) -> None:
+        """Forget the parameters if all were restored; else store a note."""
         found = self._found()
         failed = [
             f'{name}: {result.reason or "refused"}'
@@ -400,36 +400,12 @@ class ParameterPush(Part):
             if not result.successful
         ]
         values = (f'{name} = {_text(values)}' for name, values in found.items())
-        said = f'restored {", ".join(values)}{f", because {reason}" if reason else ""}'
+        said = f'restored {", ".join(values)}, because {reason}'
         if not failed:
             self._held = {name: held for name, held in self._held.items() if held.left}
             self._notes = {name: self._notes[name] for name in self._held}
             self._covered = {}
-        self._note('', '; '.join(failed) or said, warning=bool(failed or reason))
-        return '; '.join(failed)
-
-    async def _on_restore(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        """Set the original values again, and set push.enabled to false."""
-        if self._plan is not None:
-            off = Parameter('push.enabled', Parameter.Type.BOOL, False)
-            self._owner.set_parameters([off])
-        self._cancel_calls()
-        if not self._found():
-            response.message = 'nothing was set, so there is nothing to restore'
-            return response
-        if not self._set.service_is_ready():
-            response.message = f'{self.node} is not running: nothing was restored'
-            return response
-        self._call(self._set, [self._restoration()], list.clear)
-        answer = await self._calls[0]
-        if answer is None:  # canceled by `tick`
-            response.message = f'{self.node} did not answer within {ANSWER_S:g} s'
-            return response
-        response.success = not self._on_restored('', [answer])
-        response.message = self._notes[''][1]
-        return response
+        self._note('', '; '.join(failed) or said)
 
 
 def _message(name: str, values: Numbers) -> ParameterMessage:

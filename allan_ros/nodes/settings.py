@@ -211,7 +211,8 @@ class PushSettings(CheckedSettings):
         '', 'Which numbers are set as which parameters: a name in config/filters, or a file.'
     )
     enabled: bool = parameter(
-        True, 'Whether parameters are set; ~/restore undoes all changes and sets this to false.'
+        True,
+        'Whether parameters are set; if false, the values that were found are restored.',
     )
     max_factor: float = parameter(
         10.0,

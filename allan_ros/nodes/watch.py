@@ -9,24 +9,23 @@ the level of a status changes.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from std_srvs.srv import Trigger
 
+from ..core.errors import one_line
 from .shell import STEADY, run
-from .status_table import Row, document, headline, most_severe_first, picture, plain_line, row
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
     from rich.live import Live
 
     from .live_page import LivePage
@@ -49,14 +48,11 @@ none has been discovered. Fast DDS announces a process every 3 s; a busy compute
 HINT_S = 8.0
 """Time in s without a status after which the hint is shown. Nodes need some seconds to start."""
 
-CALL_S, ANSWER_S = 5.0, 15.0
-"""Time in s after which a call is repeated, and longest time to wait for its answer."""
-
 EXIT_LEVEL = {'ok': 0, 'WARN': 3, 'STALE': 4, 'ERROR': 4}
 """Exit code of ``--check`` by the most severe level."""
 
 EXIT_FAILED = 1
-"""Exit code: no status was received, or a service was not found or did not succeed."""
+"""Exit code: no status was received."""
 
 DISCOVERY = (
     'ROS_DOMAIN_ID',
@@ -66,7 +62,94 @@ DISCOVERY = (
 )
 """Environment variables that determine which nodes discover each other."""
 
-TRIGGER = 'std_srvs/srv/Trigger'
+WORDS = {
+    DiagnosticStatus.OK: 'ok',
+    DiagnosticStatus.STALE: 'STALE',
+    DiagnosticStatus.WARN: 'WARN',
+    DiagnosticStatus.ERROR: 'ERROR',
+}
+"""Level of a status -> its text in the displays."""
+
+STYLES = {'ERROR': 'bold reverse', 'STALE': 'bold magenta', 'WARN': 'black on yellow', 'ok': 'cyan'}
+"""Level -> style of rich, in the order of the table. STALE comes early, because a node that stopped
+publishing may have an error. The styles also differ without color."""
+
+STALE_S = 5.0
+"""Age in s from which a status is shown as stale; nodes publish each status once a second."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One status as it is displayed; ``age_s`` is the time since it was received, in s."""
+
+    level: str
+    node: str
+    name: str
+    message: str
+    age_s: float
+    hardware_id: str = ''
+    values: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Name of the status, preceded by the name of the node unless it is allan_monitor."""
+        return self.name if self.node == 'allan_monitor' else f'{self.node}: {self.name}'
+
+    @property
+    def age(self) -> str:
+        """Age of a stale status, such as '12 s'; else ''."""
+        return f'{self.age_s:.0f} s' if self.level == 'STALE' else ''
+
+
+def row(status: DiagnosticStatus, age_s: float) -> Row:
+    """Convert a status that was received ``age_s`` seconds ago; control characters are escaped."""
+    values = {one_line(v.key): one_line(v.value) for v in status.values}
+    node, _, name = one_line(status.name).rpartition(': ')
+    level = 'STALE' if age_s > STALE_S else WORDS.get(status.level, 'STALE')
+    message, hardware_id = one_line(status.message), one_line(status.hardware_id)
+    return Row(level, node, name, message, age_s, hardware_id, values)
+
+
+def most_severe_first(rows: Iterable[Row]) -> list[Row]:
+    """Return the rows sorted by level, then by node and name."""
+    return sorted(rows, key=lambda r: (list(STYLES).index(r.level), r.node, r.name))
+
+
+def headline(rows: Sequence[Row]) -> str:
+    """Return a line with the number of statuses per level, and the age of the latest status."""
+    counts = {level: sum(r.level == level for r in rows) for level in STYLES}
+    numbers = ', '.join(f'{count} {level}' for level, count in counts.items() if count)
+    return f'allan_ros: {numbers}; last message {min(r.age_s for r in rows):.1f} s ago'
+
+
+def plain_line(row: Row) -> str:
+    """Return a status in one line of text."""
+    return f'{row.level:5} {row.title}: {row.message}{f" ({row.age} old)" if row.age else ""}'
+
+
+def picture(rows: Sequence[Row]) -> RenderableType:
+    """Return a table for rich."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(
+        title=headline(rows), title_justify='left', title_style='bold', expand=True, box=SIMPLE_HEAD
+    )
+    table.add_column('', no_wrap=True)
+    table.add_column('status', overflow='fold', ratio=2)
+    table.add_column('message and next step', overflow='fold', ratio=5)
+    for r in rows:
+        said = Text(r.message)
+        if r.age:
+            said = Text.assemble((f'silent for {r.age}; last: ', 'bold'), said)
+        table.add_row(Text(r.level, style=STYLES[r.level]), Text(r.title), said)
+    return table
+
+
+def document(rows: Sequence[Row]) -> str:
+    """Return the rows as a JSON document."""
+    return json.dumps({'statuses': [asdict(row) for row in rows]}, indent=1)
 
 
 class Watch(Node):
@@ -129,7 +212,7 @@ class Watch(Node):
             node = f'/{status.name.partition(":")[0].strip("/")}/'
             if self._wanted and not node.startswith(self._wanted):
                 continue
-            if self._options.all or 'allan' in status.name or known:
+            if 'allan' in status.name or known:
                 self._latest[status.name] = now, status
                 self._first = self._first or now
 
@@ -211,7 +294,6 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         '--node', default='', metavar='NAME', help='only this node, such as /allan_monitor'
     )
-    parser.add_argument('--all', action='store_true', help='show the statuses of all nodes')
     parser.add_argument(
         '--plain', action='store_true', help='print lines of text instead of a table'
     )
@@ -250,80 +332,3 @@ def main(args: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     return code or made[0].exit_code()
-
-
-def services_of(node: Node, verb: str, wanted: str) -> list[str]:
-    """Return the full names of a service of all running allan_ros nodes.
-
-    ``verb`` is 'save' or 'fit'. ``wanted`` is the name of one node or IMU, such as
-    ``/allan_monitor``, or '' for all.
-    """
-    known = {name for name, types in node.get_service_names_and_types() if TRIGGER in types}
-    homes = [name.rpartition('/')[0] for name in known if name.endswith(f'/{verb}')]
-    # an accumulator has `reset` next to `save`, an estimator `noise_model` next to `fit`
-    topics = {name for name, _ in node.get_topic_names_and_types()}
-    ours = [h for h in homes if f'{h}/reset' in known or f'{h}/noise_model' in topics]
-    chosen = f'/{wanted.strip("/")}' if wanted else ''
-    return sorted(f'{h}/{verb}' for h in ours if f'{h}/'.startswith(f'{chosen}/'))
-
-
-def call_services(verb: str, args: Sequence[str]) -> int:
-    """Call ``~/save`` or ``~/fit`` of running nodes, and return the exit code.
-
-    It is 0 if a node with this service is running and all calls succeed. ``args`` is the command
-    line after the verb.
-    """
-    doc = {
-        'save': 'Write the checkpoint of running nodes now.',
-        'fit': 'Fit the sums of running nodes now.',
-    }[verb]
-    parser = argparse.ArgumentParser(prog=f'ros2 allan {verb}', description=doc)
-    parser.add_argument('--node', default='', help='only this node or IMU, such as /allan_monitor')
-    parser.add_argument(
-        '--seconds',
-        type=float,
-        default=0.0,
-        metavar='S',
-        help=f'longest time to wait for a node (default {NOBODY_S:g}), and then for its answer '
-        f'(default {ANSWER_S:g})',
-    )
-    options = parser.parse_args(list(args))
-    wanted, patience = options.node, options.seconds
-    rclpy.init(args=[])
-    node, executor = Node(f'allan_{verb}'), SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        found: list[str] = []
-        deadline = time.monotonic() + (patience or NOBODY_S)
-        while (now := time.monotonic()) < deadline:
-            executor.spin_once(timeout_sec=0.1)
-            known, found = found, services_of(node, verb, wanted)
-            if found and not known:  # other nodes may follow
-                deadline = min(deadline, now + SETTLE_S)
-        if not found:
-            named = f' {wanted}' if wanted else ''
-            remedy = 'check --node' if wanted else 'start allan_monitor'
-            print(f'no allan_ros node{named} with a service {verb} is running: {remedy}')
-        codes = [_call(node, executor, name, patience or ANSWER_S) for name in found]
-        return max(codes, default=EXIT_FAILED)
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown()
-
-
-def _call(node: Node, executor: SingleThreadedExecutor, name: str, patience: float) -> int:
-    """Call one service and print its answer; return 0 on success."""
-    client = node.create_client(Trigger, name)
-    client.wait_for_service(patience)
-    # An answer to a client that the service has not discovered yet is lost: repeat the call.
-    deadline = time.monotonic() + patience
-    while time.monotonic() < deadline:
-        future = client.call_async(Trigger.Request())
-        executor.spin_until_future_complete(future, CALL_S)
-        answer = future.result() if future.done() else None
-        if answer is not None:
-            print(f'{name}: {answer.message or "done"}')
-            return 0 if answer.success else EXIT_FAILED
-    print(f'{name}: no answer within {patience:g} s')
-    return EXIT_FAILED

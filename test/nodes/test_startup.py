@@ -64,7 +64,6 @@ sys.exit(getattr(__main__, program)())
         ('watch --once', 'allan_watch'),
         ('monitor', 'allan_monitor'),
         ('ros2 check', 'ros2 allan check'),
-        ('ros2 save', 'ros2 allan save'),
     ],
 )
 def test_without_rclpy_a_program_ends_with_one_line(

@@ -14,7 +14,7 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from support.node_server import PATIENCE_S
 
-from allan_ros.nodes.status_table import Row, headline, most_severe_first, picture, plain_line, row
+from allan_ros.nodes.watch import Row, headline, most_severe_first, picture, plain_line, row
 
 ADVICE = 'no message on /imu for 3.2 s; look at the driver [and its cable]'
 
