@@ -78,7 +78,6 @@ setup(
         (f'share/{PACKAGE}/config/fastdds', glob('config/fastdds/*')),
         (f'share/{PACKAGE}/config/filters', glob('config/filters/*.yaml')),
         (f'share/{PACKAGE}/config/sensors', glob('config/sensors/*.yaml')),
-        (f'share/{PACKAGE}/config/sros2', glob('config/sros2/*.xml')),
         (f'share/{PACKAGE}/config/viewers', glob('config/viewers/*')),
     ],
     python_requires='>=3.10',

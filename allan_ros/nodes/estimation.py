@@ -216,8 +216,6 @@ class ImuEstimate(Part):
             self._bias.update(self._snapshot)
         results = self._with_faults(results)
         document = results_to_document(results, curves=False)
-        if bias := self._bias.document():
-            document['bias'] = bias
         text = json.dumps(document, separators=(',', ':'), allow_nan=False)
         self._publisher.publish(String(data=text))
         if self._listener is not None:

@@ -215,17 +215,6 @@ class BiasPublisher:
         """Return the largest bias in the 95 % interval of each axis, in SI."""
         return {axis: max(map(abs, bias.estimate.ci95)) for axis, bias in self._known().items()}
 
-    def document(self) -> dict[str, dict[str, object]]:
-        """Return the bias of each axis for the noise model document, in SI."""
-        return {
-            axis: {
-                'value': bias.estimate.value,
-                'ci95': list(bias.estimate.ci95),
-                'end_ns': bias.end_ns,
-            }
-            for axis, bias in self._known().items()
-        }
-
 
 def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarianceStamped:
     """Return the biases as a twist: gyro in the angular, accelerometer in the linear part."""

@@ -93,38 +93,21 @@ class Monitor(AllanNode):
         self.begin([*parts, push], f'monitors {", ".join(described)}')
 
 
-NODES: dict[str, tuple[Callable[[], AllanNode], str, str]] = {
-    'accumulator': (
-        Accumulator,
-        'allan_accumulator',
-        'Accumulate the Allan sums of one IMU.',
-    ),
-    'estimator': (
-        Estimator,
-        'allan_estimator',
-        'Estimate noise coefficients from the sums of an allan_accumulator.',
-    ),
-    'relay': (
-        Relay,
-        'allan_imu_relay',
-        'Republish an Imu topic with covariances from its noise model.',
-    ),
-    'monitor': (
-        Monitor,
-        'allan_monitor',
-        'Accumulate the Allan sums of one or several IMUs, estimate their noise coefficients on '
-        '/diagnostics, and relay them with covariances if relay.enabled is true.',
-    ),
+NODES: dict[str, tuple[Callable[[], AllanNode], str]] = {
+    'accumulator': (Accumulator, 'allan_accumulator'),
+    'estimator': (Estimator, 'allan_estimator'),
+    'relay': (Relay, 'allan_imu_relay'),
+    'monitor': (Monitor, 'allan_monitor'),
 }
-"""Command line argument -> class, name and purpose of a node that only ROS arguments configure."""
+"""Command line argument -> class and name of a node that only ROS arguments configure."""
 
 
 def main(node: str, args: Sequence[str] | None = None) -> int:
     """Run one of `NODES` and return its exit code."""
-    make, name, purpose = NODES[node]
+    make, name = NODES[node]
     parser = argparse.ArgumentParser(
         prog=name,
-        description=purpose,
+        description=(make.__doc__ or '').replace('``', ''),
         epilog='Parameters are set by ROS arguments: --ros-args -p NAME:=VALUE, '
         '--params-file FILE, -r TOPIC:=OTHER. All parameters: config/allan_ros.yaml, or '
         'ros2 param describe.',

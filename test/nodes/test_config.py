@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,27 @@ def test_the_configuration_file_explains_every_parameter(config_text: str):
             assert ' '.join(info.doc.rstrip('.').split()) in words, name
             assert not info.unit or f'[{info.unit}]' in words
             assert info.doc.endswith('.') and info.doc[0].isupper(), name
+
+
+COMMON = re.compile('/clock|/rosout|.*parameter.*|.*/get_type_description')
+"""Topics and services of every node."""
+
+
+def test_the_docs_list_the_topics_and_services_of_the_nodes(graph, repository: Path):
+    text = (repository / 'docs' / 'diagnostics.md').read_text()
+    listed = set()
+    for head in ('| topic |', '| service |'):
+        rows = text[text.index(head) :].partition('\n\n')[0].splitlines()[2:]
+        listed |= {name for row in rows for name in re.findall('`/?(.*?)`', row.split('|')[1])}
+    used = set()
+    for kind in ('accumulator', 'estimator', 'relay', 'monitor'):
+        node = graph.run(kind, **({'relay.enabled': True} if kind == 'monitor' else {}))
+        names = [end.topic_name for end in (*node.publishers, *node.subscriptions)]
+        names += [service.srv_name for service in node.services]
+        home = f'{node.get_fully_qualified_name()}/'
+        own = {name.replace(home, '~/') for name in names if not COMMON.fullmatch(name)}
+        used |= {name.strip('/') for name in own}
+    assert listed == used
 
 
 def test_the_launch_file_names_existing_executables_and_parameters(repository: Path):

@@ -94,6 +94,23 @@ def test_a_node_that_cannot_start_ends_with_one_line(graph, words: str, reason: 
     assert reason in node.output
 
 
+def test_without_its_enclave_a_node_reports_it_and_ends(
+    ros_domain: int, tmp_path: Path, repository: Path
+) -> None:
+    secured = {
+        'ROS_SECURITY_ENABLE': 'true',
+        'ROS_SECURITY_STRATEGY': 'Enforce',
+        'ROS_SECURITY_KEYSTORE': str(tmp_path),
+        'PYTHONPATH': os.pathsep.join([str(repository), os.environ.get('PYTHONPATH', '')]),
+    }
+    command = [sys.executable, '-m', 'allan_ros.nodes', 'relay']
+    command += ['--ros-args', '--enclave', '/allan_ros/allan_imu_relay']
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **secured})
+    said = done.stdout + done.stderr
+    assert done.returncode == 1, said
+    assert f'{tmp_path}/enclaves/allan_ros/allan_imu_relay' in said and 'Traceback' not in said
+
+
 @pytest.mark.parametrize(
     ('parameters', 'reason'),
     [
