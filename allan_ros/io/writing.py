@@ -21,8 +21,8 @@ import numpy as np
 
 from ..core.errors import AllanError
 from ..core.imu import AXES, NANOSECONDS, ImuBatch, joined
+from .readers import optional_package
 from .readers.cdr import IMU_TYPE, encode_imus
-from .readers.storage import optional_package
 from .readers.tables import FRAME_COMMENT
 
 METADATA_VERSION = 8

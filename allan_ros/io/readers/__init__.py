@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from ...core.errors import AllanError, one_line
 from ...core.findings import Finding
@@ -27,7 +28,7 @@ from ...core.imu import (
     sensor_of,
 )
 from ...core.settings import CheckedSettings, parameter
-from .storage import METADATA, first_bytes
+from ..files import open_regular
 
 if TYPE_CHECKING:
     from ..signal import TemperatureTrace
@@ -35,6 +36,14 @@ if TYPE_CHECKING:
 BATCH = 32768
 """Number of samples per batch: few enough to fit into the processor cache, and enough to make the
 cost per batch negligible."""
+
+METADATA = 'metadata.yaml'
+
+MAX_CHUNK_BYTES = 128 * 2**20
+"""Largest size in bytes of a chunk or record, compressed or not; recorders write about 1 MB."""
+
+MAX_FILE_RATIO = 250
+"""Largest expansion of a compressed bag file; `MAX_CHUNK_BYTES` more are always allowed."""
 
 Report = Callable[[Finding], None]
 """Function that a reader calls with each finding."""
@@ -120,8 +129,8 @@ class Recording:
     """A recording of an IMU, which can be read any number of times.
 
     ``messages`` is the number of samples according to the recording; None if it is not known.
-    ``read`` yields the samples and reports findings. ``temperature`` returns the temperature for a
-    frame_id, once the samples are read; None if it is not recorded. ``options`` hold the units that
+    ``read`` yields the samples and reports findings. ``temperature`` returns the temperature, once
+    the samples are read; None if it is not recorded. ``options`` hold the units that
     were found or assumed. ``axes`` are the axes that the recording can contain. ``close`` closes
     its file until it is read again. ``accel`` is the recording of the accelerometer if it has its
     own topic; else None. ``other_topics`` are Imu topics of the bag that are not read, the most
@@ -131,7 +140,7 @@ class Recording:
     info: SourceInfo
     messages: int | None
     read: Callable[[Report], Iterator[ImuBatch]]
-    temperature: Callable[[str], TemperatureTrace | None] = lambda frame_id: None
+    temperature: Callable[[], TemperatureTrace | None] = lambda: None
     options: ReadOptions = ReadOptions()
     axes: tuple[str, ...] = AXES
     close: Callable[[], None] = lambda: None
@@ -158,6 +167,63 @@ class Recording:
         """The sensor that the recording can contain; '' for both."""
         first, *others = dict.fromkeys(map(sensor_of, self.axes))
         return '' if others else first
+
+
+# --- errors and limits ---------------------------------------------------------------------------
+
+
+def damaged(path: Path, reason: object, remedy: str) -> AllanError:
+    """Return the error for a file that cannot be read; ``remedy`` is the advice to the user."""
+    words = ' '.join(str(reason).split())[:160] or type(reason).__name__
+    return AllanError(f'{path}: cannot be read ({words}): {remedy}')
+
+
+@contextmanager
+def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
+    """Context manager that converts the given exceptions to AllanError for a damaged file."""
+    try:
+        yield
+    except AllanError:
+        raise
+    except errors as error:
+        raise damaged(path, error, remedy) from error
+
+
+def optional_package(module: str, purpose: str) -> Any:
+    """Import and return a module; if missing, raise AllanError with the command to install it."""
+    try:
+        return import_module(module)
+    except ImportError:
+        package = module.split('.')[0]
+        # Ubuntu blocks pip (PEP 668)
+        by_apt = f' or "apt install python3-{package}"' if package in ('lz4', 'zstandard') else ''
+        raise AllanError(
+            f'{purpose} needs the Python package {package!r}: "pip install {package}"{by_apt}'
+        ) from None
+
+
+def first_bytes(path: Path) -> bytes:
+    """Return the first 64 bytes of a file.
+
+    Raises AllanError when it is missing, unreadable, not a regular file, empty, or a Git-LFS
+    pointer.
+    """
+    try:
+        with open_regular(path) as file:
+            head = file.read(64)
+    except FileNotFoundError:
+        raise AllanError(f'{path}: no such file or folder: check the path') from None
+    except OSError as error:
+        raise AllanError(
+            f'{path}: cannot be read ({error.strerror}): check its permissions'
+        ) from error
+    if not head:
+        raise AllanError(f'{path}: is empty (0 bytes): record or copy it again')
+    if head.startswith(b'version https://git-lfs'):
+        raise AllanError(
+            f'{path}: is a Git-LFS pointer, not the recording: fetch it with "git lfs pull"'
+        )
+    return head
 
 
 # --- opening -------------------------------------------------------------------------------------

@@ -31,9 +31,18 @@ from ...core.fields import MAX_INTEGER
 from ...core.findings import finding
 from ...core.imu import AXES, MAX_NAME, SENSORS, ImuBatch, even_stamps
 from ..files import open_regular
-from . import ReadOptions, Recording, Report, SourceInfo, in_batches
+from . import (
+    MAX_CHUNK_BYTES,
+    MAX_FILE_RATIO,
+    ReadOptions,
+    Recording,
+    Report,
+    SourceInfo,
+    first_bytes,
+    in_batches,
+    translated,
+)
 from .columns import EXAMPLE, FIRST_ROWS, Columns, columns_of
-from .storage import MAX_CHUNK_BYTES, MAX_FILE_RATIO, first_bytes, translated
 
 NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE}
 """Number of columns of an array -> their names."""

@@ -262,20 +262,19 @@ def encode_imus(batch: ImuBatch, encoding: Encoding) -> list[memoryview]:
     return [joined[start : start + size] for start in range(0, len(joined), size)]
 
 
-def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:
-    """Return header stamp in ns, frame_id and temperature in degC of a Temperature message.
+def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, float]:
+    """Return header stamp in ns and temperature in degC of a Temperature message.
 
     Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
     """
     # the value follows the header, like the orientation in an Imu message
     padded = payload + bytes(_IMU_BYTES)
-    dtype, offsets, frame = _layout_of(padded, encoding)
+    dtype, offsets, _ = _layout_of(padded, encoding)
     if len(payload) < offsets['orientation'] + _DOUBLE:
         raise MalformedMessage(0, f'{len(payload)} bytes are too few for a Temperature')
     record = np.frombuffer(padded, dtype, 1)[0]
     stamp_ns = int(record['sec']) * NANOSECONDS + int(record['nanosec'])
-    frame_id = payload[frame].rstrip(b'\0').decode(errors='replace')
-    return stamp_ns, frame_id, float(record['orientation'][0])
+    return stamp_ns, float(record['orientation'][0])
 
 
 _COVARIANCE_BYTES = 9 * _DOUBLE

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,22 +21,30 @@ from ...core.errors import AllanError
 from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch, joined
 from ..signal import Decimated, TemperatureTrace, trace_of
-from . import BATCH, ReadOptions, Recording, Report, SourceInfo, in_batches
-from .bag import Bag, bag_of
-from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
-from .columns import listed
-from .storage import (
-    MAX_MESSAGE_BYTES,
+from . import (
+    BATCH,
+    MAX_CHUNK_BYTES,
     METADATA,
+    ReadOptions,
+    Recording,
+    Report,
+    SourceInfo,
+    in_batches,
+)
+from .bag import (
+    MAX_MESSAGE_BYTES,
+    ZSTD_MAGIC,
+    Bag,
     Messages,
     Payloads,
     Topic,
     Truncation,
     among,
-    as_list,
+    bag_of,
     decompress,
-    frame_compression,
 )
+from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
+from .columns import listed
 
 if TYPE_CHECKING:
     from .bag import Storage
@@ -88,26 +96,29 @@ def imu_topics(path: Path) -> list[str]:
 
 
 def survey_bag(bag: Bag) -> Survey:
-    """Return the topics of a bag; files are opened until all topics with messages are found."""
-    survey = Survey()
+    """Return the topics of a bag, which metadata.yaml states.
+
+    Without metadata.yaml, or if it states no Imu message, which may be wrong, the messages in all
+    files are counted.
+    """
     described = bag.described or {}
-    expected = {key for key, stated in described.items() if stated.messages}
-    # a metadata.yaml without any Imu message may be wrong, so that the messages are counted
-    counted = not any(key[1] == IMU_TYPE for key in expected)
+    survey = Survey(
+        {key: Topic(0, *key, stated.encoding) for key, stated in described.items()},
+        Counter({key: stated.messages for key, stated in described.items()}),
+    )
+    bag.storage(bag.files[0])
+    if any(key[1] == IMU_TYPE and count for key, count in survey.counts.items()):
+        return survey
+    counted: Counter[Key] = Counter()
     for file in bag.files:
         storage = bag.storage(file)
-        counts = storage.counts() if counted else {}
+        counts = storage.counts()
         for topic in storage.topics:
             key = (topic.name, topic.type)
             survey.topics.setdefault(key, topic)
-            survey.counts[key] += counts.get(topic.id, 0)
+            counted[key] += counts.get(topic.id, 0)
         survey.truncation = survey.truncation or storage.truncation
-        if expected <= set(survey.topics) and not counted:
-            break
-    for key, stated in described.items():
-        if key in survey.topics:
-            survey.counts[key] = survey.counts[key] or stated.messages
-            survey.topics[key] = replace(survey.topics[key], encoding=stated.encoding)
+    survey.counts |= counted
     return survey
 
 
@@ -187,7 +198,7 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
 
     def recording(topic: Topic, axes: tuple[str, ...], accel: Recording | None) -> Recording:
         others = [name for name, _ in survey.imus() if name != topic.name]
-        reader = _Reader(bag, topic, options, _thermometers(topics, topic.name))
+        reader = _Reader(bag, topic, options, _thermometer(topics, topic.name))
         return Recording(
             SourceInfo(str(path), topic.name, topic.type, bag.format),
             survey.counts[topic.name, topic.type] + (accel.messages or 0 if accel else 0),
@@ -208,20 +219,20 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
 
 @dataclass
 class _Reader:
-    """Reads the Imu of one topic, and messages of its possible temperature topics beside it."""
+    """Reads the Imu of one topic, and messages of its temperature topic beside it."""
 
     bag: Bag
     topic: Topic
     options: ReadOptions
-    thermometers: list[Topic]
-    # record time in ns and serialized bytes, of each topic
-    _temperatures: list[Decimated[tuple[int, bytes]]] = field(default_factory=list)
+    thermometer: Topic | None
+    # record time in ns and serialized bytes
+    _temperatures: Decimated[tuple[int, bytes]] = field(default_factory=Decimated)
     # sensor -> number of messages that wrongly declare it absent
     _kept: Counter[str] = field(default_factory=Counter)
 
     def read(self, report: Report) -> Iterator[ImuBatch]:
         """Yield the samples of all files, in order."""
-        self._temperatures = [Decimated() for _ in self.thermometers]
+        self._temperatures = Decimated()
         self._kept.clear()
         bag, key, total = self.bag, (self.topic.name, self.topic.type), 0
         stated = bag.described or {}
@@ -246,46 +257,43 @@ class _Reader:
             raise no_message(bag.path, self.topic.name)
 
     def _blocks(self, storage: Storage) -> Iterator[Messages]:
-        mine, *others = (_ids(storage, topic) for topic in (self.topic, *self.thermometers))
-        for block in storage.blocks(mine.union(*others)):
-            for numbers, kept in zip(others, self._temperatures):
-                for row in np.flatnonzero(among(block.topics, numbers)).tolist():
-                    kept.add((int(block.record_ns[row]), bytes(block.payloads[row])))
+        mine = _ids(storage, self.topic)
+        warm = _ids(storage, self.thermometer) if self.thermometer else set()
+        for block in storage.blocks(mine | warm):
+            for row in np.flatnonzero(among(block.topics, warm)).tolist():
+                self._temperatures.add((int(block.record_ns[row]), bytes(block.payloads[row])))
             rows = np.flatnonzero(among(block.topics, mine))
             yield block if len(rows) == len(block) else block.chosen(rows)
 
     def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
         done = 0  # number of messages of this file
         for block in blocks:
-            at = 0
             try:
-                for payloads in _decompressed(block.payloads):
-                    imus = decode_imus(payloads, _encoding(self.topic))
-                    self._kept.update(imus.kept)
-                    yield from imus.batches(block.record_ns[at : at + len(payloads)])
-                    at += len(payloads)
+                imus = decode_imus(_decompressed(block.payloads), _encoding(self.topic))
             except MalformedMessage as error:
                 raise AllanError(
-                    f'{file}: message {done + at + error.index + 1} of {self.topic.name} is not '
+                    f'{file}: message {done + error.index + 1} of {self.topic.name} is not '
                     f'a {self.topic.type} ({error}): record it again'
                 ) from error
-            done += at
+            self._kept.update(imus.kept)
+            yield from imus.batches(block.record_ns)
+            done += len(block)
 
-    def temperature(self, frame_id: str) -> TemperatureTrace | None:
-        """Return the temperature of the IMU; None if no topic, or more than one, can contain it.
-
-        If there are several topics, the one with the ``frame_id`` of the IMU is used.
-        """
-        found = [
-            (topic, [t for message in kept if (t := _temperature(topic, *message))])
-            for topic, kept in zip(self.thermometers, self._temperatures)
-        ]
-        if len(found) > 1:
-            found = [(topic, read) for topic, read in found if read and read[0][1] == frame_id]
-        if len(found) != 1:
+    def temperature(self) -> TemperatureTrace | None:
+        """Return the temperature of the IMU; None if it is not recorded."""
+        if self.thermometer is None:
             return None
-        ((topic, read),) = found
-        return trace_of(topic.name, [reading for reading, _ in read])
+        readings = [t for message in self._temperatures if (t := self._temperature(*message))]
+        return trace_of(self.thermometer.name, readings)
+
+    def _temperature(self, record_ns: int, payload: bytes) -> tuple[int, int, float] | None:
+        """Return header stamp in ns, record time in ns and degC; None if damaged."""
+        assert self.thermometer is not None
+        with suppress(MalformedMessage):
+            (plain,) = _decompressed([payload])
+            header_ns, celsius = decode_temperature(bytes(plain), _encoding(self.thermometer))
+            return header_ns, record_ns, celsius
+        return None
 
 
 def _ids(storage: Storage, topic: Topic) -> set[int]:
@@ -315,44 +323,34 @@ def _rebatched(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
         yield from in_batches(joined(parts))
 
 
-def _decompressed(payloads: Payloads) -> Iterator[Payloads]:
-    compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
-    if not compression:
-        yield payloads
-        return
-    group: list[bytes | memoryview] = []
+def _decompressed(payloads: Payloads) -> Payloads:
+    if not len(payloads) or not bytes(payloads[0]).startswith(ZSTD_MAGIC):
+        return payloads
+    plain: list[bytes | memoryview] = []
     size = 0
-    for payload in as_list(payloads):
+    for payload in payloads:
         try:
-            plain = decompress(payload, compression, MAX_MESSAGE_BYTES)
-            group.append(plain)
+            plain.append(decompress(bytes(payload), 'zstd', MAX_MESSAGE_BYTES))
+            size += len(plain[-1])
+            if size > MAX_CHUNK_BYTES:
+                raise ValueError(f'messages expand to more than {MAX_CHUNK_BYTES} bytes')
         except ValueError as error:
-            raise MalformedMessage(len(group), f'{compression} {error}') from error
-        size += len(plain)
-        if size > MAX_MESSAGE_BYTES:
-            yield group
-            group, size = [], 0
-    if group:
-        yield group
+            raise MalformedMessage(len(plain), f'zstd {error}') from error
+    return plain
 
-
-# --- temperature ----------------------------------------------------------------------------------
 
 TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
 
-MAX_THERMOMETERS = 16
-"""Number of equally near Temperature topics above which none can be assigned to the Imu."""
 
+def _thermometer(topics: Sequence[Topic], imu_topic: str) -> Topic | None:
+    """Return the Temperature topic that has the longest common namespace with the Imu topic.
 
-def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
-    """Return the Temperature topics that have the longest common namespace with the Imu topic.
-
-    The list is empty if they are more than `MAX_THERMOMETERS`.
+    None if there is none, or if several have equally long ones.
     """
     found = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
     most = max((_shared(topic.name, imu_topic) for topic in found), default=0)
     nearest = [topic for topic in found if _shared(topic.name, imu_topic) == most]
-    return nearest if len(nearest) <= MAX_THERMOMETERS else []
+    return nearest[0] if len(nearest) == 1 else None
 
 
 def _shared(name: str, other: str) -> int:
@@ -360,14 +358,3 @@ def _shared(name: str, other: str) -> int:
     pairs = list(zip(name.strip('/').split('/'), other.strip('/').split('/')))
     equal = [a == b for a, b in pairs]
     return equal.index(False) if False in equal else len(equal)
-
-
-def _temperature(
-    topic: Topic, record_ns: int, payload: bytes
-) -> tuple[tuple[int, int, float], str] | None:
-    """Return (header stamp in ns, record time in ns, degC) and frame_id; None if damaged."""
-    with suppress(MalformedMessage, ValueError):
-        plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
-        header_ns, frame_id, celsius = decode_temperature(plain, _encoding(topic))
-        return (header_ns, record_ns, celsius), frame_id
-    return None

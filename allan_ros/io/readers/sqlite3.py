@@ -5,20 +5,17 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sqlite3
-import struct
-import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import BinaryIO
 from urllib.parse import quote
 
 import numpy as np
 
 from ..files import open_regular
-from .storage import Messages, Topic, Truncation, damaged, normal_type, translated
+from . import damaged, translated
+from .bag import Messages, Topic, Truncation, normal_type
 
 ROWS = 512
 """Number of rows that are fetched from SQLite at a time: few enough for the processor cache."""
@@ -31,21 +28,19 @@ _LIBRARY_ERRORS = (sqlite3.Error, OSError, OverflowError, ValueError, TypeError,
 
 REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
 
-HEAD = struct.Struct('>16xH6xII60xI')
-"""Fields at the start of a database (file format, section 1.3): page size (1 means 65536), change
-counter, number of pages, and value of the change counter for which this number is valid."""
-
 
 class Sqlite3Storage:
     """An open .db3 file; error messages name it ``path``."""
 
-    def __init__(
-        self, path: Path, connection: sqlite3.Connection, truncation: Truncation | None
-    ) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection, size: int) -> None:
+        """Use a connection to a database of ``size`` bytes."""
         self._path = path
         self._connection = connection
-        self.truncation = truncation
+        self.truncation: Truncation | None = None
         self.topics = self._read_topics()
+        ((pages,),), ((page_bytes,),) = map(self._query, ('PRAGMA page_count', 'PRAGMA page_size'))
+        if size < pages * page_bytes:
+            self.truncation = Truncation(size, pages * page_bytes)
 
     def _read_topics(self) -> list[Topic]:
         # otherwise a view instead of a table could run an endless computation
@@ -111,58 +106,27 @@ def _listed(ids: set[int]) -> str:
     return f'({", ".join(str(int(number)) for number in ids)})'
 
 
-def _truncation(file: BinaryIO) -> Truncation | None:
-    """Return the existing and the original size of a truncated database; None if complete."""
-    file.seek(0)
-    head = file.read(HEAD.size)
-    if len(head) < HEAD.size:
-        return None
-    page_size, changes, pages, counted_at = HEAD.unpack(head)
-    size, stated = os.fstat(file.fileno()).st_size, pages * (65536 if page_size == 1 else page_size)
-    return Truncation(size, stated) if changes == counted_at and size < stated else None
-
-
 @contextmanager
 def open_storage(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
-    """Open a .db3 file for reading; no file is created next to it.
+    """Open a .db3 file for reading.
 
     Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
     when it is not a rosbag2 database, or is damaged.
     """
     # If the recorder was killed, a write-ahead log contains the last messages. Without a log, the
-    # file is opened as immutable, which also works on read-only media.
-    log, shared = (path.with_name(f'{path.name}-{suffix}') for suffix in ('wal', 'shm'))
+    # file is opened as immutable, which creates no file next to it and works on read-only media.
+    log = path.with_name(f'{path.name}-wal')
     with translated(shown, _LIBRARY_ERRORS, REMEDY):
-        file = open_regular(path)
-    with file:
-        if not (log.is_file() and log.stat().st_size):
-            with _opened(path, shown, 'immutable=1', _truncation(file)) as storage:
-                yield storage
-        elif shared.is_file():
-            with _opened(path, shown, 'mode=ro', None) as storage:
-                yield storage
-        else:  # SQLite would create the -shm file and not remove it
-            with tempfile.TemporaryDirectory(prefix='allan_ros.') as folder:
-                with translated(shown, (OSError,), 'check the space for temporary files'):
-                    size = path.stat().st_size + log.stat().st_size
-                    if size > shutil.disk_usage(folder).free:
-                        raise OSError(f'its log requires a temporary copy of {size} bytes')
-                    copy = Path(folder, 'bag.db3')
-                    shutil.copyfile(path, copy)
-                    shutil.copyfile(log, copy.with_name('bag.db3-wal'))
-                with _opened(copy, shown, 'mode=ro', None) as storage:
-                    yield storage
-
-
-@contextmanager
-def _opened(
-    path: Path, shown: Path, mode: str, truncation: Truncation | None
-) -> Iterator[Sqlite3Storage]:
-    with translated(shown, _LIBRARY_ERRORS, REMEDY):
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+        mode = 'immutable=1'
+        if log.is_file() and log.stat().st_size:
+            mode = 'mode=ro'
+            size += log.stat().st_size
         connection = sqlite3.connect(
             f'file:{quote(os.fsencode(path.absolute()))}?{mode}', uri=True, check_same_thread=False
         )
     with closing(connection):
         with translated(shown, _LIBRARY_ERRORS, REMEDY):
-            storage = Sqlite3Storage(shown, connection, truncation)
+            storage = Sqlite3Storage(shown, connection, size)
         yield storage

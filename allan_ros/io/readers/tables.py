@@ -102,7 +102,7 @@ class _Table:
                         self._kept.add((stamp, _number(cell) if _is_number(cell) else np.nan))
                 yield batch
 
-    def temperature(self, frame_id: str = '') -> TemperatureTrace | None:
+    def temperature(self) -> TemperatureTrace | None:
         """Return the temperature over time; None if the table has no such column."""
         column = self.columns.temperature
         if column is None:

@@ -25,8 +25,15 @@ from ...core.findings import finding
 from ...core.imu import AXES, SENSORS, ImuBatch
 from ..files import open_regular
 from ..signal import MAX_BINS, TemperatureTrace, trace_of
-from . import ReadOptions, Recording, Report, SourceInfo, in_batches
-from .storage import damaged, optional_package
+from . import (
+    ReadOptions,
+    Recording,
+    Report,
+    SourceInfo,
+    damaged,
+    in_batches,
+    optional_package,
+)
 
 TOPICS = ('sensor_combined', 'vehicle_imu')
 
@@ -75,7 +82,7 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
 
     trace = _temperature(log, data)
     info = SourceInfo(str(path), name, data.name, 'ulog')
-    return Recording(info, len(batch), read, lambda frame_id: trace, options=options)
+    return Recording(info, len(batch), read, lambda: trace, options=options)
 
 
 def _parsed(path: Path) -> Any:

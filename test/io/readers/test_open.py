@@ -33,7 +33,7 @@ NO_IMU = 'no sensor_msgs/Imu topic; it has '
 ODD = {
     'cdr_test_mcap': NO_IMU + '/array_topic (test_msgs/msg/Arrays, 4)',
     'cdr_test_sqlite3': NO_IMU + '/array_topic (test_msgs/msg/Arrays, 4)',
-    'empty_bag_rosbag2': NO_IMU + '/rosout (rcl_interfaces/msg/Log, 0)',
+    'empty_bag_rosbag2': NO_IMU + '/parameter_events (rcl_interfaces/msg/ParameterEvent, 0), /ros',
     'lfs_pointer.bag': LFS,
     'lfs_pointer.db3': LFS,
     'lfs_pointer.mcap': LFS,
@@ -137,7 +137,7 @@ for name in {hidden}:
 for path in sys.argv[1:]:
     try:
         [recording] = open_recordings([path])
-        print(sum(map(len, recording.batches())), recording.temperature('imu_link') is not None)
+        print(sum(map(len, recording.batches())), recording.temperature() is not None)
     except AllanError as error:
         print(error)
 """
