@@ -175,7 +175,7 @@ def _named(path: Path, survey: Survey, wanted: str) -> Key:
 def _no_imu(path: Path, survey: Survey) -> AllanError:
     cut = survey.truncation
     read = f'; only {cut.read} of {cut.size} bytes could be read (copy it again)' if cut else ''
-    busiest = sorted(survey.topics, key=lambda key: -survey.counts[key])
+    busiest = sorted(survey.topics, key=lambda key: (-survey.counts[key], key))
     return AllanError(
         f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}{read}: '
         'record the topic of the IMU'
