@@ -47,7 +47,7 @@ _HOME = {
     'AllanError': 'core.errors',
     'AxisCurve': 'core.allan.curve',
     **dict.fromkeys(('AxisResult', 'Quantity', 'adev', 'fit'), 'io.axis_result'),
-    **dict.fromkeys(('Sensor', 'sensor'), 'io.from_datasheet'),
+    **dict.fromkeys(('Datasheet', 'sensor'), 'io.datasheets'),
     'load': 'io.documents',
     'Results': 'io.results',
     'simulate': 'io.simulation',

@@ -21,7 +21,7 @@ from pathlib import Path
 from ..core.errors import AllanError
 from ..core.fields import plain
 from ..core.imu import UNITS, sensor_of
-from ..io.datasheets import Datasheet, Limit, load_sensor, sensor_names
+from ..io.datasheets import DEFAULT_RATE_HZ, Datasheet, Limit, load_sensor, sensor_names
 from ..io.exporters import TARGETS, ExportOptions
 from ..io.files import MAX_BYTES, read_text
 from ..io.format import shown_unit, significant
@@ -53,9 +53,7 @@ def run(args: argparse.Namespace) -> int:
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
     if args.sensor:
-        from ..io.from_datasheet import DEFAULT_RATE_HZ, sensor
-
-        results = sensor(args.sensor).results(options.filter_rate or DEFAULT_RATE_HZ)
+        results = load_sensor(args.sensor).results(options.filter_rate or DEFAULT_RATE_HZ)
     else:
         results = load(args.results)
     if args.against:
@@ -102,15 +100,13 @@ HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 
 
 def sensors(args: argparse.Namespace) -> int:
     """Print one datasheet, or a list of all."""
-    from ..io.from_datasheet import measured_lines
-
     console = Console.of(args)
     if args.name:
         sheet = load_sensor(args.name)
         if console.json:
             console.document({'id': args.name, **plain(sheet)})
             return 0
-        print('\n'.join([*sensor_lines(sheet, width()), *measured_lines(sheet)]))
+        print('\n'.join(sensor_lines(sheet, width())))
         return 0
     sheets = {name: load_sensor(name) for name in sensor_names()}
     if console.json:
@@ -196,7 +192,7 @@ results RESULTS?  results.json, or its folder
 """
 
 SENSOR_OPTIONS = """
-name NAME?  sensor to show with its sources and measured values (default: list all)
+name NAME?  sensor to show with its sources (default: list all)
 """
 
 COMMANDS = {

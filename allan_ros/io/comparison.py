@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons of recordings with each other, with datasheets, and with motors off and on."""
+"""Comparisons of recordings with each other, and with motors off and on."""
 
 from __future__ import annotations
 
@@ -15,10 +15,8 @@ from ..core.fields import plain
 from ..core.filters.noise_parameters import TermInflation
 from ..core.filters.reductions import horizon_text, shortest_horizon
 from ..core.imu import SI_UNITS, sensor_of
-from .datasheets import Datasheet, DatasheetComparison, comparison_to_document
 from .documents import results_to_document
 from .format import significant
-from .from_datasheet import against_measured
 from .results import Results
 
 SCHEMA = 'allan_ros/comparison/1'
@@ -56,38 +54,30 @@ class Pair:
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Several recordings, their differences from the first one, and comparisons with datasheets.
+    """Several recordings, and their differences from the first one.
 
-    ``pairs`` has one element for each recording after the first. An element of ``datasheets`` has
-    the label of a recording and its comparison with a datasheet. ``family_error`` is the
-    probability of any significant difference if all recordings have equal noise.
+    ``pairs`` has one element for each recording after the first. ``family_error`` is the
+    probability of any significant difference if all recordings have equal noise. Printed, it is a
+    sentence for each pair.
     """
 
     runs: tuple[Subject, ...]
     pairs: tuple[Pair, ...]
-    datasheets: tuple[tuple[str, DatasheetComparison], ...]
     family_error: float = FAMILY_ERROR
 
     def __repr__(self) -> str:
-        return '\n'.join(comparison_headline(self))
+        return '\n'.join(_sentence(pair, self.family_error) for pair in self.pairs)
 
     @property
     def differs(self) -> bool:
-        """Whether any difference is significant, or a limit of a datasheet is exceeded."""
-        if any(comparison.verdict == 'exceeds' for _, comparison in self.datasheets):
-            return True
+        """Whether any difference is significant."""
         return any(pair.significant for pair in self.pairs)
 
 
-def compare_runs(
-    runs: Sequence[Subject],
-    datasheets: Sequence[Datasheet] = (),
-    margin: float = 0.0,
-) -> RunComparison:
-    """Compare each recording with the first one, and every recording with each datasheet.
+def compare_runs(runs: Sequence[Subject]) -> RunComparison:
+    """Compare each recording with the first one.
 
-    A limit of a datasheet is exceeded if the 95 % interval is completely above
-    limit * (1 + ``margin``). Raises AllanError when two recordings have no common axis.
+    Raises AllanError when two recordings have no common axis.
     """
     first, *others = runs
     for other in others:
@@ -97,21 +87,12 @@ def compare_runs(
                 f'{first.label} has {", ".join(first.results.axes)}'
             )
     found = differences((first.results.measured, other.results.measured) for other in others)
-    return RunComparison(
-        tuple(runs),
-        tuple(Pair(first.label, other.label, changes) for other, changes in zip(others, found)),
-        tuple(
-            (run.label, checked)
-            for datasheet in datasheets
-            for run in runs
-            if (checked := run.results.against_datasheet(datasheet, margin).datasheet)
-        ),
-    )
+    pairs = (Pair(first.label, other.label, changes) for other, changes in zip(others, found))
+    return RunComparison(tuple(runs), tuple(pairs))
 
 
 def comparison_document(comparison: RunComparison) -> dict[str, Any]:
     """Return the comparison as a JSON object of the schema ``allan_ros/comparison/1``, in SI."""
-    results = {run.label: run.results for run in comparison.runs}
     return {
         'schema': SCHEMA,
         'family_error': comparison.family_error,
@@ -120,53 +101,12 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
             {'label': run.label, 'results': results_to_document(run.results, curves=False)}
             for run in comparison.runs
         ],
-        'pairs': [
-            {
-                'first': pair.first,
-                'second': pair.second,
-                'differences': [
-                    {
-                        'axis': d.axis,
-                        'quantity': d.quantity,
-                        'tau_s': d.tau,
-                        'ratio': plain(d.ratio),
-                        'ci95': plain(d.ci95),
-                        'p': plain(d.p),
-                        'verdict': d.verdict,
-                    }
-                    for d in pair.differences
-                ],
-            }
-            for pair in comparison.pairs
-        ],
-        'datasheets': [
-            {
-                'run': label,
-                **comparison_to_document(checked),
-                'measured': [
-                    {**known._asdict(), 'value': known.value._asdict(), 'verdict': known.verdict}
-                    for known in against_measured(checked.datasheet, results[label])
-                ],
-            }
-            for label, checked in comparison.datasheets
-        ],
+        'pairs': plain(comparison.pairs, {'tau': 'tau_s'}),
     }
 
 
 RATIO_DIGITS = 3
 """Significant digits of a ratio and of the ends of its interval."""
-
-
-def comparison_headline(comparison: RunComparison) -> Iterator[str]:
-    """Yield a sentence for each pair, with its largest difference, and for each datasheet."""
-    for pair in comparison.pairs:
-        yield _pair_sentence(pair, comparison.family_error)
-    results = {run.label: run.results for run in comparison.runs}
-    for label, checked in comparison.datasheets:
-        yield _datasheet_sentence(label, checked)
-        if known := against_measured(checked.datasheet, results[label]):
-            texts = '; '.join(map(str, known))
-            yield f'{label} against measured units of {checked.datasheet.name}: {texts}'
 
 
 def ratio_text(difference: Difference) -> str:
@@ -195,7 +135,7 @@ def quantity_text(difference: Difference) -> str:
     return f'{axis} deviation at {significant(difference.tau, 2)} s'
 
 
-def _pair_sentence(pair: Pair, family_error: float) -> str:
+def _sentence(pair: Pair, family_error: float) -> str:
     found = pair.significant
     if not found:
         terms = sum(d.tau is None and d.verdict == 'alike' for d in pair.differences)
@@ -206,54 +146,23 @@ def _pair_sentence(pair: Pair, family_error: float) -> str:
             f'{pair.second} and {pair.first} do not differ significantly in {terms} coefficients '
             f'and {deviations} deviations ({100.0 * family_error:g} % false alarms overall)'
         )
-    # Coefficients take precedence; deviations are named if no coefficient differs.
+    # Coefficients take precedence, and a ratio of two measured values comes before a bound.
     named = [d for d in found if d.tau is None] or found
-    # a ratio of two measured values comes before a bound: "10x" before "at least 156x"
-    largest = max(named, key=lambda d: (d.ratio is not None, _ratio_above_one(d)[1]))
-    ratio, low, high = (r and significant(r, RATIO_DIGITS) for r in _ratio_above_one(largest))
-    times = f'{ratio}x ' if ratio else ''
-    word = 'noisier' if largest.verdict == 'higher' else 'quieter'
-    interval = f'at least {low}x' if high == 'inf' else f'{low}..{high}'
-    text = (
-        f'{pair.second} is {times}{word} than {pair.first} in {quantity_text(largest)} ({interval})'
+    largest = max(named, key=lambda d: (d.ratio is not None, _size(d)))
+    return (
+        f'{pair.second} differs from {pair.first} in {len(found)} of {len(pair.differences)} '
+        f'comparisons, most in {quantity_text(largest)}: {ratio_text(largest)} times'
     )
-    others = len(found) - 1
-    opposite = sum(d.verdict != largest.verdict for d in found)
-    if others:
-        text += f', and differs in {others} more of {len(pair.differences)} comparisons'
-    if opposite:
-        text += f' ({opposite} of them in the opposite direction)'
-    return text
 
 
-def _ratio_above_one(difference: Difference) -> tuple[float | None, float, float]:
-    """Return the ratio of the noisier to the quieter (or None), and its 95 % interval."""
-    (low, high), ratio = difference.ci95 or (1.0, 1.0), difference.ratio
-    if difference.verdict == 'higher':
-        return ratio, low, high
-    return ratio and 1.0 / ratio, 1.0 / high, 1.0 / low if low else math.inf
-
-
-def _datasheet_sentence(label: str, comparison: DatasheetComparison) -> str:
-    name, checks = comparison.datasheet.name, comparison.comparisons
-    if not checks:
-        return f'the datasheet of {name} has no limit for the axes of {label}'
-    beyond = [c for c in checks if c.verdict == 'exceeds']
-    if beyond:
-        what = ', '.join(f'{c.axis.replace("_", " ")} {c.term}' for c in beyond)
-        return f'{label} exceeds the datasheet of {name} in {what}'
-    unsettled = sum(c.verdict == 'undecided' for c in checks)
-    if unsettled == len(checks):
-        return f'{label} cannot be judged by the datasheet of {name} yet: no number is settled'
-    note = f'; {unsettled} of {len(checks)} are undecided' if unsettled else ''
-    return f'{label} is within the datasheet of {name}{note}'
+def _size(difference: Difference) -> float:
+    """Return how far the 95 % interval of a significant ratio is from 1, as a logarithm."""
+    low, high = difference.ci95 or (1.0, 1.0)
+    return math.log(low) if low > 1.0 else -math.log(high)
 
 
 REST, RUNNING = 'at rest', 'at rest, motors on'
 """Labels of the recordings with motors off and on."""
-
-SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
-"""Averaging times in s of the table of ratios."""
 
 
 @dataclass(frozen=True)
@@ -306,7 +215,7 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
 
 
 def inflation_lines(inflation: Inflation) -> Iterator[str]:
-    """Yield the lines of two tables: N and K for a filter, and ratios of Allan deviations."""
+    """Yield the lines of a table: N and K for a filter, and their factors."""
     yield f'N and K for a filter, over {horizon_text(inflation.horizon)}'
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():
@@ -314,22 +223,3 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
         n, k = (f'{significant(t.use, 4)} {units[term]:16}' for term, t in axis.items())
         factors = axis['N'].factor, axis['K'].factor
         yield f'{name:9}{n:>34}  {factors[0]:6.2f}{k:>36}  {factors[1]:6.2f}'.rstrip()
-    yield ''
-    yield 'Allan deviation with motors on over motors off, 95 % interval'
-    for name in inflation.axes:
-        ratios = inflation.ratios(name)
-        nearest = {d.tau: d for tau in SHOWN_TAU_S if (d := _nearest(ratios, tau)) is not None}
-        cells = [f'{tau:g} s: {_ratio(d)}' for tau, d in nearest.items()]
-        yield f'{name:9}{"  ".join(cells)}'
-
-
-def _nearest(ratios: list[Difference], tau: float) -> Difference | None:
-    """Return the ratio closest to ``tau``; None if none is within a factor of 1.5."""
-    close = [d for d in ratios if d.tau is not None and tau / 1.5 < d.tau < 1.5 * tau]
-    return min(close, key=lambda d: abs((d.tau or 0.0) - tau), default=None)
-
-
-def _ratio(d: Difference) -> str:
-    if d.ratio is None or d.ci95 is None:
-        return 'not known'
-    return f'{d.ratio:.2f} ({d.ci95[0]:.2f} to {d.ci95[1]:.2f})'

@@ -15,18 +15,28 @@ has no figures.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 from ..core.compare import Comparison, LimitVerdict, verdict
 from ..core.errors import AllanError
 from ..core.fields import Fields, located, plain
 from ..core.findings import Finding, Quantity, finding
-from ..core.fit import TERMS, Coefficient
-from ..core.imu import AXES, SI_UNITS, sensor_of
+from ..core.fit import TERMS, AxisFit, Coefficient
+from ..core.fit.model import model_of_terms
+from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.noise import FLICKER_FLOOR
-from .files import config_file, config_names, read_yaml
+from ..core.settings import expect
+from .axis_result import AxisResult
+from .exporters import FROM_DATASHEET
+from .files import PATH, config_file, config_names, public, read_yaml
+from .readers import SourceInfo
+from .recorded import Provenance
+
+if TYPE_CHECKING:
+    from .results import Results
 
 SCHEMA = 'allan_ros/sensor/1'
 
@@ -56,6 +66,14 @@ MEANINGS = {
 }
 """Key that states the meaning of a number -> its value -> factor from the number to N or B, and a
 note. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
+
+
+DEFAULT_RATE_HZ = 200.0
+"""Rate of an IMU in files from a datasheet, unless the user states it."""
+
+CROSSING_S = 10.0
+"""Averaging time in s at which flicker noise equals white noise, if a datasheet states no B. Of the
+sensors that were measured, it is 7 to 200 s; a shorter time gives a larger B."""
 
 
 @dataclass(frozen=True)
@@ -92,28 +110,6 @@ class Limit:
     source: str = ''
 
 
-class MeasuredValue(NamedTuple):
-    """N or B of a sensor: root mean square of its axes, and the ends of their 95 % intervals."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Noise that was measured with one unit of a sensor: sensor -> term -> value in SI.
-
-    ``by`` names who recorded it, ``url`` the recording, ``condition`` rate and temperature.
-    """
-
-    by: str
-    url: str = ''
-    hours: float = 0.0
-    condition: str = ''
-    values: Mapping[str, Mapping[str, MeasuredValue]] = field(default_factory=dict)
-
-
 @dataclass(frozen=True)
 class Datasheet:
     """The figures that the manufacturer of an IMU states.
@@ -126,24 +122,28 @@ class Datasheet:
         The documents that state the figures.
     limits : mapping of axis name to term ('N', 'B') to Limit
         Upper limits of the coefficients that the sources state.
-    range : mapping of axis name to float
-        Largest magnitude that the sensor measures, in rad/s or m/s^2, if stated.
     remark : str
         A remark for the user.
     carries : str
         Name of the sensor inside a product, such as a camera; '' if the IMU is the sensor itself.
-    measured : tuple of Measured
-        Values that were measured with units of this sensor.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> imu = ar.sensor('bmi088')
+    >>> imu.name, round(imu.values()['gyro_x']['N'], 6)  # rad/s/sqrt(Hz)
+    ('BMI088', 0.000173)
+    >>> text = imu.export('openvins', filter_rate=400.0)
+    >>> 'from the datasheet of BMI088 and not measured' in text, 'update_rate: 400.0' in text
+    (True, True)
     """
 
     name: str
     maker: str
     sources: Mapping[str, Source]
     limits: Mapping[str, Mapping[str, Limit]]
-    range: Mapping[str, float]
     remark: str = ''
     carries: str = ''
-    measured: tuple[Measured, ...] = ()
 
     def values(self) -> dict[str, dict[str, float]]:
         """Return axis -> term -> limit in SI."""
@@ -151,6 +151,57 @@ class Datasheet:
             axis: {term: limit.value for term, limit in terms.items()}
             for axis, terms in self.limits.items()
         }
+
+    def results(self, rate: float = DEFAULT_RATE_HZ) -> Results:
+        """Return the noise model of the datasheet for an IMU with a rate in Hz.
+
+        It has the stated N and B. K of a file for a filter follows from its reduced-order model:
+        it covers the error growth of N and B over the horizon of the filter. Raises AllanError if
+        the datasheet states no N of an axis of a sensor.
+        """
+        from .results import Results
+
+        unknown = Coefficient(None, status='not_observable')
+        axes, assumed = {}, []
+        for axis, terms in self.values().items():
+            if 'N' not in terms:
+                raise AllanError(
+                    f'{self.name} states no N of {axis}: record the sensor at rest and use '
+                    'allan analyze'
+                )
+            if 'B' not in terms:
+                assumed.append(axis)
+            flicker = terms['N'] / math.sqrt(FLICKER_FLOOR * CROSSING_S)
+            known = {'N': Coefficient(terms['N']), 'B': Coefficient(terms.get('B', flicker))}
+            noise = {term: known.get(term, unknown) for term in TERMS}
+            fit = AxisFit(noise, model_of_terms(noise))
+            axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
+        found = [finding('from_datasheet', name=self.name)]
+        if assumed:
+            found.append(finding('bias_not_stated', tuple(assumed), time=CROSSING_S))
+        stated = [f'{one} {one.url}'.strip() for one in self.sources.values()]
+        stated += [
+            f'{kind} {term} stated {limit.stated}{f" ({limit.note})" if limit.note else ""}'
+            for kind in SENSORS
+            for term in 'NB'
+            if (limit := self.limits.get(f'{kind}_x', {}).get(term))
+        ]
+        sources = tuple(SourceInfo(text, '', '', '') for text in stated)
+        identity, provenance = ImuIdentity(self.name), Provenance(sources)
+        period = 1.0 / rate
+        return Results(identity, FROM_DATASHEET, period, 0, 0.0, 0, axes, provenance, tuple(found))
+
+    def export(
+        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+    ) -> str:
+        """Return the text of a file for a filter or simulator, with the noise of the datasheet.
+
+        The arguments are the same as in `Results.export`. ``filter_rate`` is also the rate of the
+        IMU; the default is 200 Hz.
+        """
+        return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
+            target, path, **options
+        )
 
 
 VERDICTS: tuple[LimitVerdict, ...] = ('exceeds', 'undecided', 'within')
@@ -270,13 +321,32 @@ def comparison_from_document(
             limits.setdefault(axis, {})[term] = f.record(Limit, value=f.number('limit'))
     stated = {key: _source(sources.fields(key)) for key in sources}
     name, maker, remark = (fields.text(key) for key in ('name', 'maker', 'remark'))
-    sheet = Datasheet(name, maker, stated, limits, {}, remark)
+    sheet = Datasheet(name, maker, stated, limits, remark)
     return against_datasheet(noise, sheet, fields.number('margin'))
 
 
 def sensor_names() -> list[str]:
     """Return the names of the datasheets of the package and of the user."""
     return config_names('sensors')
+
+
+@public
+def sensor(name: str | os.PathLike[str]) -> Datasheet:
+    """Return a datasheet, given its name or the path of its .yaml file.
+
+    Raises
+    ------
+    AllanError
+        If the name is unknown, or the file is invalid.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.sensor('adis16475-3').limits['gyro_x']['B'].stated
+    '7 deg/h'
+    """
+    expect(PATH, 'a name or a path', name=name)
+    return load_sensor(os.fspath(name))
 
 
 def load_sensor(name: str) -> Datasheet:
@@ -290,20 +360,15 @@ def load_sensor(name: str) -> Datasheet:
     # a product: the figures of its sensor, with the sources of both files
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
-    carried, own = fields.text('carries'), _sources(fields)
     with located(f'{fields.where}.carries'):
-        sensor = _datasheet(_file(carried))  # rejects the file of a product, and so itself
-    for key in own:
-        if key in sensor.sources:
-            raise AllanError(
-                f'{fields.where}.sources: {key!r} is also a source of {carried!r}: choose another '
-                'key'
-            )
+        sensor = _datasheet(
+            _file(fields.text('carries'))
+        )  # rejects the file of a product, and so itself
     return replace(
         sensor,
         name=fields.text('name'),
         maker=fields.text('maker', ''),
-        sources={**own, **sensor.sources},
+        sources={**_sources(fields), **sensor.sources},
         remark=fields.text('remark', ''),
         carries=sensor.name,
     )
@@ -316,44 +381,16 @@ def _file(name: str) -> Fields:
 
 def _datasheet(fields: Fields) -> Datasheet:
     fields.schema(SCHEMA)
-    fields.only('schema', 'name', 'maker', 'remark', 'sources', 'measured', *SI_UNITS, *AXES)
+    fields.only('schema', 'name', 'maker', 'remark', 'sources', *SI_UNITS, *AXES)
     sources = _sources(fields)
     limits: dict[str, dict[str, Limit]] = {}
-    ranges: dict[str, float] = {}
     for axis in AXES:
         for name in (sensor_of(axis), axis):
             part = fields.optional_fields(name)
-            if part is None:
-                continue
-            limits[axis] = limits.get(axis, {}) | _limits(part, sensor_of(axis), sources)
-            if 'range' in part:
-                unit = SI_UNITS[sensor_of(axis)]['B']
-                ranges[axis] = _quantity(part.fields('range'), unit, sources).value
-    return Datasheet(
-        fields.text('name'),
-        fields.text('maker', ''),
-        sources,
-        limits,
-        ranges,
-        fields.text('remark', ''),
-        measured=tuple(map(_measured, fields.each('measured'))) if 'measured' in fields else (),
-    )
-
-
-def _measured(fields: Fields) -> Measured:
-    fields.only('by', 'url', 'hours', 'condition', *SI_UNITS)
-    values: dict[str, dict[str, MeasuredValue]] = {}
-    for sensor in SI_UNITS:
-        terms = fields.optional_fields(sensor)
-        if terms is None:
-            continue
-        for term in terms:
-            one = terms.fields(term)
-            one.only(*MeasuredValue._fields, 'unit')
-            factor = one.quantity(SI_UNITS[sensor][term]) / one.number('value')
-            ends = (one.number(key) * factor for key in MeasuredValue._fields)
-            values.setdefault(sensor, {})[term] = MeasuredValue(*ends)
-    return fields.record(Measured, values=values)
+            if part is not None:
+                limits[axis] = limits.get(axis, {}) | _limits(part, sensor_of(axis), sources)
+    name, maker, remark = fields.text('name'), fields.text('maker', ''), fields.text('remark', '')
+    return Datasheet(name, maker, sources, limits, remark)
 
 
 def _sources(fields: Fields) -> dict[str, Source]:
@@ -373,7 +410,7 @@ def _source(fields: Fields) -> Source:
 
 def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, Limit]:
     walk, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
-    fields.only(walk, 'noise_density', 'bias_instability', 'range')
+    fields.only(walk, 'noise_density', 'bias_instability')
     limits = {}
     # If both are stated, the random walk is N itself, and no assumption is needed.
     for key, term, meaning in (

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -48,22 +49,16 @@ def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path,
     worse.write_text(json.dumps(document))
     words = ['compare', str(analyzed), str(worse)]
     assert main(words) == 0
-    assert capsys.readouterr().out.startswith('worse is 2.00x noisier than run in gyro z N (')
+    assert re.match(r'worse differs .* most in gyro z N: 2.00 \(', capsys.readouterr().out)
     assert main([*words, '--fail-on-difference', '--json']) == 3
     assert json.loads(capsys.readouterr().out)['differs'] is True
-    assert main(['compare', str(worse), 'sensor:adis16475-3', '--fail-on-difference']) == 3
-    said = capsys.readouterr().out
-    assert said.startswith('worse exceeds the datasheet of ADIS16475-3 in gyro z N')
 
 
 @pytest.mark.parametrize(
     'words, said',
     [
         (['{run}'], 'nothing to compare'),
-        (['sensor:adis16475-3'], 'nothing to compare'),
         (['{run}', '{run}'], 'an input is given twice'),
-        (['{run}', 'sensor:none'], "no datasheet 'none'"),
-        (['{run}', '--margin', '-1'], 'margin is -1.0: it must lie between 0 and 1'),
     ],
 )
 def test_incomparable_inputs_give_one_line(
