@@ -35,7 +35,7 @@ TRUTH = {'Q': 0.138, 'N': 0.242, 'B': 5.237, 'K': 31.807, 'R': 76.242}
 
 CLEAN = {'table 1 X': 'QNBKR', 'N': 'N', 'N + B': 'NB', 'N + K': 'NK'}
 
-EARLY = {'warm_up', 'settled_part', 'early_part'}
+EARLY = {'warm_up', 'settled_part'}
 LEVEL = {'level_changes', 'level_changed'}
 TESTS = (EARLY, {'bias_steps'}, LEVEL)
 """Findings of each test."""

@@ -135,12 +135,10 @@ _FAULTS, _NUMBERS, LIVE, UNUSABLE = (
 
 MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'level_changes': lambda of: of['high'].value < 1.1 * of['low'].value,
-    'bias_differs': lambda of: of['size'].value < {'gyro': 2e-3, 'accel': 0.1}[of['size'].sensor],
     'lack_of_fit': lambda of: abs(of['deviation']) < 0.05,
     'tilted': lambda of: of['angle'] < 1.0,
 }
 """Id -> whether values are so small that a filter is not affected: the severity is then info. The
-limits of the bias (rad/s and m/s^2) are changes between two starts of common MEMS sensors; the
 limit of a tilt is in deg."""
 
 FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')

@@ -209,7 +209,7 @@ def _axis_results(
                 model.tau0,
                 fit,
                 curve.axis(i),
-                tuple(dominant_regions(curve, name, fit)),
+                tuple(dominant_regions(curve, fit)),
                 None if variance is None else math.sqrt(variance),
                 name,
                 rounding_step(sums, i, white) if white else None,

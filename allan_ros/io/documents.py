@@ -60,7 +60,7 @@ LISTED_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
 
 SIGNED = (
-    *('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'slope', 'mean', 'R', 'low_pass'),
+    *('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'mean', 'R', 'low_pass'),
     *('reference', 'lowest', 'highest', 'b0', 'b1', 'b2', 'hysteresis'),
 )
 """Keys of numbers that may be negative."""

@@ -19,7 +19,7 @@ NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf|infinity)(?!\w)', re.IGNORECASE)
 """Pattern of texts that must not appear in any output."""
 
 SIGNED = {
-    *('reference', 'total', 'sign', 'slope', 'gof_z', 'start_ns', 'begin_ns'),
+    *('reference', 'total', 'sign', 'gof_z', 'start_ns', 'begin_ns'),
     *('relative', 'matrix'),
 }
 """Fields whose numbers may be negative."""

@@ -87,15 +87,11 @@ class Region:
     term : str
         Term or process with the largest share of the Allan variance; several names joined by '+' if
         no single one dominates over a wide enough range.
-    slope : float
-        d log adev / d log tau of the measured curve over the range. A single term has the slope -1
-        (Q), -1/2 (N), 0 (B), 1/2 (K) or 1 (R).
     """
 
     tau_low: float
     tau_high: float
     term: str
-    slope: float
 
 
 @dataclass(frozen=True)
@@ -106,8 +102,8 @@ class _Stretch:
     points: slice
 
 
-def dominant_regions(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]:
-    """Return the ranges of averaging times of one axis with the dominant term of each.
+def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
+    """Return the ranges of averaging times with the dominant term of each.
 
     The ranges are contiguous, cover the measured curve, and are sorted by tau. The list is empty if
     no term is known. A term or process of the model dominates where it has the largest
@@ -121,14 +117,8 @@ def dominant_regions(curve: AllanCurve, axis: str, fit: AxisFit) -> list[Region]
     variances = np.stack(list(parts.values()), axis=1)
     shares = variances / variances.sum(axis=1, keepdims=True)
     edges = np.concatenate([curve.tau[:1], np.sqrt(curve.tau[1:] * curve.tau[:-1]), curve.tau[-1:]])
-    i = curve.axes.index(axis)
     return [
-        Region(
-            float(edges[s.points.start]),
-            float(edges[s.points.stop]),
-            '+'.join(s.terms),
-            _slope(curve, i, s.points),
-        )
+        Region(float(edges[s.points.start]), float(edges[s.points.stop]), '+'.join(s.terms))
         for s in _stretches(list(parts), shares, edges)
     ]
 
@@ -155,20 +145,6 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
             names = {parts[k] for k in np.argsort(shares[points].mean(axis=0))[-2:]}
         out.append(_Stretch(tuple(name for name in parts if name in names), points))
     return out
-
-
-def _slope(curve: AllanCurve, axis: int, points: slice) -> float:
-    """Return the slope d log adev / d log tau at the given points of a curve."""
-    # A single point has no slope: its neighbors are added.
-    if points.stop - points.start < 2:
-        points = slice(max(points.start - 1, 0), points.stop + 1)
-    adev, degrees = curve.adev[points, axis], curve.edf[points, axis]
-    good = (adev > 0.0) & (degrees > 0.0)
-    if np.count_nonzero(good) < 2:
-        return 0.0
-    x, y, w = np.log(curve.tau[points][good]), np.log(adev[good]), degrees[good]
-    dx = x - (w @ x) / w.sum()
-    return float((w * dx) @ y / ((w * dx) @ dx))
 
 
 ADVISED_TERMS = ('N', 'B', 'K')

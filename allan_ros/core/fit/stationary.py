@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from ..allan.periods import BlockMeans
 from ..allan.sums import AllanSums, part
 from ..findings import Finding, Quantity, duration_text, finding
 from ..imu import SENSORS, sensor_of
-from . import TERMS, Coefficient, NoiseModel, fit_noise
+from . import NoiseModel, fit_noise
 from .effects import LEAST_MEANS, BiasSteps, WarmUp, bias_steps, warm_up
 from .levels import Levels, levels, present_part
 from .method import daily_cycle
@@ -31,9 +31,6 @@ LEAST_REMAINING = 0.25
 
 LEAST_SEGMENT = 0.3
 """Shortest first segment, relative to its recording, in which a warm-up is searched for."""
-
-SHIFT = 0.02
-"""Relative change of a coefficient that is relevant even inside its interval."""
 
 TESTED_RECORDINGS = 4
 """Number of the longest recordings that are tested for a warm-up."""
@@ -53,49 +50,6 @@ SHAKY_RATIO = 1.3
 LEVEL_RATIO, LARGE_RATIO = 1.02, 1.1
 """Least ratio of the highest to the lowest N of the periods that is reported; the second if the
 scatter may come from impulsive noise."""
-
-LEAST_JUMP = 5.0
-"""Least difference of the bias across a gap, in standard deviations, that is reported."""
-
-
-@dataclass(frozen=True)
-class _Change:
-    """A coefficient estimated from all data, and from the data after the early part."""
-
-    axis: str
-    term: str
-    complete: Coefficient
-    settled: Coefficient
-
-    @property
-    def is_relevant(self) -> bool:
-        """Whether the settled value is outside the interval of all data, or differs by `SHIFT`."""
-        a, b = self.complete, self.settled
-        low, high = a.ci95 or (0.0, math.inf if a.upper95 is None else a.upper95)
-        if b.status != 'estimated' or b.value is None:
-            return b.upper95 is not None and b.upper95 < low
-        known = a.value if a.status == 'estimated' else None
-        return not low <= b.value <= high or bool(known and abs(b.value / known - 1.0) > SHIFT)
-
-    @property
-    def size(self) -> float:
-        """Absolute logarithm of the ratio of both values or limits."""
-        a, b = (
-            (c.value if c.status == 'estimated' else c.upper95) or 0.0
-            for c in (self.complete, self.settled)
-        )
-        return abs(math.log(a / b)) if a and b else 0.0
-
-    @property
-    def numbers(self) -> dict[str, object]:
-        """Values of the finding about the change."""
-        before, after = (
-            Quantity(c.value, sensor_of(self.axis), self.term)
-            if c.status == 'estimated'
-            else Quantity(None, sensor_of(self.axis), self.term, high=c.upper95 or 0.0)
-            for c in (self.complete, self.settled)
-        )
-        return {'axis': f'{self.axis} {self.term}', 'before': before, 'after': after}
 
 
 def fit_stationary(
@@ -129,7 +83,8 @@ def fit_stationary(
     present = present_part(sums, every) if settle else None
     data = sums if present is None else _from_period(sums, present[0])
     warm_ups = _warm_ups(data)
-    used, model, found = _without_warm_up(data, method, settle, warm_ups)
+    used, found = _without_warm_up(data, settle, warm_ups)
+    model = fit_noise(used, method)
     if present is not None:
         at, changed = present
         since = data.samples * sums.tau0
@@ -139,7 +94,7 @@ def fit_stationary(
     # a larger level of the white noise in a part would look like steps
     shaky = {i for i in range(len(sums.axes)) if np.divide(*every.extremes(i)) < 1.0 / SHAKY_RATIO}
     shaky |= {a for w in warm_ups for a in w.axes} if used is data else set()
-    found += _steps(used, model, shaky) + _jumps(used, model, shaky)
+    found += _steps(used, shaky)
     return used, _with_variation(used, every, replace(model, findings=(*found, *model.findings)))
 
 
@@ -209,14 +164,14 @@ def _first_periods(sums: AllanSums, ages: list[tuple[int, float]]) -> tuple[list
 
 
 def _without_warm_up(
-    sums: AllanSums, method: str, settle: bool, warm_ups: list[WarmUp]
-) -> tuple[AllanSums, NoiseModel, list[Finding]]:
-    """Exclude warm-ups that change a coefficient; return sums, fit and findings.
+    sums: AllanSums, settle: bool, warm_ups: list[WarmUp]
+) -> tuple[AllanSums, list[Finding]]:
+    """Exclude warm-ups; return sums and findings.
 
-    With ``settle`` False, they are only reported.
+    With ``settle`` False, or if too little would remain, they are only reported.
     """
     if not warm_ups:
-        return sums, fit_noise(sums, method), []
+        return sums, []
     tau0 = sums.tau0 or 1.0
     first, remaining = _first_periods(sums, [(w.recording, w.age) for w in warm_ups])
     if remaining < LEAST_REMAINING * sums.samples:
@@ -226,44 +181,24 @@ def _without_warm_up(
         ((a, s) for w in warm_ups for a, s in zip(w.axes, w.sizes)), key=lambda each: abs(each[1])
     )
     size = Quantity(abs(largest), sensor_of(sums.axes[axis]), 'signal')
-    if remaining < LEAST_REMAINING * sums.samples:
-        last = max(warm_ups, key=lambda w: w.age)
-        rest = (last.age - sums.recordings[last.recording].samples) * tau0
-        after = f'after {duration_text(last.age * tau0)}'
-        settles = f'in about {duration_text(rest)}' if rest > 0.0 else after
-        long = 2.0 * last.age * tau0
-        known = {'what': 'warm-up', 'size': size, 'settles': settles, 'how_long': long}
-        return sums, fit_noise(sums, method), [finding('warm_up', axes, **known)]
-    complete = fit_noise(sums, method)
-    if not any(first):
-        return sums, complete, []
-    used = _parts(sums, first)
-    settled = fit_noise(used, method)
-    every = [
-        _Change(axis, term, complete.axes[axis].noise[term], settled.axes[axis].noise[term])
-        for axis in axes
-        for term in TERMS
-    ]
-    every.sort(key=lambda change: -change.size)
-    changes = [each for each in every if each.is_relevant]
-    if not changes and not settle:
-        return sums, complete, []
-    early = max(r.periods[k].begin for r, k in zip(sums.recordings, first) if k < len(r.periods))
-    found = finding(
-        'settled_part' if settle else 'early_part',
-        axes,
-        early=early * tau0,
-        what='warm-up',
-        size=size,
-        **(changes or every)[0].numbers,
-    )
-    return (used, settled, [found]) if settle else (sums, complete, [found])
+    if settle and remaining >= LEAST_REMAINING * sums.samples:
+        if not any(first):
+            return sums, []
+        used = _parts(sums, first)
+        early = max(r.periods[k].begin for r, k in zip(sums.recordings, first) if r.periods[k:])
+        return used, [finding('settled_part', axes, early=early * tau0, size=size)]
+    last = max(warm_ups, key=lambda w: w.age)
+    rest = (last.age - sums.recordings[last.recording].samples) * tau0
+    after = f'after {duration_text(last.age * tau0)}'
+    settles = f'in about {duration_text(rest)}' if rest > 0.0 else after
+    long = 2.0 * last.age * tau0
+    return sums, [finding('warm_up', axes, size=size, settles=settles, how_long=long)]
 
 
 # --- steps of the bias ----------------------------------------------------------------------------
 
 
-def _steps(sums: AllanSums, model: NoiseModel, without: set[int]) -> list[Finding]:
+def _steps(sums: AllanSums, without: set[int]) -> list[Finding]:
     """Return the findings about steps in the longest segment, except of some axes."""
     tau0 = sums.tau0 or 1.0
     every = [m for r in sums.recordings for m in r.means]
@@ -296,31 +231,6 @@ def _steps_finding(axis: str, steps: BiasSteps, means: BlockMeans, tau0: float) 
         share=1.0 - math.sqrt(steps.walk_after / steps.walk_before),
         at=', '.join(times),
     )
-
-
-def _jumps(sums: AllanSums, model: NoiseModel, without: set[int]) -> list[Finding]:
-    """Return the findings about a bias that differs between two segments of a recording."""
-    tau0 = sums.tau0 or 1.0
-    pairs = [(a, b) for r in sums.recordings for a, b in zip(r.means, r.means[1:])]
-    found = []
-    for i, axis in enumerate(sums.axes):
-        noise = model.axes[axis].model
-        if i in without or noise is None:
-            continue
-        largest, reach = 0.0, 0.0
-        for a, b in pairs:
-            gap = max((b.start_ns - a.start_ns) * 1e-9 - a.samples * tau0, 0.0)
-            drift = float(noise.avar([max(gap, tau0)], tau0)[0]) if gap else 0.0
-            few = min(len(a.values), len(b.values))
-            for means in (few, max(few // 4, 1)):
-                jump = float(b.values[:means, i].mean() - a.values[-means:, i].mean())
-                # the means of two neighboring averages differ by twice the Allan variance
-                variance = 2.0 * (float(noise.avar([means * a.step * tau0], tau0)[0]) + drift)
-                if variance > 0.0 and jump**2 / variance > reach:
-                    largest, reach = abs(jump), jump**2 / variance
-        if reach > LEAST_JUMP**2:
-            found.append(finding('bias_differs', (axis,), size=largest))
-    return found
 
 
 # --- level of the white noise ---------------------------------------------------------------------
