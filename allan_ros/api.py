@@ -112,9 +112,8 @@ def analyze(
         Units of the samples, such as 'deg/s' and 'g', if the source does not state them. By default
         rad/s and m/s^2.
     method : str
-        Method of the fit: 'likelihood' (maximum likelihood, with confidence intervals), 'relative'
-        (least squares on relative residuals) or 'paper' (plain least squares, as in Cong et al.
-        2019).
+        Method of the fit: 'likelihood' (maximum likelihood, with confidence intervals) or 'paper'
+        (plain least squares, as in Cong et al. 2019).
     sensor : str
         Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml file.
     baseline : Results or path

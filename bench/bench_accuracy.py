@@ -377,7 +377,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description='Monte Carlo of the fits.')
     parser.add_argument('scenarios', nargs='*', default=['table1_x', 'white', 'five_minutes'])
     parser.add_argument('--runs', type=int, default=24)
-    methods = ['likelihood', 'relative', 'paper']
+    methods = ['likelihood', 'paper']
     parser.add_argument('--methods', nargs='+', default=methods)
     parser.add_argument('--keep', type=Path, help='folder to keep the sums of the draws in')
     parser.add_argument('--rate', type=float, help='another rate in Hz than that of the scenarios')

@@ -170,7 +170,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
         The folder of an analysis, a results.json, or a sums.json or checkpoint, whose sums are
         fitted again. Only results with sums (all but a results.json) can be merged and saved.
     method : str
-        Method of the fit of sums: 'likelihood', 'relative' or 'paper', as in `analyze`.
+        Method of the fit of sums: 'likelihood' or 'paper', as in `analyze`.
 
     Returns
     -------

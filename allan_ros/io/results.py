@@ -48,7 +48,7 @@ class Results:
     identity : ImuIdentity
         The frame_id and the serial number of the IMU.
     method : str
-        Method of the fit: 'likelihood', 'relative' or 'paper'.
+        Method of the fit: 'likelihood' or 'paper'.
     tau0, duration_s : float
         Sample period, and total time of all used samples, in s. If gyro and accelerometer have
         different rates, these are of the sensor with more samples.

@@ -155,7 +155,7 @@ class EstimatorSettings(CheckedSettings):
     method: str = parameter(
         'likelihood',
         'Method that fits the five terms.',
-        choices=('likelihood', 'relative', 'paper'),
+        choices=('likelihood', 'paper'),
     )
     growth: float = parameter(
         0.1, 'Fit again when the number of samples has grown by this fraction.', '', 0.0, 10.0

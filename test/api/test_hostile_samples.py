@@ -52,7 +52,7 @@ HOSTILE = {
 def test_the_rest_is_analyzed_and_drawn(name: str, tmp_path: Path) -> None:
     batch = ar.simulate(hours=N / 50 / 3600, rate=50, seed=1)
     HOSTILE[name](batch)
-    results = ar.analyze(batch, method='relative')
+    results = ar.analyze(batch, method='paper')
     assert 'allan_gyro.png' in {path.name for path in results.save(tmp_path, plots=('png',))}
     assert results.samples <= N
 

@@ -81,7 +81,7 @@ def test_the_table_agrees_with_the_files(
 def test_sums_and_recordings_are_added(recording: Path, tmp_path: Path) -> None:
     parts = parts_of(recording, tmp_path)
     folders = [tmp_path / name for name in ('one', 'two', 'merged', 'together')]
-    how = ['--method', 'relative', '-o']
+    how = ['--method', 'paper', '-o']
     for part, folder in zip(parts, folders):
         assert main(['analyze', part, *how, str(folder)]) == 0
     sums = [str(folders[0]), str(folders[1] / 'sums.json')]
@@ -102,7 +102,7 @@ def test_the_time_of_all_inputs_decides_whether_data_are_short(
 ) -> None:
     paths, short = parts_of(recording, tmp_path, 1800), []
     for given in (paths[:1], paths):
-        assert main(['analyze', *given, '--json', '--method', 'relative']) == 0
+        assert main(['analyze', *given, '--json', '--method', 'paper']) == 0
         found = json.loads(capsys.readouterr().out)['findings']
         short.append([each['message'] for each in found if each['id'] == 'short'])
     assert len(short[0]) == 1 and '36' in short[0][0]

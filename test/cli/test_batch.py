@@ -18,7 +18,7 @@ from allan_ros.cli.main import main
 from allan_ros.core.imu import ImuBatch
 from allan_ros.io.readers.cdr import encode_imus
 
-QUICK = ('--method', 'relative')
+QUICK = ('--method', 'paper')
 """The fastest method, for tests that do not depend on the fit."""
 
 

@@ -49,7 +49,7 @@ def documents(parts: Iterable[Any]) -> list[Any]:
 
 def shown(paths: list[str], capsys: pytest.CaptureFixture[str], *how: str) -> str:
     """Return the output of an analysis."""
-    assert main(['analyze', *paths, '--method', 'relative', *how]) == 0
+    assert main(['analyze', *paths, '--method', 'paper', *how]) == 0
     return capsys.readouterr().out
 
 

@@ -15,7 +15,7 @@ from allan_ros.cli.console import Progress, colored
 from allan_ros.cli.main import main
 from allan_ros.io.exporters import TARGETS
 
-FIT = ['--method', 'relative']
+FIT = ['--method', 'paper']
 
 
 class Terminal(io.StringIO):
@@ -84,7 +84,7 @@ def test_verbose_prints_settings_sources_and_times_to_stderr(
     said = capsys.readouterr().err
     assert 'settings: ' in said and 'skip=1.5' in said and 'max_bridge=3' in said
     assert f'{recording}: 18,000 samples from npz' in said
-    assert all(step in said for step in ('read ', 'fitted by relative: '))
+    assert all(step in said for step in ('read ', 'fitted by paper: '))
 
 
 @pytest.mark.parametrize(

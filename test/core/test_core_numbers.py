@@ -125,8 +125,8 @@ def test_decades_in_one_segment_are_counted_and_fitted(samples: int) -> None:
     curve = allan_curve(sums)
     assert np.all(np.diff(curve.n) <= 0) and np.all(curve.n > 0)
     assert np.all(curve.ci_low < curve.adev) and np.all(curve.adev < curve.ci_high)
-    for method in ('paper', 'relative') if samples == DECADES else ():
-        noise = fit_noise(sums, method).axes['gyro_x'].noise
+    if samples == DECADES:
+        noise = fit_noise(sums, 'paper').axes['gyro_x'].noise
         assert noise['N'].value == pytest.approx(TRUTH.N, rel=1e-3)
         assert noise['B'].value == pytest.approx(TRUTH.B, rel=0.1)
 

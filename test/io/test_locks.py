@@ -111,7 +111,7 @@ import allan_ros as ar
 from allan_ros.cli.main import main
 with tempfile.TemporaryDirectory() as folder:
     assert main(['simulate', f'{folder}/a.npz', '--preset', 'paper', '--hours', '0.02']) == 0
-    assert main(['analyze', f'{folder}/a.npz', '--method', 'relative', '-o', f'{folder}/out']) == 0
+    assert main(['analyze', f'{folder}/a.npz', '--method', 'paper', '-o', f'{folder}/out']) == 0
     assert ar.load(f'{folder}/out').samples == 7200
 """
     done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)

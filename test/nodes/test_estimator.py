@@ -24,7 +24,7 @@ N = 1e-3 * 200.0**-0.5
 
 
 # the fastest method: these tests are about the time and the use of a fit, not its result
-QUICK = {'estimator.method': 'relative'}
+QUICK = {'estimator.method': 'paper'}
 
 
 def test_two_nodes_make_a_noise_model(graph, still_imu):

@@ -82,7 +82,7 @@ def results_of(seconds: int, method: str) -> Results:
 
 @pytest.fixture(scope='module')
 def results() -> Results:
-    return results_of(20, 'relative')
+    return results_of(20, 'paper')
 
 
 @pytest.mark.parametrize('seconds', [12, 900])

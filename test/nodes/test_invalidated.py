@@ -35,7 +35,7 @@ def sums_text(*batches: ImuBatch) -> str:
     return json.dumps(Snapshot((sums_of(*batches), Provenance())).to_document())
 
 
-def estimator(graph: Any, method: str = 'relative') -> tuple[Any, list[dict[str, Any]]]:
+def estimator(graph: Any, method: str = 'paper') -> tuple[Any, list[dict[str, Any]]]:
     """Start an estimator; return a publisher of its sums, and the models."""
     graph.run('estimator', **{'estimator.method': method})
     publisher = graph.node.create_publisher(String, 'sums', LATCHED)

@@ -29,7 +29,7 @@ def test_the_estimator_publishes_the_bias(graph: Any, still_imu: Callable[..., I
     from geometry_msgs.msg import TwistWithCovarianceStamped
 
     received: list[Any] = []
-    graph.run('monitor', **{'estimator.method': 'relative', 'publish.sums_period': 3600.0})
+    graph.run('monitor', **{'estimator.method': 'paper', 'publish.sums_period': 3600.0})
     graph.node.create_subscription(
         TwistWithCovarianceStamped, '/allan_monitor/bias', received.append, 10
     )

@@ -44,12 +44,8 @@ __all__ = [
     'fit_noise',
 ]
 
-METHODS = {
-    'likelihood': 'maximum likelihood of octave spectra and block means: intervals and limits',
-    'relative': 'nonnegative least squares on relative residuals: no intervals',
-    'paper': 'plain least squares over groups that do not overlap, as Cong et al. 2019',
-}
-"""Fit method -> its description for users."""
+METHODS = ('likelihood', 'paper')
+"""Maximum likelihood of octave spectra and block means, or least squares as Cong et al. 2019."""
 
 
 def fit_noise(sums: AllanSums, method: str = 'likelihood') -> NoiseModel:
@@ -79,6 +75,6 @@ def fit_noise(sums: AllanSums, method: str = 'likelihood') -> NoiseModel:
         from .method import fit_likelihood
 
         return fit_likelihood(sums)
-    from .least_squares import fit_paper, fit_relative
+    from .least_squares import fit_paper
 
-    return (fit_paper if method == 'paper' else fit_relative)(sums)
+    return fit_paper(sums)

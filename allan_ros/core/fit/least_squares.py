@@ -1,18 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Least squares on the Allan variance: methods 'relative' and 'paper', and curves of other tools.
+"""Least squares on the Allan variance: method 'paper', and curves of other tools.
 
-None of them uses the covariance of the Allan variances. The methods 'relative' and 'paper' give no
-intervals.
-
-'relative' minimizes the relative residuals of the overlapping curve with nonnegative coefficients,
-as several open tools do. No decade of tau dominates. N is less precise than with method
-'likelihood', because the short averaging times, which are the most precise, have no larger weight.
+None of them uses the covariance of the Allan variances.
 
 'paper' is the method of Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019. It fits the
 Allan variance sigma^2(tau) = sum A_p tau^p, p = -2..2, without weights, to averages over groups
 that do not overlap, up to 1300 s, and computes each coefficient from its A_p. The long averaging
-times, which are the least precise, have the largest weight, so Q, K and R are often negative.
+times, which are the least precise, have the largest weight, so Q, K and R are often negative. It
+gives no intervals.
 
 `fit_curve` fits a curve that another tool computed. Its covariance is unknown without the samples:
 the points are decimated to four per octave and treated as independent, each with the degrees of
@@ -31,12 +27,8 @@ from ..allan.curve import sample_period
 from ..allan.sums import AllanSums
 from ..errors import AllanError
 from ..findings import Finding, finding
-from ..noise import FLICKER_FLOOR, NoiseTerms, term_avar
+from ..noise import FLICKER_FLOOR
 from .model import TERMS, Z_95, AxisFit, Coefficient, Floats, NoiseModel, Status, model_of_terms
-
-MIN_GROUPS = 9
-"""Smallest number of averaging times in the record for method 'relative'. With fewer, a point may
-be several times too low by chance, and its relative residual would dominate the fit."""
 
 LONGEST_TAU = 1300.0
 """Longest averaging time of method 'paper' in s."""
@@ -93,27 +85,6 @@ def nonnegative_least_squares(matrix: NDArray[Any], target: NDArray[Any]) -> Flo
             x[~free] = 0.0
         x = trial
     return x
-
-
-def fit_relative(sums: AllanSums) -> NoiseModel:
-    """Fit all axes by nonnegative least squares on relative residuals."""
-    findings: list[Finding] = []
-    axes: dict[str, AxisFit] = {}
-    tau0, signs = sample_period(sums), _signs_of_ramps(sums)
-    unit_terms = term_avar(sums.m, tau0, NoiseTerms(1.0, 1.0, 1.0, 1.0, 1.0))
-    short = MIN_GROUPS * sums.m <= sums.samples
-    for axis, avar, sign in zip(sums.axes, sums.avar.T, signs):
-        used = short & (avar > 0.0)
-        squares = np.zeros(len(TERMS))
-        points = int(np.count_nonzero(used))
-        if points >= len(TERMS):
-            relative = unit_terms[used] / avar[used, None]
-            size = np.linalg.norm(relative, axis=0)
-            squares = nonnegative_least_squares(relative / size, np.ones(points)) / size
-        else:
-            findings.append(_too_few((axis,), points))
-        axes[axis] = _axis_fit(squares, sign)
-    return NoiseModel('relative', tau0, axes, tuple(findings))
 
 
 def fit_paper(sums: AllanSums) -> NoiseModel:

@@ -290,7 +290,7 @@ class NoiseModel:
     Attributes
     ----------
     method : str
-        'likelihood', 'relative' or 'paper'.
+        'likelihood' or 'paper'.
     tau0 : float
         Sample period in s.
     axes : mapping of axis name to AxisFit

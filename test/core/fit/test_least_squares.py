@@ -12,7 +12,6 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import TERMS, fit_noise
 from allan_ros.core.fit.least_squares import nonnegative_least_squares
 from allan_ros.core.imu import from_datasheet
-from allan_ros.core.noise import term_avar
 from allan_ros.core.simulate import NoiseTerms, simulate_axis
 
 AXES = ('gyro_x', 'accel_z')
@@ -73,46 +72,26 @@ def test_paper_uses_averages_up_to_1300_s(white):
     assert fit.axes['gyro_x'].noise['K'].value == pytest.approx(TRUTH.K, rel=1e-5)
 
 
-def test_relative_finds_the_terms_of_an_exact_curve(white):
-    def curve(tau):
-        return term_avar(tau / white.tau0, white.tau0, TRUTH).sum(axis=1)
-
-    fit = fit_noise(with_curve(white, curve), 'relative')
-    for axis in AXES:
-        found = [fit.axes[axis].noise[term].value for term in TERMS]
-        np.testing.assert_allclose(found, astuple(TRUTH), rtol=1e-6)
-
-
-def test_relative_has_no_negative_or_absent_terms(white):
-    noise = fit_noise(white, 'relative').axes['gyro_x'].noise
-    assert noise['N'].value == pytest.approx(1e-3, rel=0.02)
-    absent = [term for term in TERMS if noise[term].value is None]
-    assert absent and all(noise[term].status == 'not_observable' for term in absent)
-    assert all(noise[term].value > 0 for term in set(TERMS) - set(absent))
-
-
-@pytest.mark.parametrize('method', ['paper', 'relative'])
 @pytest.mark.parametrize('sign', [1, -1])
-def test_a_ramp_keeps_its_sign(method, sign):
+def test_a_ramp_keeps_its_sign(sign):
     rng = np.random.default_rng(4)
     terms = NoiseTerms(N=1e-4, R=sign * from_datasheet('R', 'gyro', 2000.0))
     y = np.stack([simulate_axis(180000, 0.01, terms, rng)] * 2, 1)
-    fit = fit_noise(sums_of(y, axes=AXES), method)
+    fit = fit_noise(sums_of(y, axes=AXES), 'paper')
     ramp = fit.axes['gyro_x'].noise['R']
     assert ramp.value == pytest.approx(abs(terms.R), rel=0.1)
     assert ramp.sign == sign
 
 
-@pytest.mark.parametrize('method', ['paper', 'relative'])
-def test_short_or_constant_records_have_no_coefficients(method):
+def test_short_or_constant_records_have_no_coefficients():
     for y in (np.random.default_rng(0).standard_normal((6, 2)), np.full((1000, 2), 9.81)):
-        fit = fit_noise(sums_of(y, axes=AXES), method)
+        fit = fit_noise(sums_of(y, axes=AXES), 'paper')
         assert all(c.value is None for axis in AXES for c in fit.axes[axis].noise.values())
         assert len(y) > 6 or {f.id for f in fit.findings} == {'too_few_points'}
 
 
 def test_unknown_methods_and_empty_sums_are_rejected(white):
-    with pytest.raises(AllanError, match='choose one of likelihood, relative, paper'):
+    with pytest.raises(AllanError, match='choose one of likelihood, paper'):
         fit_noise(white, 'magic')
     with pytest.raises(AllanError, match='at least two samples'):
         fit_noise(AllanSums.empty(), 'paper')

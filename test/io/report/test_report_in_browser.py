@@ -89,7 +89,7 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
 def real_page(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the page of 11 minutes of an MPU-6050."""
     folder = tmp_path_factory.mktemp('real')
-    ar.analyze(shared_data / 'mpu6050.npz', method='relative').save(folder)
+    ar.analyze(shared_data / 'mpu6050.npz', method='paper').save(folder)
     return folder / 'report.html'
 
 
