@@ -41,8 +41,10 @@ PAPER_FACTORS = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
 K^2/3, R^2/2 (the paper's eq. 3; IEEE Std 952-1997 annex C)."""
 
 
-def nonnegative_least_squares(matrix: NDArray[Any], target: NDArray[Any]) -> Floats:
-    """Return the x >= 0 that minimizes |matrix x - target|.
+def nonnegative_least_squares(
+    matrix: NDArray[Any], target: NDArray[Any], signed: ArrayLike = False
+) -> Floats:
+    """Return the x that minimizes |matrix x - target|, with x >= 0 except where ``signed``.
 
     The active set method of Lawson and Hanson, *Solving Least Squares Problems*, 1974, chapter 23.
     The function of scipy loads 20 MB of modules that nothing else needs.
@@ -51,6 +53,7 @@ def nonnegative_least_squares(matrix: NDArray[Any], target: NDArray[Any]) -> Flo
     ----------
     matrix : array, shape (rows, columns)
     target : array, shape (rows,)
+    signed : array of bool, shape (columns,), optional
 
     Returns
     -------
@@ -63,6 +66,7 @@ def nonnegative_least_squares(matrix: NDArray[Any], target: NDArray[Any]) -> Flo
     [3.0, 0.0]
     """
     columns = matrix.shape[1]
+    signed = np.broadcast_to(np.asarray(signed, bool), columns)
 
     def solved(free: NDArray[np.bool_]) -> Floats:
         x = np.zeros(columns)
@@ -70,8 +74,8 @@ def nonnegative_least_squares(matrix: NDArray[Any], target: NDArray[Any]) -> Flo
         return x
 
     free = np.ones(columns, bool)
-    while (x := solved(free)).min() < 0.0:  # begins near the solution
-        free &= x > 0.0
+    while np.any((x := solved(free))[~signed] < 0.0):  # begins near the solution
+        free &= (x > 0.0) | signed
     rounding = 10.0 * max(matrix.shape) * np.finfo(float).eps
     least = rounding * np.linalg.norm(matrix, axis=0) * np.linalg.norm(target)
     for _ in range(3 * columns):
@@ -79,9 +83,9 @@ def nonnegative_least_squares(matrix: NDArray[Any], target: NDArray[Any]) -> Flo
         if not gain.max() > 0.0:
             break
         free[gain.argmax()] = True
-        while (below := free & ((trial := solved(free)) <= 0.0)).any():
+        while (below := free & ~signed & ((trial := solved(free)) <= 0.0)).any():
             x += (x[below] / (x[below] - trial[below])).min() * (trial - x)
-            free &= x > rounding * x.max()
+            free &= (x > rounding * x.max()) | signed
             x[~free] = 0.0
         x = trial
     return x

@@ -191,15 +191,17 @@ class AxisData:
         a = columns.power * (np.sqrt(half) / s)[:, None]
         information, moment = a.T @ a, a.T @ (ratio * np.sqrt(half))
         for (count, _, gram), d in zip(self.low, columns.low):
-            root, bad = lapack.dpotrf(np.tensordot(p, d, 1), lower=1)
+            flat = d.reshape(len(p), -1)
+            root, bad = lapack.dpotrf((p @ flat).reshape(d.shape[1:]), lower=1)
             if bad:
                 return None
             inverse_root = lapack.dtrtri(root, lower=1)[0]
             v = inverse_root.T @ inverse_root
-            dv, gv = d @ v, gram @ v
-            value += 2.0 * count * float(np.log(np.diag(root)).sum()) + float(np.trace(gv))
-            information += 0.5 * count * np.tensordot(dv, dv, ((1, 2), (2, 1)))
-            moment += 0.5 * np.tensordot(dv, gv, ((1, 2), (1, 0)))
+            dv, vgv = d @ v, v @ gram @ v
+            value += 2.0 * count * float(np.log(np.diag(root)).sum()) + float(np.sum(gram * v))
+            transposed = dv.transpose(0, 2, 1).reshape(len(p), -1)
+            information += 0.5 * count * dv.reshape(len(p), -1) @ transposed.T
+            moment += 0.5 * flat @ vgv.ravel()
         return value, information, moment
 
     def start(self, columns: Columns) -> Floats:
@@ -284,7 +286,4 @@ def _step(information: Floats, moment: Floats, sign: Flags) -> Floats:
     free = np.linalg.solve(root.T, target)
     if np.all((free >= 0.0) | sign):
         return np.asarray(free / d)
-    x = nonnegative_least_squares(np.column_stack([root.T, -root.T[:, sign]]), target)
-    out = x[: len(d)]
-    out[sign] -= x[len(d) :]
-    return np.asarray(out / d)
+    return nonnegative_least_squares(root.T, target, sign) / d
