@@ -16,10 +16,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..allan.periods import BlockMeans
+from ..allan.sums import AllanSums
+from ..findings import Finding, duration_text, finding
+from ..imu import SENSORS, sensor_of
 from ..noise import unit_avar
 from .likelihood import TERMS, AxisData, Columns, Fit, LowBand
-from .limits import GAIN_MORE_STEPS, GAIN_STEPS, GAIN_WARM_UP
-from .statistics import Component, Floats, Group, Statistics, contrasts, lower_edge
+from .method import daily_cycle
+from .statistics import (
+    Component,
+    Floats,
+    Group,
+    Statistics,
+    contrasts,
+    lower_edge,
+    statistics,
+)
+
+GAIN_WARM_UP = 16.5
+"""Least gain in -2 log L of a warm-up, summed over the axes of a sensor: 1 % per sensor. The
+99 % quantiles without a warm-up are 10 to 13, depending on the noise (`bench_stationarity.py`)."""
+
+GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
+"""Least gain in -2 log L of a step of the bias, and of each further one. The 99 % quantiles without
+steps are 11 to 22, depending on the noise (`bench_stationarity.py`)."""
 
 MOST_CONTRASTS = 96
 """Largest number of contrasts of the block means; octave spectra describe higher frequencies."""
@@ -34,6 +53,21 @@ MOST_STEPS = 5
 
 LEAST_MEANS = 24
 """Fewest block means of a segment that is tested."""
+
+LEAST_SEGMENT = 0.3
+"""Shortest first segment, relative to its recording, in which a warm-up is searched for."""
+
+TESTED_RECORDINGS = 4
+"""Number of the longest recordings that are tested for a warm-up."""
+
+LEAST_TESTED_S = 120.0
+"""Shortest segment in s in which a warm-up and steps are searched for. In shorter ones, vibration
+rather than drift changes the means."""
+
+STEPS_RATIO = 0.5
+"""Steps are reported if the variance of the random walk with steps in the model is below this
+fraction of that without them. A drift that is no random walk often looks like a few steps, which
+explain less of it."""
 
 PROMISING_SCORE = 5.0, 8.0
 """Least score of a warm-up (per sensor) and of a step for which the noise is fitted again. Scores
@@ -97,9 +131,7 @@ class WarmUp:
     recording: int
     axes: tuple[int, ...]  # axes of the sensor that take part
     sizes: tuple[float, ...]  # of each, at the start of the segment
-    time: float  # T in samples
     age: float  # in samples, from which on it is below half of the Allan deviation at T
-    fair_age: float  # from which on it is below the Allan deviation
     excess: float  # gain above the threshold
 
 
@@ -155,6 +187,32 @@ def segment_of(
     return Segment(data, columns, components, z[1:] / math.sqrt(data.scale), fit)
 
 
+def warm_ups(sums: AllanSums) -> list[WarmUp]:
+    """Return the warm-ups of the sensors in the longest recordings."""
+    known, tau0 = statistics(sums), sums.tau0 or 1.0
+    names = [sensor_of(axis) for axis in sums.axes]
+    sensors = [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
+    order = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
+    found = []
+    for i in order[:TESTED_RECORDINGS]:
+        recording = sums.recordings[i]
+        first = recording.means[0] if recording.means else None
+        if (
+            first is not None
+            and _is_tested(first, tau0)
+            and first.samples >= LEAST_SEGMENT * recording.samples
+        ):
+            more = daily_cycle(first.samples, tau0)
+            each = [warm_up(known, i, first, axes, more) for axes in sensors]
+            found += [w for w in each if w is not None]
+    return found
+
+
+def _is_tested(means: BlockMeans, tau0: float) -> bool:
+    """Return whether a segment is long enough for a warm-up and steps."""
+    return len(means.values) >= LEAST_MEANS and means.samples * tau0 >= LEAST_TESTED_S
+
+
 def warm_up(
     known: Statistics,
     recording: int,
@@ -192,15 +250,13 @@ def warm_up(
         return None
     time = float(times[k])
     taking = [a for a, (g, _, _) in each.items() if g > GAIN_WARM_UP / len(each) / 2.0]
-    age, fair = 0.0, 0.0
+    age = 0.0
     for a in taking:
         _, size, fitted = each[a]
         ratio = abs(size) / fitted.deviation(time)
         age = max(age, time * math.log(max(2.0 * ratio, 1.0)))
-        fair = max(fair, time * math.log(max(ratio, 1.0)))
     sizes = tuple(each[a][1] for a in taking)
-    ages = means.age + age, means.age + fair
-    return WarmUp(recording, tuple(taking), sizes, time, *ages, excess)
+    return WarmUp(recording, tuple(taking), sizes, means.age + age, excess)
 
 
 def _decays(times: Floats, means: BlockMeans) -> Floats:
@@ -243,3 +299,25 @@ def bias_steps(
     ns = [means.start_ns + round((at[i] + 1) * means.step * tau0 * 1e9) for i in order]
     before, after = (float(s.fit.p[3]) * s.data.scale for s in (segment, now))
     return BiasSteps(axis, tuple(ns), tuple(float(beta[i]) for i in order), before, after, excess)
+
+
+def step_findings(sums: AllanSums, without: set[int]) -> list[Finding]:
+    """Return the findings about steps in the longest segment, except of some axes."""
+    tau0 = sums.tau0 or 1.0
+    every = [m for r in sums.recordings for m in r.means]
+    longest = max(every, key=lambda m: m.samples, default=None)
+    if longest is None or not _is_tested(longest, tau0):
+        return []
+    known = statistics(sums)
+    found = []
+    for i, axis in enumerate(sums.axes):
+        if i in without:
+            continue
+        steps = bias_steps(known, longest, i, tau0, daily_cycle(longest.samples, tau0))
+        if steps is not None and steps.walk_after < STEPS_RATIO * steps.walk_before:
+            share = 1.0 - math.sqrt(steps.walk_after / steps.walk_before)
+            size = max(abs(s) for s in steps.sizes)
+            times = [duration_text((ns - longest.start_ns) * 1e-9) for ns in steps.ns]
+            at = ', '.join(times)
+            found.append(finding('bias_steps', (axis,), size=size, share=share, at=at))
+    return found

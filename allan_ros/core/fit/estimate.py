@@ -17,18 +17,27 @@ from typing import NamedTuple
 import numpy as np
 
 from ..allan.grid import octave
-from .candidates import Candidates
 from .likelihood import TERMS, AxisData, Fit, inverse
-from .limits import (
-    CURVATURE,
-    LACK_OF_FIT,
-    LEAST_BINS,
-    LOST_POWER,
-    WHITE_NOISE,
-)
 from .model import N, Q
-from .selection import Selection
+from .selection import Candidates, Selection
 from .statistics import Component
+
+LACK_OF_FIT = 1e-3
+"""Probability of the chi^2 test of the octaves below which a model is rejected: 0.1 % (0.05 %)."""
+
+CURVATURE = 2.5
+"""Normal deviate of the next power of f of a low-pass filter above which a filter is assumed:
+one-sided 0.6 % (0.6 %)."""
+
+LEAST_BINS = 12
+"""Fewest bins of a fit with a lower highest frequency."""
+
+WHITE_NOISE = 3.0
+"""Least ratio of the white noise to its standard error in a model that holds (within the 0.6 %)."""
+
+LOST_POWER = 0.8, 0.5
+"""Power of the highest octave, and of lower ones, relative to two octaves lower, below which the
+search for the highest frequency of a filtered axis begins below this octave. They save time."""
 
 TOPS = tuple(0.5 / 2**i for i in range(8))
 """Highest frequencies of a fit in cycles per sample."""

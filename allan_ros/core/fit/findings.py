@@ -14,7 +14,6 @@ from ..allan.curve import AllanCurve
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from .interpretation import largest_deviation, model_line, recommended_duration
-from .limits import LEAST_DRIFT_S
 from .model import AxisFit, Floats, NoiseModel, Sinusoid
 
 NEGLIGIBLE_STEP = 0.02
@@ -137,8 +136,6 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
         numbers = {'frequency': hump.frequency, 'width': width, 'amplitude': hump.sigma}
         found.append(finding('resonance', name, **numbers))
     found += _process_findings(name, fit)
-    if sums.samples * tau0 < LEAST_DRIFT_S:
-        found.append(finding('rest_too_short', name, rest=sums.samples * tau0))
     white = fit.noise['N'].value
     step = rounding_step(sums, axis, white**2 / tau0) if white else None
     if step is not None and white:

@@ -14,18 +14,17 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..noise import PROCESS_TYPES, NoiseTerms, ProcessModel
-from .candidates import Candidates
 from .estimate import Estimate, estimate
 from .findings import axis_findings, merge_equal
-from .intervals import (
+from .likelihood import (
+    AxisData,
     Interval,
     RampEstimate,
     information_with_shapes,
+    inverse,
     profile_interval,
     ramp_estimate,
 )
-from .likelihood import AxisData, inverse
-from .limits import GAIN_RESOLVED, LEAST_DRIFT_S, LEAST_STATISTICS, RAMP_RESOLVED
 from .model import (
     RANDOM_TERMS,
     TERMS,
@@ -45,7 +44,18 @@ from .model import (
     Status,
     coefficient_to_si,
 )
+from .selection import GAIN_RESOLVED, Candidates
 from .statistics import Component, statistics
+
+RAMP_RESOLVED = 2.58 / 1.96
+"""Least |R| in units of the half width of its interval for R to be resolved: two-sided 1 % (1.0 %
+of the 900 axes without R)."""
+
+LEAST_DRIFT_S = 10.0
+"""Shortest time at rest in s for which B, K and R are estimated."""
+
+LEAST_STATISTICS = 12
+"""Fewest bins and contrasts of a fit."""
 
 DAY_S = 86400.0
 
@@ -86,6 +96,8 @@ def fit_likelihood(sums: AllanSums) -> NoiseModel:
         brief = sums.samples * tau0 < LEAST_DRIFT_S
         axes[name] = axis_fit(result, tau0, brief)
         findings += axis_findings(sums, a, axes[name], tau0)
+        if brief:
+            findings.append(finding('rest_too_short', (name,), rest=sums.samples * tau0))
     return NoiseModel('likelihood', tau0, axes, merge_equal(findings))
 
 

@@ -11,38 +11,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..allan.periods import BlockMeans
+from ..allan.spectra import pooled_spectra
 from ..allan.sums import AllanSums, part
 from ..findings import Finding, Quantity, duration_text, finding
-from ..imu import SENSORS, sensor_of
+from ..imu import sensor_of
 from . import NoiseModel, fit_noise
-from .effects import LEAST_MEANS, BiasSteps, WarmUp, bias_steps, warm_up
-from .levels import Levels, levels, present_part
-from .method import daily_cycle
+from .effects import WarmUp, step_findings, warm_ups
 from .model import Z_95
-from .statistics import statistics
+from .statistics import Floats
 
 LEAST_REMAINING = 0.25
 """Smallest fraction of the samples that must remain after the early part."""
 
-LEAST_SEGMENT = 0.3
-"""Shortest first segment, relative to its recording, in which a warm-up is searched for."""
+LEVEL_CHANGES = 1e-3
+"""Probability below which the level of the white noise varies, per axis (0 of 240 records)."""
 
-TESTED_RECORDINGS = 4
-"""Number of the longest recordings that are tested for a warm-up."""
+TOP_OCTAVES = 3
+"""Octaves that measure the level of the white noise."""
 
-LEAST_TESTED_S = 120.0
-"""Shortest segment in s in which a warm-up and steps are searched for. In shorter ones, vibration
-rather than drift changes the means."""
+SINUSOID_RATIO = 1.5
+"""Bins whose power exceeds the median of their octave by this ratio contain a sinusoid."""
 
-STEPS_RATIO = 0.5
-"""Steps are reported if the variance of the random walk with steps in the model is below this
-fraction of that without them. A drift that is no random walk often looks like a few steps, which
-explain less of it."""
+SPREAD_DOF = 0.3
+"""Degrees of freedom of the scatter between neighboring periods, per period."""
+
+MEDIAN_CHI_SQUARED = 0.455
+"""Median of chi-squared with one degree of freedom."""
+
+PART = 0.04
+"""Typical length, relative to all data, of the shortest parts whose level a finding states."""
+
+LEAST_CHANGE = 0.2
+"""Least relative change of N after which only the last part is fitted."""
+
+LEAST_LAST_S, LEAST_LAST_PART = 30.0, 0.1
+"""Shortest last part that is fitted alone, in s and relative to all data."""
 
 SHAKY_RATIO = 1.3
 """Ratio of the highest to the lowest N above which steps are not searched for."""
@@ -82,8 +90,8 @@ def fit_stationary(
     every = levels(sums)
     present = present_part(sums, every) if settle else None
     data = sums if present is None else _from_period(sums, present[0])
-    warm_ups = _warm_ups(data)
-    used, found = _without_warm_up(data, settle, warm_ups)
+    warming = warm_ups(data)
+    used, found = _without_warm_up(data, settle, warming)
     model = fit_noise(used, method)
     if present is not None:
         at, changed = present
@@ -93,8 +101,8 @@ def fit_stationary(
         every = levels(used)
     # a larger level of the white noise in a part would look like steps
     shaky = {i for i in range(len(sums.axes)) if np.divide(*every.extremes(i)) < 1.0 / SHAKY_RATIO}
-    shaky |= {a for w in warm_ups for a in w.axes} if used is data else set()
-    found += _steps(used, shaky)
+    shaky |= {a for w in warming for a in w.axes} if used is data else set()
+    found += step_findings(used, shaky)
     return used, _with_variation(used, every, replace(model, findings=(*found, *model.findings)))
 
 
@@ -125,33 +133,6 @@ def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
 # --- warm-up --------------------------------------------------------------------------------------
 
 
-def _axes_by_sensor(sums: AllanSums) -> list[list[int]]:
-    """Return the indices of the axes of each sensor (gyroscope, accelerometer)."""
-    names = [sensor_of(axis) for axis in sums.axes]
-    return [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
-
-
-def _warm_ups(sums: AllanSums) -> list[WarmUp]:
-    """Return the warm-ups of the sensors in the longest recordings."""
-    known, tau0 = statistics(sums), sums.tau0 or 1.0
-    order = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
-    found = []
-    for i in order[:TESTED_RECORDINGS]:
-        recording = sums.recordings[i]
-        first = recording.means[0] if recording.means else None
-        if (
-            first is None
-            or len(first.values) < LEAST_MEANS
-            or first.samples < LEAST_SEGMENT * recording.samples
-            or first.samples * tau0 < LEAST_TESTED_S
-        ):
-            continue
-        more = daily_cycle(first.samples, tau0)
-        each = [warm_up(known, i, first, axes, more) for axes in _axes_by_sensor(sums)]
-        found += [w for w in each if w is not None]
-    return found
-
-
 def _first_periods(sums: AllanSums, ages: list[tuple[int, float]]) -> tuple[list[int], int]:
     """Return the first period of each recording after some ages, and the samples that remain."""
     first = [0] * len(sums.recordings)
@@ -164,21 +145,19 @@ def _first_periods(sums: AllanSums, ages: list[tuple[int, float]]) -> tuple[list
 
 
 def _without_warm_up(
-    sums: AllanSums, settle: bool, warm_ups: list[WarmUp]
+    sums: AllanSums, settle: bool, warming: list[WarmUp]
 ) -> tuple[AllanSums, list[Finding]]:
     """Exclude warm-ups; return sums and findings.
 
     With ``settle`` False, or if too little would remain, they are only reported.
     """
-    if not warm_ups:
+    if not warming:
         return sums, []
     tau0 = sums.tau0 or 1.0
-    first, remaining = _first_periods(sums, [(w.recording, w.age) for w in warm_ups])
-    if remaining < LEAST_REMAINING * sums.samples:
-        first, remaining = _first_periods(sums, [(w.recording, w.fair_age) for w in warm_ups])
-    axes = tuple(a for i, a in enumerate(sums.axes) if any(i in w.axes for w in warm_ups))
+    first, remaining = _first_periods(sums, [(w.recording, w.age) for w in warming])
+    axes = tuple(a for i, a in enumerate(sums.axes) if any(i in w.axes for w in warming))
     axis, largest = max(
-        ((a, s) for w in warm_ups for a, s in zip(w.axes, w.sizes)), key=lambda each: abs(each[1])
+        ((a, s) for w in warming for a, s in zip(w.axes, w.sizes)), key=lambda each: abs(each[1])
     )
     size = Quantity(abs(largest), sensor_of(sums.axes[axis]), 'signal')
     if settle and remaining >= LEAST_REMAINING * sums.samples:
@@ -187,7 +166,7 @@ def _without_warm_up(
         used = _parts(sums, first)
         early = max(r.periods[k].begin for r, k in zip(sums.recordings, first) if r.periods[k:])
         return used, [finding('settled_part', axes, early=early * tau0, size=size)]
-    last = max(warm_ups, key=lambda w: w.age)
+    last = max(warming, key=lambda w: w.age)
     rest = (last.age - sums.recordings[last.recording].samples) * tau0
     after = f'after {duration_text(last.age * tau0)}'
     settles = f'in about {duration_text(rest)}' if rest > 0.0 else after
@@ -195,45 +174,169 @@ def _without_warm_up(
     return sums, [finding('warm_up', axes, size=size, settles=settles, how_long=long)]
 
 
-# --- steps of the bias ----------------------------------------------------------------------------
-
-
-def _steps(sums: AllanSums, without: set[int]) -> list[Finding]:
-    """Return the findings about steps in the longest segment, except of some axes."""
-    tau0 = sums.tau0 or 1.0
-    every = [m for r in sums.recordings for m in r.means]
-    longest = max(every, key=lambda m: m.samples, default=None)
-    if (
-        longest is None
-        or len(longest.values) < LEAST_MEANS
-        or longest.samples * tau0 < LEAST_TESTED_S
-    ):
-        return []
-    known = statistics(sums)
-    found = []
-    for i, axis in enumerate(sums.axes):
-        if i in without:
-            continue
-        steps = bias_steps(known, longest, i, tau0, daily_cycle(longest.samples, tau0))
-        if steps is not None and steps.walk_after < STEPS_RATIO * steps.walk_before:
-            found.append(_steps_finding(axis, steps, longest, tau0))
-    return found
-
-
-def _steps_finding(axis: str, steps: BiasSteps, means: BlockMeans, tau0: float) -> Finding:
-    """Return the finding about the steps of an axis; times count from the start of the segment."""
-    times = [duration_text((ns - means.start_ns) * 1e-9) for ns in steps.ns]
-    size = max(abs(s) for s in steps.sizes)
-    return finding(
-        'bias_steps',
-        (axis,),
-        size=size,
-        share=1.0 - math.sqrt(steps.walk_after / steps.walk_before),
-        at=', '.join(times),
-    )
-
-
 # --- level of the white noise ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Variance of the white noise in each period."""
+
+    power: Floats  # (periods, axes) relative to all data; NaN without spectra
+    dof: Floats  # (periods,) of Gaussian noise
+    samples: NDArray[np.int64]  # (periods,)
+
+    def mean(self, axis: int, rows: slice = slice(None)) -> float:
+        """Return the mean level of some periods."""
+        return float(np.average(self.power[rows, axis], weights=np.maximum(self.dof[rows], 1e-9)))
+
+    def usual(self, axis: int, before: int) -> float:
+        """Return the weighted median of the levels before a period."""
+        order = np.argsort(self.power[:before, axis])
+        weight = np.cumsum(self.dof[:before][order])
+        at = int(np.searchsorted(weight, weight[-1] / 2.0))
+        return float(self.power[order[at], axis])
+
+    def spread(self, axis: int) -> float:
+        """Return the variance between neighboring periods relative to Gaussian noise, at least 1.
+
+        It is a median, on which changes of the level have no effect as long as there are few.
+        """
+        r, n = self.power[:, axis], self.dof
+        some = (n[1:] > 0.0) & (n[:-1] > 0.0) & (r[1:] > 0.0) & (r[:-1] > 0.0)
+        if not some.any():
+            return 1.0
+        gap = np.log(r[1:][some] / r[:-1][some])
+        expected = 2.0 / n[1:][some] + 2.0 / n[:-1][some]
+        return max(float(np.median(gap**2 / expected)) / MEDIAN_CHI_SQUARED, 1.0)
+
+    def varies(self, axis: int, spread: float = 1.0) -> bool:
+        """Return whether the levels of the periods differ significantly (Bartlett's test).
+
+        ``spread`` is the variance of the periods relative to Gaussian noise.
+        """
+        r, n = self.power[:, axis], self.dof
+        on = (n > 0.0) & (r > 0.0)
+        if on.sum() < 2:
+            return False
+        with np.errstate(divide='ignore', invalid='ignore'):
+            statistic = float(np.sum(n[on] * np.log(self.mean(axis) / r[on])))
+        return _tail(statistic, int(on.sum()) - 1, spread, len(r)) < LEVEL_CHANGES
+
+    def scatter(self, axis: int) -> float:
+        """Return the relative error of N due to the scatter between periods beyond chance."""
+        w = self.dof / max(self.dof.sum(), 1e-9)
+        spare = 1.0 - float(w @ w)
+        if spare <= 0.0 or not self.varies(axis):
+            return 0.0
+        mean = self.mean(axis) or np.nan
+        variance = float(w**2 @ (self.power[:, axis] / mean - 1.0) ** 2) / spare
+        return float(np.sqrt(max(variance - 2.0 / self.dof.sum(), 0.0)) / 2.0)
+
+    def extremes(self, axis: int) -> tuple[float, float]:
+        """Return the lowest and the highest N in parts of the data, divided by N of all data."""
+        part = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
+        rows = (slice(*np.flatnonzero(part == i)[[0, -1]] + [0, 1]) for i in np.unique(part))
+        mean = np.float64(self.mean(axis)) or np.nan
+        r = np.sqrt(np.array([self.mean(axis, each) for each in rows]) / mean)
+        if not np.isfinite(r).all():
+            return 1.0, 1.0
+        return float(r.min(initial=1.0)), float(r.max(initial=1.0))
+
+    def last_change(self, axis: int) -> int | None:
+        """Return the first period after the last change of the level, or None.
+
+        The level after it differs by `LEAST_CHANGE` of N from the usual level before.
+        """
+        n, r, spread = self.dof, self.power[:, axis], self.spread(axis)
+        found, begin = None, 0
+        while begin < len(n) - 1:
+            before, power = np.cumsum(n[begin:])[:-1], np.cumsum((n * r)[begin:])[:-1]
+            after = n[begin:].sum() - before
+            total = (n * r)[begin:].sum()
+            with np.errstate(divide='ignore', invalid='ignore'):
+                low, high = power / before, (total - power) / after
+                mean = total / n[begin:].sum()
+                gain = before * np.log(mean / low) + after * np.log(mean / high)
+                large = np.abs(np.log(high / low)) / 2.0 > np.log1p(LEAST_CHANGE)
+            gain = np.where(np.isfinite(gain) & large, gain, 0.0)
+            at = int(gain.argmax())
+            if not _tail(float(gain[at]), 1, spread, len(n)) * len(n) < LEVEL_CHANGES:
+                break
+            found = begin = begin + at + 1
+        if not found:
+            return None
+        if found + 1 < len(n) and self._is_mixed(axis, found, spread):
+            found += 1
+        return found if self.change(axis, found) > LEAST_CHANGE else None
+
+    def _is_mixed(self, axis: int, at: int, spread: float) -> bool:
+        """Return whether the level of a period differs from the level of all later ones."""
+        n, r = self.dof, self.power[:, axis]
+        later = n[at + 1 :].sum()
+        if not (n[at] > 0.0 and later > 0.0 and r[at] > 0.0):
+            return False
+        difference = math.log(self.mean(axis, slice(at + 1, None)) / r[at])
+        square = difference**2 / (2.0 / n[at] + 2.0 / later)
+        return _tail(square, 1, spread, len(n)) < LEVEL_CHANGES
+
+    def change(self, axis: int, at: int) -> float:
+        """Return the relative change of N at a period, from the usual level before; at least 0."""
+        before, after = self.usual(axis, at), self.mean(axis, slice(at, None))
+        if not (before > 0.0 and after > 0.0):  # one of them has no noise at all
+            return 0.0
+        ratio = after / before
+        return float(np.sqrt(max(ratio, 1.0 / ratio)) - 1.0)
+
+
+def _tail(statistic: float, number: int, spread: float, periods: int) -> float:
+    """Return the probability that chi-squared exceeds a statistic.
+
+    A ``spread`` above 1 is itself uncertain, as if it was the mean of `SPREAD_DOF` squares per
+    period.
+    """
+    from scipy.special import chdtrc, fdtrc
+
+    if spread == 1.0:
+        return float(chdtrc(number, statistic))
+    return float(fdtrc(number, SPREAD_DOF * periods, statistic / number / spread))
+
+
+def levels(sums: AllanSums) -> Levels:
+    """Return the level of the white noise in each period of the sums."""
+    whole = pooled_spectra(sums)
+    used = (whole.octave < TOP_OCTAVES) & (whole.dof > 0.0)
+    power, dof = [], []
+    flat = np.zeros((len(whole.f), len(sums.axes)), bool)
+    for o in np.unique(whole.octave[used]):
+        on = whole.octave == o
+        flat[on] = whole.power[on] <= SINUSOID_RATIO * np.median(whole.power[on], axis=0)
+    for r in sums.recordings:
+        for p in r.periods:
+            one = pooled_spectra(replace(sums, recordings=(replace(r, periods=(p,)),)))
+            weight = np.zeros(len(whole.f))
+            weight[: len(one.f)] = one.shared_dof
+            weight = np.where(used, weight, 0.0)[:, None] * flat
+            ratio = np.ones_like(whole.power)
+            ratio[: len(one.f)] = one.power / np.maximum(whole.power[: len(one.f)], 1e-300)
+            power.append(np.sum(weight * ratio, axis=0) / np.maximum(weight.sum(axis=0), 1e-300))
+            dof.append(weight.sum(axis=0).max(initial=0.0))
+    samples = np.array([p.samples for p in sums.periods])
+    return Levels(np.array(power).reshape(-1, len(sums.axes)), np.array(dof), samples)
+
+
+def present_part(sums: AllanSums, of: Levels) -> tuple[int, tuple[int, ...]] | None:
+    """Return the first period of the present level, and the axes whose level has changed.
+
+    The result is None without a change, or if the level has not lasted long enough.
+    """
+    total = of.samples.sum()
+    least = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)
+    found = {i: of.last_change(i) for i in range(len(sums.axes))}
+    found = {i: k for i, k in found.items() if k and of.samples[k:].sum() >= least}
+    if not found:
+        return None
+    at = max(k for k in found.values() if k)
+    return at, tuple(i for i in range(len(sums.axes)) if of.change(i, at) > LEAST_CHANGE)
 
 
 def _level_finding(

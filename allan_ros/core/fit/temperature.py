@@ -19,12 +19,14 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..noise import gamma_of
-from .intervals import profile_interval
-from .likelihood import AxisData, Columns, Fit, LowBand, inverse
-from .limits import GAIN_PROCESS, TEMPERATURE_RESOLVED
+from .likelihood import AxisData, Columns, Fit, LowBand, inverse, profile_interval
 from .method import random_coefficient
 from .model import AxisFit, Coefficient, NoiseModel
+from .selection import GAIN_PROCESS
 from .statistics import Component, Floats, Ints, statistics
+
+TEMPERATURE_RESOLVED = 0.01
+"""Probability of the F test of b1 and b2 below which a bias depends on temperature, per axis."""
 
 LEAST_RANGE_K = 3.0
 """Range of the temperature within a recording in K below which no model is fitted."""

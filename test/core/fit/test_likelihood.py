@@ -7,10 +7,8 @@ import pytest
 from scipy.optimize import approx_fprime
 from support.sums import noise, sums_of
 
-from allan_ros.core.fit.candidates import Candidates
-from allan_ros.core.fit.intervals import profile_interval
-from allan_ros.core.fit.likelihood import TERMS, AxisData
-from allan_ros.core.fit.limits import LEVEL_95
+from allan_ros.core.fit.likelihood import LEVEL_95, TERMS, AxisData, profile_interval
+from allan_ros.core.fit.selection import Candidates
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis

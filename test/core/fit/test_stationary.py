@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit.levels import levels, present_part
-from allan_ros.core.fit.stationary import fit_stationary
+from allan_ros.core.fit.stationary import fit_stationary, levels, present_part
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
