@@ -95,9 +95,9 @@ def fit_likelihood(sums: AllanSums) -> NoiseModel:
         result = estimate(AxisData.of(known, a), candidates, daily)
         brief = sums.samples * tau0 < LEAST_DRIFT_S
         axes[name] = axis_fit(result, tau0, brief)
-        findings += axis_findings(sums, a, axes[name], tau0)
         if brief:
             findings.append(finding('rest_too_short', (name,), rest=sums.samples * tau0))
+        findings += axis_findings(sums, a, axes[name], tau0)
     return NoiseModel('likelihood', tau0, axes, merge_equal(findings))
 
 
