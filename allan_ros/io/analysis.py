@@ -54,10 +54,9 @@ class ResultSettings(CheckedSettings):
 
     method: str = parameter(
         'likelihood',
-        'Method of the fit: likelihood (maximum likelihood, with confidence intervals), relative '
-        '(least squares on relative residuals) or paper (plain least squares, as in Cong et al. '
-        '2019).',
-        choices=tuple(METHODS),
+        'Method of the fit: likelihood (maximum likelihood, with confidence intervals) or paper '
+        '(plain least squares, as in Cong et al. 2019).',
+        choices=METHODS,
     )
     units: str = parameter(
         'deg/h',
