@@ -98,7 +98,7 @@ def test_sums_are_used_or_rejected(small_run: tuple[AllanSums, Provenance]) -> N
     sums, provenance = small_run
     document = json.loads(to_json(sums_file_to_document([sums], provenance)))
     used = 0
-    for changed in changes(document, 1):
+    for changed in changes(document, 2):
         try:
             read, its_provenance = sums_file_from_document(changed)
             used += 1

@@ -9,7 +9,9 @@ may be damaged, the reader checks all lengths and bounds, and that the fields ar
 from __future__ import annotations
 
 import base64
+import math
 import zlib
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,23 +21,12 @@ from ..errors import AllanError
 from ..fields import MAX_INTEGER, Fields
 from ..imu import AXES, LARGEST, MAX_NAME, ImuIdentity
 from .grid import FIRST_FACTORS, LEVEL_FACTORS, MAX_LEVELS, SAMPLE_OCTAVES, bins_up_to, octave
-from .periods import (
-    KEPT_SEGMENTS,
-    MAX_MEANS,
-    MAX_PERIODS,
-    MEAN_BYTES,
-    SUM_BYTES,
-    BlockMeans,
-    Period,
-    Recording,
-    totals,
-)
+from .periods import KEPT_SEGMENTS, MAX_MEANS, MAX_PERIODS, BlockMeans, Period, Recording, totals
 from .sums import LONGEST_FILLED, AllanSums, length_class
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SUMS_SCHEMA = 'allan_ros/sums/2'
+SUMS_SCHEMA = 'allan_ros/sums/3'
 """Name and version of the document format; the reader rejects any other."""
 
 MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
@@ -60,7 +51,7 @@ sums of periods are rounded to 21 significant bits at each addition."""
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
     """Return the sums as a JSON-compatible dict, from which `sums_from_document` restores them."""
-    tables = ('m', 'count', 'sum_sq', 'group_count', 'group_sum_sq')
+    tables = ('m', 'count', 'sum_sq', 'group_count', 'group_sum_sq', 'filled')
     return {
         'schema': SUMS_SCHEMA,
         'frame_id': sums.identity.frame_id,
@@ -68,90 +59,78 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
         'axes': list(sums.axes),
         'elapsed_ns': int(sums.elapsed_ns),
         'intervals': int(sums.intervals),
-        **{key: getattr(sums, key).tolist() for key in tables},
         'lengths': [list(pair) for pair in sums.lengths],
-        **({'filled': sums.filled.tolist()} if len(sums.filled) else {}),
-        'recordings': [_recording_to_document(r) for r in sums.recordings],
+        **{key: getattr(sums, key).tolist() for key in tables},
+        'recordings': [_recording_to_document(r, len(sums.m)) for r in sums.recordings],
     }
 
 
-def _recording_to_document(recording: Recording) -> dict[str, Any]:
-    """Return a recording; the arrays of all periods are joined, which compresses better."""
+def _recording_to_document(recording: Recording, factors: int) -> dict[str, Any]:
+    """Return a recording; an array of all periods compresses better than one of each."""
     periods = recording.periods
-
-    def joined(key: str, size: int) -> str:
-        return _packed(np.concatenate([getattr(p, key) for p in periods]), size)
-
+    octaves = max(len(p.blocks) for p in periods)
+    rows = {'count': factors, 'sum_sq': factors, 'blocks': octaves, 'pairs': octaves}
+    rows['power'] = bins_up_to(octaves)
+    single = ('samples', 'begin_ns', 'interpolated', 'total')
     return {
         'age': periods[0].begin,
-        'reference': recording.reference.tolist(),
-        'samples': [p.samples for p in periods],
-        'begin_ns': [p.begin_ns for p in periods],
-        'interpolated': [p.interpolated for p in periods],
-        'total': [p.total.tolist() for p in periods],
-        'factors': [len(p.count) for p in periods],
-        'octaves': [len(p.blocks) for p in periods],
-        **{key: joined(key, 8) for key in ('count', 'blocks', 'pairs')},
-        **{key: joined(key, SUM_BYTES) for key in ('sum_sq', 'power')},
+        'periods': len(periods),
+        'octaves': octaves,
+        'reference': _packed(recording.reference),
+        **{key: _packed(np.array([getattr(p, key) for p in periods])) for key in single},
+        **{key: _packed(_padded([getattr(p, key) for p in periods], n)) for key, n in rows.items()},
         'means': [
             {
                 'age': m.age,
                 'start_ns': m.start_ns,
                 'samples': m.samples,
                 'step': m.step,
-                'values': _packed(m.values, MEAN_BYTES),
+                'values': _packed(m.values),
             }
             for m in recording.means
         ],
     }
 
 
-def _packed(values: NDArray[Any], size: int) -> str:
-    """Return an array as 'z<size>:' and its zlib-compressed bytes in base64.
+def _padded(arrays: Sequence[NDArray[Any]], rows: int) -> NDArray[Any]:
+    """Return arrays of different lengths as one, (arrays, rows, ...), padded with zeros."""
+    out = np.zeros((len(arrays), rows, *arrays[0].shape[1:]), arrays[0].dtype)
+    for one, array in zip(out, arrays):
+        one[: len(array)] = array
+    return out
 
-    ``size`` is the number of bytes per number: 8 for int64, 4 or 5 for the upper bytes of a
-    little-endian float64, of which the others are 0 (`rounded`). The bytes are transposed: first
-    byte 0 of all numbers, then byte 1, and so on, which compresses better.
+
+def _packed(values: NDArray[Any]) -> str:
+    """Return an array of int64 or float64 as zlib-compressed bytes in base64.
+
+    First come the lowest bytes of all numbers, then the second ones, and so on. This compresses
+    better, in particular if the lowest bytes are 0 (`rounded`).
     """
     kind = '<f8' if values.dtype.kind == 'f' else '<i8'
-    data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)[:, 8 - size :]
-    return f'z{size}:' + base64.b64encode(zlib.compress(data.T.tobytes(), 9)).decode('ascii')
+    data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)
+    return base64.b64encode(zlib.compress(data.T.tobytes(), 9)).decode('ascii')
 
 
-def _unpacked(fields: Fields, key: str, size: int, number: int) -> NDArray[Any]:
-    """Return the ``number`` numbers in a text of `_packed`: float64, or int64 if size is 8."""
-    where = f'{fields.where}.{key}'
+def _array(fields: Fields, key: str, shape: tuple[int, ...], least: Any, most: Any) -> NDArray[Any]:
+    """Return an array of `_packed` with numbers from ``least`` to ``most``.
+
+    The numbers are floats if ``least`` is a float (or several floats), else whole.
+    """
+    where, number = f'{fields.where}.{key}', math.prod(shape)
     text = fields.text(key, longest=12 * number + 100)
-    if not text.startswith(f'z{size}:'):
-        raise AllanError(f'{where} begins with {text[:3]!r}: {f"z{size}:"!r} is expected')
     try:
-        data = base64.b64decode(text[3:], validate=True)
         stream = zlib.decompressobj()
-        planes = np.frombuffer(stream.decompress(data, size * number + 1), np.uint8)
+        data = stream.decompress(base64.b64decode(text, validate=True), 8 * number + 1)
     except (ValueError, zlib.error) as error:
         raise AllanError(f'{where} cannot be unpacked: {error!r}') from error
-    if not stream.eof or len(planes) != size * number:
+    if not stream.eof or len(data) != 8 * number:
         raise AllanError(f'{where} does not have the expected {number} numbers')
-    full = np.zeros((number, 8), np.uint8)
-    full[:, 8 - size :] = planes.reshape(size, number).T
-    return full.view('<i8' if size == 8 else '<f8').reshape(number)
-
-
-def _packed_floats(
-    fields: Fields, key: str, size: int, rows: int, columns: int, least: float, most: float
-) -> Floats:
-    """Return a packed table, (rows, columns), of numbers from ``least`` to ``most``."""
-    values = _unpacked(fields, key, size, rows * columns).astype(float)
+    kind = '<f8' if np.asarray(least).dtype.kind == 'f' else '<i8'
+    planes = np.frombuffer(data, np.uint8).reshape(8, number)
+    values = np.ascontiguousarray(planes.T).view(kind).reshape(shape)
     if not np.all((least <= values) & (values <= most)):  # this also excludes NaN
-        raise AllanError(f'{fields.where}.{key}: numbers from {least:g} to {most:g} are expected')
-    return values.reshape(rows, columns)
-
-
-def _packed_counts(fields: Fields, key: str, number: int) -> Ints:
-    values = _unpacked(fields, key, 8, number).astype(np.int64)
-    if np.any((values < 0) | (values >= MAX_INTEGER // MAX_PERIODS)):
-        raise AllanError(f'{fields.where}.{key}: whole numbers of 0 or above are expected')
-    return values
+        raise AllanError(f'{where} has numbers outside of the expected range')
+    return values.astype(kind[1:])
 
 
 def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
@@ -171,151 +150,97 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
             f'{where}.axes is {axes!r:.80}: some of {", ".join(AXES)} are expected, in order'
         )
     n, width = len(top.sequence('count', MAX_FACTORS)), len(axes)
-    lengths = [_whole(pair, 2, f'{where}.lengths') for pair in top.sequence('lengths', MAX_CLASSES)]
+    filled = _whole_table(top, 'filled', LONGEST_FILLED, width)
     sums = AllanSums(
         ImuIdentity(*(top.text(key, longest=MAX_NAME) for key in ('frame_id', 'hardware_id'))),
         axes,
         top.integers('count', n),
-        _table(top, 'sum_sq', n, width),
+        top.table('sum_sq', n, width, least=0.0),
         top.integers('group_count', n),
-        _table(top, 'group_sum_sq', n, width),
+        top.table('group_sum_sq', n, width, least=0.0),
         top.integer('elapsed_ns', least=0),
         top.integer('intervals', least=0),
-        tuple(_recording(f, width, n) for f in top.each('recordings', MAX_PERIODS)),
-        tuple((samples, number) for samples, number in lengths),
-        _filled(top, width) if 'filled' in top else np.zeros((0, 0), np.int64),
+        tuple(_recording(f, n, width) for f in top.each('recordings', MAX_PERIODS)),
+        tuple((a, b) for a, b in _whole_table(top, 'lengths', MAX_CLASSES, 2).tolist()),
+        filled if len(filled) else np.zeros((0, 0), np.int64),
     )
     if not np.array_equal(top.integers('m', n), sums.m):
         raise AllanError(f'{where}.m is not the grid of this version: accumulate the data again')
-    _check_lengths(sums, where)
-    _check_recordings(sums, where)
+    for contradiction in _contradictions(sums):
+        raise AllanError(f'{where}.{contradiction}')
     return sums
 
 
-def _check_lengths(sums: AllanSums, where: str) -> None:
-    """Raise `AllanError` if the lengths of the segments contradict each other or the counts."""
+def _whole_table(fields: Fields, key: str, most: int, columns: int) -> Ints:
+    """Return a table of at most ``most`` rows of whole numbers of 0 or above."""
+    values = fields.table(key, len(fields.sequence(key, most)), columns, least=0.0)
+    if np.any(values >= MAX_INTEGER) or np.any(values % 1.0):
+        raise AllanError(f'{fields.where}.{key} is expected to be a table of whole numbers')
+    return values.astype(np.int64)
+
+
+def _contradictions(sums: AllanSums) -> Iterator[str]:
+    """Yield what contradicts the other fields or exceeds its bounds."""
+    if max(sums.sum_sq.max(initial=0.0), sums.group_sum_sq.max(initial=0.0)) > MAX_SUM:
+        yield f'sum_sq is above {MAX_SUM:g}: too large for samples of an IMU'
     for samples, number in sums.lengths:
-        if not 1 <= number <= samples < MAX_INTEGER:
-            raise AllanError(f'{where}.lengths: {samples} samples in {number} segments')
+        if not 1 <= number <= samples:
+            yield f'lengths: {samples} samples in {number} segments'
     classes = [length_class(samples / number) for samples, number in sums.lengths]
     if classes != sorted(set(classes)):
-        raise AllanError(f'{where}.lengths: the lengths are expected to increase by classes')
+        yield 'lengths: the lengths are expected to increase by classes'
     if sums.samples >= MAX_INTEGER or sums.intervals != sums.samples - sums.segment_count:
-        raise AllanError(
-            f'{where}.intervals is {sums.intervals}: {sums.samples} samples in '
-            f'{sums.segment_count} segments have {sums.samples - sums.segment_count}'
-        )
-    longest_ns = sums.intervals * MAX_PERIOD_NS
-    if not sums.intervals <= sums.elapsed_ns <= longest_ns:
-        raise AllanError(
-            f'{where}.elapsed_ns is {sums.elapsed_ns}: {sums.intervals} sample periods take from '
-            f'{sums.intervals} to {longest_ns} ns'
-        )
-    lengths = np.arange(1, len(sums.filled) + 1)
-    if np.any(lengths @ sums.filled > sums.samples):
-        raise AllanError(f'{where}.filled has more samples than the segments: the file is damaged')
+        yield f'intervals is {sums.intervals}, which contradicts the lengths'
+    if not sums.intervals <= sums.elapsed_ns <= sums.intervals * MAX_PERIOD_NS:
+        yield f'elapsed_ns is {sums.elapsed_ns}, which contradicts {sums.intervals} intervals'
+    if np.any(np.arange(1.0, len(sums.filled) + 1) @ sums.filled > sums.samples):
+        yield 'filled has more samples than the segments: the file is damaged'
     most = sums.samples // sums.stride + sums.segment_count
     if np.any(sums.count > most) or np.any(sums.group_count > sums.count):
-        raise AllanError(f'{where}.count differs from the lengths: the file is damaged')
-
-
-def _check_recordings(sums: AllanSums, where: str) -> None:
-    """Raise `AllanError` if the periods do not add up to the sums."""
+        yield 'count differs from the lengths: the file is damaged'
     periods, means = sums.periods, [m for r in sums.recordings for m in r.means]
     if len(periods) > MAX_PERIODS or len({m.step for m in means}) > 1:
-        raise AllanError(f'{where}.recordings: too many periods, or different steps of the means')
+        yield 'recordings: too many periods, or different steps of the means'
     if len(means) > KEPT_SEGMENTS or sum(len(m.values) for m in means) > MAX_MEANS:
-        raise AllanError(f'{where}.recordings: too many means')
+        yield 'recordings: too many means'
     if sum(p.samples for p in periods) != sums.samples:
-        raise AllanError(f'{where}.recordings: the samples do not add up: the file is damaged')
+        yield 'recordings: the samples do not add up: the file is damaged'
     count = totals([np.zeros_like(sums.count), *(p.count for p in periods)])
     total = totals([np.zeros_like(sums.sum_sq), *(p.sum_sq for p in periods)])
     near = np.abs(total - sums.sum_sq) <= PERIOD_TOLERANCE * sums.sum_sq
     if not np.array_equal(count, sums.count) or not near.all():
-        raise AllanError(f'{where}.recordings: the periods do not add up: the file is damaged')
+        yield 'recordings: the periods do not add up: the file is damaged'
 
 
-def _table(fields: Fields, key: str, rows: int, columns: int) -> Floats:
-    """Return a table of numbers from 0 to `MAX_SUM`."""
-    values = fields.table(key, rows, columns, least=0.0)
-    if np.any(values > MAX_SUM):
-        raise AllanError(
-            f'{fields.where}.{key} is above {MAX_SUM:g}: too large for samples of an IMU'
-        )
-    return values
-
-
-def _filled(fields: Fields, axes: int) -> Ints:
-    """Return the number of interpolated gaps of each length, (lengths, axes)."""
-    rows = len(fields.sequence('filled', LONGEST_FILLED))
-    values = fields.table('filled', rows, axes, least=0.0)
-    if np.any(values >= MAX_INTEGER) or np.any(values % 1.0):
-        raise AllanError(f'{fields.where}.filled is expected to be a table of whole numbers')
-    return values.astype(np.int64)
-
-
-def _whole(values: object, number: int, where: str) -> list[int]:
-    """Return a list of ``number`` whole numbers of 0 or above."""
-    found = values if isinstance(values, list) else []
-    if len(found) != number or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in found):
-        raise AllanError(f'{where}: {number} whole numbers, 0 or above, are expected')
-    return found
-
-
-def _recording(fields: Fields, axes: int, factors: int) -> Recording:
-    number = len(fields.sequence('samples', MAX_PERIODS))
-    samples, of_factors, of_octaves, interpolated = (
-        fields.integers(key, number) for key in ('samples', 'factors', 'octaves', 'interpolated')
-    )
-    age, begin_ns = fields.integer('age', least=0), fields.sequence('begin_ns', number)
-    if not number or np.any((samples < 1) | (interpolated > samples)):
-        raise AllanError(f'{fields.where}.samples: at least one in each period is expected')
-    if len(begin_ns) != number or not all(
-        type(ns) is int and abs(ns) < MAX_INTEGER for ns in begin_ns
-    ):
-        raise AllanError(f'{fields.where}.begin_ns: {number} whole numbers are expected')
-    if age + sum(samples.tolist()) >= MAX_INTEGER:
+def _recording(fields: Fields, factors: int, axes: int) -> Recording:
+    age, octaves = fields.integer('age', least=0), fields.integer('octaves', least=0)
+    n, most = fields.integer('periods', least=1), MAX_INTEGER // MAX_PERIODS
+    if n > MAX_PERIODS or octaves > MAX_OCTAVES:
+        raise AllanError(f'{fields.where} has too many periods or octaves')
+    reference = _array(fields, 'reference', (axes,), -LARGEST, LARGEST)
+    samples = _array(fields, 'samples', (n,), 1, most)
+    if age + int(samples.sum()) >= MAX_INTEGER:
         raise AllanError(f'{fields.where}.samples are too many')
-    if np.any(of_factors > factors) or np.any(of_octaves > MAX_OCTAVES):
-        raise AllanError(f'{fields.where}: too many factors or octaves')
-    total = fields.table('total', number, axes)
-    reference = fields.numbers('reference')
-    if len(reference) != axes or not np.all(np.abs(reference) <= LARGEST):
-        raise AllanError(f'{fields.where}.reference: {axes} numbers are expected')
-    if np.any(np.abs(total) > 2.0 * LARGEST * samples[:, None]):
-        raise AllanError(f'{fields.where}.total is too large for the samples')
-    rows, octaves = int(of_factors.sum()), int(of_octaves.sum())
-    of_bins = np.array([bins_up_to(n) for n in of_octaves.tolist()], int)
-    split = [np.cumsum(n)[:-1] for n in (of_factors, of_octaves, of_bins)]
-    blocks, pairs = (_packed_counts(fields, key, octaves) for key in ('blocks', 'pairs'))
-
-    def squares(key: str, number: int) -> Floats:
-        return _packed_floats(fields, key, SUM_BYTES, number, axes, 0.0, MAX_SUM)
-
+    limit = 2.0 * LARGEST * samples[:, None]
     columns = zip(
         (age + np.cumsum(samples) - samples).tolist(),
         samples.tolist(),
-        begin_ns,
-        np.split(_packed_counts(fields, 'count', rows), split[0]),
-        np.split(squares('sum_sq', rows), split[0]),
-        np.split(blocks, split[1]),
-        np.split(pairs, split[1]),
-        np.split(squares('power', int(of_bins.sum())), split[2]),
-        total,
-        interpolated.tolist(),
+        _array(fields, 'begin_ns', (n,), -MAX_INTEGER, MAX_INTEGER).tolist(),
+        _array(fields, 'count', (n, factors), 0, most),
+        _array(fields, 'sum_sq', (n, factors, axes), 0.0, MAX_SUM),
+        _array(fields, 'blocks', (n, octaves), 0, most),
+        _array(fields, 'pairs', (n, octaves), 0, most),
+        _array(fields, 'power', (n, bins_up_to(octaves), axes), 0.0, MAX_SUM),
+        _array(fields, 'total', (n, axes), -limit, limit),
+        _array(fields, 'interpolated', (n,), 0, samples).tolist(),
     )
-    periods = tuple(Period(*column) for column in columns)
-    _check_blocks(periods, fields.where)
-    means = tuple(_means(f, axes, periods) for f in fields.each('means', KEPT_SEGMENTS))
-    return Recording(periods, means, reference)
-
-
-def _check_blocks(periods: tuple[Period, ...], where: str) -> None:
-    """Raise `AllanError` if there are more spectral blocks than the samples can have."""
+    periods = tuple(Period(*column).stored() for column in columns)
     blocks, pairs = (totals(getattr(p, key) for p in periods) for key in ('blocks', 'pairs'))
     for o, number in enumerate(blocks.tolist()):
         if number * octave(o).length // 2 > periods[-1].end or pairs[o] > number:
-            raise AllanError(f'{where}.blocks: too many for the samples')
+            raise AllanError(f'{fields.where}.blocks: too many for the samples')
+    means = tuple(_means(f, axes, periods) for f in fields.each('means', KEPT_SEGMENTS))
+    return Recording(periods, means, reference)
 
 
 def _means(fields: Fields, axes: int, periods: tuple[Period, ...]) -> BlockMeans:
@@ -326,5 +251,5 @@ def _means(fields: Fields, axes: int, periods: tuple[Period, ...]) -> BlockMeans
     if age + samples > periods[-1].end or samples // step > MAX_MEANS:
         raise AllanError(f'{fields.where}.samples is {samples}: too many')
     limit = 2.0 * LARGEST
-    values = _packed_floats(fields, 'values', MEAN_BYTES, samples // step, axes, -limit, limit)
+    values = _array(fields, 'values', (samples // step, axes), -limit, limit)
     return BlockMeans(age, fields.integer('start_ns'), samples, step, values)

@@ -13,7 +13,7 @@ from support.sums import noise
 from support.sums import sums_of as without_names
 
 from allan_ros.core.allan.cascade import BLOCK
-from allan_ros.core.allan.document import sums_from_document, sums_to_document
+from allan_ros.core.allan.document import _packed, sums_from_document, sums_to_document
 from allan_ros.core.allan.periods import KEPT_SEGMENTS, MAX_MEANS, MAX_PERIODS
 from allan_ros.core.allan.spectra import noise_density, pooled_spectra
 from allan_ros.core.allan.sums import AllanSums, part
@@ -157,12 +157,12 @@ def spoilers():
     """Return changes that make a document invalid, each with a word of the error message."""
     one = lambda d: d['recordings'][0]  # noqa: E731
     return {
-        'schema': (lambda d: d.update(schema='allan_ros/sums/1'), 'schema'),
+        'schema': (lambda d: d.update(schema='allan_ros/sums/2'), 'schema'),
         'no schema': (lambda d: d.pop('schema'), 'schema'),
         'axes': (lambda d: d.update(axes=['accel_z', 'gyro_x']), 'axes'),
         'no axes': (lambda d: d.update(axes=[]), 'axes'),
         'nan': (lambda d: d['sum_sq'][0].__setitem__(0, float('nan')), 'sum_sq'),
-        'inf': (lambda d: one(d)['total'][0].__setitem__(0, float('inf')), 'total'),
+        'inf': (lambda d: one(d).update(reference=_packed(np.full(3, np.inf))), 'reference'),
         'negative': (lambda d: d['sum_sq'][0].__setitem__(0, -1.0), '0 or above'),
         'huge': (lambda d: d['sum_sq'][0].__setitem__(0, 10**400), 'sum_sq'),
         'ragged': (lambda d: d['sum_sq'][0].pop(), 'table'),
@@ -182,13 +182,13 @@ def spoilers():
         'lengths': (lambda d: d.update(lengths=[[5000, 0]]), 'lengths'),
         'length': (lambda d: d.update(lengths=[[2**62, 1]]), 'lengths'),
         'classes': (lambda d: d.update(lengths=[[4500, 1], [4500, 1]]), 'increase'),
-        'not base64': (lambda d: one(d).update(power='z4:?'), 'unpacked'),
-        'other kind': (lambda d: one(d).update(power=one(d)['count']), 'z4'),
+        'not base64': (lambda d: one(d).update(power='?'), 'unpacked'),
+        'other size': (lambda d: one(d).update(power=one(d)['count']), 'power'),
         'truncated': (lambda d: one(d).update(power=one(d)['power'][:-9]), 'power'),
-        'periods': (lambda d: one(d)['samples'].pop(), 'at most'),
-        'no periods': (lambda d: one(d).update(samples=[]), 'at most 0'),
-        'factors': (lambda d: one(d)['factors'].__setitem__(0, 2**40), 'too many'),
-        'octaves': (lambda d: one(d)['octaves'].__setitem__(0, 40), 'expected'),
+        'periods': (lambda d: one(d).update(periods=2), 'samples'),
+        'no periods': (lambda d: one(d).update(periods=0), 'periods'),
+        'many periods': (lambda d: one(d).update(periods=2**40), 'too many'),
+        'octaves': (lambda d: one(d).update(octaves=40), 'expected'),
         'blocks': (lambda d: one(d).update(blocks=one(d)['pairs'], pairs=one(d)['blocks']), 'many'),
     }
 
