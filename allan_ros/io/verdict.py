@@ -31,7 +31,7 @@ WORDS: dict[Level, str] = {
 SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
 """Ids of findings that indicate a broken sensor."""
 
-WRONG_UNITS = ('gyro_unit', 'accel_unit')
+WRONG_UNITS = ('gyro_unit', 'gyro_unit_changed', 'accel_unit')
 """Ids of findings because of which a comparison is about the units and not about the sensor."""
 
 TOO_SHORT_S = 20.0

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Selects header or record stamps, excludes unusable samples, and splits looped recordings.
+"""Selects header or record stamps, sorts samples by stamp, and splits looped recordings.
 
-Unusable samples are duplicates, samples that are not finite, and samples with backward stamps.
-Samples that a driver repeats at random are interpolated.
+Duplicates, samples that are not finite, and samples with backward stamps are excluded. Samples
+that a driver repeats at random are interpolated.
 """
 
 from __future__ import annotations
@@ -37,8 +37,12 @@ JUMP_DISTANCE = 4096
 """If the clock was set back this number of samples ago or less, twice as many consecutive earlier
 stamps as then are needed to continue. So stamps without order do not split the data endlessly."""
 
+REORDER = 32
+"""Samples that arrive out of order are sorted if their place is at most this far away."""
+
 DISORDERED_SHARE = 0.25
-"""If more than this share of the stamps are earlier than the previous one, they are not used."""
+"""If more than this share of the stamps are earlier than the previous one, although they were
+sorted over `REORDER` places, they are not used."""
 
 EPOCH_S = (1e9, 4e9)
 """Present times of a clock, in s: the years 2001 to 2096."""
@@ -81,7 +85,8 @@ class StampChoice:
             return []
         what = 'all equal' if stamps.any() else 'all zero'
         if len(stamps) < 2 or stamps.min() != stamps.max():
-            if np.count_nonzero(np.diff(stamps) < 0) <= DISORDERED_SHARE * len(stamps):
+            backward = np.diff(StampSorter.all_sorted(Block(stamps, first.samples.T)).stamps) < 0
+            if np.count_nonzero(backward) <= DISORDERED_SHARE * len(stamps):
                 unit = unit_of_stamps(stamps)
                 self._unit = STAMP_UNITS[unit]
                 return [finding('stamps_unit', unit=unit)] if unit != 'ns' else []
@@ -109,16 +114,81 @@ class StampChoice:
         return Block(stamps, batch.samples.T)
 
 
+class StampSorter:
+    """Sorts samples that arrive slightly out of order, as over UDP or from several threads.
+
+    Sorting begins at the first backward stamp, so that a stream in order is not delayed. Windows of
+    2 * `REORDER` samples that overlap by half are sorted, except where a sample is later than
+    `REORDER` sample periods: then the clock was set back, or there are two clocks. ``sorted`` is
+    the number of samples that arrived late.
+    """
+
+    def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
+        """Learn the sample period from the first stamps, (n,), in ns."""
+        self.sorted = 0
+        self.sorting = bool((stamps[1:] < stamps[:-1]).any())
+        places = min(len(stamps) - 1, REORDER)
+        ordered = np.sort(stamps)
+        # largest delay that is sorted
+        self._longest_ns = np.median(ordered[places:] - ordered[:-places]) if places > 0 else 0.0
+        self._pending = Block.empty(len(AXES))
+        self._latest: int | None = None  # the last stamp that was returned
+
+    def feed(self, samples: Block) -> Block:
+        """Add samples of the six axes, and return all samples whose place is known."""
+        start, stamps = 0, samples.stamps
+        if not self.sorting and len(samples):
+            latest = stamps[0] if self._latest is None else self._latest
+            if stamps[0] >= latest and (stamps[1:] >= stamps[:-1]).all():
+                self._latest = int(stamps[-1])
+                return samples
+            self.sorting = True
+            start = int(np.argmax(np.diff(stamps, prepend=latest) < 0))
+            self._latest = int(stamps[start - 1]) if start else self._latest
+        self._pending = Block.joined([self._pending, samples.part(slice(start, None)).copy()])
+        groups = max(0, len(self._pending) // REORDER - 1)
+        return Block.joined([samples.part(slice(start)), self._take(groups * REORDER)])
+
+    def flush(self) -> Block:
+        """Return the buffered samples at the end of the input."""
+        return self._take(len(self._pending))
+
+    @classmethod
+    def all_sorted(cls, samples: Block) -> Block:
+        """Return complete data sorted in the same way."""
+        sorter = cls(samples.stamps)
+        return Block.joined([sorter.feed(samples), sorter.flush()])
+
+    def _take(self, number: int) -> Block:
+        """Return the first buffered samples, sorted."""
+        stamps, rows = self._pending.stamps, self._pending.rows
+        for at in range(0, number, REORDER):
+            window = stamps[at : at + 2 * REORDER]
+            reached = np.maximum.accumulate(window)
+            if self._latest is not None:
+                reached = np.maximum(reached, self._latest)
+            delay = reached - window
+            if delay.any() and delay.max() <= self._longest_ns:
+                order = at + np.argsort(window, kind='stable')
+                self.sorted += int(np.count_nonzero(delay))
+                stamps[at : at + len(order)] = stamps[order]
+                rows[:, at : at + len(order)] = rows[:, order]
+            self._latest = int(stamps[min(at + REORDER, len(stamps)) - 1])
+        out = self._pending.part(slice(number))
+        self._pending = self._pending.part(slice(number, None)).copy()
+        return out
+
+
 class SampleFilter:
     """Selects the axes of a sensor stream, and drops samples that cannot be used.
 
-    These are the repeats of a held sensor, and samples that are not finite, are duplicates, or have
-    a backward stamp. A duplicate has the stamp and the values of the previous sample. Where
+    These are the samples that the plan drops, and samples that are not finite, are duplicates, or
+    have a backward stamp. A duplicate has the stamp and the values of the previous sample. Where
     the stamps of the kept samples decrease, the clock was set back. ``counts`` is changed in place.
     """
 
     def __init__(self, plan: SensorPlan, counts: Counts) -> None:
-        self._held = plan.held
+        self._drop = plan.drop
         self._axes = [AXES.index(axis) for axis in plan.axes]
         self._measured: Floats = np.full(len(self._axes), np.nan)  # last values received
         self._counts = counts
@@ -133,7 +203,9 @@ class SampleFilter:
         """Return the samples to keep of the next ones of the six-axis stream."""
         if len(self._axes) < len(AXES):
             samples = Block(samples.stamps, samples.rows[self._axes])
-        if self._held and len(samples):
+        if self._drop == 'zero':
+            samples = samples.part(np.asarray(samples.rows.any(axis=0)))
+        elif self._drop and len(samples):
             rows, before = samples.rows, self._measured
             self._measured = rows[:, -1].copy()
             changed = rows != np.column_stack([before, rows[:, :-1]])

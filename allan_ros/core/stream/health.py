@@ -51,6 +51,9 @@ LARGEST_N, LARGEST_REST_RATE = 3e-3, 0.2
 """Angle random walk in rad/s/sqrt(Hz) (10 deg/sqrt(h)) and mean rate at rest in rad/s (11 deg/s)
 above which the unit of a gyro is wrong."""
 
+UNIT_ERROR = 0.2
+"""Largest relative error of the ratio of noise by which a change of the unit is recognized."""
+
 G_BAND = 0.15
 """Largest relative difference between gravity and a mean acceleration at rest."""
 
@@ -76,6 +79,7 @@ class Counts:
     not_finite: int = 0
     duplicate: int = 0  # the stamp and all values repeat the previous sample
     backward: int = 0  # the stamp is earlier than the latest one
+    reordered: int = 0  # kept: arrived after a sample with a later stamp, and sorted
     untimed: int = 0  # more than a thousand consecutive stamps are equal
     # missing according to the stamps
     lost: int = 0
@@ -290,6 +294,7 @@ def events(health: StreamHealth) -> Counter[str]:
         not_finite=c.not_finite,
         duplicates=c.duplicate,
         backward_stamps=c.backward,
+        reordered=c.reordered,
     )
 
 
@@ -349,7 +354,11 @@ def stream_findings(
     ratio = max(ratios.values(), default=0.0)
     axes = tuple(axis for axis, r in ratios.items() if r > INCREASE_SHARE * ratio)
     increased = health.rate_hz and c.noise_increased and ratio
-    add('noise_increased', increased, axes, ratio=ratio, seconds=c.noise_increased / rate)
+    gyro = tuple(axis for axis in ratios if not _is_accel(axis))
+    changed = increased and are_degrees(np.array([ratios[axis] for axis in gyro]))
+    add('gyro_unit_changed', changed, gyro, ratio=ratio)
+    seconds = c.noise_increased / rate
+    add('noise_increased', increased and not changed, axes, ratio=ratio, seconds=seconds)
     never = c.moving and not c.used and health.rate_hz
     add('never_still', never, seconds=c.moving / rate)
     classified = max(c.moving + c.noise_increased + c.used, 1)
@@ -373,6 +382,11 @@ def _times(events: list[Event], health: StreamHealth) -> str:
     more = [f'{len(times) - 3} more'] if len(times) > 3 else []
     *first, last = [*times[:3], *more] or ['']
     return ' and '.join([', '.join(first), last] if first else [last])
+
+
+def are_degrees(ratio: Floats) -> bool:
+    """Return whether the noise of all axes of a gyro rose as if the unit became deg/s."""
+    return len(ratio) == 3 and bool((np.abs(np.radians(ratio) - 1.0) < UNIT_ERROR).all())
 
 
 def sums_findings(sums: AllanSums) -> list[Finding]:

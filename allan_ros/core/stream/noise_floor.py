@@ -15,6 +15,7 @@ import numpy as np
 
 from ..imu import Flags, Floats
 from ..settings import SegmenterSettings
+from .health import are_degrees
 
 LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
@@ -290,7 +291,8 @@ class NoiseFloor:
             return None
         change = np.abs(_quantile(block.mean, 0.5) - self.mean)
         gravity = float(np.linalg.norm(self.mean[~self.gyro]))
-        allowed = np.where(self.gyro, self.rate_limit, SAME_DIRECTION * gravity) + white
+        rates = np.inf if are_degrees(ratio[self.gyro]) else self.rate_limit
+        allowed = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white
         return None if (change > allowed).any() else ratio
 
     def classify(self, windows: Windows, previous_mean: Floats | None, size: int) -> WindowClass:

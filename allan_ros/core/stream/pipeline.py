@@ -22,7 +22,7 @@ from ..errors import AllanError
 from ..findings import Finding
 from ..imu import AXES, Block, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
-from .cleaning import RepeatFilter, SampleFilter, StampChoice
+from .cleaning import RepeatFilter, SampleFilter, StampChoice, StampSorter
 from .health import (
     LISTED_EVENTS,
     LISTED_SEGMENTS,
@@ -210,6 +210,7 @@ class FrameStream:
         self.stamps = StampChoice(settings.stamps == 'record', settings.declared_rate)
         self._settings = settings
         self._sensor = sensor  # the only one that is used; '' for both
+        self._sorter = StampSorter()
         self._learning: list[ImuBatch] = []
         self._learned = 0
         self._skip_ns = round(settings.skip * 1e9)  # 0 once the warm-up time is over
@@ -226,7 +227,7 @@ class FrameStream:
     @property
     def counts(self) -> Counts:
         """Counts of all sensor streams; ``received`` is 0, since `ImuStream` counts it."""
-        counts = Counts(skipped=self._skipped)
+        counts = Counts(skipped=self._skipped, reordered=self._sorter.sorted)
         for sensor in self.sensors:
             counts.add(sensor.counts)
         return counts
@@ -242,12 +243,13 @@ class FrameStream:
             if self._learned == LEARN:
                 self._learn()
             batch = batch[take:]
-        self._feed(self.stamps.of(batch))
+        self._feed(self._sorter.feed(self.stamps.of(batch)))
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
         if not self.sensors and self._learned:
             self._learn()
+        self._feed(self._sorter.flush())
         for sensor in self.sensors:
             sensor.flush()
 
@@ -256,12 +258,13 @@ class FrameStream:
         first, self._learning, self._learned = joined(self._learning), [], 0
         notes = self.stamps.learn(first)
         samples = self.stamps.of(first)
-        plans, findings = plan_sensors(samples, self._sensor)
+        plans, findings = plan_sensors(StampSorter.all_sorted(samples), self._sensor)
         self.notes += [note for note in (*notes, *findings) if note not in self.notes]
+        self._sorter = StampSorter(samples.stamps)
         self.sensors = tuple(
             SensorStream(p, self.identity, self._settings, self._with_samples) for p in plans
         )
-        self._feed(samples)
+        self._feed(self._sorter.feed(samples))
 
     def _feed(self, samples: Block) -> None:
         if not len(samples):
@@ -314,8 +317,8 @@ class SensorStream:
 
     def _start(self) -> None:
         """Begin to learn the sample period."""
-        axes, held = self._plan.axes, self._plan.held
-        self.clock = SampleClock(len(axes), self._settings, held, self.counts)
+        axes, drop = self._plan.axes, self._plan.drop
+        self.clock = SampleClock(len(axes), self._settings, bool(drop), self.counts)
         self.gate: MotionGate | None = None
         # between the clock and the sums
         self._stages: list[RepeatFilter | MotionGate] = []

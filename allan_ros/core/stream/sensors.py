@@ -1,16 +1,17 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Decides which axes form a stream, and which of their samples were not measured.
+"""Decides which axes form a stream, and drops or interpolates samples that were not measured.
 
 Drivers that publish a slower accelerometer in every gyro message repeat its last sample (sample and
-hold), which changes the noise (N of a 250 Hz accelerometer repeated at 400 Hz is 5 % too high). So
-each such sensor becomes a separate stream that contains only its measurements. Samples that a
-driver repeats at random, because the sensor had no new data, are interpolated.
+hold), or fill it with zeros. Both change the noise (N of a 250 Hz accelerometer repeated at 400 Hz
+is 5 % too high). So each such sensor becomes a separate stream that contains only its measurements.
+Samples that a driver repeats at random, because the sensor had no new data, are interpolated.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -18,7 +19,8 @@ from ..findings import Finding, finding
 from ..imu import AXES, LARGEST, SENSORS, Block, Flags, Floats
 
 REPEATED_SHARE = 0.1
-"""Smallest share of repeated samples that indicates a sample-and-hold sensor."""
+"""Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled
+sensor."""
 
 LEAST_REPEATS, CHANCE_SHARE = 5, 0.15
 """Smallest number of separate runs of repeated samples, among the first samples, that indicates a
@@ -34,7 +36,7 @@ this, or less than this fraction of the variance of a binomial count. Less than 
 repeats have a variance below the fraction."""
 
 TOGETHER_LOG_RATIO = 2.0 / 3.0
-"""Axes repeat together if log(p) / sum(log(p_i)) is smaller than this, where p is the
+"""Axes repeat (or are zero) together if log(p) / sum(log(p_i)) is smaller than this, where p is the
 share of samples in which all axes repeat and p_i the share in which axis i repeats. For three axes,
 the ratio is 1 if they repeat independently (coarse resolution), and 1/3 if they always repeat
 together."""
@@ -42,16 +44,25 @@ together."""
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """The axes of a sensor stream, and what to do with repeated samples.
+    """The axes of a sensor stream, and which of its samples to drop.
 
-    Samples of a ``held`` sensor that repeat the previous one on all axes are dropped.
-    ``random_repeats`` are groups of axes. A sample that repeats the previous one on all axes of a
-    group is interpolated on these axes.
+    ``drop`` is '' for none, 'repeated' for samples that repeat the previous one on all axes, or
+    'zero' for samples that are zero on all axes. ``random_repeats`` are groups of axes. A sample
+    that repeats the previous one on all axes of a group is interpolated on these axes.
     """
 
     axes: tuple[str, ...]
-    held: bool = False
+    drop: Literal['', 'repeated', 'zero'] = ''
     random_repeats: tuple[tuple[str, ...], ...] = ()
+
+
+MIN_CLIPPED = 0.05
+"""Smallest share of samples that are equal to the maximum or minimum and indicate clipping."""
+
+CLIPPED_RATIO, CLIPPED_VALUES = 3, 8
+"""Clipping requires that the maximum (or minimum) occurs this many times as often as the next
+value, and that the axis has at least this number of different values. (At a coarse resolution, most
+samples of an unclipped axis have one of two values.)"""
 
 
 ROUNDING_ERROR = 1e-9
@@ -59,14 +70,41 @@ ROUNDING_ERROR = 1e-9
 that were computed with rounding errors."""
 
 
-ALTERNATE_SIGMAS, ALTERNATE_STEPS, ALTERNATE_AXES = 8.0, 1.5, 2
-"""The samples alternate if the means of even and odd ones differ by the first number of standard
-deviations, and by the second number of steps of the resolution, on the third number of axes. A
-counter with carry alternates between adjacent counts, which is less."""
+def clipped_share(samples: Floats) -> float:
+    """Return the share of samples, (n,), that are clipped at their maximum or minimum.
+
+    A share below `MIN_CLIPPED` is returned as 0.
+
+    >>> import numpy as np
+    >>> noise = np.random.default_rng(0).normal(size=1000)
+    >>> clipped_share(noise), round(clipped_share(np.minimum(noise, 1.0)), 2)
+    (0.0, 0.15)
+    """
+    samples = samples[np.abs(samples) <= LARGEST]
+    error = ROUNDING_ERROR * np.ptp(samples) if len(samples) else 0.0
+    values, counts = np.unique(np.round(samples / (error or 1.0)), return_counts=True)
+    if len(values) < CLIPPED_VALUES:
+        return 0.0
+    ends = ((values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2]))
+    clipped = [count for value, count, near in ends if value and count >= CLIPPED_RATIO * near]
+    share = float(max(clipped, default=0) / counts.sum())
+    return share if share >= MIN_CLIPPED else 0.0
+
+
+ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2
+"""The samples alternate if the means of even and odd ones differ by this number of standard
+deviations on this number of axes, and by more than `SEPARATION_STEPS` steps of the resolution: a
+counter with carry alternates between adjacent counts."""
+
+SWITCH_SHARE, SEPARATION, SEPARATION_STEPS = 0.25, 8.0, 1.5
+"""The samples of an axis come from two IMUs if the largest gap between their values is at least the
+second value, in standard deviations on either side, and the third, in steps of the resolution (1
+between neighboring levels of rounded noise), and if at least the first value of the differences
+cross it."""
 
 
 def are_interleaved(rows: Floats) -> bool:
-    """Return whether samples, (axes, n), alternate between two IMUs with different biases.
+    """Return whether samples, (axes, n), seem to come from two IMUs with different biases.
 
     >>> import numpy as np
     >>> noise = np.random.default_rng(0).normal(size=(6, 1000))
@@ -83,8 +121,20 @@ def are_interleaved(rows: Floats) -> bool:
         sigma = np.sqrt(0.5 * n * np.mean((rows[:, 2:] - rows[:, :-2]) ** 2, axis=1))
         levels = np.diff(np.sort(rows))
         steps = np.where(levels > 0.0, levels, np.inf).min(axis=1)
-        least = np.maximum(ALTERNATE_SIGMAS * sigma, 0.5 * n * ALTERNATE_STEPS * steps)
-    return bool(np.count_nonzero(difference > least) >= ALTERNATE_AXES)
+        least = np.maximum(ALTERNATE_SIGMAS * sigma, 0.5 * n * SEPARATION_STEPS * steps)
+        if np.count_nonzero(difference > least) >= ALTERNATE_AXES:
+            return True
+        for values in rows:
+            ordered = np.sort(values)
+            middle = n // 4 + int(np.argmax(np.diff(ordered[n // 4 : 3 * n // 4]))) + 1
+            low, high = ordered[:middle], ordered[middle:]
+            switches = np.count_nonzero(np.diff(values >= high[0]))
+            gap, levels = high[0] - low[-1], np.diff(ordered)
+            step = levels[levels > 0.0].min(initial=gap)
+            apart = gap > SEPARATION * max(low.std(), high.std()) > 0.0
+            if apart and gap > SEPARATION_STEPS * step and switches > SWITCH_SHARE * n:
+                return True
+    return False
 
 
 def plan_sensors(first: Block, only: str = '') -> tuple[list[SensorPlan], list[Finding]]:
@@ -101,7 +151,7 @@ def plan_sensors(first: Block, only: str = '') -> tuple[list[SensorPlan], list[F
     findings: list[Finding] = []
     used = [sensor for sensor in SENSORS if only in ('', sensor)]
     plans = [p for sensor in used if (p := _plan_sensor(sensor, rows, repeats, findings))]
-    kept = [AXES.index(axis) for plan in plans if not plan.held for axis in plan.axes]
+    kept = [AXES.index(axis) for plan in plans if not plan.drop for axis in plan.axes]
     possible = (np.abs(rows[kept]) <= LARGEST).all(axis=0)
     if kept and are_interleaved(rows[kept][:, possible]):
         findings.append(finding('interleaved', tuple(AXES[i] for i in kept)))
@@ -110,14 +160,14 @@ def plan_sensors(first: Block, only: str = '') -> tuple[list[SensorPlan], list[F
         flags = np.array([_all_repeat(plan, repeats) for plan in random])
         axes = tuple(axis for plan in random for axis in plan.axes)
         findings.append(finding('repeated', axes, share=float(flags.any(axis=0).mean())))
-    if len(plans) == len(SENSORS) and plans[0].held == plans[1].held:
-        both, held = plans[0].axes + plans[1].axes, plans[0].held
-        together = (held or len(random) == len(SENSORS)) and _repeat_together(plans, repeats)
+    if len(plans) == len(SENSORS) and len({plan.drop for plan in plans}) == 1:
+        both, drop = plans[0].axes + plans[1].axes, plans[0].drop
+        together = (drop or len(random) == len(SENSORS)) and _repeat_together(plans, repeats)
         groups = (both,) if together else plans[0].random_repeats + plans[1].random_repeats
-        if not held:
+        if not drop:
             plans = [SensorPlan(both, random_repeats=groups)]
-        elif together:
-            plans = [SensorPlan(both, held)]
+        elif drop == 'repeated' and together:
+            plans = [SensorPlan(both, drop)]
     return plans, findings
 
 
@@ -134,17 +184,25 @@ def _plan_sensor(
     axes = tuple(AXES[i] for i in present)
     if lacking := tuple(axis for axis in AXES[place] if axis not in axes):
         findings.append(finding('axis_absent', lacking, count=rows.shape[1]))
-    if not rows[present].any():
+    zeros = rows[present] == 0.0
+    if zeros.all():
         findings.append(finding('sensor_all_zero', axes, sensor=sensor))
         return None
     plan = SensorPlan(axes)
-    if _are_repeated(rows[present]):
+    if _coincide(zeros):
+        plan = SensorPlan(axes, 'zero')
+        share = float(zeros.all(axis=0).mean())
+        findings.append(finding('zero_filled', axes, sensor=sensor, share=share))
+    elif _are_repeated(rows[present]):
         flags = _all_repeat(plan, repeats)
         if _are_regular(flags):
-            plan = SensorPlan(axes, held=True)
+            plan = SensorPlan(axes, 'repeated')
             findings.append(finding('held', axes, sensor=sensor, share=float(flags.mean())))
         else:
             plan = SensorPlan(axes, random_repeats=(axes,))
+    for axis, samples in zip(axes, rows[present]):
+        if share := clipped_share(samples):
+            findings.append(finding('clipped', (axis,), share=share))
     return plan
 
 

@@ -232,7 +232,7 @@ class TransportMonitor:
             shown = health.sums_frame_id
             present.append(finding('frame_waits', present=health.frame_id, shown=shown))
         noisy = health.state == 'noise_increased'
-        live = [*LIVE, 'noise_increased'] if noisy else LIVE
+        live = [*LIVE, 'noise_increased', 'gyro_unit_changed'] if noisy else LIVE
         present += [f for f in stream if f.id in live]
         events, past = self._recent_findings(health)
         # present ones first: a past event must not hide a fault

@@ -90,8 +90,8 @@ KEPT = {  # samples that arrive, in the order of arrival
     'many drops': (None, lambda i, g: i[g.random(len(i)) > 0.3]),
     'gap': ('gaps', lambda i, g: np.delete(i, slice(3000, 3500))),
     'third missing': ('rate_assumed', lambda i, g: i[i % 3 != 1]),
-    'swapped': ('stamps_missing nothing_left', lambda i, g: reversed_by(i, 8)),
-    'late': ('backward_stamps', lambda i, g: np.argsort(i + 20 * (g.random(len(i)) < 0.01))),
+    'swapped': ('reordered', lambda i, g: reversed_by(i, 8)),
+    'late': ('reordered', lambda i, g: np.argsort(i + 20 * (g.random(len(i)) < 0.01))),
     'twice': ('duplicates', lambda i, g: np.repeat(i, 2)),
 }
 TIMES = {
@@ -132,6 +132,7 @@ VALUES = {
     'noise_increased': (None, lambda x, i, g: x + 0.02 * g.normal(size=x.shape) * (i > 1500)),
     'stuck': ('stuck', lambda x, i, g: x[np.minimum(i[:, 0], 5001)]),
     'held': ('held', lambda x, i, g: np.hstack([x[:, :3], x[i[:, 0] * 5 // 8, 3:]])),
+    'zero filled': ('zero_filled', lambda x, i, g: x * (i % 2 == np.arange(6) // 3)),
     'repeats': ('repeated', lambda x, i, g: repeated(x, 0.2, g)),
     'repeats of each sensor': (
         'repeated',
@@ -477,6 +478,21 @@ def test_heavy_tails_are_reported_with_the_share_of_outliers():
     assert found.id == 'outliers' and found.axes == ('accel_y',) and ' 1.' in found.message
 
 
+@pytest.mark.parametrize('places', [2, 8, 30])
+@pytest.mark.parametrize('begin', [0, 5000])
+def test_samples_that_arrive_out_of_order_are_sorted(places, begin):
+    t, x = still(20_160)
+    at = np.arange(len(t))
+    order = np.where(at < begin, at, at // places * places + places - 1 - at % places)
+    result = accumulate(t[order], x[order])
+    assert {'reordered'} <= ids(result) <= {'reordered', 'backward_stamps', 'interpolated', 'gaps'}
+    # only the first late sample, before which nothing was sorted, is lost
+    assert result.health.counts.backward <= (places if begin else 0)
+    assert result.health.rate_hz == pytest.approx(200.0, rel=1e-6)
+    if not begin:
+        assert_identical(result.sums[0], accumulate(t, x).sums[0])
+
+
 @pytest.mark.parametrize('difference', [3.0, 100.0])
 @pytest.mark.parametrize('delay', [0.0, 0.2, 0.5])
 def test_two_imus_with_one_frame_id_are_reported(difference, delay):
@@ -488,12 +504,32 @@ def test_two_imus_with_one_frame_id_are_reported(difference, delay):
     assert 'interleaved' in ids(accumulate(times, both))
 
 
+def test_differences_of_a_pulse_counter_are_not_clipped():
+    """The differences have rounding errors, so one value of the counter becomes several."""
+    t, x = still(12_000)
+    angle = np.cumsum(0.1 * x[:, :3] + [3e-4, 5e-4, 7e-4], axis=0)
+    x[:, :3] = np.diff(np.floor(angle / 2e-3) * 2e-3, axis=0, prepend=0.0)
+    assert 'clipped' not in ids(accumulate(t, x))
+
+
 @pytest.mark.parametrize('declared, rate', [(0.0, 400 / 3), (200.0, 200.0)])
 def test_samples_that_are_missing_regularly_are_reported_with_the_assumed_rate(declared, rate):
     t, x = faulty('third missing', 15_000)
     result = accumulate(t, x, declared_rate=declared)
     assert result.health.rate_hz == pytest.approx(rate, rel=1e-3) and len(result.segments) == 1
     assert ids(result) == ({'interpolated'} if declared else {'rate_assumed'})
+
+
+@pytest.mark.parametrize('bias', [0.0, 2e-3])
+def test_a_gyro_whose_unit_becomes_degrees_does_not_seem_to_rotate(bias):
+    """As degrees, a bias of 0.1 deg/s looks like a rotation by 7 deg/s."""
+    t, x = still(40_000)
+    x[:, :3] += bias
+    x[20_000:, :3] = np.degrees(x[20_000:, :3])
+    result = accumulate(t, x)
+    assert result.health.state == 'noise_increased'
+    assert {f.axes for f in result.findings if f.id == 'gyro_unit_changed'} == {AXES[:3]}
+    assert result.sums[0].samples == pytest.approx(20_000, abs=400)
 
 
 def test_louder_noise_at_rest_is_a_warning_with_its_size_and_no_motion():
@@ -536,6 +572,19 @@ def test_units_that_cannot_be_si_are_named(scale, expected):
     assert {f.id for f in found} == expected
     for f in found:
         assert f.severity == 'error' and ('deg/s' in f.remedy or 'accelerometer' in f.remedy)
+
+
+@pytest.mark.parametrize('lsb', [0.0, 0.1, 0.5, 2.0])
+def test_an_axis_at_the_end_of_its_range_is_reported(lsb):
+    times, noise = still(3000)
+    noise = noise / noise.std(axis=0)
+    samples = np.round(noise / lsb) * lsb if lsb else noise
+    assert 'clipped' not in ids(accumulate(times, samples))
+    if lsb < 0.5:
+        end = np.median(samples[:, 5])
+        samples[:, 5] = np.minimum(samples[:, 5], end)
+        clipped = [f for f in accumulate(times, samples).findings if f.id == 'clipped']
+        assert [f.axes for f in clipped] == [('accel_z',)]
 
 
 def test_a_rate_whose_stamps_do_not_fit_into_64_bits_is_refused():
