@@ -117,16 +117,14 @@ class StampChoice:
 class StampSorter:
     """Sorts samples that arrive slightly out of order, as over UDP or from several threads.
 
-    Sorting begins at the first backward stamp, so that a stream in order is not delayed. Windows of
-    2 * `REORDER` samples that overlap by half are sorted, except where a sample is later than
-    `REORDER` sample periods: then the clock was set back, or there are two clocks. ``sorted`` is
-    the number of samples that arrived late.
+    Windows of 2 * `REORDER` samples that overlap by half are sorted, except where a sample is later
+    than `REORDER` sample periods: then the clock was set back, or there are two clocks. ``sorted``
+    is the number of samples that arrived late.
     """
 
     def __init__(self, stamps: Stamps = np.empty(0, np.int64)) -> None:
         """Learn the sample period from the first stamps, (n,), in ns."""
         self.sorted = 0
-        self.sorting = bool((stamps[1:] < stamps[:-1]).any())
         places = min(len(stamps) - 1, REORDER)
         ordered = np.sort(stamps)
         # largest delay that is sorted
@@ -136,18 +134,8 @@ class StampSorter:
 
     def feed(self, samples: Block) -> Block:
         """Add samples of the six axes, and return all samples whose place is known."""
-        start, stamps = 0, samples.stamps
-        if not self.sorting and len(samples):
-            latest = stamps[0] if self._latest is None else self._latest
-            if stamps[0] >= latest and (stamps[1:] >= stamps[:-1]).all():
-                self._latest = int(stamps[-1])
-                return samples
-            self.sorting = True
-            start = int(np.argmax(np.diff(stamps, prepend=latest) < 0))
-            self._latest = int(stamps[start - 1]) if start else self._latest
-        self._pending = Block.joined([self._pending, samples.part(slice(start, None)).copy()])
-        groups = max(0, len(self._pending) // REORDER - 1)
-        return Block.joined([samples.part(slice(start)), self._take(groups * REORDER)])
+        self._pending = Block.joined([self._pending, samples.copy()])
+        return self._take((len(self._pending) // REORDER - 1) * REORDER)
 
     def flush(self) -> Block:
         """Return the buffered samples at the end of the input."""
@@ -162,18 +150,20 @@ class StampSorter:
     def _take(self, number: int) -> Block:
         """Return the first buffered samples, sorted."""
         stamps, rows = self._pending.stamps, self._pending.rows
-        for at in range(0, number, REORDER):
+        if number < 1:
+            return self._pending.part(slice(0))
+        latest = int(stamps[0]) if self._latest is None else self._latest
+        in_order = stamps[0] >= latest and (stamps[1:] >= stamps[:-1]).all()
+        for at in range(0, 0 if in_order else number, REORDER):
             window = stamps[at : at + 2 * REORDER]
-            reached = np.maximum.accumulate(window)
-            if self._latest is not None:
-                reached = np.maximum(reached, self._latest)
-            delay = reached - window
+            delay = np.maximum(np.maximum.accumulate(window), latest) - window
             if delay.any() and delay.max() <= self._longest_ns:
                 order = at + np.argsort(window, kind='stable')
                 self.sorted += int(np.count_nonzero(delay))
                 stamps[at : at + len(order)] = stamps[order]
                 rows[:, at : at + len(order)] = rows[:, order]
-            self._latest = int(stamps[min(at + REORDER, len(stamps)) - 1])
+            latest = int(stamps[min(at + REORDER, len(stamps)) - 1])
+        self._latest = int(stamps[number - 1]) if in_order else latest
         out = self._pending.part(slice(number))
         self._pending = self._pending.part(slice(number, None)).copy()
         return out

@@ -479,18 +479,14 @@ def test_heavy_tails_are_reported_with_the_share_of_outliers():
 
 
 @pytest.mark.parametrize('places', [2, 8, 30])
-@pytest.mark.parametrize('begin', [0, 5000])
+@pytest.mark.parametrize('begin', [0, 5040])
 def test_samples_that_arrive_out_of_order_are_sorted(places, begin):
     t, x = still(20_160)
     at = np.arange(len(t))
     order = np.where(at < begin, at, at // places * places + places - 1 - at % places)
     result = accumulate(t[order], x[order])
-    assert {'reordered'} <= ids(result) <= {'reordered', 'backward_stamps', 'interpolated', 'gaps'}
-    # only the first late sample, before which nothing was sorted, is lost
-    assert result.health.counts.backward <= (places if begin else 0)
-    assert result.health.rate_hz == pytest.approx(200.0, rel=1e-6)
-    if not begin:
-        assert_identical(result.sums[0], accumulate(t, x).sums[0])
+    assert ids(result) == {'reordered'}
+    assert_identical(result.sums[0], accumulate(t, x).sums[0])
 
 
 @pytest.mark.parametrize('difference', [3.0, 100.0])
