@@ -194,19 +194,15 @@ Run = Mapping[str, Measured]
 """Axis -> its coefficients and curve in one recording."""
 
 
-def differences(
-    pairs: Iterable[tuple[Run, Run]], error_divisor: float = 1.0
-) -> list[tuple[Difference, ...]]:
+def differences(pairs: Iterable[tuple[Run, Run]]) -> list[tuple[Difference, ...]]:
     """Return for each pair of recordings the differences of the second from the first.
 
     For each common axis, the five terms and then the deviations at common averaging times are
-    compared. The verdicts are corrected for the number of all comparisons of all pairs.
-
-    The probability of any false detection is below `FAMILY_ERROR` / ``error_divisor``. In an
-    endless series, it is below `FAMILY_ERROR` in total if the k-th call uses the divisor k (k + 1).
+    compared. The verdicts are corrected for the number of all comparisons of all pairs: the
+    probability of any false detection is below `FAMILY_ERROR`.
     """
     found = [list(_run_differences(*pair)) for pair in pairs]
-    decided = iter(_with_verdicts(list(chain(*found)), FAMILY_ERROR / error_divisor))
+    decided = iter(_with_verdicts(list(chain(*found)), FAMILY_ERROR))
     return [tuple(islice(decided, len(of_pair))) for of_pair in found]
 
 

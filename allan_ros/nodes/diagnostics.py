@@ -14,9 +14,9 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from ..core.allan.recent import RecentNoise
+from ..core.allan.recent import NoiseStep
 from ..core.allan.sums import AllanSums
-from ..core.compare import Comparison, Difference
+from ..core.compare import Comparison
 from ..core.errors import one_line
 from ..core.findings import Finding, Quantity, by_consequence, duration_text, finding
 from ..core.fit.interpretation import recommended_duration
@@ -175,9 +175,8 @@ class AxisView:
     ``sums`` is None before there are sums; ``result`` and ``fit_age_s`` are None before the first
     fit. ``problems`` report a failed fit or an invalidated model. ``comparisons`` are with
     the datasheet and earlier results; ``margin`` is the tolerated excess, as a fraction of the
-    limit. ``recent`` contains the noise of the recent window and the noise before it, and
-    ``changes`` the differences between the two. ``noted`` are findings of the fit that do not
-    change the level.
+    limit. ``step`` is the latest step of the noise level, if it lies in the recent window.
+    ``noted`` are findings of the fit that do not change the level.
     """
 
     axis: str
@@ -188,8 +187,7 @@ class AxisView:
     problems: tuple[Finding, ...]
     comparisons: tuple[Comparison, ...]
     margin: float
-    recent: RecentNoise | None
-    changes: tuple[Difference, ...]
+    step: NoiseStep | None
     noted: tuple[Finding, ...] = ()
 
 
@@ -236,12 +234,6 @@ def _term_pairs(axis: str, term: str, c: Coefficient) -> list[tuple[str, object]
     return [*pairs, (f'{term} verdict', c.status.replace('_', ' '))]
 
 
-def _nearest(changes: tuple[Difference, ...], tau: float) -> Difference | None:
-    """Return the change at the averaging time nearest to ``tau`` (s); None if there is none."""
-    known = [d for d in changes if d.tau and d.ratio]
-    return min(known, key=lambda d: abs(math.log((d.tau or tau) / tau)), default=None)
-
-
 def _limit_findings(view: AxisView) -> list[Finding]:
     """Return a finding for each coefficient that exceeds its limit."""
     noise = view.result.fit.noise if view.result else {}
@@ -250,22 +242,17 @@ def _limit_findings(view: AxisView) -> list[Finding]:
 
 
 def _change_findings(view: AxisView) -> list[Finding]:
-    """Return a finding if the noise level has a significant step that exceeds the margin."""
-    recent = view.recent
-    if recent is None or recent.since_s is None:
-        return []
-    step = _nearest(view.changes, recent.tau or 0.0)
-    if not step or not step.first or not step.ratio or not step.tau or not step.ci95:
-        return []
-    if not step.beyond(view.margin):
+    """Return a finding if the noise level has a step that exceeds the margin."""
+    step = view.step
+    if step is None or not step.beyond(view.margin):
         return []
     term = _dominant_term(view, step.tau)
     if term in ('N', 'Q'):
         # N = sigma sqrt(tau) and Q = sigma tau / sqrt(3): IEEE Std 952-1997, C.1.1 and C.1.2
-        before = step.first * {'N': math.sqrt(step.tau), 'Q': step.tau / math.sqrt(3.0)}[term]
+        before = step.before * {'N': math.sqrt(step.tau), 'Q': step.tau / math.sqrt(3.0)}[term]
         what, tau, kind = term, None, (sensor_of(view.axis), term)
     else:  # the window is too short for K and R, and B has no specific averaging time
-        before, what, tau = step.first, 'the Allan deviation', step.tau
+        before, what, tau = step.before, 'the Allan deviation', step.tau
         kind = (sensor_of(view.axis), 'B')
     low, high = step.ci95
     changed = finding(
@@ -274,7 +261,7 @@ def _change_findings(view: AxisView) -> list[Finding]:
         tau=tau,
         before=Quantity(before, *kind),
         after=Quantity(before * step.ratio, *kind),
-        ago=recent.since_s,
+        ago=step.since_s,
         low=low,
         high=high,
     )

@@ -17,9 +17,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from ..core.allan.recent import RecentNoise, recent_noise
+from ..core.allan.recent import NoiseStep, noise_steps
 from ..core.allan.sums import AllanSums
-from ..core.compare import Comparison, Difference, Measured, differences
+from ..core.compare import Comparison
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
@@ -81,8 +81,7 @@ class ImuEstimate(Part):
         self._outdated = False  # whether the sums of the running fit have been replaced
         self._compared: tuple[Results | None, float, tuple[Comparison, ...]] = None, 0.0, ()
         self._fit_ended = self._next_fit = 0.0
-        self._recent: dict[str, RecentNoise] = {}
-        self._changes: dict[str, tuple[Difference, ...]] = {}
+        self._steps: dict[str, NoiseStep] = {}
         home = home_of(label)
         self._publisher = node.create_publisher(String, f'{home}noise_model', LATCHED)
         self._bias = BiasPublisher(node, home)
@@ -95,7 +94,8 @@ class ImuEstimate(Part):
         lost = replaced_share(self._fitted, snapshot.sums)
         if lost > REPLACED_SHARE:
             self._withdraw(lost)
-        self._compare_recent(snapshot.sums)
+        window = self._settings.value.recent_window
+        self._steps = {a: one for s in snapshot.sums for a, one in noise_steps(s, window).items()}
         self._bias.update(snapshot)
         if self._results is not None:
             if _kinds(former) != _kinds(self._faults):
@@ -163,8 +163,7 @@ class ImuEstimate(Part):
             ),
             comparisons=tuple(c for c in self._comparisons(margin) if c.axis == axis),
             margin=margin,
-            recent=self._recent.get(axis),
-            changes=self._changes.get(axis, ()),
+            step=self._steps.get(axis),
             noted=tuple(noted),
         )
         name = status_name(self._node, self._label, imu.frame_id, axis.replace('_', ' '))
@@ -223,18 +222,6 @@ class ImuEstimate(Part):
 
     def _with_faults(self, results: Results) -> Results:
         return replace(results, findings=(*self._faults, *results.findings))
-
-    def _compare_recent(self, sums: tuple[AllanSums, ...]) -> None:
-        """Store the comparison of the recent window with earlier data, for each axis."""
-        window = self._settings.value.recent_window
-        self._recent = {axis: one for s in sums for axis, one in recent_noise(s, window).items()}
-        before, recent = (
-            {axis: Measured(None, getattr(one, side).axis(0)) for axis, one in self._recent.items()}
-            for side in ('before', 'recent')
-        )
-        windows = 1.0 + max((s.elapsed_ns for s in sums), default=0) * 1e-9 / window
-        found = differences([(before, recent)], windows * (windows + 1.0))[0]
-        self._changes = {a: tuple(d for d in found if d.axis == a) for a in self._recent}
 
     def _on_fit(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._snapshot is None or not self._snapshot.sums:

@@ -19,7 +19,7 @@ from allan_ros.core.allan.curve import allan_curve, edf
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
 from allan_ros.core.allan.grid import MAX_LEVELS, MIN_VARIANCE, counts, grid, grid_for
 from allan_ros.core.allan.periods import Period, Recording
-from allan_ros.core.allan.recent import recent_noise
+from allan_ros.core.allan.recent import noise_steps
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import METHODS, fit_noise
 from allan_ros.core.imu import AXES, LARGEST, ImuIdentity
@@ -138,7 +138,7 @@ def test_degrees_of_freedom_do_not_wrap_round(exponent: int) -> None:
         assert edf(0, 1, 1, [each], [number]) == pytest.approx(2 / 3 * 10**exponent, rel=1e-5)
 
 
-def test_the_recent_noise_after_decades_is_of_numbers() -> None:
+def test_steady_noise_has_no_step_after_decades() -> None:
     sums = sums_of(np.random.default_rng(0).normal(size=(40_000, 1)))
     (one,) = sums.recordings
     long = [
@@ -147,8 +147,7 @@ def test_the_recent_noise_after_decades_is_of_numbers() -> None:
     ]
     lengths = ((sums.samples << 38, 1),)
     sums = replace(sums, recordings=(replace(one, periods=tuple(long)),), lengths=lengths)
-    noise = recent_noise(sums, 3e13)['axis_0']
-    assert not np.any(noise.before.adev <= 0.0) and noise.since_s is None
+    assert noise_steps(sums, 3e13) == {}
 
 
 # --- exact arithmetic ---------------------------------------------------------------------------

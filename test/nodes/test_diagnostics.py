@@ -16,9 +16,9 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticStatus
 from support.numbers import NO_NUMBER, noiseless_sums, noisy_sums
 
-from allan_ros.core.allan.recent import recent_noise
+from allan_ros.core.allan.recent import NoiseStep, noise_steps
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.compare import Comparison, Difference
+from allan_ros.core.compare import Comparison
 from allan_ros.core.findings import finding
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
 from allan_ros.core.imu import ImuBatch
@@ -58,7 +58,7 @@ def fit(**noise: Coefficient) -> AxisResult:
 
 
 def status_of(sums, **changes) -> DiagnosticStatus:
-    view = AxisView('gyro_z', sums, fit(), 'likelihood', 3.0, (), (), 0.2, None, ())
+    view = AxisView('gyro_z', sums, fit(), 'likelihood', 3.0, (), (), 0.2, None)
     return axis_status('node: imu gyro z', 'imu', replace(view, **changes))
 
 
@@ -118,23 +118,18 @@ def test_a_coefficient_above_its_limit_is_a_warning_with_advice(sums):
 
 
 def test_a_change_is_reported_in_the_dominant_coefficient(sums):
-    tau = 0.04
-    recent = replace(recent_noise(sums, 60.0)['gyro_z'], since_s=2400.0, tau=tau)
-    ratio = (1.48, 1.52)
-    step = Difference('gyro_z', 'adev', tau, N / tau**0.5, 1.5, ratio, 1e-20, 'higher')
-    status = status_of(sums, recent=recent, changes=(step,))
+    step = NoiseStep(0.04, N / 0.04**0.5, 1.5, (1.48, 1.52), 2400.0)
+    status = status_of(sums, step=step)
     assert status.level == DiagnosticStatus.WARN
     assert status.message.startswith(
         'N rose from 0.200 deg/sqrt(h) to 0.300 deg/sqrt(h) 40 min ago '
         '(95 % interval of the ratio: 1.48 to 1.52)'
     )
-    flicker = Coefficient(1.0, (0.9, 1.1))
-    assert (
-        'the Allan deviation at 0.04 s rose from'
-        in status_of(sums, recent=recent, changes=(step,), result=fit(B=flicker)).message
-    )
-    for quiet in (replace(step, verdict='alike'), replace(step, ci95=(1.1, 1.9))):
-        assert status_of(sums, recent=recent, changes=(quiet,)).level == DiagnosticStatus.OK
+    flicker = fit(B=Coefficient(1.0, (0.9, 1.1)))
+    message = status_of(sums, step=step, result=flicker).message
+    assert 'the Allan deviation at 0.04 s rose from' in message
+    quiet = replace(step, ci95=(1.1, 1.9))
+    assert status_of(sums, step=quiet).level == DiagnosticStatus.OK
 
 
 def of_input(health: StreamHealth, *given, **named) -> DiagnosticStatus:
@@ -173,10 +168,10 @@ def check_status(status: DiagnosticStatus) -> None:
 def test_the_numbers_of_an_axis_are_finite(make: Callable[[], AllanSums], method: str) -> None:
     sums = make()
     results = analyze_sums([sums], Provenance(), method)
-    recent = recent_noise(sums, 10.0)
+    steps = noise_steps(sums, 10.0)
     for axis, result in results.axes.items():
         for fitted in (None, result):
-            view = AxisView(axis, sums, fitted, method, 1e300, '', (), 0.2, recent.get(axis), ())
+            view = AxisView(axis, sums, fitted, method, 1e300, '', (), 0.2, steps.get(axis))
             check_status(axis_status('node: imu', 'imu', view))
 
 

@@ -1,22 +1,22 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of recent noise with earlier noise, from the periods of a recording."""
+"""Steps of the noise level in recent data, from the periods of a recording."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
-from .curve import AllanCurve, chi_squared_limits, edf, noise_types_of_avar
-from .grid import LEVEL_FACTORS
+from .curve import edf, noise_types_of_avar
+from .grid import LEVEL_FACTORS, allan_variance
 from .periods import add_padded
 from .sums import AllanSums
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LONGEST_TAU_SHARE = 0.25
 """Longest averaging time that is compared, as a fraction of the window."""
@@ -31,26 +31,50 @@ with one degree of freedom exceeds it once in 2e7, so many times and axes can be
 
 
 @dataclass(frozen=True)
-class RecentNoise:
-    """Allan deviation of one axis in recent and in earlier data."""
+class NoiseStep:
+    """The latest step of the noise level of an axis.
 
-    before: AllanCurve  # curve of the earlier data, of this axis only
-    recent: AllanCurve  # curve of the recent data, at the same averaging times
-    since_s: float | None  # time since the last step of the noise level in s; None without a step
-    # averaging time in s at which the first step is most significant; None without a step
-    tau: float | None
+    Attributes
+    ----------
+    tau : float
+        Averaging time in s at which the first step is most significant.
+    before : float
+        Allan deviation at this averaging time before the first step.
+    ratio : float
+        Allan deviation after the last step, relative to ``before``.
+    ci95 : (low, high)
+        95 % interval of the ratio.
+    since_s : float
+        Time since the last step in s.
+    """
+
+    tau: float
+    before: float
+    ratio: float
+    ci95: tuple[float, float]
+    since_s: float
+
+    def beyond(self, margin: float) -> bool:
+        """Return whether the complete interval of the ratio exceeds the fraction ``margin``.
+
+        It lies above 1 + margin, or below 1 / (1 + margin).
+        """
+        low, high = self.ci95
+        return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
 
 
-def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
-    """Return the recent and the earlier noise of each axis, or {} if there are too few data.
+def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
+    """Return the latest step of the noise level of each axis that has one in the recent window.
 
-    The recent window of ``window_s`` seconds ends at the end of the latest recording.
+    The window of ``window_s`` seconds ends at the end of the latest recording.
 
     Raises
     ------
     AllanError
         If the window is not above 0.
     """
+    from scipy.special import fdtri
+
     if not window_s > 0.0:
         raise AllanError(f'a recent window of {window_s} s is invalid: give a positive number')
     if not sums.recordings or not sums.tau0:
@@ -71,7 +95,7 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
         return {}
     m = sums.m[:levels]
     total = np.maximum(count.sum(axis=0), 1)
-    avar = sum_sq.sum(axis=0) / (2.0 * (m * m * total).astype(float))[:, None]
+    avar = allan_variance(sum_sq.sum(axis=0), m, total)
     types = noise_types_of_avar(m, np.where(avar > 0.0, avar, np.nan), sums.samples)
     found = {}
     for i, axis in enumerate(sums.axes):
@@ -81,32 +105,36 @@ def recent_noise(sums: AllanSums, window_s: float) -> dict[str, RecentNoise]:
                 for alpha, factor, n in zip(types[:, i], m, total)
             ]
         )
-        last_row, next_row, level = _noise_steps(count * share, sum_sq[:, :, i])
-        sides = (slice(0, last_row), slice(next_row, None))
-        before, recent = (
-            _curve(axis, m, sums.tau0, count[rows], sum_sq[rows, :, i], share, types[:, i])
-            for rows in sides
+        rows = _steps(count * share, sum_sq[:, :, i])
+        if rows is None:
+            continue
+        first, last, k = rows
+        sides = slice(first), slice(last, None)
+        number = [float(count[side, k].sum()) for side in sides]
+        before, after = (
+            sum_sq[side, k, i].sum() / (2.0 * float(m[k]) ** 2 * n)
+            for side, n in zip(sides, number)
         )
-        since = tau = None
-        if level is not None:
-            since = (latest.samples - begins[next_row]) * sums.tau0
-            tau = float(m[level] * sums.tau0)
-        found[axis] = RecentNoise(before, recent, since, tau)
+        nu, ratio = share[k] * np.array(number), after / before
+        low, high = (math.sqrt(ratio / fdtri(nu[1], nu[0], q)) for q in (0.975, 0.025))
+        since = (latest.samples - begins[last]) * sums.tau0
+        numbers = float(m[k] * sums.tau0), math.sqrt(before), math.sqrt(ratio)
+        found[axis] = NoiseStep(*numbers, (low, high), since)
     return found
 
 
-def _noise_steps(degrees: Floats, squares: Floats) -> tuple[int, int, int | None]:
+def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
     """Locate steps of the noise level; return (row after the first, row after the last, factor).
 
     The degrees of freedom and the sums of squares are (rows, factors). The first step is the most
     significant one of all factors; ``factor`` is the index of its factor, at which later steps are
-    searched for. Without a significant step, the result is (1, 1, None).
+    searched for. The result is None without a significant step.
     """
     degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)
     ratio = _step_ratios(degrees, squares)
     at, level = np.unravel_index(int(ratio.argmax()), ratio.shape)
     if not ratio[at, level] > LIKELIHOOD_RATIO:
-        return 1, 1, None
+        return None
     first = last = int(at)
     while True:
         later = [a[last + 1 :, level] - a[last, level] for a in (degrees, squares)]
@@ -128,17 +156,3 @@ def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
         gain = both - before - after
     enough = (nu[0] >= MIN_EDF) & (nu[1] >= MIN_EDF) & (sums[0] > 0.0) & (sums[1] > 0.0)
     return np.where(enough, gain, -np.inf)
-
-
-def _curve(
-    axis: str, m: Ints, tau0: float, count: Ints, sum_sq: Floats, share: Floats, types: Ints
-) -> AllanCurve:
-    """Return the curve of an axis; ``share`` is the degrees of freedom per second difference."""
-    number = count.sum(axis=0)
-    with np.errstate(invalid='ignore', divide='ignore'):
-        avar = sum_sq.sum(axis=0) / (2.0 * m.astype(float) ** 2 * number)
-    degrees = np.where(number > 0, share * number, np.nan)
-    low, high = chi_squared_limits(avar, degrees)
-    columns = (np.sqrt(avar), low, high, degrees, types)
-    adev, low, high, degrees, types = (np.asarray(a)[:, None] for a in columns)
-    return AllanCurve(m, np.asarray(m * tau0), number, adev, low, high, (axis,), degrees, types)
