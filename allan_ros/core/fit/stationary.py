@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan.spectra import pooled_spectra
+from ..allan.curve import pooled_spectra
 from ..allan.sums import AllanSums, part
 from ..findings import Finding, Quantity, duration_text, finding
 from ..imu import sensor_of

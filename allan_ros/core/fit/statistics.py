@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.cascade import MAX_INTERPOLATED
+from ..allan.curve import pooled_spectra
 from ..allan.grid import LONGEST_BLOCK, SAMPLE_OCTAVES, bins_up_to, octave, tapers
-from ..allan.spectra import pooled_spectra
 from ..allan.sums import LONGEST_FILLED, AllanSums
 from ..noise import gamma_of
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.allan.spectra import noise_density
+from ...core.allan.curve import noise_density
 from ...core.fit import TERMS
 from ...core.fit.temperature import TemperatureModel
 from ...core.imu import AXES, SENSORS

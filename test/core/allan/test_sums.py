@@ -13,9 +13,9 @@ from support.sums import noise
 from support.sums import sums_of as without_names
 
 from allan_ros.core.allan.cascade import BLOCK
+from allan_ros.core.allan.curve import noise_density, pooled_spectra
 from allan_ros.core.allan.document import _packed, sums_from_document, sums_to_document
 from allan_ros.core.allan.periods import KEPT_SEGMENTS, MAX_MEANS, MAX_PERIODS
-from allan_ros.core.allan.spectra import noise_density, pooled_spectra
 from allan_ros.core.allan.sums import AllanSums, part
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuIdentity
