@@ -18,6 +18,7 @@ from .core.compare import MARGIN
 from .core.errors import AllanError
 from .core.filters.noise_parameters import measure_inflation
 from .core.settings import (
+    LIST,
     SegmenterSettings,
     check_names,
     check_range,
@@ -26,6 +27,7 @@ from .core.settings import (
     expect,
 )
 from .io.analysis import ResultSettings, analyze_recorded, one_thread
+from .io.datasheets import load_sensor
 from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
 from .io.files import PATH, public
 from .io.readers import ReadOptions, Recording, topics_of
@@ -192,16 +194,24 @@ def analyze(
 @public
 def compare(
     *sources: Results | str | os.PathLike[str],
+    sensor: str | Sequence[str] = (),
+    margin: float = MARGIN,
     method: str = 'likelihood',
     observer: Observer = Silent(),
 ) -> RunComparison:
-    """Compare recordings with the first of them.
+    """Compare recordings with the first of them, and with datasheets.
 
     Parameters
     ----------
     *sources : Results or path
         Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
         analysis, or a recording. In the output, their names are the paths, or A, B, C ...
+    sensor : str or sequence of str
+        Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
+        .yaml files.
+    margin : float
+        A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above it
+        by this fraction.
     method : str
         Method of the fit of sums and recordings, as in `analyze`; results are not fitted again.
     observer : Observer
@@ -210,8 +220,8 @@ def compare(
     Returns
     -------
     RunComparison
-        The differences of each recording from the first one (``pairs``), and whether any of them is
-        significant (``differs``).
+        The differences of each recording from the first one (``pairs``), the comparisons with
+        the datasheets (``datasheets``), and whether any of them is significant (``differs``).
 
     Raises
     ------
@@ -226,17 +236,20 @@ def compare(
     >>> ar.compare(quiet, noisy).differs
     True
     """
-    ResultSettings(method=method)  # checks it before recordings are read
+    ResultSettings(method=method, margin=margin)  # checks them before recordings are read
+    expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
+    sensors = [sensor] if isinstance(sensor, PATH) else sensor
+    sheets = [load_sensor(str(name)) for name in sensors]
     paths = [chr(ord('A') + i) if isinstance(s, Results) else str(s) for i, s in enumerate(sources)]
     names = labels_of(paths)
     if len({*names}) < len(names):
         raise AllanError('an input is given twice: give different recordings')
-    if len(sources) < 2:
-        raise AllanError('nothing to compare: give two recordings')
+    if len(sources) + len(sheets) < 2 or not sources:
+        raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
     from .io.comparison import Subject, compare_runs
 
     runs = (results_of(source, method, observer) for source in sources)
-    return compare_runs([Subject(*run) for run in zip(names, runs)])
+    return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin)
 
 
 @public

@@ -1,13 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""List significant differences between recordings.
+"""List significant differences between recordings, or from a datasheet.
 
-An input is a results.json, a sums.json, the folder of an analysis, or a recording. Recordings are
-compared with the first one; `allan check` compares them with a datasheet. --method applies to
-recordings and sums; a results.json is not fitted again.
+An input is a results.json, a sums.json, the folder of an analysis, a recording, or sensor:NAME for
+a datasheet. Recordings are compared with the first one, and with each datasheet. --method applies
+to recordings and sums; a results.json is not fitted again.
 
   allan compare monday tuesday
-  allan compare reference.json results --fail-on-difference
+  allan compare results sensor:adis16475-3 --fail-on-difference
   allan compare left.mcap right.mcap top.mcap --common
 """
 
@@ -26,9 +26,11 @@ from .console import Console, width
 from .options import Command, Settings
 from .tables import comparison_lines
 
+SENSOR_PREFIX = 'sensor:'
+
 EXIT_DIFFERENT = 3
 
-EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference'}
+EXITS = {EXIT_DIFFERENT: 'with --fail-on-difference: a significant difference, or a limit exceeded'}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -38,7 +40,14 @@ def run(args: argparse.Namespace) -> int:
         return _common(args, console)
     if args.topic or args.accel_topic:
         raise AllanError('--topic and --accel-topic need --common: analyze one topic, then compare')
-    comparison = api.compare(*args.inputs, method=args.method, observer=console)
+    sheets = [text for text in args.inputs if text.startswith(SENSOR_PREFIX)]
+    comparison = api.compare(
+        *(text for text in args.inputs if text not in sheets),
+        sensor=[text[len(SENSOR_PREFIX) :] for text in sheets],
+        margin=args.margin,
+        method=args.method,
+        observer=console,
+    )
     text = '\n'.join(comparison_lines(comparison, args.units, width()))
     _show(console, text, comparison_document(comparison))
     return EXIT_DIFFERENT if args.fail_on_difference and comparison.differs else 0
@@ -54,11 +63,16 @@ def _show(console: Console, text: str, document: Mapping[str, Any]) -> None:
 
 def _common(args: argparse.Namespace, console: Console) -> int:
     """Print the noise that the IMUs have in common; return the exit code."""
-    if args.fail_on_difference or args.method != ResultSettings().method:
-        raise AllanError('--common judges and fits nothing: omit --fail-on-difference and --method')
+    default = ResultSettings()
+    if args.fail_on_difference or (args.margin, args.method) != (default.margin, default.method):
+        raise AllanError(
+            '--common judges and fits nothing: omit --fail-on-difference, --margin and --method'
+        )
     for text in args.inputs:
-        if api.is_document(text):
-            raise AllanError(f'{text}: --common needs the samples: give recordings, not results')
+        if text.startswith(SENSOR_PREFIX) or api.is_document(text):
+            raise AllanError(
+                f'{text}: --common needs the samples: give recordings, not results or datasheets'
+            )
     common = api.common(*args.inputs, topic=args.topic, accel_topic=args.accel_topic)
     text = '\n'.join(common_lines(common, args.units))
     _show(console, text, common.document())
@@ -78,19 +92,20 @@ Measure what running motors add to the noise of a robot at rest.
 
 REST is the robot at rest with its motors off, RUNNING the robot at rest with its motors on, each as
 a results.json, the folder of an analysis, or a recording. The output is N and K for a filter, their
-increase as a factor.
+increase as a factor, and the ratio of the Allan deviations.
 
   allan inflate rest/results.json motors_on/results.json
   allan inflate rest_bag motors_on_bag --json > inflation.json
 """
 
 COMPARE_OPTIONS = f"""
-inputs INPUT...  recording or its results
+inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
 --common  separate the noise that IMUs on one body have in common (vibration) from the noise of
     each; the inputs are recordings made at the same time, or a bag with several Imu topics
 --topic TOPIC []  with --common: Imu topic, if a bag has several (default: all of them are IMUs)
 --accel-topic TOPIC []  with --common: topic of the accelerometer, if the gyro has another topic
---fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant
+--fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a
+    datasheet is exceeded
 """
 
 INFLATE_OPTIONS = """
@@ -99,7 +114,7 @@ running RUNNING  the robot at rest, motors on
 --horizon SECONDS [30]  longest time that the filter integrates without correction
 """
 
-RESULT = Settings('result', ResultSettings, ['sensor', 'baseline', 'margin', 'export', 'plots'])
+RESULT = Settings('result', ResultSettings, ['sensor', 'baseline', 'export', 'plots'])
 
 COMMANDS = {
     'compare': Command(__doc__ or '', [COMPARE_OPTIONS, RESULT], run, EXITS),

@@ -25,6 +25,7 @@ from ..io.datasheets import DEFAULT_RATE_HZ, Datasheet, Limit, load_sensor, sens
 from ..io.exporters import TARGETS, ExportOptions
 from ..io.files import MAX_BYTES, read_text
 from ..io.format import shown_unit, significant
+from ..io.measured import measured_entry, measured_lines
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
 
@@ -99,14 +100,21 @@ HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Print one datasheet, or a list of all."""
+    """Print one datasheet, a list of all, or results as an entry for the file of a datasheet."""
     console = Console.of(args)
+    if source := vars(args)['from']:
+        from ..io.documents import load
+
+        if args.name:
+            raise AllanError(f'--from prints an entry for any sensor: omit {args.name}')
+        print(measured_entry(load(source)))
+        return 0
     if args.name:
         sheet = load_sensor(args.name)
         if console.json:
             console.document({'id': args.name, **plain(sheet)})
             return 0
-        print('\n'.join(sensor_lines(sheet, width())))
+        print('\n'.join([*sensor_lines(sheet, width()), *measured_lines(sheet)]))
         return 0
     sheets = {name: load_sensor(name) for name in sensor_names()}
     if console.json:
@@ -178,6 +186,7 @@ that ends in .yaml is a path.
 
   allan sensors
   allan sensors icm-42688-p
+  allan sensors --from results    (an entry for the catalogue)
   allan analyze my_bag --sensor icm-42688-p
 """
 
@@ -192,7 +201,8 @@ results RESULTS?  results.json, or its folder
 """
 
 SENSOR_OPTIONS = """
-name NAME?  sensor to show with its sources (default: list all)
+name NAME?  sensor to show with its sources and measured values (default: list all)
+--from RESULTS  results.json or its folder: print an entry "measured" for the file of a sensor
 """
 
 COMMANDS = {

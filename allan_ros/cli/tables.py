@@ -270,18 +270,24 @@ def table_lines(rows: Sequence[tuple[str, Sequence[Cell]]], width: int) -> Itera
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield the lines of a comparison: a sentence for each pair, and a table for each sensor."""
+    """Yield the lines of a comparison: sentences, a table per sensor, and limits of datasheets."""
     for sentence in str(comparison).splitlines():
         yield from wrapped(sentence, columns, '  ')
     for sensor, where in SENSORS.items():
         axes = [a for a in AXES[where] if any(a in r.results.axes for r in comparison.runs)]
         yield from table_lines([*_comparison_rows(comparison, sensor, axes, units)], columns)
-    yield ''
-    yield from wrapped(
-        f'ratios to {comparison.runs[0].label} with 95 % intervals; "higher" and "lower" are '
-        f'significant (at most {100.0 * comparison.family_error:g} % false alarms overall)',
-        columns,
-    )
+    if comparison.pairs:
+        yield ''
+        yield from wrapped(
+            f'ratios to {comparison.runs[0].label} with 95 % intervals; "higher" and "lower" are '
+            f'significant (at most {100.0 * comparison.family_error:g} % false alarms overall)',
+            columns,
+        )
+    for one in comparison.checked:
+        yield from ('', one.label, *datasheet_lines(one.datasheet, units, columns))
+        if one.measured:
+            yield f'compared with measured units of {one.datasheet.datasheet.name}:'
+            yield from (f'         {known}' for known in one.measured)
 
 
 def _comparison_rows(

@@ -1,13 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons of recordings with each other, and with motors off and on."""
+"""Comparisons of recordings with each other, with datasheets, and with motors off and on."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..core.compare import FAMILY_ERROR, Difference, differences
 from ..core.errors import AllanError, one_line
@@ -15,8 +16,10 @@ from ..core.fields import plain
 from ..core.filters.noise_parameters import TermInflation
 from ..core.filters.reductions import horizon_text, shortest_horizon
 from ..core.imu import SI_UNITS, sensor_of
+from .datasheets import VERDICTS, Datasheet, DatasheetComparison, comparison_to_document
 from .documents import results_to_document
 from .format import significant
+from .measured import AgainstMeasured, against_measured
 from .results import Results
 
 SCHEMA = 'allan_ros/comparison/1'
@@ -52,32 +55,47 @@ class Pair:
         return next(known, None)
 
 
+class Checked(NamedTuple):
+    """The comparison of a recording with a datasheet, and with measured units of the sensor."""
+
+    label: str
+    datasheet: DatasheetComparison
+    measured: Sequence[AgainstMeasured]
+
+
 @dataclass(frozen=True)
 class RunComparison:
-    """Several recordings, and their differences from the first one.
+    """Several recordings, their differences from the first one, and comparisons with datasheets.
 
     ``pairs`` has one element for each recording after the first. ``family_error`` is the
     probability of any significant difference if all recordings have equal noise. Printed, it is a
-    sentence for each pair.
+    sentence for each pair, and a line for each comparison with a datasheet.
     """
 
     runs: tuple[Subject, ...]
     pairs: tuple[Pair, ...]
+    checked: tuple[Checked, ...] = ()
     family_error: float = FAMILY_ERROR
 
     def __repr__(self) -> str:
-        return '\n'.join(_sentence(pair, self.family_error) for pair in self.pairs)
+        pairs = (_sentence(pair, self.family_error) for pair in self.pairs)
+        return '\n'.join([*pairs, *map(_datasheet_sentence, self.checked)])
 
     @property
     def differs(self) -> bool:
-        """Whether any difference is significant."""
+        """Whether any difference is significant, or a limit of a datasheet is exceeded."""
+        if any(one.datasheet.verdict == 'exceeds' for one in self.checked):
+            return True
         return any(pair.significant for pair in self.pairs)
 
 
-def compare_runs(runs: Sequence[Subject]) -> RunComparison:
-    """Compare each recording with the first one.
+def compare_runs(
+    runs: Sequence[Subject], datasheets: Sequence[Datasheet] = (), margin: float = 0.0
+) -> RunComparison:
+    """Compare each recording with the first one, and every recording with each datasheet.
 
-    Raises AllanError when two recordings have no common axis.
+    A limit of a datasheet is exceeded if the 95 % interval is completely above
+    limit * (1 + ``margin``). Raises AllanError when two recordings have no common axis.
     """
     first, *others = runs
     for other in others:
@@ -88,7 +106,13 @@ def compare_runs(runs: Sequence[Subject]) -> RunComparison:
             )
     found = differences((first.results.measured, other.results.measured) for other in others)
     pairs = (Pair(first.label, other.label, changes) for other, changes in zip(others, found))
-    return RunComparison(tuple(runs), tuple(pairs))
+    checked = (
+        Checked(run.label, known, against_measured(sheet, run.results))
+        for sheet in datasheets
+        for run in runs
+        if (known := run.results.against_datasheet(sheet, margin).datasheet)
+    )
+    return RunComparison(tuple(runs), tuple(pairs), tuple(checked))
 
 
 def comparison_document(comparison: RunComparison) -> dict[str, Any]:
@@ -102,6 +126,14 @@ def comparison_document(comparison: RunComparison) -> dict[str, Any]:
             for run in comparison.runs
         ],
         'pairs': plain(comparison.pairs, {'tau': 'tau_s'}),
+        'datasheets': [
+            {
+                'run': one.label,
+                **comparison_to_document(one.datasheet),
+                'measured': plain(one.measured),
+            }
+            for one in comparison.checked
+        ],
     }
 
 
@@ -161,8 +193,18 @@ def _size(difference: Difference) -> float:
     return math.log(low) if low > 1.0 else -math.log(high)
 
 
+def _datasheet_sentence(checked: Checked) -> str:
+    found = Counter(c.verdict for c in checked.datasheet.comparisons)
+    counts = ', '.join(f'{found[one]} {one}' for one in VERDICTS if one in found)
+    name = checked.datasheet.datasheet.name
+    return f'{checked.label} and the datasheet of {name}: {counts or "no limit to compare with"}'
+
+
 REST, RUNNING = 'at rest', 'at rest, motors on'
 """Labels of the recordings with motors off and on."""
+
+SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
+"""Averaging times in s of the table of ratios."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +257,7 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
 
 
 def inflation_lines(inflation: Inflation) -> Iterator[str]:
-    """Yield the lines of a table: N and K for a filter, and their factors."""
+    """Yield the lines of two tables: N and K for a filter, and ratios of Allan deviations."""
     yield f'N and K for a filter, over {horizon_text(inflation.horizon)}'
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():
@@ -223,3 +265,22 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
         n, k = (f'{significant(t.use, 4)} {units[term]:16}' for term, t in axis.items())
         factors = axis['N'].factor, axis['K'].factor
         yield f'{name:9}{n:>34}  {factors[0]:6.2f}{k:>36}  {factors[1]:6.2f}'.rstrip()
+    yield ''
+    yield 'Allan deviation with motors on over motors off, 95 % interval'
+    for name in inflation.axes:
+        ratios = inflation.ratios(name)
+        nearest = {d.tau: d for tau in SHOWN_TAU_S if (d := _nearest(ratios, tau)) is not None}
+        cells = [f'{tau:g} s: {_ratio(d)}' for tau, d in nearest.items()]
+        yield f'{name:9}{"  ".join(cells)}'
+
+
+def _nearest(ratios: list[Difference], tau: float) -> Difference | None:
+    """Return the ratio closest to ``tau``; None if none is within a factor of 1.5."""
+    close = [d for d in ratios if d.tau is not None and tau / 1.5 < d.tau < 1.5 * tau]
+    return min(close, key=lambda d: abs((d.tau or 0.0) - tau), default=None)
+
+
+def _ratio(d: Difference) -> str:
+    if d.ratio is None or d.ci95 is None:
+        return 'not known'
+    return f'{d.ratio:.2f} ({d.ci95[0]:.2f} to {d.ci95[1]:.2f})'

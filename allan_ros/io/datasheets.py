@@ -32,6 +32,7 @@ from ..core.settings import expect
 from .axis_result import AxisResult
 from .exporters import FROM_DATASHEET
 from .files import PATH, config_file, config_names, public, read_yaml
+from .measured import Measured, known_factors, measured_from_document
 from .readers import SourceInfo
 from .recorded import Provenance
 
@@ -126,6 +127,8 @@ class Datasheet:
         A remark for the user.
     carries : str
         Name of the sensor inside a product, such as a camera; '' if the IMU is the sensor itself.
+    measured : tuple of Measured
+        Values that were measured with units of this sensor.
 
     Examples
     --------
@@ -136,6 +139,8 @@ class Datasheet:
     >>> text = imu.export('openvins', filter_rate=400.0)
     >>> 'from the datasheet of BMI088 and not measured' in text, 'update_rate: 400.0' in text
     (True, True)
+    >>> [round(one.hours, 1) for one in ar.sensor('adis16405').measured]
+    [2.0, 2.0, 2.7]
     """
 
     name: str
@@ -144,6 +149,7 @@ class Datasheet:
     limits: Mapping[str, Mapping[str, Limit]]
     remark: str = ''
     carries: str = ''
+    measured: tuple[Measured, ...] = ()
 
     def values(self) -> dict[str, dict[str, float]]:
         """Return axis -> term -> limit in SI."""
@@ -176,7 +182,8 @@ class Datasheet:
             noise = {term: known.get(term, unknown) for term in TERMS}
             fit = AxisFit(noise, model_of_terms(noise))
             axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
-        found = [finding('from_datasheet', name=self.name)]
+        low, high = known_factors(map(load_sensor, sensor_names()))
+        found = [finding('from_datasheet', name=self.name, low=low, high=high)]
         if assumed:
             found.append(finding('bias_not_stated', tuple(assumed), time=CROSSING_S))
         stated = [f'{one} {one.url}'.strip() for one in self.sources.values()]
@@ -381,7 +388,7 @@ def _file(name: str) -> Fields:
 
 def _datasheet(fields: Fields) -> Datasheet:
     fields.schema(SCHEMA)
-    fields.only('schema', 'name', 'maker', 'remark', 'sources', *SI_UNITS, *AXES)
+    fields.only('schema', 'name', 'maker', 'remark', 'sources', 'measured', *SI_UNITS, *AXES)
     sources = _sources(fields)
     limits: dict[str, dict[str, Limit]] = {}
     for axis in AXES:
@@ -390,7 +397,9 @@ def _datasheet(fields: Fields) -> Datasheet:
             if part is not None:
                 limits[axis] = limits.get(axis, {}) | _limits(part, sensor_of(axis), sources)
     name, maker, remark = fields.text('name'), fields.text('maker', ''), fields.text('remark', '')
-    return Datasheet(name, maker, sources, limits, remark)
+    stated = fields.each('measured') if 'measured' in fields else ()
+    measured = tuple(map(measured_from_document, stated))
+    return Datasheet(name, maker, sources, limits, remark, measured=measured)
 
 
 def _sources(fields: Fields) -> dict[str, Source]:

@@ -52,13 +52,19 @@ def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path,
     assert re.match(r'worse differs .* most in gyro z N: 2.00 \(', capsys.readouterr().out)
     assert main([*words, '--fail-on-difference', '--json']) == 3
     assert json.loads(capsys.readouterr().out)['differs'] is True
+    assert main(['compare', str(worse), 'sensor:adis16475-3', '--fail-on-difference']) == 3
+    said = capsys.readouterr().out
+    assert re.match(r'worse and the datasheet of ADIS16475-3: \d exceeds, ', said)
 
 
 @pytest.mark.parametrize(
     'words, said',
     [
         (['{run}'], 'nothing to compare'),
+        (['sensor:adis16475-3'], 'nothing to compare'),
         (['{run}', '{run}'], 'an input is given twice'),
+        (['{run}', 'sensor:none'], "no datasheet 'none'"),
+        (['{run}', '--margin', '-1'], 'margin is -1.0: it must lie between 0 and 1'),
     ],
 )
 def test_incomparable_inputs_give_one_line(

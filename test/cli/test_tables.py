@@ -20,6 +20,7 @@ from allan_ros.core.filters.reductions import Level
 from allan_ros.core.findings import CATALOG, Finding, finding
 from allan_ros.core.fit import TERMS, Coefficient, Deviation
 from allan_ros.io.comparison import Subject, compare_runs
+from allan_ros.io.datasheets import load_sensor
 from allan_ros.io.exporters import origin_text, target_rows
 from allan_ros.io.format import interval_text, shown_unit, value_text
 from allan_ros.io.results import Results
@@ -182,7 +183,8 @@ def test_findings_follow_the_units(small_results: Results) -> None:
 def test_a_comparison_with_a_datasheet_has_no_two_empty_lines_in_a_row(
     small_results: Results,
 ) -> None:
-    lines = lines_of(small_results.compared('mpu-6050'), 'deg/h', 100)
+    comparison = compare_runs([Subject('a', small_results)], [load_sensor('mpu-6050')])
+    lines = list(comparison_lines(comparison, 'deg/h', 100))
     assert '' in lines and ('', '') not in pairwise(lines)
 
 

@@ -119,7 +119,7 @@ def test_wrong_inputs_are_rejected(three: list[ImuBatch], tmp_path: Path) -> Non
             wrong()
 
 
-@pytest.mark.parametrize('option', ['--fail-on-difference', '--method=paper'])
+@pytest.mark.parametrize('option', ['--fail-on-difference', '--margin=.5', '--method=paper'])
 def test_an_option_without_effect_is_rejected(
     option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,7 +127,7 @@ def test_an_option_without_effect_is_rejected(
     assert '--common judges and fits nothing' in capsys.readouterr().err
 
 
-@pytest.mark.parametrize('given', ['results', 'sums.json'])
+@pytest.mark.parametrize('given', ['sensor:bmi088', 'results', 'sums.json'])
 def test_inputs_without_samples_have_no_common_noise(
     given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

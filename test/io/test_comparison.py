@@ -18,6 +18,7 @@ from allan_ros.io.comparison import (
     compare_runs,
     comparison_document,
 )
+from allan_ros.io.datasheets import Datasheet, Limit, Source
 from allan_ros.io.documents import labels_of
 from allan_ros.io.files import to_json
 from allan_ros.io.results import Results
@@ -25,8 +26,12 @@ from allan_ros.io.results import Results
 HOSTILE = 'a\x1b[31m|\u202e<b>\r\n$x_{'
 
 
-def compared(*results: Results) -> RunComparison:
-    return compare_runs([Subject(*run) for run in zip('abc', results)])
+def compared(*results: Results, sheets: tuple[Datasheet, ...] = ()) -> RunComparison:
+    return compare_runs([Subject(*run) for run in zip('abc', results)], sheets)
+
+
+def limited(name: str, **limits: Limit) -> Datasheet:
+    return Datasheet(name, '', {'s': Source('X')}, {'gyro_x': limits} if limits else {})
 
 
 def test_a_run_does_not_differ_from_itself(small_results: Results) -> None:
@@ -49,6 +54,20 @@ def test_the_sentence_names_what_differs_most(
     said = repr(comparison).splitlines()[1]
     assert said.startswith('c differs from a in 2 of ')
     assert f' comparisons, most in gyro z N: {ratio}' in said
+
+
+def test_every_run_is_held_against_every_datasheet(small_results: Results) -> None:
+    n = small_results.axes['gyro_x'].fit.noise['N'].value
+    sheets = (limited('X', N=Limit(n / 2, '3')), limited('Y'))
+    comparison = compared(*[small_results] * 3, sheets=sheets)
+    exceeded = [one.label for one in comparison.checked if one.datasheet.verdict == 'exceeds']
+    assert exceeded == [*'abc'] and comparison.differs
+    assert 'c and the datasheet of X: 1 exceeds' in repr(comparison)
+    alone = compared(small_results, sheets=sheets)
+    assert alone.pairs == ()
+    assert 'a and the datasheet of Y: no limit to compare with' in repr(alone)
+    short = replace(small_results, duration_s=5.0)
+    assert not compared(short, sheets=sheets).differs
 
 
 def test_runs_without_a_common_axis_are_rejected(small_results: Results) -> None:
