@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from allan_ros.core.errors import AllanError, one_line
-from allan_ros.io.checkpoint import Checkpoint
 from allan_ros.io.files import write_atomic
 
 LOG = logging.getLogger('test')
@@ -72,14 +71,6 @@ def test_a_link_in_place_of_the_checkpoint_is_replaced_not_followed(tmp_path: Pa
     write_atomic(link, 'sums')
     assert victim.read_text() == 'precious'
     assert not link.is_symlink() and link.read_text() == 'sums'
-
-
-def test_a_link_in_place_of_the_test_file_is_not_followed(tmp_path: Path) -> None:
-    victim = tmp_path / 'victim'
-    victim.write_text('precious')
-    (tmp_path / 'imu.json.trial').symlink_to(victim)
-    Checkpoint(tmp_path / 'imu.json', LOG).close()
-    assert victim.read_text() == 'precious'
 
 
 @pytest.mark.parametrize('label', ['../x', '/etc/x', 'a/b', '..', 'a\0b', 'a b', '~', 'é/..'])

@@ -20,10 +20,8 @@ from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_docume
 from .files import (
     MAX_BYTES,
     PathLock,
-    check_replaceable,
     parse_json,
     read_bounded,
-    remove_drafts,
     to_json,
     write_atomic,
 )
@@ -177,16 +175,6 @@ class Checkpoint:
         self._owned = True
         if os.path.lexists(self.path):
             self._load()
-        trial = self._file.with_name(f'{self._file.name}.trial')
-        try:
-            write_atomic(trial, '')  # reports write problems now, not after the first period
-            with contextlib.suppress(OSError):  # else an empty file remains
-                trial.unlink(missing_ok=True)
-        except AllanError as error:
-            self._report_unwritable(error)
-        else:
-            for path in (self._file, trial):
-                remove_drafts(path, older_s=0.0)
 
     def _load(self) -> None:
         try:
@@ -224,8 +212,6 @@ class Checkpoint:
 
     def _rename(self, to: Path) -> None:
         try:
-            for path in (self._file, to):
-                check_replaceable(path)
             self._file.replace(to)
         except OSError as error:
             raise AllanError(

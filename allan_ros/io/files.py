@@ -15,7 +15,6 @@ import json
 import os
 import re
 import stat
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
@@ -31,10 +30,6 @@ T = TypeVar('T')
 
 PATH = (str, os.PathLike)
 """Accepted types of a path."""
-
-ABANDONED_S = 3600.0
-"""Age in s after which a temporary file is removed: the process that wrote it was killed."""
-
 
 LONGEST_NAME = 255
 """Longest name of a file in bytes (NAME_MAX of Linux)."""
@@ -177,8 +172,6 @@ def write_together(
                 os.close(handle)
     except OSError as error:
         raise unwritable(path, error) from error
-    for path in drafts:
-        remove_drafts(path)
 
 
 def check_replaceable(path: Path) -> None:
@@ -186,22 +179,6 @@ def check_replaceable(path: Path) -> None:
     with contextlib.suppress(FileNotFoundError):
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise _not_regular(path)
-
-
-def remove_drafts(path: Path, older_s: float = ABANDONED_S) -> None:
-    """Remove temporary files for this path that are older than ``older_s``, in s.
-
-    They remain if a process is killed while it writes. Use 0 s only if no other process writes this
-    path.
-    """
-    of_this_path = re.compile(rf'\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.part')
-    with contextlib.suppress(OSError):
-        for name in filter(of_this_path.fullmatch, os.listdir(path.parent)):
-            draft = path.with_name(name)
-            with contextlib.suppress(OSError):  # already removed, or owned by another user
-                found = draft.lstat()
-                if stat.S_ISREG(found.st_mode) and time.time() - found.st_mtime >= older_s:
-                    draft.unlink()
 
 
 def unwritable(path: Path, error: OSError) -> AllanError:

@@ -5,13 +5,12 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.files import ABANDONED_S, write_atomic
+from allan_ros.io.files import write_atomic
 
 
 def test_content_replaces_content(tmp_path: Path) -> None:
@@ -48,13 +47,3 @@ def test_others_may_read_what_the_umask_allows(tmp_path: Path) -> None:
     reference.write_text('')
     write_atomic(path, '')
     assert path.stat().st_mode == reference.stat().st_mode
-
-
-def test_only_abandoned_temporary_files_are_removed(tmp_path: Path) -> None:
-    abandoned, fresh = (tmp_path / f'.sums.json.{digit * 32}.part' for digit in 'ab')
-    for draft in (abandoned, fresh):
-        draft.write_text('{"sums": [')
-    long_ago = time.time() - 2.0 * ABANDONED_S
-    os.utime(abandoned, (long_ago, long_ago))
-    write_atomic(tmp_path / 'sums.json', 'whole')
-    assert sorted(os.listdir(tmp_path)) == sorted([fresh.name, 'sums.json'])

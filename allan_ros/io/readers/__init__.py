@@ -62,9 +62,7 @@ class ReadOptions(CheckedSettings):
         'another rate',
     )
     columns: tuple[str, ...] = parameter(
-        (),
-        'columns of a table: a name for each (- leaves one out), or gx=NAME,gy=NAME,... for '
-        'columns picked by their names in the header',
+        (), 'columns of a table: a name for each (- leaves one out)'
     )
     rate_hz: float = parameter(
         0.0, 'sample rate of a table or array without stamps; 0: not given', unit='Hz', low=0.0

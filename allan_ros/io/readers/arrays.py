@@ -110,7 +110,7 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
     if frame_id.size != 1 or frame_id.itemsize > MAX_FRAME_BYTES:
         raise AllanError(f'{path}: array {FRAME!r} must be one short string: save it as a string')
     names = tuple(options.columns or NAMES.get(width, '').split(','))
-    if len(names) != width or any('=' in name for name in names):
+    if len(names) != width:
         raise AllanError(
             f'{path} has shape {samples.shape}: name each of its columns, such '
             f'as --columns {",".join(["t", *AXES][:width])} (- leaves one out)'

@@ -95,7 +95,7 @@ class Columns:
         if not self.axes:
             raise AllanError(
                 f'{where}: no column ({listed(names)}) is a gyro or accel axis: name them, such as '
-                f'--columns {EXAMPLE} ({LEFT_OUT} leaves one out), or t=NAME,gx=NAME,...'
+                f'--columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
             )
         if not self.stamp and not with_times:
             raise AllanError(
@@ -208,32 +208,6 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         units,
         assumed,
     )
-
-
-def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) -> tuple[str, ...]:
-    """Rename columns by pairs such as ``gx=w_x`` (new name, name in the header).
-
-    Returns one name per column: the new name and the unit in the header, or '-' for a column that
-    is not in the pairs. Raises AllanError when a pair does not match exactly one column; ``where``
-    is the name of the table in the error message.
-    """
-    renamed = [LEFT_OUT] * len(names)
-    bases = [_base_and_unit(name)[0] for name in names]
-    for pair in pairs:
-        new, _, wanted = (word.strip() for word in pair.partition('='))
-        places = [at for at, name in enumerate(names) if name == wanted]
-        base = _base_and_unit(wanted)[0]
-        places = places or [at for at, name in enumerate(bases) if name == base]
-        if len(places) != 1:
-            raise AllanError(
-                f'{where}: {len(places)} columns ({listed(names)}) are named {wanted!r}: '
-                f'correct --columns {pair}'
-            )
-        unit = _BRACKET.match(names[places[0]])
-        if unit and not _BRACKET.match(new):
-            new = f'{new} [{unit[2]}]'
-        renamed[places[0]] = new
-    return tuple(renamed)
 
 
 def listed(names: Sequence[str], most: int = 10) -> str:

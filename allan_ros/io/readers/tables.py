@@ -32,7 +32,7 @@ from ...core.imu import AXES, SAMPLE_SI, ImuBatch, even_stamps
 from ..files import open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
 from . import BATCH, ReadOptions, Recording, Report, SourceInfo
-from .columns import DATES, EXAMPLE, FIRST_ROWS, LEFT_OUT, Columns, columns_of, picked_names
+from .columns import DATES, EXAMPLE, FIRST_ROWS, LEFT_OUT, Columns, columns_of
 
 T = TypeVar('T')
 
@@ -194,12 +194,11 @@ def _names(
     the last comment before it. ``columns`` are the names in the options.
     """
     given = tuple(name.strip() for name in columns)
-    picked = bool(given) and all('=' in name for name in given)
-    if given and not picked:
+    if given:
         if len(given) != len(first):
             raise AllanError(
                 f'{path}: has {len(first)} columns, {len(given)} are named by --columns: '
-                f'name each ({LEFT_OUT} leaves one out), or pick some as in gx=NAME'
+                f'name each ({LEFT_OUT} leaves one out)'
             )
         used = [cell for name, cell in zip(given, first) if name != LEFT_OUT]
         return given, 0 if all(map(_is_value, used)) else number
@@ -207,15 +206,13 @@ def _names(
     if len(first) == len(TOPIC_NAMES) and values.count(False) == 1 and not values[2]:
         return TOPIC_NAMES, 0
     if not all(values):
-        names, line = first, number
-    elif len(above) == len(first) and not all(map(_is_value, above)):
-        names, line = tuple(cell.strip() for cell in above), 0
-    else:
-        raise AllanError(
-            f'{path}: has {len(first)} columns of numbers and no header: '
-            f'name them, such as --columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
-        )
-    return (picked_names(path, names, given) if picked else names), line
+        return first, number
+    if len(above) == len(first) and not all(map(_is_value, above)):
+        return tuple(cell.strip() for cell in above), 0
+    raise AllanError(
+        f'{path}: has {len(first)} columns of numbers and no header: '
+        f'name them, such as --columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
+    )
 
 
 def _number(cell: str) -> float:
