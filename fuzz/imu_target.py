@@ -25,16 +25,17 @@ REPEATS = (1, 1, 1, 30, 700, 1100)
 @st.composite
 def _message(draw: Any) -> bytes:
     """Draw a well-formed message with unusual values."""
+    order = draw(st.sampled_from('<>'))
     frame = draw(texts).encode('utf-8', 'surrogatepass') + draw(st.sampled_from([b'\0', b'']))
     stamp = struct.pack(
-        '<iI',
+        f'{order}iI',
         draw(st.integers(-(2**31), 2**31 - 1)),
         draw(st.integers(0, 2**32 - 1)),
     )
-    head = stamp + struct.pack('<I', len(frame)) + frame
+    head = stamp + struct.pack(f'{order}I', len(frame)) + frame
     head += bytes(-len(head) % 8)
     numbers = draw(st.lists(floats, min_size=37, max_size=37) | st.just([0.0] * 37))
-    return b''.join([b'\0\1\0\0', head, struct.pack('<37d', *numbers)])
+    return b''.join([bytes([0, order == '<', 0, 0]), head, struct.pack(f'{order}37d', *numbers)])
 
 
 any_message = any_bytes(payloads('cdr', 2)) | _message()
@@ -47,11 +48,12 @@ def _stream(draw: Any) -> list[bytes]:
     out: list[bytes] = []
     for _ in range(draw(st.integers(1, 5))):
         message, times = draw(any_message), draw(st.sampled_from(REPEATS))
-        if times > 1 and len(message) >= 12:
+        if times > 1 and len(message) >= 12 and message[1] < 2:
+            form = '<iI' if message[1] else '>iI'
             advance = draw(st.sampled_from([5_000_000, 0, 10**9, -1]))
             for i in range(times):
                 stamp = divmod(1_700_000_000 * 10**9 + i * advance, 10**9)
-                out.append(message[:4] + struct.pack('<iI', *stamp) + message[12:])
+                out.append(message[:4] + struct.pack(form, *stamp) + message[12:])
         else:
             out += [message] * times
     return out

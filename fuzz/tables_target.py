@@ -85,7 +85,7 @@ def _npz(draw: Any) -> bytes:
     """Draw a zip archive of npy files, some of them odd."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, 'w', draw(st.sampled_from([0, 8]))) as archive:
-        for name in ('imu', 'stamps_ns', 'frame_id'):
+        for name in ('imu', 'stamps_ns', 'record_ns', 'frame_id'):
             if draw(st.integers(0, 3)) or name == 'imu':
                 whole = io.BytesIO()
                 rows = draw(st.integers(0, 5))

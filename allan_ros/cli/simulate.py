@@ -15,7 +15,7 @@ single terms by a file or with --gyro, --accel, --gyro-x ..., in datasheet units
 A specification has `noise`, `faults` or both, for example
   faults: {drop: 0.01, motion: [[60, 2.5]], vibration_gyro: 0.001, vibration_frequency: 25}
 
-OUT is an mcap bag (a folder), or a file by its suffix: .mcap, .csv, .tsv, .npz.
+OUT is an mcap bag (a folder), or a file by its suffix: .mcap, .db3, .csv, .tsv, .npz.
 """
 
 from __future__ import annotations

@@ -199,7 +199,7 @@ def _read_topic(
         'hardware_id': job.hardware_id,
     }
     provenance = Provenance((recording.info,), known.segments, findings, counts, settings)
-    temperatures = (recording.temperature(),)
+    temperatures = (recording.temperature(known.sums[0].identity.frame_id),)
     if not job.with_context:
         return RecordingSums(job.path, known.sums, provenance, temperatures=temperatures)
     events = known.health.events

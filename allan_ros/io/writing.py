@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write samples as a recording: the folder of an mcap bag, or a file .mcap, .csv, .tsv or .npz.
+"""Write samples as a recording: an mcap bag (a folder), or a file .mcap, .db3, .csv, .tsv, .npz.
 
 Bags are written by the package ``rosbags``. A recording is written to a temporary folder next to
 its path and renamed when it is complete. Every format stores int64 stamps and float64 samples, so
@@ -25,6 +25,9 @@ from .readers import optional_package
 from .readers.cdr import IMU_TYPE, encode_imus
 from .readers.tables import FRAME_COMMENT
 
+BAG_FILES = {'.mcap': 'MCAP', '.db3': 'SQLITE3'}
+"""Suffix of a bag in a single file, without metadata.yaml -> its storage."""
+
 METADATA_VERSION = 8
 """Version of metadata.yaml, as of ROS 2 Jazzy."""
 
@@ -41,7 +44,7 @@ def write_recording(
     Parameters
     ----------
     path : path
-        A file .mcap, .csv, .tsv or .npz; otherwise the folder of an mcap bag.
+        A file .mcap, .db3, .csv, .tsv or .npz; otherwise the folder of an mcap bag.
     batches : iterable of ImuBatch
         The batches in recorded order, all with the same frame_id.
     topic : str
@@ -52,14 +55,14 @@ def write_recording(
     Raises
     ------
     AllanError
-        When the path exists or cannot be written, or is named like a bag of another format.
+        When the path exists or cannot be written, or is named like a ROS 1 bag.
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix in ('.bag', '.db3'):
+    if suffix == '.bag':
         raise AllanError(
-            f'{path}: such bags cannot be written: name a folder for an mcap bag, or a file .mcap, '
-            '.csv, .tsv or .npz'
+            f'{path}: ROS 1 bags cannot be written: name a folder for an mcap bag, or a file '
+            '.mcap, .db3, .csv, .tsv or .npz'
         )
     try:
         with _draft(path, overwrite) as draft:
@@ -78,8 +81,11 @@ def write_recording(
 
 
 def _keep_storage_file(bag: Path) -> None:
-    """Replace the folder of a bag by its mcap file."""
-    (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
+    """Replace the folder of a bag by its storage file."""
+    files = [child for child in bag.iterdir() if child.name != 'metadata.yaml']
+    if not files:  # rosbags gives the path to SQLite as a part of a URI
+        raise AllanError(f'{bag.name}: choose a path without "?", "#" and "%"')
+    (file,) = files
     kept = file.rename(bag.with_name(f'{bag.name}.file'))
     shutil.rmtree(bag)
     kept.rename(bag)
@@ -109,7 +115,8 @@ def _write_bag(path: Path, batches: Iterable[ImuBatch], topic: str) -> int:
     purpose = f'{path}: writing a bag'
     typesys = optional_package('rosbags.typesys', purpose)
     rosbag2 = optional_package('rosbags.rosbag2', purpose)
-    plugin = rosbag2.StoragePlugin.MCAP
+    storage = BAG_FILES.get(path.suffix.lower())
+    plugin = rosbag2.StoragePlugin[storage or 'MCAP']
     store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     written = 0
     with rosbag2.Writer(path, version=METADATA_VERSION, storage_plugin=plugin) as writer:
@@ -118,7 +125,7 @@ def _write_bag(path: Path, batches: Iterable[ImuBatch], topic: str) -> int:
             for time_ns, payload in zip(batch.stamps_ns.tolist(), encode_imus(batch, 'cdr')):
                 writer.write(connection, time_ns, payload)
             written += len(batch)
-    if path.suffix.lower() == '.mcap':
+    if storage:
         _keep_storage_file(path)
     return written
 

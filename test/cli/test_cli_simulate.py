@@ -37,7 +37,7 @@ def test_the_preset_is_table_1_of_the_paper(tmp_path):
     assert samples[:, 5].mean() == pytest.approx(9.80665, abs=0.01)
 
 
-@pytest.mark.parametrize('name', ['bag', 'a.csv', 'a.npz', 'a.mcap'])
+@pytest.mark.parametrize('name', ['bag', 'a.csv', 'a.npz', 'a.mcap', 'a.db3'])
 def test_every_format_contains_the_same_samples(tmp_path, name):
     reference = simulate(tmp_path / 'reference.npz', '--gyro', 'N=0.3', '--seed', '3')
     for again in ([], ['--overwrite']):

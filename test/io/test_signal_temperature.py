@@ -56,7 +56,8 @@ def write_bag(path: Path, topics: dict[str, tuple[str, float]], imu_topic: str) 
     [
         ({'/thermo': ('somewhere', 20.0)}, '/imu/data', '/thermo'),
         ({'/imu/temp': ('', 20.0), '/motor/temp': ('', 70.0)}, '/imu/data', '/imu/temp'),
-        ({'/a': ('base', 70.0), '/b': ('imu_link', 20.0)}, '/imu/data', None),
+        ({'/a': ('base', 70.0), '/b': ('imu_link', 20.0)}, '/imu/data', '/b'),
+        ({'/a': ('base', 70.0), '/b': ('arm', 20.0)}, '/imu/data', None),
         ({}, '/imu/data', None),
     ],
 )
@@ -66,7 +67,7 @@ def test_the_temperature_topic_of_the_imu_is_found(
     write_bag(tmp_path / 'bag', topics, imu_topic)
     (recording,) = open_recordings([tmp_path / 'bag'])
     assert sum(map(len, recording.batches())) == 10
-    trace = recording.temperature()
+    trace = recording.temperature('imu_link')
     if expected is None:
         assert trace is None
         return
@@ -83,7 +84,7 @@ def test_a_table_has_it_in_a_column(name: str, tmp_path: Path) -> None:
     (tmp_path / 'one.csv').write_text(text)
     (recording,) = open_recordings([tmp_path / 'one.csv'])
     assert sum(map(len, recording.batches())) == 9
-    trace = recording.temperature()
+    trace = recording.temperature('')
     assert trace is not None and trace.source == name
     assert trace.celsius.tolist() == [20.0 + t for t in range(9)]
     assert trace.header_ns.tolist() == [t * NS for t in range(9)]
@@ -92,7 +93,7 @@ def test_a_table_has_it_in_a_column(name: str, tmp_path: Path) -> None:
 def test_another_unit_is_not_read_as_celsius(tmp_path: Path) -> None:
     (tmp_path / 'one.csv').write_text('t,gx,gy,gz,ax,ay,az,temp [K]\n0,0,0,0,0,0,9.8,300\n')
     (recording,) = open_recordings([tmp_path / 'one.csv'])
-    assert recording.temperature() is None
+    assert recording.temperature('') is None
 
 
 def test_invalid_temperatures_are_left_out() -> None:

@@ -112,7 +112,7 @@ def test_only_the_covariances_change_and_no_burst_is_lost(
         graph.until(lambda enough=len(sent): len(received) >= enough)
     patch = CovariancePatch(variances(results))
     assert received == [patch.patch(payload) for payload in sent]
-    covariance = np.frombuffer(received[-1], imu_dtype('cdr', 4))['gyro_covariance'][0]
+    covariance = np.frombuffer(received[-1], imu_dtype('cdr', '<', 4))['gyro_covariance'][0]
     # N = 1e-3 / sqrt(200), so N^2 f = 1e-6; 4000 samples determine it to a few percent
     np.testing.assert_allclose(covariance.reshape(3, 3), np.diag([1e-6] * 3), rtol=0.15)
     graph.until(lambda: graph.value('relay', 'filled') == '1200')
@@ -291,7 +291,7 @@ def test_the_monitor_relays_what_it_measures(graph, still_imu):
     )
     again = still_imu(100, start_ns=10**18 + 31 * 10**9, seed=4)
     graph.send(publisher, again)
-    kind, end_s = imu_dtype('cdr', 4), again.stamps_ns[-1] // 10**9
+    kind, end_s = imu_dtype('cdr', '<', 4), again.stamps_ns[-1] // 10**9
 
     def arrived() -> Any:
         last = np.frombuffer(received[-1], kind)

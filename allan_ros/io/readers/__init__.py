@@ -62,7 +62,9 @@ class ReadOptions(CheckedSettings):
         'another rate',
     )
     columns: tuple[str, ...] = parameter(
-        (), 'columns of a table: a name for each (- leaves one out)'
+        (),
+        'columns of a table: a name for each (- leaves one out), or gx=NAME,gy=NAME,... for '
+        'columns picked by their names in the header',
     )
     rate_hz: float = parameter(
         0.0, 'sample rate of a table or array without stamps; 0: not given', unit='Hz', low=0.0
@@ -127,8 +129,8 @@ class Recording:
     """A recording of an IMU, which can be read any number of times.
 
     ``messages`` is the number of samples according to the recording; None if it is not known.
-    ``read`` yields the samples and reports findings. ``temperature`` returns the temperature, once
-    the samples are read; None if it is not recorded. ``options`` hold the units that
+    ``read`` yields the samples and reports findings. ``temperature`` returns the temperature for a
+    frame_id, once the samples are read; None if it is not recorded. ``options`` hold the units that
     were found or assumed. ``axes`` are the axes that the recording can contain. ``close`` closes
     its file until it is read again. ``accel`` is the recording of the accelerometer if it has its
     own topic; else None. ``other_topics`` are Imu topics of the bag that are not read, the most
@@ -138,7 +140,7 @@ class Recording:
     info: SourceInfo
     messages: int | None
     read: Callable[[Report], Iterator[ImuBatch]]
-    temperature: Callable[[], TemperatureTrace | None] = lambda: None
+    temperature: Callable[[str], TemperatureTrace | None] = lambda frame_id: None
     options: ReadOptions = ReadOptions()
     axes: tuple[str, ...] = AXES
     close: Callable[[], None] = lambda: None

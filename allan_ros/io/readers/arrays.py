@@ -4,7 +4,7 @@
 
 The columns of a file are t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2), or some of them (`NAMES`), or
 those in the options. In a ``.npz`` file, the array ``stamps_ns`` (int64) replaces t, and
-``frame_id`` (one string) is optional.
+``record_ns`` (int64) and ``frame_id`` (one string) are optional.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from .columns import EXAMPLE, FIRST_ROWS, Columns, columns_of
 NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE}
 """Number of columns of an array -> their names."""
 
-SAMPLES, STAMPS, FRAME = 'imu', 'stamps_ns', 'frame_id'
+SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 
 ZIP_MAGIC = b'PK\x03\x04'
 
@@ -100,26 +100,28 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
     n, width = len(samples), prod(samples.shape[1:])
     if not n:
         raise AllanError(f'{path} contains no sample: record or export it again')
-    stamps = arrays.get(STAMPS)
-    if stamps is not None and (stamps.shape != (n,) or stamps.dtype.kind not in 'iu'):
-        raise AllanError(
-            f'{path}: array {STAMPS!r} is {stamps.dtype} of shape {stamps.shape}: it must be '
-            f'int64, one for each of the {n} samples'
-        )
+    for name in {STAMPS, RECORD} & arrays.keys():
+        times = arrays[name]
+        if times.shape != (n,) or times.dtype.kind not in 'iu':
+            raise AllanError(
+                f'{path}: array {name!r} is {times.dtype} of shape {times.shape}: it must be '
+                f'int64, one for each of the {n} samples'
+            )
     frame_id = arrays.get(FRAME, np.array(''))
     if frame_id.size != 1 or frame_id.itemsize > MAX_FRAME_BYTES:
         raise AllanError(f'{path}: array {FRAME!r} must be one short string: save it as a string')
     names = tuple(options.columns or NAMES.get(width, '').split(','))
-    if len(names) != width:
+    if len(names) != width or any('=' in name for name in names):
         raise AllanError(
             f'{path} has shape {samples.shape}: name each of its columns, such '
             f'as --columns {",".join(["t", *AXES][:width])} (- leaves one out)'
         )
     found = columns_of(path, names, options)
     columns = samples.reshape(n, width).T
-    stamps = None if stamps is None else stamps.astype(np.int64)
+    stamps = arrays[STAMPS].astype(np.int64) if STAMPS in arrays else None
     batch, found = _batch(path, names, columns, found, options, stamps)
-    batch = replace(batch, frame_id=str(frame_id.reshape(-1)[0]))
+    record = arrays[RECORD].astype(np.int64) if RECORD in arrays else None
+    batch = replace(batch, record_ns=record, frame_id=str(frame_id.reshape(-1)[0]))
     return batch, found, names[found.stamp[0][0]] if found.stamp else ''
 
 
@@ -137,7 +139,7 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
                     f'columns {EXAMPLE}'
                 )
             arrays = {}
-            for name in (name for name in (SAMPLES, STAMPS, FRAME) if name in members):
+            for name in (name for name in (SAMPLES, STAMPS, RECORD, FRAME) if name in members):
                 with archive.open(f'{name}.npy') as member:
                     kinds = 'U' if name == FRAME else 'fiu'
                     arrays[name] = _array(member, f'{path}: array {name!r}', kinds, limit)

@@ -42,13 +42,12 @@ from . import (
 _FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
 """First bytes of a bag file -> its format. The modules `mcap` and `sqlite3` read theirs."""
 
-SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd')
+SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
 
 MAX_MESSAGE_BYTES = 2**16
 """Largest decompressed size of a single message in bytes; an Imu message has less than 2 kB."""
 
-ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
-"""First bytes of a file or message that rosbag2 has compressed."""
+_FRAME_MAGIC = {b'\x28\xb5\x2f\xfd': 'zstd', b'\x04\x22\x4d\x18': 'lz4'}
 
 
 if TYPE_CHECKING:
@@ -88,6 +87,11 @@ class Messages:
     record_ns: NDArray[np.int64]
     payloads: Payloads
 
+    @staticmethod
+    def none() -> Messages:
+        """Return no messages."""
+        return Messages(np.empty(0, np.int64), np.empty(0, np.int64), [])
+
     def __len__(self) -> int:
         return len(self.record_ns)
 
@@ -99,6 +103,14 @@ class Messages:
         else:
             payloads = [bytes(self.payloads[i]) for i in rows.tolist()]
         return Messages(self.topics[rows], self.record_ns[rows], payloads)
+
+    def followed_by(self, other: Messages) -> Messages:
+        """Return these messages and the others."""
+        return Messages(
+            np.concatenate([self.topics, other.topics]),
+            np.concatenate([self.record_ns, other.record_ns]),
+            [*self.payloads, *other.payloads],
+        )
 
 
 @dataclass(frozen=True)
@@ -164,10 +176,10 @@ class Bag:
     def _opened(self, file: Path, stack: ExitStack) -> Storage:
         plain = file
         head = first_bytes(file)
-        if head.startswith(ZSTD_MAGIC):
+        if compression := frame_compression(head):
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='allan_ros.'))
             plain = Path(folder, file.stem)
-            decompress_file(file, plain)
+            decompress_file(file, compression, plain)
             head = first_bytes(plain)
         found = [name for magic, name in _FORMATS.items() if head.startswith(magic)]
         if not found:
@@ -260,6 +272,11 @@ def _read_metadata(path: Path) -> tuple[tuple[Path, ...], Described]:
 # --- decompression with a limit ------------------------------------------------------------------
 
 
+def frame_compression(head: bytes | memoryview) -> str:
+    """Return how a file or message is compressed, by its first bytes: 'zstd', 'lz4' or ''."""
+    return _FRAME_MAGIC.get(bytes(head[:4]), '')
+
+
 def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     """Return the decompressed content of a chunk or message.
 
@@ -269,39 +286,38 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     if compression in ('', 'none'):
         return bytes(data)
     try:
-        if compression == 'zstd':
-            stated = _zstd().frame_content_size(data)
-            if 0 <= stated <= limit:
-                if not hasattr(_local, 'zstd'):
-                    _local.zstd = _zstd().ZstdDecompressor()
-                return bytes(_local.zstd.decompress(data))
-            plain = b'' if stated > limit else _zstd_stream(BytesIO(data)).read(limit + 1)
-            size = max(stated, len(plain))
-        elif compression == 'lz4':
-            lz4 = optional_package('lz4.frame', 'reading lz4 data')
-            plain = lz4.LZ4FrameDecompressor().decompress(data, limit + 1)
+        size = _stated_size(data, compression)
+        if 0 <= size <= limit:
+            if not hasattr(_local, 'zstd'):
+                _local.zstd = _zstd().ZstdDecompressor()
+            return bytes(_local.zstd.decompress(data))
+        if size < 0:
+            plain = bytes(_expanding(BytesIO(data), compression).read(limit + 1))
             size = len(plain)
-        else:
-            raise ValueError(f'compression {compression!r} is unknown')
     except AllanError:
         raise
     except Exception as error:  # each library raises its own exceptions
         raise ValueError(str(error) or type(error).__name__) from error
     if size > limit:
         raise ValueError(f'the data expand to more than {limit} bytes')
-    return bytes(plain)
+    return plain
 
 
-def _zstd() -> Any:
-    return optional_package('zstandard', 'reading zstd data')
+def _stated_size(head: bytes | memoryview, compression: str) -> int:
+    """Return the decompressed size stated in the header of zstd data, or -1 if there is none."""
+    return int(_zstd().frame_content_size(head)) if compression == 'zstd' else -1
 
 
-def _zstd_stream(file: BinaryIO) -> Any:
-    return _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
+def _expanding(file: BinaryIO, compression: str) -> Any:
+    if compression == 'zstd':
+        return _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
+    if compression == 'lz4':
+        return optional_package('lz4.frame', 'reading lz4 data').open(file)
+    raise ValueError(f'compression {compression!r} is unknown')
 
 
-def decompress_file(source: Path, target: Path) -> None:
-    """Decompress the bag file ``source``, which is compressed with zstd, into the file ``target``.
+def decompress_file(source: Path, compression: str, target: Path) -> None:
+    """Decompress the bag file ``source`` into the file ``target``.
 
     Raises AllanError when it is damaged, expands by more than `MAX_FILE_RATIO`, or the disk is
     full.
@@ -313,9 +329,9 @@ def decompress_file(source: Path, target: Path) -> None:
         target.open('wb') as out,
     ):
         limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
-        stated = _zstd().frame_content_size(file.read(18))  # longest header, RFC 8878, 3.1.1
+        stated = _stated_size(file.read(18), compression)  # longest header, RFC 8878, 3.1.1
         file.seek(0)
-        plain = _zstd_stream(file)
+        plain = _expanding(file, compression)
         size = 0
         while data := plain.read(1 << 20):
             size += len(data)
@@ -323,7 +339,11 @@ def decompress_file(source: Path, target: Path) -> None:
                 raise ValueError(f'it expands more than {MAX_FILE_RATIO} times')
             out.write(data)
         if size < max(stated, 1):
-            raise ValueError('zstd data that end early')
+            raise ValueError(f'{compression} data that end early')
+
+
+def _zstd() -> Any:
+    return optional_package('zstandard', 'reading zstd data')
 
 
 _local = threading.local()

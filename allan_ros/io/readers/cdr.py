@@ -5,9 +5,9 @@
 The layout of a message depends only on the length of ``header.frame_id``. So messages of equal
 length are decoded together, as an array of records. Two serializations are supported:
 
-- ``cdr``: OMG CDR as ROS 2 writes it on all its platforms: four bytes of encapsulation for
-  little-endian plain CDR, then fields aligned to multiples of their size (OMG DDSI-RTPS 2.3,
-  section 10; CORBA 3.4 part 2, section 9.3).
+- ``cdr``: OMG CDR as ROS 2 writes it: four bytes of encapsulation (the second is the byte order),
+  then fields aligned to multiples of their size (OMG DDSI-RTPS 2.3, section 10;
+  CORBA 3.4 part 2, section 9.3).
 - ``ros1``: packed little-endian, with ``header.seq`` (https://wiki.ros.org/msg).
 """
 
@@ -32,8 +32,11 @@ Encoding = Literal['cdr', 'ros1']
 ABSENT = -1.0
 """Value of covariance[0] that marks an absent sensor (sensor_msgs/Imu.msg)."""
 
-_CDR_LE = b'\0\1'
-"""The first two bytes of the encapsulation of little-endian plain CDR."""
+BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
+"""The first two bytes of the encapsulation as a number: CDR_BE and CDR_LE."""
+
+_ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
+"""The first two bytes of the encapsulation -> byte order."""
 
 _FRAME_AT = 16
 """Offset of frame_id: after the encapsulation (ROS 1: seq), sec, nanosec and the length of
@@ -87,25 +90,26 @@ class DecodedImus:
 
 
 @lru_cache(maxsize=256)
-def imu_dtype(encoding: Encoding, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
+def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
     """Return the layout of a serialized Imu message as a numpy record.
 
-    ``frame_bytes`` is the serialized length of the frame_id, in CDR with the final NUL.
-    ``itemsize`` is the length of the message in bytes, which may be padded at the end; 0 means no
-    padding. Raises ValueError when it is too short.
+    ``order`` is the byte order, '<' or '>'. ``frame_bytes`` is the serialized length of the
+    frame_id, in CDR with the final NUL. ``itemsize`` is the length of the message in bytes, which
+    may be padded at the end; 0 means no padding. Raises ValueError when it is too short.
     """
     start = 4
     if encoding == 'cdr':
-        fields: list[tuple[str, Any, int]] = [('representation', 'V2', 0), ('sec', '<i4', start)]
+        fields: list[tuple[str, Any, int]] = [('representation', '>u2', 0)]
+        fields += [('sec', f'{order}i4', start)]
     else:
-        fields = [('seq', '<u4', 0), ('sec', '<u4', start)]
-    fields += [('nanosec', '<u4', start + 4), ('frame_bytes', '<u4', start + 8)]
+        fields = [('seq', f'{order}u4', 0), ('sec', f'{order}u4', start)]
+    fields += [('nanosec', f'{order}u4', start + 4), ('frame_bytes', f'{order}u4', start + 8)]
     fields += [('frame_id', (np.void, frame_bytes), start + 12)]
     offset = start + 12 + frame_bytes
     if encoding == 'cdr':
         offset += -(offset - start) % _DOUBLE
     for name, count in _VECTORS:
-        fields += [(name, ('<f8', (count,)), offset)]
+        fields += [(name, (f'{order}f8', (count,)), offset)]
         offset += count * _DOUBLE
     names, formats, offsets = map(list, zip(*fields))
     size = itemsize or offset
@@ -183,8 +187,9 @@ def _grouped_by_layout(
 
 
 class _Layout(NamedTuple):
-    """Layout of a message: record type, offsets of fields, and place of frame_id."""
+    """Layout of a message: byte order, record type, offsets of fields, and place of frame_id."""
 
+    order: str
     dtype: np.dtype[Any]
     offsets: dict[str, int]
     frame: slice
@@ -194,25 +199,27 @@ def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _L
     """Return the layout of an Imu message, or raise MalformedMessage with ``index``."""
     if len(payload) < _FRAME_AT:
         raise MalformedMessage(index, f'{len(payload)} bytes are too few for an Imu')
-    if encoding == 'cdr' and payload[:2] != _CDR_LE:
-        reason = f'its encapsulation 0x{payload[:2].hex()} is not little-endian plain CDR'
+    order = '<' if encoding == 'ros1' else _ORDERS.get(payload[:2])
+    if order is None:
+        reason = f'its encapsulation 0x{payload[:2].hex()} is not plain CDR'
         raise MalformedMessage(index, reason)
-    frame_bytes = int.from_bytes(payload[_FRAME_AT - 4 : _FRAME_AT], 'little')
+    length = payload[_FRAME_AT - 4 : _FRAME_AT]
+    frame_bytes = int.from_bytes(length, 'little' if order == '<' else 'big')
     if frame_bytes > MAX_FRAME_BYTES:
         reason = f'its frame_id has {frame_bytes} bytes, the limit is {MAX_FRAME_BYTES}'
         raise MalformedMessage(index, reason)
     try:
-        return _layout(encoding, frame_bytes, len(payload))
+        return _layout(encoding, order, frame_bytes, len(payload))
     except ValueError as error:
         reason = f'{len(payload)} bytes are too few for an Imu with a frame_id of {frame_bytes}'
         raise MalformedMessage(index, reason) from error
 
 
 @lru_cache(maxsize=256)
-def _layout(encoding: Encoding, frame_bytes: int, length: int = 0) -> _Layout:
-    dtype = imu_dtype(encoding, frame_bytes, length)
+def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
+    dtype = imu_dtype(encoding, order, frame_bytes, length)
     offsets = {name: entry[1] for name, entry in (dtype.fields or {}).items()}
-    return _Layout(dtype, offsets, slice(_FRAME_AT, _FRAME_AT + frame_bytes))
+    return _Layout(order, dtype, offsets, slice(_FRAME_AT, _FRAME_AT + frame_bytes))
 
 
 def is_imu(payload: bytes, encoding: Encoding) -> bool:
@@ -236,17 +243,17 @@ def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
     return [name.tobytes() for name in distinct], which.reshape(-1)
 
 
-def encode_imus(batch: ImuBatch, encoding: Encoding) -> list[memoryview]:
-    """Serialize a batch to one message per sample.
+def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
+    """Serialize a batch to one message per sample, in byte order '<' or '>'.
 
     A sensor whose axes are all NaN is declared absent (zeros, covariance[0] = -1), and so is the
     orientation.
     """
     frame = batch.frame_id.encode() + (b'\0' if encoding == 'cdr' else b'')
-    dtype = imu_dtype(encoding, len(frame))
+    dtype = imu_dtype(encoding, order, len(frame))
     records = np.zeros(len(batch), dtype)
     if encoding == 'cdr':
-        records['representation'] = np.void(_CDR_LE)
+        records['representation'] = LITTLE_ENDIAN if order == '<' else BIG_ENDIAN
     records['sec'], records['nanosec'] = np.divmod(batch.stamps_ns, NANOSECONDS)
     records['frame_bytes'] = len(frame)
     records['frame_id'] = np.void(frame)
@@ -262,19 +269,20 @@ def encode_imus(batch: ImuBatch, encoding: Encoding) -> list[memoryview]:
     return [joined[start : start + size] for start in range(0, len(joined), size)]
 
 
-def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, float]:
-    """Return header stamp in ns and temperature in degC of a Temperature message.
+def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:
+    """Return header stamp in ns, frame_id and temperature in degC of a Temperature message.
 
     Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
     """
     # the value follows the header, like the orientation in an Imu message
     padded = payload + bytes(_IMU_BYTES)
-    dtype, offsets, _ = _layout_of(padded, encoding)
+    _, dtype, offsets, frame = _layout_of(padded, encoding)
     if len(payload) < offsets['orientation'] + _DOUBLE:
         raise MalformedMessage(0, f'{len(payload)} bytes are too few for a Temperature')
     record = np.frombuffer(padded, dtype, 1)[0]
     stamp_ns = int(record['sec']) * NANOSECONDS + int(record['nanosec'])
-    return stamp_ns, float(record['orientation'][0])
+    frame_id = payload[frame].rstrip(b'\0').decode(errors='replace')
+    return stamp_ns, frame_id, float(record['orientation'][0])
 
 
 _COVARIANCE_BYTES = 9 * _DOUBLE
@@ -282,7 +290,7 @@ _COVARIANCE_BYTES = 9 * _DOUBLE
 _UNKNOWN = bytes(_COVARIANCE_BYTES)
 """All zeros: the covariance is unknown (sensor_msgs/Imu.msg)."""
 
-_NUMBERS = struct.Struct('<9d')
+_NUMBERS = {order: struct.Struct(f'{order}9d') for order in '<>'}
 
 
 class CovariancePatch:
@@ -303,8 +311,11 @@ class CovariancePatch:
         self._overwrite = overwrite
         self._frame = frame_id.encode()
         self._packed = {
-            sensor: _NUMBERS.pack(x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)
-            for sensor, (x, y, z) in variances.items()
+            order: [
+                (sensor, numbers.pack(x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z))
+                for sensor, (x, y, z) in variances.items()
+            ]
+            for order, numbers in _NUMBERS.items()
         }
 
     def patch(self, payload: bytes) -> bytes:
@@ -312,24 +323,24 @@ class CovariancePatch:
 
         Raises MalformedMessage when the payload is not an Imu message in plain CDR.
         """
-        _, offsets, frame = _layout_of(payload)
+        order, _, offsets, frame = _layout_of(payload)
         if self._frame and payload[frame].rstrip(b'\0') != self._frame:
             return payload
         patched = None
-        for sensor, covariance in self._packed.items():
+        for sensor, covariance in self._packed[order]:
             start = offsets[f'{sensor}_covariance']
             stop = start + _COVARIANCE_BYTES
-            if not self._may_change(payload[start:stop]):
+            if not self._may_change(payload[start:stop], order):
                 continue
             if patched is None:
                 patched = bytearray(payload)
             patched[start:stop] = covariance
         return payload if patched is None else bytes(patched)
 
-    def _may_change(self, covariance: bytes) -> bool:
+    def _may_change(self, covariance: bytes, order: str) -> bool:
         if covariance == _UNKNOWN:
             return True
-        numbers = _NUMBERS.unpack(covariance)
+        numbers = _NUMBERS[order].unpack(covariance)
         if numbers[0] == ABSENT or numbers[0] != numbers[0]:
             return False
         return self._overwrite or not any(numbers)

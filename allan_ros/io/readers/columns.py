@@ -42,6 +42,7 @@ _KINDS = {
         'w_rs_s)_?([xyz])$',
         'accel': '(?:^|_)(?:a|acc|accel|accelerometer|acceleration|lin_acc|linear_acceleration|'
         'a_rs_s)_?([xyz])$',
+        'record': '^record(?:_time|_stamp)?(?:_(s|ms|us|ns))?$',
         'sec': '(?:^|_)secs?()$',
         'nanosec': '(?:^|_)(?:nanosecs?|nsecs?|nanoseconds)()$',
         'stamp': '(?:^|_)(?:timestamp|stamp)s?(?:_(s|ms|us|ns))?$',
@@ -80,6 +81,7 @@ class Columns:
 
     axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
     stamp: tuple[tuple[int, int], ...]  # (column, factor to ns); their sum is the stamp
+    record: tuple[tuple[int, int], ...]  # the same for the record time
     temperature: int | None  # column of the temperature in degC
     units: dict[str, str]  # sensor -> unit of its columns
     assumed: dict[str, str]  # sensor -> name of a column whose unit is not stated anywhere
@@ -95,7 +97,7 @@ class Columns:
         if not self.axes:
             raise AllanError(
                 f'{where}: no column ({listed(names)}) is a gyro or accel axis: name them, such as '
-                f'--columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
+                f'--columns {EXAMPLE} ({LEFT_OUT} leaves one out), or t=NAME,gx=NAME,...'
             )
         if not self.stamp and not with_times:
             raise AllanError(
@@ -199,15 +201,43 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
                 temperature = column
         elif kind:
             stated = (unit if unit in STAMP_UNITS else detail) or options.stamp_unit
-            times.setdefault(kind, (column, STAMP_UNITS.get(stated, UNKNOWN)))
+            otherwise = STAMP_UNITS['s'] if kind == 'record' else UNKNOWN
+            times.setdefault(kind, (column, STAMP_UNITS.get(stated, otherwise)))
     stamp: tuple[str, ...] = next((kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ())
     return Columns(
         axes,
         tuple(times[kind] for kind in stamp),
+        (times['record'],) if 'record' in times else (),
         temperature,
         units,
         assumed,
     )
+
+
+def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) -> tuple[str, ...]:
+    """Rename columns by pairs such as ``gx=w_x`` (new name, name in the header).
+
+    Returns one name per column: the new name and the unit in the header, or '-' for a column that
+    is not in the pairs. Raises AllanError when a pair does not match exactly one column; ``where``
+    is the name of the table in the error message.
+    """
+    renamed = [LEFT_OUT] * len(names)
+    bases = [_base_and_unit(name)[0] for name in names]
+    for pair in pairs:
+        new, _, wanted = (word.strip() for word in pair.partition('='))
+        places = [at for at, name in enumerate(names) if name == wanted]
+        base = _base_and_unit(wanted)[0]
+        places = places or [at for at, name in enumerate(bases) if name == base]
+        if len(places) != 1:
+            raise AllanError(
+                f'{where}: {len(places)} columns ({listed(names)}) are named {wanted!r}: '
+                f'correct --columns {pair}'
+            )
+        unit = _BRACKET.match(names[places[0]])
+        if unit and not _BRACKET.match(new):
+            new = f'{new} [{unit[2]}]'
+        renamed[places[0]] = new
+    return tuple(renamed)
 
 
 def listed(names: Sequence[str], most: int = 10) -> str:

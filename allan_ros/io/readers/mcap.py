@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads an mcap file, with or without its summary (https://mcap.dev/spec).
 
-The summary at the end states the topics and their numbers of messages. If there is none, because
-the recorder was killed, or if it contradicts itself, they are found by reading the chunks. Messages
-are read in the order of the file, which is the order in which a recorder receives them. One chunk
-is decompressed at a time, so the memory does not depend on the size of the file.
+The summary at the end lists the chunks. The rest of the file is searched for messages outside
+chunks, and for chunks that the summary does not list. If there is no summary, because the recorder
+was killed, or if it contradicts itself, the complete file is searched. One chunk is decompressed at
+a time, so the memory does not depend on the size of the file.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ MAGIC = b'\x89MCAP0\r\n'
 
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
 
-STATISTICS, DATA_END, LAST_OPCODE = 0x0B, 0x0F, 0x7F
+CHUNK_INDEX, STATISTICS, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
 
 FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
 """Opcode -> only valid length of a record."""
@@ -49,6 +49,9 @@ INDEX_HEAD = struct.Struct('<HI')
 CHUNK_HEAD = struct.Struct('<QQQI')
 """First and last log time, uncompressed size, CRC-32 (0: none)."""
 
+CHUNK_INDEX_HEAD = struct.Struct('<QQQQI')
+"""First and last log time, start and length of the chunk, size of the map that follows."""
+
 STATISTICS_HEAD = struct.Struct('<QHIIIIQQI')
 """Numbers of messages, schemas, channels, attachments, metadata and chunks, first and last log
 time, and size of the map from channel to number of messages that follows."""
@@ -61,17 +64,26 @@ FOOTER_BYTES = RECORD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
 LOOSE_BYTES = 1 << 20
 """Messages outside chunks are read about this many bytes at a time."""
 
+MAX_SORT_BYTES = 512 * 2**20
+"""Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
+
 DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
 """Exceptions when a file is damaged."""
 
 REMEDY = 'copy it again, or repair it with "mcap recover"'
 
 
-class Chunk(NamedTuple):
-    """Place of a chunk in a file, or of a sequence of messages outside chunks (``loose``)."""
+@dataclass(frozen=True, order=True)
+class Chunk:
+    """A part of a file that contains messages: time of the first one, and place in the file.
 
+    ``next`` is the offset after its index. ``loose`` marks a sequence of messages outside chunks.
+    """
+
+    start_ns: int
     offset: int
     length: int
+    next: int
     loose: bool = False
 
 
@@ -84,7 +96,6 @@ class Contents:
     counted: Counter[int] = field(default_factory=Counter)  # message records of each channel
     stated: Counter[int] = field(default_factory=Counter)  # messages according to the statistics
     totals: tuple[int, ...] = ()  # the head of the statistics
-    indexed: Counter[int] = field(default_factory=Counter)  # messages in MessageIndex records
 
     def add(self, opcode: int, data: bytes, at: int, stop: int) -> None:
         """Count the message, or store the schema, channel or statistics in ``data[at:stop]``."""
@@ -129,19 +140,26 @@ class McapStorage:
         self._file = file
         self._size = os.fstat(file.fileno()).st_size
         self._chunks: list[Chunk] = []
+        self._indexed: Counter[int] = Counter()  # messages in MessageIndex and outside chunks
         self.truncation: Truncation | None = None
         if self._read(0, len(MAGIC)) != MAGIC:
             raise damaged(path, 'it is not an mcap file', 'give a recording')
-        summary, end = self._read_summary()
-        self._contents = known = summary or Contents()
-        at = self._scan(end, summary is not None)
-        if summary is not None:
+        self._contents, listed, end = self._read_summary()
+        at = len(MAGIC)
+        for chunk in listed:
+            at = max(self._scan(at, chunk.offset - RECORD.size), chunk.next)
+            self._chunks.append(chunk)
+        at = self._scan(at, end)
+        known = self._contents
+        if listed:
             known.counted = Counter(known.stated)
         else:
-            known.stated = known.stated or known.counted | known.indexed
-            end -= len(MAGIC)
-        if not self.truncation and (at < end or not self._ends_with_magic()):
-            self.truncation = Truncation(at, self._size)
+            known.stated = known.stated or known.counted | self._indexed
+            magic_at = self._size - len(MAGIC)
+            ended = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
+            if not self.truncation and not ended:
+                self.truncation = Truncation(at, self._size)
+        self._chunks.sort()
         self.topics = list(known.topics.values())
 
     def counts(self) -> dict[int, int]:
@@ -159,10 +177,13 @@ class McapStorage:
         return max(stated, read) if self.truncation else stated  # the index may be truncated, too
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield the next messages of these topics."""
+        """Yield the next messages of these topics, in the order of record time."""
         with translated(self._path, DAMAGE, REMEDY):
-            for chunk in self._chunks:
-                yield self._messages(chunk, ids)
+            pending = Messages.none()
+            ends = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
+            for chunk, until in zip(self._chunks, ends):
+                ready, pending = sorted_until(until, pending, self._messages(chunk, ids))
+                yield ready
 
     def _messages(self, chunk: Chunk, ids: set[int]) -> Messages:
         data = self._data(chunk)
@@ -215,17 +236,12 @@ class McapStorage:
             raise damaged(self._path, reason, REMEDY) from error
         return plain
 
-    def _ends_with_magic(self) -> bool:
-        end = self._size - len(MAGIC)
-        return end > 0 and self._read(end, len(MAGIC)) == MAGIC
+    def _read_summary(self) -> tuple[Contents, list[Chunk], int]:
+        """Return the contents and chunks according to the summary, and its offset.
 
-    def _read_summary(self) -> tuple[Contents | None, int]:
-        """Return the contents according to the summary, and its offset.
-
-        If it is missing, or if its records contradict each other, these are None and the size of
-        the file.
+        There are no contents and chunks if it is missing, or if its records contradict each other.
         """
-        unusable = None, self._size
+        unusable: tuple[Contents, list[Chunk], int] = (Contents(), [], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
         if not footer.endswith(MAGIC) or footer[0] != FOOTER:
             return unusable
@@ -238,22 +254,28 @@ class McapStorage:
             if checksum and zlib.crc32(data + footer[: -CRC_BYTES - len(MAGIC)]) != checksum:
                 return unusable
             known = Contents()
+            chunks: dict[int, Chunk] = {}
+            channels: set[int] = set()
             for opcode, at, stop in records(data):
                 known.add(opcode, data, at, stop)
+                if opcode == CHUNK_INDEX:
+                    chunk, inside = _listed_chunk(data, at)
+                    chunks[chunk.offset] = chunk
+                    channels |= inside
         except (struct.error, ValueError):
             return unusable
-        counted = known.stated.total(), len(known.topics)
-        agrees = known.totals and (known.totals[0], known.totals[2]) == counted
-        if not (agrees and all(counted) and {*known.stated} <= {*known.topics}):
+        counted = [known.stated.total(), len(known.topics), len(chunks)]
+        agrees = known.totals and [known.totals[i] for i in (0, 2, 5)] == counted
+        if not (agrees and all(counted) and channels | {*known.stated} <= {*known.topics}):
             return unusable
-        return known, start
+        return known, [chunks[offset] for offset in sorted(chunks)], start
 
-    def _scan(self, stop: int, has_summary: bool) -> int:
-        """Find the chunks, and without a summary their contents; return the end of reading.
+    def _scan(self, at: int, stop: int) -> int:
+        """Read the records from offset ``at`` on, and return the offset of the first unread byte.
 
         Reading ends at ``stop``, or at the first record that extends beyond it.
         """
-        at, skipped, known = len(MAGIC), 0, self._contents
+        skipped = 0
         while at + RECORD.size <= stop:
             head = self._read(at, RECORD.size)
             if head.startswith(MAGIC):  # after the footer
@@ -266,32 +288,47 @@ class McapStorage:
             if FIXED_BYTES.get(opcode, length) != length or DATA_END < opcode <= LAST_OPCODE:
                 skipped += end - at
             elif opcode == CHUNK:
-                self._chunks.append(Chunk(start, length))
-            elif opcode == MESSAGE:
-                self._add_loose(at, end)
-            if has_summary:
-                pass
-            elif opcode == CHUNK:
+                first, _, _, _ = CHUNK_HEAD.unpack(self._read(start, CHUNK_HEAD.size))
+                self._chunks.append(Chunk(first, start, length, end))
                 data = self._data(self._chunks[-1])
                 for inner, inner_at, inner_end in records(data):
-                    known.add(inner, data, inner_at, inner_end)
+                    self._contents.add(inner, data, inner_at, inner_end)
+            elif opcode == MESSAGE:
+                data = self._read(start, MESSAGE_HEAD.size)
+                self._contents.add(opcode, data, 0, len(data))
+                self._add_loose(data, at, end)
             elif opcode == MESSAGE_INDEX:
                 channel, size = INDEX_HEAD.unpack(self._read(start, INDEX_HEAD.size))
-                known.indexed[channel] += size // 16
-            elif opcode in (MESSAGE, SCHEMA, CHANNEL, STATISTICS):
-                known.add(opcode, self._read(start, length), 0, length)
+                self._indexed[channel] += size // 16
+            elif opcode in (SCHEMA, CHANNEL, STATISTICS):
+                self._contents.add(opcode, self._read(start, length), 0, length)
             at = end
         if skipped:
             self.truncation = Truncation(self._size - skipped, self._size)
         return at
 
-    def _add_loose(self, start: int, end: int) -> None:
-        """Add a message record outside chunks; adjacent ones form one chunk."""
+    def _add_loose(self, head: bytes, offset: int, end: int) -> None:
+        """Add the message record at ``offset``, which is outside chunks, to the list of chunks.
+
+        ``head`` is the beginning of its content. Adjacent messages form one chunk.
+        """
+        channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
+        self._indexed[channel] += 1
         last = self._chunks[-1] if self._chunks else None
-        if last and last.loose and last.offset + last.length == start and last.length < LOOSE_BYTES:
-            start = last.offset
+        if last and last.loose and last.next == offset and last.length < LOOSE_BYTES:
+            log_time, offset = min(last.start_ns, log_time), last.offset
             self._chunks.pop()
-        self._chunks.append(Chunk(start, end - start, loose=True))
+        self._chunks.append(Chunk(log_time, offset, end - offset, end, loose=True))
+
+
+def _listed_chunk(data: bytes, at: int) -> tuple[Chunk, set[int]]:
+    """Return the chunk that the ChunkIndex record at ``data[at:]`` describes, and its channels."""
+    first, _, offset, length, map_bytes = CHUNK_INDEX_HEAD.unpack_from(data, at)
+    at += CHUNK_INDEX_HEAD.size
+    channels = {n for n, _ in struct.iter_unpack('<HQ', data[at : at + map_bytes])}
+    (index_length,) = struct.unpack_from('<Q', data, at + map_bytes)
+    start, end = offset + RECORD.size, offset + length
+    return Chunk(first, start, end - start, end + index_length), channels
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
@@ -360,3 +397,24 @@ def _of_channels(found: NDArray[np.void], ids: set[int]) -> Messages:
     if not mine.all():
         found = found[mine]
     return Messages(found['channel'], found['log_time'].astype(np.int64), found['payload'])
+
+
+def sorted_until(
+    until: int | None, pending: Messages, chunk: Messages
+) -> tuple[Messages, Messages]:
+    """Sort messages by record time; return the messages before ``until``, and the others.
+
+    ``pending`` are the other messages of earlier chunks, ``until`` is the start of the next chunk
+    in ns, or None after the last chunk. Raises ValueError when more than `MAX_SORT_BYTES` remain.
+    """
+    times = chunk.record_ns
+    complete = until is None or not len(times) or times[-1] < until
+    if complete and not len(pending) and (times[1:] >= times[:-1]).all():
+        return chunk, pending
+    both = pending.followed_by(chunk)
+    order = np.argsort(both.record_ns, kind='stable')
+    ready = len(order) if until is None else int(np.searchsorted(both.record_ns[order], until))
+    later = both.chosen(order[ready:])
+    if sum(map(len, later.payloads)) > MAX_SORT_BYTES:
+        raise ValueError(f'chunks overlap by more than {MAX_SORT_BYTES} bytes')
+    return both.chosen(order[:ready]), later

@@ -33,7 +33,6 @@ from . import (
 )
 from .bag import (
     MAX_MESSAGE_BYTES,
-    ZSTD_MAGIC,
     Bag,
     Messages,
     Payloads,
@@ -42,6 +41,7 @@ from .bag import (
     among,
     bag_of,
     decompress,
+    frame_compression,
 )
 from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
 from .columns import listed
@@ -198,7 +198,7 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
 
     def recording(topic: Topic, axes: tuple[str, ...], accel: Recording | None) -> Recording:
         others = [name for name, _ in survey.imus() if name != topic.name]
-        reader = _Reader(bag, topic, options, _thermometer(topics, topic.name))
+        reader = _Reader(bag, topic, options, _thermometers(topics, topic.name))
         return Recording(
             SourceInfo(str(path), topic.name, topic.type, bag.format),
             survey.counts[topic.name, topic.type] + (accel.messages or 0 if accel else 0),
@@ -219,20 +219,20 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
 
 @dataclass
 class _Reader:
-    """Reads the Imu of one topic, and messages of its temperature topic beside it."""
+    """Reads the Imu of one topic, and messages of its possible temperature topics beside it."""
 
     bag: Bag
     topic: Topic
     options: ReadOptions
-    thermometer: Topic | None
-    # record time in ns and serialized bytes
-    _temperatures: Decimated[tuple[int, bytes]] = field(default_factory=Decimated)
+    thermometers: list[Topic]
+    # record time in ns and serialized bytes, of each topic
+    _temperatures: list[Decimated[tuple[int, bytes]]] = field(default_factory=list)
     # sensor -> number of messages that wrongly declare it absent
     _kept: Counter[str] = field(default_factory=Counter)
 
     def read(self, report: Report) -> Iterator[ImuBatch]:
         """Yield the samples of all files, in order."""
-        self._temperatures = Decimated()
+        self._temperatures = [Decimated() for _ in self.thermometers]
         self._kept.clear()
         bag, key, total = self.bag, (self.topic.name, self.topic.type), 0
         stated = bag.described or {}
@@ -257,11 +257,11 @@ class _Reader:
             raise no_message(bag.path, self.topic.name)
 
     def _blocks(self, storage: Storage) -> Iterator[Messages]:
-        mine = _ids(storage, self.topic)
-        warm = _ids(storage, self.thermometer) if self.thermometer else set()
-        for block in storage.blocks(mine | warm):
-            for row in np.flatnonzero(among(block.topics, warm)).tolist():
-                self._temperatures.add((int(block.record_ns[row]), bytes(block.payloads[row])))
+        mine, *others = (_ids(storage, topic) for topic in (self.topic, *self.thermometers))
+        for block in storage.blocks(mine.union(*others)):
+            for numbers, kept in zip(others, self._temperatures):
+                for row in np.flatnonzero(among(block.topics, numbers)).tolist():
+                    kept.add((int(block.record_ns[row]), bytes(block.payloads[row])))
             rows = np.flatnonzero(among(block.topics, mine))
             yield block if len(rows) == len(block) else block.chosen(rows)
 
@@ -279,21 +279,21 @@ class _Reader:
             yield from imus.batches(block.record_ns)
             done += len(block)
 
-    def temperature(self) -> TemperatureTrace | None:
-        """Return the temperature of the IMU; None if it is not recorded."""
-        if self.thermometer is None:
-            return None
-        readings = [t for message in self._temperatures if (t := self._temperature(*message))]
-        return trace_of(self.thermometer.name, readings)
+    def temperature(self, frame_id: str) -> TemperatureTrace | None:
+        """Return the temperature of the IMU; None if no topic, or more than one, can contain it.
 
-    def _temperature(self, record_ns: int, payload: bytes) -> tuple[int, int, float] | None:
-        """Return header stamp in ns, record time in ns and degC; None if damaged."""
-        assert self.thermometer is not None
-        with suppress(MalformedMessage):
-            (plain,) = _decompressed([payload])
-            header_ns, celsius = decode_temperature(bytes(plain), _encoding(self.thermometer))
-            return header_ns, record_ns, celsius
-        return None
+        If there are several topics, the one with the ``frame_id`` of the IMU is used.
+        """
+        found = [
+            (topic, [t for message in kept if (t := _temperature(topic, *message))])
+            for topic, kept in zip(self.thermometers, self._temperatures)
+        ]
+        if len(found) > 1:
+            found = [(topic, read) for topic, read in found if read and read[0][1] == frame_id]
+        if len(found) != 1:
+            return None
+        ((topic, read),) = found
+        return trace_of(topic.name, [reading for reading, _ in read])
 
 
 def _ids(storage: Storage, topic: Topic) -> set[int]:
@@ -324,33 +324,37 @@ def _rebatched(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
 
 
 def _decompressed(payloads: Payloads) -> Payloads:
-    if not len(payloads) or not bytes(payloads[0]).startswith(ZSTD_MAGIC):
+    compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
+    if not compression:
         return payloads
     plain: list[bytes | memoryview] = []
     size = 0
     for payload in payloads:
         try:
-            plain.append(decompress(bytes(payload), 'zstd', MAX_MESSAGE_BYTES))
+            plain.append(decompress(bytes(payload), compression, MAX_MESSAGE_BYTES))
             size += len(plain[-1])
             if size > MAX_CHUNK_BYTES:
                 raise ValueError(f'messages expand to more than {MAX_CHUNK_BYTES} bytes')
         except ValueError as error:
-            raise MalformedMessage(len(plain), f'zstd {error}') from error
+            raise MalformedMessage(len(plain), f'{compression} {error}') from error
     return plain
 
 
 TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
 
+MAX_THERMOMETERS = 16
+"""Number of equally near Temperature topics above which none can be assigned to the Imu."""
 
-def _thermometer(topics: Sequence[Topic], imu_topic: str) -> Topic | None:
-    """Return the Temperature topic that has the longest common namespace with the Imu topic.
 
-    None if there is none, or if several have equally long ones.
+def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
+    """Return the Temperature topics that have the longest common namespace with the Imu topic.
+
+    The list is empty if they are more than `MAX_THERMOMETERS`.
     """
     found = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
     most = max((_shared(topic.name, imu_topic) for topic in found), default=0)
     nearest = [topic for topic in found if _shared(topic.name, imu_topic) == most]
-    return nearest[0] if len(nearest) == 1 else None
+    return nearest if len(nearest) <= MAX_THERMOMETERS else []
 
 
 def _shared(name: str, other: str) -> int:
@@ -358,3 +362,14 @@ def _shared(name: str, other: str) -> int:
     pairs = list(zip(name.strip('/').split('/'), other.strip('/').split('/')))
     equal = [a == b for a, b in pairs]
     return equal.index(False) if False in equal else len(equal)
+
+
+def _temperature(
+    topic: Topic, record_ns: int, payload: bytes
+) -> tuple[tuple[int, int, float], str] | None:
+    """Return (header stamp in ns, record time in ns, degC) and frame_id; None if damaged."""
+    with suppress(MalformedMessage, ValueError):
+        plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
+        header_ns, frame_id, celsius = decode_temperature(plain, _encoding(topic))
+        return (header_ns, record_ns, celsius), frame_id
+    return None

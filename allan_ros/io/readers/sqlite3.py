@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
+import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -32,14 +34,14 @@ REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
 class Sqlite3Storage:
     """An open .db3 file; error messages name it ``path``."""
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, size: int) -> None:
-        """Use a connection to a database of ``size`` bytes."""
+    def __init__(self, path: Path, connection: sqlite3.Connection, size: int | None) -> None:
+        """Use a connection to a database of ``size`` bytes; None if some of it is in a log."""
         self._path = path
         self._connection = connection
         self.truncation: Truncation | None = None
         self.topics = self._read_topics()
         ((pages,),), ((page_bytes,),) = map(self._query, ('PRAGMA page_count', 'PRAGMA page_size'))
-        if size < pages * page_bytes:
+        if size is not None and size < pages * page_bytes:
             self.truncation = Truncation(size, pages * page_bytes)
 
     def _read_topics(self) -> list[Topic]:
@@ -108,25 +110,44 @@ def _listed(ids: set[int]) -> str:
 
 @contextmanager
 def open_storage(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
-    """Open a .db3 file for reading.
+    """Open a .db3 file for reading; no file is created next to it.
 
     Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
     when it is not a rosbag2 database, or is damaged.
     """
     # If the recorder was killed, a write-ahead log contains the last messages. Without a log, the
-    # file is opened as immutable, which creates no file next to it and works on read-only media.
-    log = path.with_name(f'{path.name}-wal')
+    # file is opened as immutable, which also works on read-only media.
+    log, shared = (path.with_name(f'{path.name}-{suffix}') for suffix in ('wal', 'shm'))
     with translated(shown, _LIBRARY_ERRORS, REMEDY):
-        with open_regular(path) as file:
-            size = os.fstat(file.fileno()).st_size
-        mode = 'immutable=1'
-        if log.is_file() and log.stat().st_size:
-            mode = 'mode=ro'
-            size += log.stat().st_size
+        file = open_regular(path)
+    with file:
+        if not (log.is_file() and log.stat().st_size):
+            with _opened(path, shown, 'immutable=1') as storage:
+                yield storage
+        elif shared.is_file():
+            with _opened(path, shown, 'mode=ro') as storage:
+                yield storage
+        else:  # SQLite would create the -shm file and not remove it
+            with tempfile.TemporaryDirectory(prefix='allan_ros.') as folder:
+                with translated(shown, (OSError,), 'check the space for temporary files'):
+                    size = path.stat().st_size + log.stat().st_size
+                    if size > shutil.disk_usage(folder).free:
+                        raise OSError(f'its log requires a temporary copy of {size} bytes')
+                    copy = Path(folder, 'bag.db3')
+                    shutil.copyfile(path, copy)
+                    shutil.copyfile(log, copy.with_name('bag.db3-wal'))
+                with _opened(copy, shown, 'mode=ro') as storage:
+                    yield storage
+
+
+@contextmanager
+def _opened(path: Path, shown: Path, mode: str) -> Iterator[Sqlite3Storage]:
+    with translated(shown, _LIBRARY_ERRORS, REMEDY):
         connection = sqlite3.connect(
             f'file:{quote(os.fsencode(path.absolute()))}?{mode}', uri=True, check_same_thread=False
         )
     with closing(connection):
         with translated(shown, _LIBRARY_ERRORS, REMEDY):
+            size = path.stat().st_size if mode == 'immutable=1' else None
             storage = Sqlite3Storage(shown, connection, size)
         yield storage

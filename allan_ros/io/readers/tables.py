@@ -32,7 +32,7 @@ from ...core.imu import AXES, SAMPLE_SI, ImuBatch, even_stamps
 from ..files import open_regular
 from ..signal import Decimated, TemperatureTrace, trace_of
 from . import BATCH, ReadOptions, Recording, Report, SourceInfo
-from .columns import DATES, EXAMPLE, FIRST_ROWS, LEFT_OUT, Columns, columns_of
+from .columns import DATES, EXAMPLE, FIRST_ROWS, LEFT_OUT, Columns, columns_of, picked_names
 
 T = TypeVar('T')
 
@@ -80,7 +80,6 @@ class _Table:
     header_line: int  # number of the line with the names; 0 without a header
     columns: Columns
     rate_hz: float  # sample rate if there are no stamps
-    frame_id: str
     _kept: Decimated[tuple[int, float]] = field(default_factory=Decimated)
 
     def read(self, report: Report) -> Iterator[ImuBatch]:
@@ -102,7 +101,7 @@ class _Table:
                         self._kept.add((stamp, _number(cell) if _is_number(cell) else np.nan))
                 yield batch
 
-    def temperature(self) -> TemperatureTrace | None:
+    def temperature(self, frame_id: str = '') -> TemperatureTrace | None:
         """Return the temperature over time; None if the table has no such column."""
         column = self.columns.temperature
         if column is None:
@@ -111,7 +110,7 @@ class _Table:
         return trace_of(self.names[column].strip(), readings)
 
     def _rows(self, file: TextIO, report: Report) -> Iterator[_Rows]:
-        """Yield the rows in groups of at most `BATCH` rows.
+        """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
 
         The last line is not used if it has no line end, because its last number may be truncated.
         """
@@ -121,9 +120,10 @@ class _Table:
                 if not lines.complete:
                     report(finding('table_cut', path=self.path, line=lines.number))
                     break
-                if len(rows.cells) == BATCH:
-                    yield rows
-                    rows = _Rows(self, rows.first + BATCH)
+                if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
+                    if rows.cells:
+                        yield rows
+                    rows = _Rows(self, rows.first + len(rows.cells), lines.frame_id)
                 rows.numbers.append(lines.number)
                 rows.cells.append(cells)
         except csv.Error as error:
@@ -138,14 +138,12 @@ class _Table:
 
 
 def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
-    comment = frame_id = ''
+    comment = ''
     lines = _bounded_lines(path, file)
     number = 0
     for number, line in enumerate(lines, 1):  # noqa: B007
         if line.startswith(COMMENT):
             comment = line
-            if line.startswith(FRAME_COMMENT):
-                frame_id = line[len(FRAME_COMMENT) :].strip()
         elif not line.isspace():
             break
     else:
@@ -181,8 +179,7 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
         else:
             times = list(map(_number, takewhile(_is_number, cells))) or [0.0]
             columns = columns.with_time_unit(path, np.array(times), options.stamp_unit)
-    width, rate_hz = len(first), options.rate_hz
-    return _Table(path, delimiter, width, names, header_line, columns, rate_hz, frame_id)
+    return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz)
 
 
 def _names(
@@ -194,11 +191,12 @@ def _names(
     the last comment before it. ``columns`` are the names in the options.
     """
     given = tuple(name.strip() for name in columns)
-    if given:
+    picked = bool(given) and all('=' in name for name in given)
+    if given and not picked:
         if len(given) != len(first):
             raise AllanError(
                 f'{path}: has {len(first)} columns, {len(given)} are named by --columns: '
-                f'name each ({LEFT_OUT} leaves one out)'
+                f'name each ({LEFT_OUT} leaves one out), or pick some as in gx=NAME'
             )
         used = [cell for name, cell in zip(given, first) if name != LEFT_OUT]
         return given, 0 if all(map(_is_value, used)) else number
@@ -206,13 +204,15 @@ def _names(
     if len(first) == len(TOPIC_NAMES) and values.count(False) == 1 and not values[2]:
         return TOPIC_NAMES, 0
     if not all(values):
-        return first, number
-    if len(above) == len(first) and not all(map(_is_value, above)):
-        return tuple(cell.strip() for cell in above), 0
-    raise AllanError(
-        f'{path}: has {len(first)} columns of numbers and no header: '
-        f'name them, such as --columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
-    )
+        names, line = first, number
+    elif len(above) == len(first) and not all(map(_is_value, above)):
+        names, line = tuple(cell.strip() for cell in above), 0
+    else:
+        raise AllanError(
+            f'{path}: has {len(first)} columns of numbers and no header: '
+            f'name them, such as --columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
+        )
+    return (picked_names(path, names, given) if picked else names), line
 
 
 def _number(cell: str) -> float:
@@ -265,20 +265,23 @@ def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
 class _Lines:
     """Iterates over the lines of a table after its header, without comments and empty lines.
 
-    ``number`` is the number of the last line that was read, from 1 on. ``complete`` is whether it
-    has a line end.
+    ``number`` is the number of the last line that was read, from 1 on. ``frame_id`` is taken from
+    the last comment that contains one. ``complete`` is whether the last line has a line end.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:
         self.number = 0
+        self.frame_id = ''
         self.complete = True
         self._table, self._file = table, file
 
     def __iter__(self) -> Iterator[str]:
         for line in _bounded_lines(self._table.path, self._file):
             self.number += 1
-            is_data = not line.startswith(COMMENT) and not line.isspace()
-            if is_data and self.number > self._table.header_line:
+            if line.startswith(COMMENT):
+                if line.startswith(FRAME_COMMENT):
+                    self.frame_id = line[len(FRAME_COMMENT) :].strip()
+            elif self.number > self._table.header_line and not line.isspace():
                 self.complete = line.endswith('\n')
                 yield line
 
@@ -287,6 +290,7 @@ class _Lines:
 class _Rows:
     table: _Table
     first: int = 0  # index of the first row in the table
+    frame_id: str = ''
     numbers: list[int] = field(default_factory=list)  # line number of each row
     cells: list[list[str]] = field(default_factory=list)
 
@@ -305,12 +309,13 @@ class _Rows:
             samples[:, axis] = self._floats(column)
             if scale != 1.0:
                 samples[:, axis] *= scale
-        if meaning.stamp:
-            parts = [self._nanoseconds(*part) for part in meaning.stamp]
-            stamps = np.asarray(np.sum(parts, axis=0), np.int64)
-        else:
+        stamps, record = (
+            sum((self._nanoseconds(*part) for part in parts), np.zeros(n, np.int64))
+            for parts in (meaning.stamp, meaning.record)
+        )
+        if not meaning.stamp:
             stamps = even_stamps(self.first, n, table.rate_hz)
-        return ImuBatch(stamps, samples, frame_id=table.frame_id)
+        return ImuBatch(stamps, samples, record if meaning.record else None, self.frame_id)
 
     def _floats(self, column: int) -> NDArray[np.float64]:
         """Convert a column to numbers; an empty cell becomes NaN."""

@@ -82,7 +82,7 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
 
     trace = _temperature(log, data)
     info = SourceInfo(str(path), name, data.name, 'ulog')
-    return Recording(info, len(batch), read, lambda: trace, options=options)
+    return Recording(info, len(batch), read, lambda frame_id: trace, options=options)
 
 
 def _parsed(path: Path) -> Any:

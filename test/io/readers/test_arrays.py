@@ -42,10 +42,11 @@ def test_npz_with_time_in_seconds(save: Any, order: Any, tmp_path: Path) -> None
 @pytest.mark.parametrize('columns', [IMU, IMU[:, 1:]])
 def test_stamps_take_the_place_of_t(columns: np.ndarray, tmp_path: Path) -> None:
     path = tmp_path / 'imu.npz'
-    np.savez(path, imu=columns, stamps_ns=STAMPS, frame_id='base')
+    np.savez(path, imu=columns, stamps_ns=STAMPS, record_ns=STAMPS + 7, frame_id='base')
     back = read(path)
     np.testing.assert_array_equal(back.samples, IMU[:, 1:])
     np.testing.assert_array_equal(back.stamps_ns, STAMPS)
+    np.testing.assert_array_equal(back.record_ns, STAMPS + 7)
     assert set(back.frame_ids) == {'base'}
 
 

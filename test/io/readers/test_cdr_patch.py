@@ -25,16 +25,16 @@ GYRO, ACCEL = (1e-6, 2e-6, 3e-6), (4e-4, 5e-4, 6e-4)
 BOTH = {'gyro': GYRO, 'accel': ACCEL}
 
 
-def message(frame_id: str = 'imu_link', absent: slice | None = None) -> bytes:
+def message(frame_id: str = 'imu_link', order: str = '<', absent: slice | None = None) -> bytes:
     samples = np.arange(1.0, 7.0)[None] * 1e-3
     if absent is not None:
         samples[:, absent] = np.nan
     batch = ImuBatch(np.array([123_456_789_012]), samples, frame_id=frame_id)
-    return bytes(encode_imus(batch, 'cdr')[0])
+    return bytes(encode_imus(batch, 'cdr', order)[0])
 
 
-def view(payload: bytes | bytearray, frame_id: str = 'imu_link') -> np.ndarray:
-    dtype = imu_dtype('cdr', len(frame_id.encode()) + 1, len(payload))
+def view(payload: bytes | bytearray, frame_id: str = 'imu_link', order: str = '<') -> np.ndarray:
+    dtype = imu_dtype('cdr', order, len(frame_id.encode()) + 1, len(payload))
     return np.frombuffer(payload, dtype)
 
 
@@ -44,12 +44,12 @@ def with_covariance(payload: bytes, sensor: str, value: float, at: int = 0) -> b
     return bytes(changed)
 
 
-@given(st.text(max_size=30), st.binary(max_size=5))
-def test_only_the_two_covariances_change(frame_id, padding):
-    payload = message(frame_id) + padding
+@given(st.text(max_size=30), st.sampled_from('<>'), st.binary(max_size=5))
+def test_only_the_two_covariances_change(frame_id, order, padding):
+    payload = message(frame_id, order) + padding
     patched = CovariancePatch(BOTH).patch(payload)
     assert len(patched) == len(payload)
-    before, after = (view(p, frame_id) for p in (payload, patched))
+    before, after = (view(p, frame_id, order) for p in (payload, patched))
     np.testing.assert_array_equal(after['gyro_covariance'][0].reshape(3, 3), np.diag(GYRO))
     np.testing.assert_array_equal(after['accel_covariance'][0].reshape(3, 3), np.diag(ACCEL))
     changed = {i for i, (a, b) in enumerate(zip(payload, patched)) if a != b}
@@ -118,5 +118,5 @@ def test_any_bytes_are_patched_or_rejected(payload):
 
 
 def test_the_frame_is_read():
-    assert frame_id_of(message('bäse/imu')) == 'bäse/imu'
+    assert frame_id_of(message('bäse/imu', '>')) == 'bäse/imu'
     assert frame_id_of(message('')) == ''

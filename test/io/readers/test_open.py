@@ -137,7 +137,7 @@ for name in {hidden}:
 for path in sys.argv[1:]:
     try:
         [recording] = open_recordings([path])
-        print(sum(map(len, recording.batches())), recording.temperature() is not None)
+        print(sum(map(len, recording.batches())), recording.temperature('imu_link') is not None)
     except AllanError as error:
         print(error)
 """

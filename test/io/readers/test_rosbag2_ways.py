@@ -40,6 +40,7 @@ class Stretch(NamedTuple):
     topic: str
     count: int
     frame_id: str
+    order: str
     padding: int
     disorder_ns: int
 
@@ -50,6 +51,7 @@ STRETCHES = st.lists(
         st.sampled_from(['/imu', '/imu', '/imu', '/other', '/text']),
         st.integers(1, 40),
         st.sampled_from(['', 'a', 'imu_link', 'a_longer_frame_of_another_imu']),
+        st.sampled_from('<<<>'),
         st.sampled_from([0, 0, 0, 4]),
         st.sampled_from([0, 0, 0, PERIOD_NS // 2, 50 * PERIOD_NS]),
     ),
@@ -69,16 +71,14 @@ def write_bag(
     for stretch in stretches:
         n = stretch.count
         stamps = START_NS + (len(messages) + np.arange(n)) * PERIOD_NS
-        record = stamps
-        if stretch.topic != '/imu':  # other topics may be out of order
-            record = stamps + rng.integers(0, stretch.disorder_ns + 1, n)
+        record = stamps + rng.integers(0, stretch.disorder_ns + 1, n)
         if stretch.topic == '/text':
             # some fill a chunk, so that there are several
             payloads = [bytes(int(size)) for size in rng.choice([1, 100, 100, 600_000], n)]
         else:
             batch = ImuBatch(stamps, rng.normal(size=(n, 6)), frame_id=stretch.frame_id)
             end = bytes(stretch.padding)
-            payloads = [bytes(one) + end for one in encode_imus(batch, 'cdr')]
+            payloads = [bytes(one) + end for one in encode_imus(batch, 'cdr', stretch.order)]
         messages += [(int(t), stretch.topic, one) for t, one in zip(record, payloads)]
     if seed % 2:
         messages = [messages[i] for i in sorted(range(len(messages)), key=lambda i: i % 7)]

@@ -140,9 +140,15 @@ def test_each_date_has_its_own_time_zone(tmp_path: Path) -> None:
     assert "line 5, column 1 (t): '' is not a number" in refused(path)
 
 
+def test_a_column_can_have_record_times(tmp_path: Path) -> None:
+    back = read(table(tmp_path, 'stamp_ns,gx,record_time [ms]\n1,1,5\n2,1,6.5\n'))
+    assert back.record_ns is not None and back.record_ns.tolist() == [5_000_000, 6_500_000]
+    assert back.stamps_ns.tolist() == [1, 2]
+
+
 def test_a_comment_can_name_the_frame(tmp_path: Path) -> None:
-    path = table(tmp_path, '# frame_id: left\n# by hand\nt,gx\n1,1\n2,1\n')
-    assert read(path).frame_ids == ['left']
+    path = table(tmp_path, '# frame_id: left\nt,gx\n1,1\n2,1\n# frame_id: right\n3,1\n')
+    assert read(path).frame_ids == ['left', 'right']
 
 
 @pytest.mark.parametrize('last', ['3,1,2', '3,1,2,1', '3,1,2,1.23', '3,1,2,"1'])
@@ -160,6 +166,17 @@ def test_a_quoted_cell_may_contain_line_breaks(tmp_path: Path) -> None:
     back = read(table(tmp_path, f'{header}\n1,1,2,3,"first\n\nline"\n2,1,2,3,x\n'))
     np.testing.assert_allclose(back.samples[:, :3], [[DEG, 2 * DEG, 3 * DEG]] * 2)
     assert back.findings == ()
+
+
+def test_columns_can_be_picked_by_their_names(tmp_path: Path) -> None:
+    path = tmp_path / 'wide.csv'
+    path.write_text('id,Clock,rate_a [deg/s],rate_b,rate_c,x\n7,1,10,20,30,0\n7,2,10,20,30,0\n')
+    columns = ('t=clock', 'gx=rate_a', 'gy[deg/s]=rate_b', 'gz[rad/s]=rate_c')
+    back = read(path, columns=columns)
+    assert back.stamps_ns.tolist() == [10**9, 2 * 10**9]
+    np.testing.assert_allclose(back.samples[0, :3], [10 * DEG, 20 * DEG, 30.0])
+    assert back.findings == ()
+    assert '0 columns (' in refused(path, columns=('t=Clock', 'gx=rate_d'))
 
 
 @pytest.mark.parametrize(
@@ -205,7 +222,7 @@ HEADER = 't,gx,gy,gz,ax,ay,az\n'
             {},
             'which are times since 1970 in us: use --stamp-unit us',
         ),
-        ('time,z,y,x\n1,2,3,4\n', {}, '(time, z, y, x) is a gyro or accel axis'),
+        ('time,z,y,x\n1,2,3,4\n', {}, 'or t=NAME,gx=NAME'),
         (f'1,{ROW}\n', {}, 'has 7 columns of numbers and no header'),
         (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, 2 are named by --columns'),
         ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate (--rate'),
@@ -266,3 +283,4 @@ def test_any_batch_is_read_back_bit_for_bit(
     np.testing.assert_array_equal(batch.stamps_ns, stamps)
     np.testing.assert_array_equal(batch.samples, samples)
     assert (np.signbit(batch.samples) == np.signbit(samples)).all() or np.isnan(samples).any()
+    assert batch.record_ns is None

@@ -181,7 +181,7 @@ def test_the_temperature_is_that_of_the_same_gyro(
         one = struct.pack('<QI', START_US, selected)
         topics.append((SELECTION_FORMAT, 'sensor_selection', 0, [one]))
     (tmp_path / 'a.ulg').write_bytes(log(topics))
-    trace = read(tmp_path / 'a.ulg').recording.temperature()
+    trace = read(tmp_path / 'a.ulg').recording.temperature('')
     if expected is None:
         assert trace is None
         return
