@@ -64,6 +64,9 @@ def write_recording(
             f'{path}: ROS 1 bags cannot be written: name a folder for an mcap bag, or a file '
             '.mcap, .db3, .csv, .tsv or .npz'
         )
+    # rosbags gives the path to SQLite as a part of a URI
+    if suffix == '.db3' and {*'?#%'} & {*str(path.absolute())}:
+        raise AllanError(f'{path}: choose a path without "?", "#" and "%" for a .db3 file')
     try:
         with _draft(path, overwrite) as draft:
             if suffix in ('.csv', '.tsv'):
@@ -82,10 +85,7 @@ def write_recording(
 
 def _keep_storage_file(bag: Path) -> None:
     """Replace the folder of a bag by its storage file."""
-    files = [child for child in bag.iterdir() if child.name != 'metadata.yaml']
-    if not files:  # rosbags gives the path to SQLite as a part of a URI
-        raise AllanError(f'{bag.name}: choose a path without "?", "#" and "%"')
-    (file,) = files
+    (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
     kept = file.rename(bag.with_name(f'{bag.name}.file'))
     shutil.rmtree(bag)
     kept.rename(bag)
