@@ -20,14 +20,11 @@ import argparse
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from ..api import is_document
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding
-from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
 from ..io.analysis import ResultSettings
 from ..io.datasheets import load_sensor
@@ -150,7 +147,6 @@ def run(args: argparse.Namespace) -> int:
     console = Console.of(args)
     paths = [path for given in args.inputs for path in recordings_in(given)]
     jobs = read_jobs(paths, args, bool(args.output))
-    console.detail(f'settings: {_settings_text(jobs[0].reading, jobs[0].segmenter)}')
     if len(paths) == 1 or len(paths) > len(args.inputs):
         separate = split_by_topic(jobs)
         if len(separate) > 1:
@@ -161,8 +157,6 @@ def run(args: argparse.Namespace) -> int:
     recordings = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
     if not recordings and not stored:
         raise AllanError('; '.join(str(finding) for finding in failed))
-    for recorded in recordings:
-        console.detail(_recording_text(recorded))
     return show_results(add_recordings([*recordings, *stored]).with_findings(failed), args)
 
 
@@ -212,25 +206,6 @@ def _read_all(
     if min(args.jobs, len(jobs)) > 1:
         return read_in_processes(jobs, args.jobs, console)
     return read_in_turn(jobs, console)
-
-
-def _settings_text(*settings: Any) -> str:
-    values = {name: value for s in settings for name, value in asdict(s).items()}
-    return ', '.join(f'{name}={value!r}' for name, value in values.items())
-
-
-def _recording_text(recorded: RecordingSums) -> str:
-    """Return one line with path, sample counts, format and topic of a recording."""
-    source, *accel = recorded.provenance.sources
-    topics = ' and '.join(one.topic for one in (source, *accel) if one.topic)
-    what = ' '.join(word for word in (topics, source.type) if word)
-    # one entry for sensors with the same number of samples
-    used = {f'{s.samples:,}': sensor_of(s.axes[0]) for s in recorded.sums}
-    each = (f'{number} of {sensor}' if len(used) > 1 else number for number, sensor in used.items())
-    return (
-        f'{source.path}: {recorded.provenance.counts.received:,} samples from {source.storage}'
-        f'{f", {what}" if what else ""}; {", ".join(each)} used'
-    )
 
 
 def check(args: argparse.Namespace) -> int:

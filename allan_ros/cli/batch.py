@@ -289,25 +289,23 @@ def fit_and_write(
     recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
 ) -> tuple[Results, list[str]]:
     """Fit the sums; write the files if ``folder`` is given. Return results and file names."""
-    console, settings = Console.of(args), settings_of(ResultSettings, args)
-    with console.timed(f'fitted by {settings.method}'):
-        results = analyze_recorded(recorded, settings.method).compared(
-            settings.sensor, settings.baseline, settings.margin
-        )
+    settings = settings_of(ResultSettings, args)
+    results = analyze_recorded(recorded, settings.method).compared(
+        settings.sensor, settings.baseline, settings.margin
+    )
     if not folder:
         return results, []
     from ..io.result_files import write_result_files
 
-    with console.timed('drawn and written'):
-        results, paths = write_result_files(
-            folder,
-            results,
-            command=args.command_line,
-            units=settings.units,
-            targets=settings.export,
-            plots=settings.plots,
-            overwrite=args.overwrite,
-        )
+    results, paths = write_result_files(
+        folder,
+        results,
+        command=args.command_line,
+        units=settings.units,
+        targets=settings.export,
+        plots=settings.plots,
+        overwrite=args.overwrite,
+    )
     return results, sorted(path.name for path in paths)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Output of all verbs: results on stdout; messages, progress and details on stderr."""
+"""Output of all verbs: results on stdout; messages and progress on stderr."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ import os
 import shutil
 import sys
 import textwrap
-import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TextIO
 
@@ -77,8 +75,7 @@ OPTIONS = """
 terminal:
   --json  print one JSON document to stdout; messages go to stderr
   | -q --quiet  print errors only; print the result only if it is not written to files
-  | -v --verbose  print every finding with its remedy; print settings, inputs and times to
-    stderr
+  | -v --verbose  print every finding with its remedy
 """
 """Options of every verb."""
 
@@ -110,21 +107,9 @@ class Console:
         if not self.quiet:
             print(one_line(f'allan {self.verb}: {text}'), file=sys.stderr)
 
-    def detail(self, text: str) -> None:
-        """Print a detail to stderr if ``--verbose`` is given."""
-        if self.verbose:
-            self.say(text)
-
     def progress(self, label: str, total: int | None) -> Progress:
         """Return a progress bar for ``total`` units of work; ``--quiet`` suppresses it."""
         return Progress(label, total, shown=not self.quiet)
-
-    @contextmanager
-    def timed(self, what: str) -> Iterator[None]:
-        """Print the duration of the step ``what`` to stderr if ``--verbose`` is given."""
-        began = time.monotonic()
-        yield
-        self.detail(f'{what}: {time.monotonic() - began:.2f} s')
 
 
 def width() -> int:

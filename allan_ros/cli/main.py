@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import difflib
 import importlib
 import os
-import re
 import shlex
 import signal
 import sys
@@ -29,9 +27,6 @@ from .options import Command, add_options
 
 HELP_COLUMN = 26
 """Column at which the help texts of options begin."""
-
-CLOSE = 0.6
-"""Similarity (ratio of difflib) above which a known word is suggested for a wrong one."""
 
 VERBS = {
     'analyze': 'compute coefficients, curves, plots and a report from recordings',
@@ -71,7 +66,7 @@ EXITS = {
 
 
 class AllanParser(argparse.ArgumentParser):
-    """An argparse parser that prints an error in two lines: the usage, the error with a hint."""
+    """An argparse parser that prints an error in two lines: the usage, and the error."""
 
     def __init__(self, **given: Any) -> None:
         given.setdefault('formatter_class', HelpFormatter)
@@ -93,33 +88,15 @@ class AllanParser(argparse.ArgumentParser):
 
         argparse itself would show the usage of the main parser instead of the verb.
         """
-        words: list[str] = []
-        for word in sys.argv[1:] if args is None else args:
-            if words and word.startswith('-,'):  # --columns -,t,gx: a value, not an option
-                words[-1] += f'={word}'
-            else:
-                words.append(word)
-        known, unknown = super().parse_known_args(words, namespace)
+        known, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f'unrecognized arguments: {" ".join(unknown)}')
         return known or argparse.Namespace(), unknown
 
     def error(self, message: str) -> NoReturn:
-        """Print the usage and the error with a suggestion, and exit with code 2."""
+        """Print the usage and the error, and exit with code 2."""
         self.print_usage(sys.stderr)
-        meant = self._suggestion(message)
-        hint = f'; did you mean {meant}?' if meant else f'; see `{self.prog} --help`'
-        self.exit(EXIT_USAGE, f'{self.prog}: {message}{hint}\n')
-
-    def _suggestion(self, message: str) -> str:
-        """Return the known word most similar to the wrong one in a message of argparse, or ''."""
-        wrong = re.search(r"invalid choice: '([^']*)'|unrecognized arguments: ([^\s=]*)", message)
-        if wrong is None:
-            return ''
-        choices = [str(c) for action in self._actions for c in action.choices or ()]
-        known = [*self._option_string_actions, *choices]
-        close = difflib.get_close_matches(wrong[1] or wrong[2], known, 1, CLOSE)
-        return close[0] if close else ''
+        self.exit(EXIT_USAGE, f'{self.prog}: {message}; see `{self.prog} --help`\n')
 
 
 class HelpFormatter(argparse.HelpFormatter):

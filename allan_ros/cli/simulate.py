@@ -71,14 +71,6 @@ def run(args: argparse.Namespace) -> int:
     noise = stated_noise(args.preset or '', args.sensor or '', stated, changes)
     samples = samples_in(args.hours * HOUR, args.rate)
     console = Console.of(args)
-    for sensor in SENSORS if args.sensor else ():
-        axes = [noise[axis] for axis in AXES[SENSORS[sensor]]]
-        if unstated := [term for term in 'NB' if not any(getattr(one, term) for one in axes)]:
-            terms_text = ','.join(f'{term}=..' for term in unstated)
-            console.say(
-                f'{args.sensor} states no {" and ".join(unstated)} of the {sensor}, so the '
-                f'recording has none: add --{sensor} {terms_text}'
-            )
     seconds = args.hours * HOUR
     terms = list(noise.values())
     batches = simulate_imu(

@@ -10,7 +10,6 @@ the CPU time. OpenBLAS is set on Linux, which the wheels of numpy and scipy cont
 from __future__ import annotations
 
 import ctypes
-import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -24,7 +23,6 @@ from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN
 from ..core.filters.bias import turn_on_bias
-from ..core.filters.noise_parameters import sample_variance
 from ..core.findings import Finding
 from ..core.fit import METHODS, NoiseModel
 from ..core.fit.findings import rounding_step, with_deviations
@@ -202,14 +200,12 @@ def _axis_results(
         lengths = np.array([one.samples * model.tau0 for one in sums.recordings])
         for i, name in enumerate(curve.axes):
             fit = model.axes[name]
-            variance = sample_variance(curve.m, curve.adev[:, i], model.tau0)
             white = (fit.noise['N'].value or 0.0) ** 2 / model.tau0
             axis = AxisResult(
                 model.tau0,
                 fit,
                 curve.axis(i),
                 tuple(dominant_regions(curve, fit)),
-                None if variance is None else math.sqrt(variance),
                 name,
                 rounding_step(sums, i, white) if white else None,
                 turn_on_bias(means[:, i], float(fit.model.avar(lengths).mean()))

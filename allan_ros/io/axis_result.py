@@ -110,9 +110,6 @@ class AxisResult:
         The measured Allan deviation in SI; None if only the coefficients are known.
     regions : tuple of Region
         Ranges of averaging times, each with the noise that dominates in it.
-    sample_std : float or None
-        Standard deviation of the samples, measured within periods of up to one second, in SI; None
-        if unknown.
     name : str
         Name of the axis, such as 'gyro_z'.
     rounding : float or None
@@ -140,7 +137,6 @@ class AxisResult:
     fit: AxisFit
     curve: AxisCurve | None = None
     regions: tuple[Region, ...] = ()
-    sample_std: float | None = None
     name: str = ''
     rounding: float | None = None
     turn_on: TurnOnBias | None = None

@@ -346,7 +346,6 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'lack_of_fit': plain(fit.lack_of_fit),
         'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
         'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
-        'sample_std': plain(axis.sample_std),
         'rounding': plain(axis.rounding),
         'turn_on': plain(axis.turn_on),
         'temperature': plain(axis.temperature),

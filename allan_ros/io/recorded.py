@@ -269,10 +269,6 @@ class Observer(Protocol):
         """
         return contextlib.nullcontext(self)
 
-    def timed(self, what: str) -> AbstractContextManager[None]:
-        """Return a context manager around the step ``what``, to measure its duration."""
-        return contextlib.nullcontext()
-
 
 class Silent(Observer):
     """An `Observer` that does nothing."""
@@ -293,7 +289,7 @@ def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iter
             recordings[-1].close()
     for job, recording in zip(jobs, recordings):
         bar = observer.progress(job.path, recording.messages)
-        with observer.timed(f'read {job.path}'), bar as progress:
+        with bar as progress:
             recorded = read_recording(job, recording, progress.advance)
         yield recorded
 

@@ -59,15 +59,6 @@ def test_single_terms_go_before_the_datasheet(tmp_path):
     assert truth['accel_z'].B * shown_unit('accel', 'B', 'deg/h').factor == pytest.approx(9)
 
 
-def test_terms_that_a_datasheet_does_not_state_are_named(tmp_path, capsys):
-    out = tmp_path / 'a.npz'
-    simulate(out, '--sensor', 'adis16475-3')
-    said = 'adis16475-3 states no N of the accel, so the recording has none: add --accel N=..'
-    assert said in capsys.readouterr().err
-    simulate(out, '--sensor', 'adis16475-3', '--accel', 'N=0.02', '--overwrite')
-    assert 'states no' not in capsys.readouterr().err
-
-
 def test_faults_are_passed_on_and_a_truth_can_be_simulated_again(tmp_path):
     spec = tmp_path / 'spec.yaml'
     spec.write_text(

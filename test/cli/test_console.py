@@ -74,19 +74,6 @@ def test_quiet_prints_nothing_if_the_result_is_written_to_files(
     assert 'no such file' in capsys.readouterr().err
 
 
-def test_verbose_prints_settings_sources_and_times_to_stderr(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(['analyze', str(recording), *FIT]) == 0
-    plain = capsys.readouterr()
-    assert plain.err == ''
-    assert main(['analyze', str(recording), *FIT, '--skip', '1.5', '-v']) == 0
-    said = capsys.readouterr().err
-    assert 'settings: ' in said and 'skip=1.5' in said and 'max_bridge=3' in said
-    assert f'{recording}: 18,000 samples from npz' in said
-    assert all(step in said for step in ('read ', 'fitted by paper: '))
-
-
 @pytest.mark.parametrize(
     ('environment', 'terminal', 'colors'),
     [
@@ -123,16 +110,3 @@ def test_progress_leaves_a_terminal_clean(
     assert '[bold]monday.mcap' in shown[0] and shown[0].endswith('\x1b[2K')
     assert ('50 %' in shown[0]) == (total is not None)
     assert shown[1:] == ['', '']
-
-
-def test_the_detail_states_how_many_samples_each_sensor_used(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bag = str(tmp_path / 'held.npz')
-    (tmp_path / 'held.yaml').write_text('faults: {accel_rate: 62.5}\n')
-    spec = f'--spec {tmp_path}/held.yaml'
-    words = f'simulate {bag} --preset paper --hours .02 {spec} -q'.split()
-    assert main(words) == 0
-    assert main(['analyze', bag, '-v', '--method', 'paper']) == 0
-    said = capsys.readouterr().err
-    assert ': 7,200 samples from npz, imu array; 7,200 of gyro, 4,500 of accel used' in said

@@ -78,16 +78,14 @@ def test_the_bare_command_lists_the_verbs(capsys: pytest.CaptureFixture[str]) ->
         ('analyze x --skip a', 'write a time'),
         ('analyze x --zzz', '; see `allan analyze --help`'),
         ('analyze x -q -v', 'not allowed with'),
-        ('analyse', '; did you mean analyze?'),
-        ('analyze x --skp 3', '; did you mean --skip?'),
-        ('analyze x --methd=gls', '; did you mean --method?'),
-        ('check x --method likelyhood', '; did you mean likelihood?'),
-        ('simulate x --preset papr', '; did you mean paper?'),
+        ('analyse', "invalid choice: 'analyse'"),
+        ('analyze x --skp 3', 'unrecognized arguments: --skp'),
+        ('check x --method likelyhood', "invalid choice: 'likelyhood'"),
         ('simulate x --gyro N', 'write '),
         ('simulate x --gyro N=x', 'write '),
     ],
 )
-def test_a_wrong_command_line_is_exit_2_with_a_suggestion(
+def test_a_wrong_command_line_is_exit_2(
     words: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert exit_code(words.split()) == 2

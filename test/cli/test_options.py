@@ -50,9 +50,9 @@ def test_the_help_states_unit_and_default() -> None:
     assert all(f.name in said for f in fields(Some))
 
 
-@pytest.mark.parametrize('columns', [['--columns', '-,t,gx'], ['--columns=-,t,gx']])
-def test_a_list_of_columns_may_begin_with_a_dash(columns: list[str]) -> None:
-    args = build_parser('analyze').parse_args(['analyze', 'a.csv', *columns, '-o', 'out'])
+def test_a_list_of_columns_may_begin_with_a_dash() -> None:
+    words = ['analyze', 'a.csv', '--columns=-,t,gx', '-o', 'out']
+    args = build_parser('analyze').parse_args(words)
     assert args.columns == ('-', 't', 'gx')
     assert (args.inputs, args.output) == (['a.csv'], 'out')
 

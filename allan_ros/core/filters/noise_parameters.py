@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..fit.model import AxisFit
@@ -88,32 +86,8 @@ def _raised(level: Level, value: float, fitted: float, ends: Sequence[float]) ->
     return level._replace(value=value, ci95=ci95, raised_from=fitted)
 
 
-SAMPLE_WINDOW_S = 1.0
-"""Longest window in s of `sample_variance`; noise that is slower is treated as bias."""
-
 Variances = tuple[float, float, float]
 """Variances of x, y and z, in the squared unit of the samples."""
-
-
-def sample_variance(
-    m: NDArray[np.int64], adev: NDArray[np.float64], tau0: float, window: float = SAMPLE_WINDOW_S
-) -> float | None:
-    """Return the variance of the samples within a window, computed from the Allan deviation.
-
-    The window is the largest one with n = 2^k samples and n tau0 <= ``window``. For any noise, the
-    mean square deviation from the mean of n samples is the sum of avar(2^j)/2 over j < k (Percival
-    & Guttorp, Long-memory processes, the Allan variance and wavelets, 1994: the variance is the sum
-    of the Haar wavelet variances). The factor n/(n - 1) makes it unbiased for white noise.
-
-    The averaging factors ``m`` include all powers of two below n, and ``adev`` are their Allan
-    deviations. ``tau0`` is the sample period in s. The result is in the squared unit of ``adev``;
-    None if the window is shorter than two samples or a deviation is unknown.
-    """
-    levels = math.floor(math.log2(window / tau0 * (1.0 + 1e-9))) if tau0 <= window else 0
-    known = {int(factor): float(deviation) for factor, deviation in zip(m, adev)}
-    parts = [known.get(1 << j, math.nan) ** 2 / 2.0 for j in range(levels)]
-    total = sum(parts) * (1 << levels) / ((1 << levels) - 1) if levels else math.nan
-    return total if math.isfinite(total) else None
 
 
 def white_variances(
@@ -125,17 +99,21 @@ def white_variances(
     nor a limit. If ``horizon`` (in s) is not 0, N is increased until white noise alone covers the
     predicted error growth up to this time, for filters without a state for the bias.
     """
-    stds: dict[str, float | None] = {}
+    stds: dict[str, float] = {}
     for name, fit in axes.items():
-        try:
+        with suppress(AllanError):
             if horizon:
                 white = reduce_axis(name, fit, 'none', horizon).model.terms.N
             else:
                 white = axis_level(name, fit, 'N').value
-        except AllanError:
-            continue
-        stds[name] = white * rate**0.5
-    return measured_variances(stds, inflation)
+            stds[name] = white * rate**0.5
+    variances = {}
+    for sensor, rows in SENSORS.items():
+        known = [stds[name] for name in AXES[rows] if name in stds]
+        if len(known) == 3:
+            x, y, z = ((inflation * std) ** 2 for std in known)
+            variances[sensor] = (x, y, z)
+    return variances
 
 
 def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
@@ -150,23 +128,6 @@ def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
         low, high = (reduce_model(one, 'none', horizon).model.terms.N for one in ends)
         ratios.append(high / low if low > 0.0 else math.inf)
     return max(ratios)
-
-
-def measured_variances(
-    stds: Mapping[str, float | None], inflation: float = 1.0
-) -> dict[str, Variances]:
-    """Return the variances of x, y, z for each sensor, 'gyro' and 'accel', from the axes' stds.
-
-    ``stds`` maps axis names to standard deviations of the samples, which are multiplied by
-    ``inflation``. A sensor is left out if one of its three axes is missing, None or 0.
-    """
-    variances = {}
-    for sensor, rows in SENSORS.items():
-        known = [std for name in AXES[rows] if (std := stds.get(name))]
-        if len(known) == 3:
-            x, y, z = ((inflation * std) ** 2 for std in known)
-            variances[sensor] = (x, y, z)
-    return variances
 
 
 @dataclass(frozen=True)

@@ -7,18 +7,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from support.allan_table import allan_table
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.growth import growth_table, predicted_growth
 from allan_ros.core.filters.noise_parameters import (
     axis_level,
     measure_inflation,
-    measured_variances,
     reduce_axis,
-    sample_variance,
     white_variances,
 )
 from allan_ros.core.filters.reductions import Level
@@ -158,38 +154,6 @@ def test_the_larger_value_is_used_and_divided_by_the_value_at_rest() -> None:
         measure_inflation(rest, {'accel_x': fit(1.0, 1.0)})
 
 
-RATE = 128.0
-WINDOW = 128  # samples in a second
-
-
-@pytest.mark.parametrize('kind', ['white', 'filtered', 'quantization', 'walk', 'line'])
-def test_the_sample_variance_is_that_within_a_second(kind: str) -> None:
-    rng = np.random.default_rng(3)
-    white = rng.normal(0.0, 2.0, 1 << 18)
-    y = {
-        'white': white,
-        'filtered': np.convolve(white, np.ones(8) / 8.0, 'same'),
-        'quantization': np.diff(white, prepend=0.0),
-        'walk': np.cumsum(white) * 0.01,
-        'line': np.sin(0.7 * np.arange(len(white))),
-    }[kind]
-    m = 1 << np.arange(8)
-    table = allan_table(y[:, None], m, stride=1)
-    # windows weight the samples differently from overlapping differences: 1.7 % for the walk
-    in_windows = y.reshape(-1, WINDOW).var(axis=1, ddof=1).mean()
-    found = sample_variance(m, np.sqrt(table.avar[:, 0]), 1.0 / RATE)
-    assert found == pytest.approx(in_windows, rel=0.04)
-
-
-def test_the_sample_variance_needs_all_factors_of_the_window() -> None:
-    m, adev = np.array([1, 2, 4]), np.array([1.0, math.nan, 1.0])
-    assert sample_variance(m, adev, tau0=0.25) is None
-    assert sample_variance(m, np.ones(3), tau0=2.0) is None
-    assert sample_variance(m, np.ones(3), tau0=0.01) is None  # 64 samples need m up to 32
-    # two samples: the mean square of their difference, halved, is the Allan variance itself
-    assert sample_variance(m, np.array([3.0, 1.0, 1.0]), tau0=0.5) == pytest.approx(9.0)
-
-
 def test_white_variances_by_hand() -> None:
     axes = {
         'gyro_x': fit_with(N=Coefficient(1e-3)),
@@ -204,10 +168,3 @@ def test_white_variances_by_hand() -> None:
     assert white_variances(axes, 200.0, 10.0)['gyro'] == pytest.approx((2e-2, 8e-2, 1.8e-1))
     axes['gyro_z'] = fit_with()
     assert white_variances(axes, 200.0) == {}
-
-
-def test_measured_variances_by_hand() -> None:
-    stds = {'accel_x': 0.1, 'accel_y': 0.2, 'accel_z': 0.3, 'gyro_x': 1.0, 'gyro_y': None}
-    assert measured_variances(stds, 2.0)['accel'] == pytest.approx((0.04, 0.16, 0.36))
-    assert set(measured_variances(stds)) == {'accel'}
-    assert measured_variances({**stds, 'gyro_z': 1.0}).keys() == {'accel'}
