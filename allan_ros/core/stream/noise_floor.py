@@ -57,9 +57,6 @@ share is 5e-5 for white noise, and 7e-3 for a t distribution with five degrees o
 EXAMINED = 16
 """One of this number of windows at rest is searched for outliers, to save time."""
 
-MEMORY = 2.0**20
-"""Number of samples from which the share of outliers is computed; older ones lose weight."""
-
 INCREASE_RATIO = 1.5
 """Ratio of the standard deviation of an axis to its noise floor above which the noise counts as
 increased."""
@@ -208,12 +205,8 @@ class NoiseFloor:
         # half a resolution more, because the deviations are rounded
         limit = OUTLIER_MADS * (_quantile(off, 0.5) + 0.5 * self.lsb)
         found = np.count_nonzero(off > limit[:, None], axis=1)
-        kept = max(0.0, 1.0 - off.shape[1] / MEMORY) if self.examined >= MEMORY else 1.0
-        return replace(
-            self,
-            outliers=kept * self.outliers + found,
-            examined=kept * self.examined + off.shape[1],
-        )
+        number = self.examined + off.shape[1]
+        return replace(self, outliers=self.outliers + found, examined=number)
 
     @property
     def scale(self) -> Floats:

@@ -95,8 +95,7 @@ class Arrivals:
         self._statistics = statistics
         self._origin_ns = self._lost = 0
         self._latest: tuple[float, float] | None = None  # stamp and reception of the latest message
-        # reception of the last message of a batch, and the largest offset in the batch
-        self._offsets: deque[tuple[float, float]] = deque()
+        self._offsets: deque[tuple[float, float]] = deque()  # reception and offset of each message
 
     def update(self, stamps_ns: NDArray[np.int64], received_s: NDArray[np.float64]) -> None:
         """Process the next messages: stamps in ns, and times of reception on a steady clock in s.
@@ -104,27 +103,18 @@ class Arrivals:
         The statistics already contain the messages that were lost before and between these.
         """
         lost, self._lost = self._statistics.lost - self._lost, self._statistics.lost
-        if not len(stamps_ns):
-            return
-        if self._latest is None:
+        if self._latest is None and len(stamps_ns):
             self._origin_ns = int(stamps_ns[0])
         stamps = (stamps_ns - self._origin_ns) / NANOSECONDS
-        latest = np.maximum.accumulate(stamps)
-        if self._latest is not None and latest[-1] > self._latest[0] - STEP_S:
-            latest = np.maximum(latest, self._latest[0])
-        before = latest[0] if self._latest is None else self._latest[0]
-        gaps = np.flatnonzero(np.diff(latest, prepend=before) > STEP_S)
-        for piece in np.split(np.arange(len(stamps)), gaps):
-            if not len(piece):
-                continue
-            first, last = piece[0], piece[-1]
-            if first in gaps and self._latest is not None:
-                self._judge(float(stamps[first]), float(received_s[first]), lost)
-            largest = float((stamps[piece] - received_s[piece]).max())
-            self._offsets.append((float(received_s[last]), largest))
-            self._latest = float(latest[last]), float(received_s[last])
-        while self._offsets[0][0] < received_s[-1] - ENVELOPE_S:
-            self._offsets.popleft()
+        for stamp, received in zip(stamps.tolist(), received_s.tolist()):
+            latest = stamp if self._latest is None else self._latest[0]
+            if stamp - latest > STEP_S:
+                self._judge(stamp, received, lost)
+            self._offsets.append((received, stamp - received))
+            while self._offsets[0][0] < received - ENVELOPE_S:
+                self._offsets.popleft()
+            was_set_back = stamp < latest - STEP_S
+            self._latest = stamp if was_set_back else max(stamp, latest), received
 
     def _judge(self, stamp: float, received_s: float, lost: int) -> None:
         """Count the cause of a gap in the stamps before a message."""
