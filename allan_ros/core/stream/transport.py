@@ -148,10 +148,11 @@ class ConstantAxes:
             if len(changes):
                 runs = np.diff(changes, prepend=-self._run[i])
                 runs = runs[0 if np.isfinite(self._last[i]) else 1 :]
-                if self._longest[i]:  # in longer runs, the axis was stuck
-                    runs = runs[runs <= STUCK_RUNS * self._longest[i]]
-                self._longest[i] = max(self._longest[i], runs.max(initial=0))
-                self._run[i] = 0
+                longest = int(self._longest[i])
+                for run in runs[runs > longest].tolist():
+                    if run <= STUCK_RUNS * (longest or run):  # else the axis was stuck
+                        longest = max(longest, run)
+                self._longest[i], self._run[i] = longest, 0
             self._run[i] += len(column) - (changes[-1] if len(changes) else 0)
         self._last = samples[-1].copy()
 

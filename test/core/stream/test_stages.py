@@ -112,42 +112,29 @@ def test_the_variance_about_a_line_of_random_flags_is_that_of_watson(share):
 STEP_NS = 10_000_000
 
 
-def samples(count: int, start_ns: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    stamps = start_ns + STEP_NS * np.arange(count)
-    return stamps, np.random.default_rng(1).normal(size=(2, count))
-
-
-@pytest.mark.parametrize('chunk', [1, 7, 100, 1000])
-def test_the_means_do_not_depend_on_the_chunks(chunk: int) -> None:
-    stamps, rows = samples(1000)
-    running = RunningMeans(('gyro_x', 'gyro_y'))
-    for at in range(0, 1000, chunk):
+@pytest.mark.parametrize('chunk', [1, 7, 100, 15_000])
+def test_the_latest_means_of_complete_seconds_are_kept_for_any_chunking(chunk):
+    stamps, rows = STEP_NS * np.arange(15_000), np.random.default_rng(1).normal(size=(2, 15_000))
+    running, whole = RunningMeans(('gyro_x', 'gyro_y')), RunningMeans(('gyro_x', 'gyro_y'))
+    for at in range(0, 15_000, chunk):
         running.update(stamps[at : at + chunk], rows[:, at : at + chunk])
-    means = running.means
-    expected = rows[:, :900].reshape(2, 9, 100).mean(axis=2).T
-    np.testing.assert_allclose(means.values, expected)
-    whole = RunningMeans(('gyro_x', 'gyro_y'))
     whole.update(stamps, rows)
+    means = running.means
     assert np.array_equal(means.values, whole.means.values)
-    assert means.end_ns.tolist() == [10**9 * (i + 1) for i in range(9)]
+    # the last second is not complete
+    expected = rows.reshape(2, 150, 100).mean(axis=2).T[-KEPT_MEANS - 1 : -1]
+    np.testing.assert_allclose(means.values, expected)
+    assert means.end_ns.tolist() == [10**9 * i for i in range(150 - KEPT_MEANS, 150)]
 
 
-def test_a_gap_drops_the_mean_in_progress() -> None:
-    stamps, rows = samples(150)
+def test_a_gap_drops_the_mean_in_progress():
+    rows = np.random.default_rng(1).normal(size=(2, 250))
     running = RunningMeans(('gyro_x', 'gyro_y'))
-    running.update(stamps, rows)
+    running.update(STEP_NS * np.arange(150), rows[:, :150])
     running.cut()
-    later, more = samples(250, 50 * 10**9)
-    running.update(later, more)
+    running.update(50 * 10**9 + STEP_NS * np.arange(250), rows)
     assert running.means.end_ns.tolist() == [10**9, 51 * 10**9, 52 * 10**9]
-    np.testing.assert_allclose(running.means.values[1], more[:, :100].mean(axis=1))
-
-
-def test_only_the_latest_are_kept() -> None:
-    stamps, rows = samples(100 * (KEPT_MEANS + 20))
-    running = RunningMeans(('gyro_x', 'gyro_y'))
-    running.update(stamps, rows)
-    assert len(running.means.end_ns) == KEPT_MEANS
+    np.testing.assert_allclose(running.means.values[1], rows[:, :100].mean(axis=1))
 
 
 def test_a_stream_has_means_of_static_samples_only() -> None:

@@ -269,3 +269,6 @@ def test_a_stuck_axis_is_named():
     assert not any(found[:42])
     assert all(one == ('gyro_z',) for one in [*found[46:60], *found[70:]])
     assert not any(found[60:66])
+    later = ConstantAxes()
+    later.update(samples)
+    assert later.stuck(RATE) == later.stuck(RATE) == ('gyro_z',)  # a query changes nothing
