@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.allan_table import grid_for
 from support.numbers import check_numbers
 from support.sums import sums_of
 
 from allan_ros.core.allan.curve import allan_curve, edf
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
-from allan_ros.core.allan.grid import MAX_LEVELS, MIN_VARIANCE, counts, grid, grid_for
+from allan_ros.core.allan.grid import MAX_LEVELS, MIN_VARIANCE, counts, grid
 from allan_ros.core.allan.periods import Period, Recording
 from allan_ros.core.allan.recent import noise_steps
 from allan_ros.core.allan.sums import AllanSums

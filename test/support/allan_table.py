@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from allan_ros.core.allan.grid import grid
+
 
 class AllanTable(NamedTuple):
     """Number of second differences (factors,), and Allan variance (factors, ...)."""
@@ -36,3 +38,11 @@ def allan_table(y: ArrayLike, m: ArrayLike, stride: ArrayLike = 1) -> AllanTable
         n.append(len(d))
         avar.append((d**2).mean(axis=0) / (2.0 * float(factor) ** 2))
     return AllanTable(np.array(n, int), np.reshape(avar, (len(n), *values.shape[1:])))
+
+
+def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the factors m of `grid` up to half of the number of samples, and their strides."""
+    levels = max(1, samples.bit_length() - 3)
+    m, stride = grid(levels)
+    keep = 2 * m <= samples
+    return m[keep], stride[keep]

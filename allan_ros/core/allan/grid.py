@@ -44,14 +44,6 @@ def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.array(m, np.int64), np.array(stride, np.int64)
 
 
-def grid_for(samples: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the factors m of `grid` up to half of the number of samples, and their strides."""
-    levels = max(1, samples.bit_length() - 3)
-    m, stride = grid(levels)
-    keep = 2 * m <= samples
-    return m[keep], stride[keep]
-
-
 def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the number of second differences of a segment of n ``samples`` at each factor m.
 

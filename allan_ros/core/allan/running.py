@@ -57,30 +57,22 @@ class _RunningPeriod:
         return replace(self, samples=samples, total=total).plus(later.levels)
 
 
-class _Phase:
-    """The phase of a segment at every ``step``-th sample; the step is doubled when it is full."""
-
-    def __init__(self, axes: int) -> None:
-        self.step = 1
-        self.points = np.zeros((axes, 1))
-
-    def extended(self, block: Block) -> tuple[Floats, int]:
-        """Return points and step after a block of level 0 was appended."""
-        phase = block.phase[:-1, 1 + -(block.begin + 1) % self.step :: self.step]
-        points, step = np.concatenate([self.points, phase], axis=1), self.step
-        while points.shape[1] > SEGMENT_MEANS + 1:
-            points, step = points[:, ::2], 2 * step
-        return points, step
-
-
 class _OpenSegment:
-    """Cascade and phase of the current segment."""
+    """Cascade of the current segment, and its phase at every ``step``-th sample."""
 
     def __init__(self, first: Floats, start_ns: int, age: int) -> None:
         self.age = age  # of its first sample
         self.start_ns = self.last_ns = start_ns
         self.cascade = Cascade(first)
-        self.phase = _Phase(len(first))
+        self.points, self.step = np.zeros((len(first), 1)), 1
+
+    def extended(self, block: Block) -> tuple[Floats, int]:
+        """Return points and step after a block of level 0; a full phase doubles the step."""
+        phase = block.phase[:-1, 1 + -(block.begin + 1) % self.step :: self.step]
+        points, step = np.concatenate([self.points, phase], axis=1), self.step
+        while points.shape[1] > SEGMENT_MEANS + 1:
+            points, step = points[:, ::2], 2 * step
+        return points, step
 
 
 @dataclass(frozen=True)
@@ -122,10 +114,10 @@ class _State:
 
     def with_end(self, segment: _OpenSegment) -> _State:
         """Return the state after the end of the current segment."""
-        state, (points, step) = self, (segment.phase.points, segment.phase.step)
+        state, points, step = self, segment.points, segment.step
         for block in segment.cascade.open_blocks():
             if block.sums.level == 0:
-                points, step = segment.phase.extended(block)
+                points, step = segment.extended(block)
             state = state.with_block(segment, block)
         shift = segment.cascade.reference - self.reference
         values = rounded(np.diff(points, axis=1).T / step + shift, MEAN_BYTES)
@@ -184,7 +176,7 @@ class RunningSums:
         for block in segment.cascade.feed(values.T, interpolated):
             self._state = self._state.with_block(segment, block)
             if block.sums.level == 0:
-                segment.phase.points, segment.phase.step = segment.phase.extended(block)
+                segment.points, segment.step = segment.extended(block)
         segment.last_ns = last_ns
 
     def end_segment(self) -> None:

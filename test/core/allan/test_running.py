@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.allan_table import allan_table
+from support.allan_table import allan_table, grid_for
 from support.sums import TICK_NS, feed, noise, sums_of
 
 from allan_ros.core.allan.cascade import BLOCK, FIRST_BLOCK
-from allan_ros.core.allan.grid import counts, grid_for, octave, overlap, tapers
+from allan_ros.core.allan.grid import counts, octave, overlap, tapers
 from allan_ros.core.allan.periods import MAX_MEANS, MAX_PERIODS, totals
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.imu import ImuIdentity

@@ -5,9 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from support.allan_table import grid_for
 
 from allan_ros.core.allan.curve import AllanCurve, chi_squared_limits
-from allan_ros.core.allan.grid import grid_for
 from allan_ros.core.fit.interpretation import dominant_regions, largest_deviation, model_line
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient, model_of_terms
 from allan_ros.core.imu import from_datasheet
