@@ -12,7 +12,6 @@ from ..core.compare import Comparison, LimitVerdict
 from ..core.errors import AllanError
 from ..core.findings import prefixed
 from ..core.fit import TERMS, Coefficient
-from ..core.fit.findings import SMALL_DEVIATION
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..io.datasheets import DatasheetComparison
 from ..io.exporters import RAISED, origin_text, target_rows
@@ -235,6 +234,10 @@ def row_unit(sensor: str, term: str, units: str, known: Sequence[Coefficient]) -
     sizes = [c.value if c.status == 'estimated' else c.upper95 for c in known]
     size = max((s for s in sizes if s is not None and math.isfinite(s)), default=0.0)
     return prefixed(shown_unit(sensor, term, units), size)
+
+
+SMALL_DEVIATION = 0.05
+"""Relative deviation of the curve from the model below which it is not stated."""
 
 
 def _deviation(results: Results, axis: str) -> str:

@@ -71,17 +71,9 @@ ROUNDING_SHARE = 0.1
 reported."""
 
 
-SMALL_DEVIATION = 0.05
-"""Relative deviation of the curve from the model below which the finding has severity info."""
-
-
 SLOWEST_VIBRATION = 0.5
 """Frequency in Hz below which sinusoids are not called vibration: buildings and tables resonate
 above it."""
-
-SHORTEST_THERMAL_S = 300.0
-"""Shortest period in s of a cycle that is attributed to heating, air conditioning or temperature
-control."""
 
 FASTEST_VIBRATION = 400.0
 """Sample rate in Hz from which vibration of rotors and engines has no aliases."""
@@ -118,19 +110,13 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
     return step
 
 
-HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
-"""Largest relative distance of a frequency from a multiple of another one, its harmonic, and the
-largest multiple: near a high one lies every frequency."""
-
-
 def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list[Finding]:
     """Return the findings about the fit of one axis; ``tau0`` is the sample period in s."""
     name = (sums.axes[axis],)
     found = []
     if fit.filtered:
         found.append(finding('low_pass', name, frequency=4.0 / (fit.m_min * tau0)))
-    for lines in with_harmonics(fit.processes.sinusoid):
-        found.append(line_finding(name, lines, tau0))
+    found += [line_finding(name, line, tau0) for line in fit.processes.sinusoid]
     for hump in fit.processes.resonance:
         width = 1.0 / (math.pi * hump.correlation_time)
         numbers = {'frequency': hump.frequency, 'width': width, 'amplitude': hump.sigma}
@@ -162,9 +148,8 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
         if fit.lack_of_fit:
             worst = max(fit.lack_of_fit, key=lambda each: abs(math.log(each.ratio)))
             ends = {'low': worst.low, 'high': worst.high}
-            lack = finding('lack_of_fit', (name,), deviation=math.sqrt(worst.ratio) - 1.0, **ends)
-            small = abs(worst.ratio - 1.0) < SMALL_DEVIATION
-            found.append(replace(lack, severity='info') if small else lack)
+            off = math.sqrt(worst.ratio) - 1.0
+            found.append(finding('lack_of_fit', (name,), deviation=off, **ends))
     return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
 
 
@@ -181,31 +166,14 @@ def _process_findings(name: tuple[str], fit: AxisFit) -> list[Finding]:
     return found
 
 
-def with_harmonics(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
-    """Return groups of one sinusoid and its harmonics; the input is sorted by frequency."""
-    groups: list[list[Sinusoid]] = []
-    for line in lines:
-        for group in groups:
-            ratio = line.frequency / group[0].frequency
-            if abs(ratio - round(ratio)) < HARMONIC * ratio and ratio < HIGHEST_HARMONIC:
-                group.append(line)
-                break
-        else:
-            groups.append([line])
-    return groups
-
-
-def line_finding(name: tuple[str], lines: Sequence[Sinusoid], tau0: float) -> Finding:
-    """Return the finding about a sinusoid and its harmonics.
+def line_finding(name: tuple[str], line: Sinusoid, tau0: float) -> Finding:
+    """Return the finding about a sinusoid.
 
     ``name`` contains the axis, ``tau0`` is the sample period in s.
     """
-    line = lines[0]
-    amplitude = math.sqrt(sum(each.amplitude**2 for each in lines))
     if line.frequency < SLOWEST_VIBRATION:
-        thermal = line.frequency * SHORTEST_THERMAL_S < 1.0
-        id = 'slow_cycle' if thermal else 'slow_disturbance'
-        return finding(id, name, period=1.0 / line.frequency, amplitude=amplitude)
+        period = 1.0 / line.frequency
+        return finding('slow_disturbance', name, period=period, amplitude=line.amplitude)
     rate = 1.0 / tau0
     other = rate - line.frequency
     is_other = f'{other:.3g}' != f'{line.frequency:.3g}'
@@ -215,6 +183,5 @@ def line_finding(name: tuple[str], lines: Sequence[Sinusoid], tau0: float) -> Fi
         name,
         frequency=line.frequency,
         alias=other if has_alias else None,
-        harmonics=', '.join(f'{each.frequency:.3g}' for each in lines[1:]) or None,
-        amplitude=amplitude,
+        amplitude=line.amplitude,
     )

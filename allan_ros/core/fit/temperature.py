@@ -22,7 +22,6 @@ from ..noise import gamma_of
 from .likelihood import AxisData, Columns, Fit, LowBand, inverse, profile_interval
 from .method import random_coefficient
 from .model import AxisFit, Coefficient, NoiseModel
-from .selection import GAIN_PROCESS
 from .statistics import Component, Floats, Ints, statistics
 
 TEMPERATURE_RESOLVED = 0.01
@@ -43,7 +42,7 @@ LONGEST_PAUSE_S = 120.0
 
 SLOW = 2.0
 """Blocks per correlation time, or per half period, from which a process may be an effect of the
-temperature; the coefficients of faster ones are held."""
+temperature and is omitted; the coefficients of faster ones are held."""
 
 N, B, K = range(3)
 """Indices of the first components."""
@@ -85,8 +84,8 @@ class TemperatureModel:
     averaging_time : float
         Length of the block means in s.
     measured, corrected : SlowNoise
-        B and K of the block means, without and with the temperature in the model, both without
-        further slow processes. Q and N do not change.
+        B and K of the block means, without and with the temperature in the model. Q and N do not
+        change.
     """
 
     reference: float
@@ -236,26 +235,23 @@ def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Component], 
 
     The coefficients of white noise and fast processes are known from the fit of all data, because
     block means of ``step`` samples cannot resolve them. White noise includes aliases of sinusoids.
+    Slower processes are omitted: they may be effects of the temperature.
     """
     model = fit.model
     white = model.terms.N**2 / tau0
-    free: list[Component] = [('B',), ('K',)]
-    fast: list[tuple[Component, float]] = []
-    for sigma, time in model.gauss_markov:
-        component = ('gauss_markov', time / tau0)
-        if time / tau0 < SLOW * step:
-            fast.append((component, sigma**2))
-        else:
-            free.append(component)
     for amplitude, frequency in model.sinusoids:
         if frequency * tau0 * step * 2.0 * SLOW > 1.0:
             white += 0.25 * amplitude**2 / (step * math.sin(math.pi * frequency * tau0) ** 2)
-        else:
-            free.append(('sinusoid', frequency * tau0))
+    components: list[Component] = [('N',), ('B',), ('K',)]
+    known = [white or math.nan, math.nan, math.nan]
+    for sigma, time in model.gauss_markov:
+        if time / tau0 < SLOW * step:
+            components.append(('gauss_markov', time / tau0))
+            known.append(sigma**2)
     for sigma, frequency, time in model.resonances:
-        fast.append((('resonance', frequency * tau0, time / tau0), sigma**2))
-    components = [('N',), *free, *(component for component, _ in fast)]
-    return components, [white or math.nan, *(math.nan for _ in free), *(v for _, v in fast)]
+        components.append(('resonance', frequency * tau0, time / tau0))
+        known.append(sigma**2)
+    return components, known
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,24 +267,8 @@ class _Contrasts:
     z: Floats  # (contrasts,)
     covariances: Floats  # for unit noise, (components, contrasts, contrasts)
 
-    def fitted(self, basis: Floats, least: float = GAIN_PROCESS) -> _Fitted:
-        """Return the fit of the noise to the part of the contrasts in a basis.
-
-        Slow processes whose gain in -2 log L is below ``least`` are removed.
-        """
-        best = self._fit(basis)
-        for at in reversed(range(K + 1, len(self.components))):
-            if not math.isfinite(self.known[at]):
-                less = best.contrasts._without(at)._fit(basis)
-                best = less if less.fit.value < best.fit.value + least else best
-        return best
-
-    def _without(self, at: int) -> _Contrasts:
-        components = [*self.components[:at], *self.components[at + 1 :]]
-        known, covariances = np.delete(self.known, at), np.delete(self.covariances, at, axis=0)
-        return replace(self, components=components, known=known, covariances=covariances)
-
-    def _fit(self, basis: Floats) -> _Fitted:
+    def fitted(self, basis: Floats) -> tuple[AxisData, Fit]:
+        """Return the part of the contrasts in a basis, and the fit of the noise to it."""
         held = np.isfinite(self.known)
         w = basis.T @ self.z
         data = replace(
@@ -299,33 +279,15 @@ class _Contrasts:
             used=np.ones(held.sum(), bool),
         )
         columns = Columns(np.eye(len(held))[held], [basis.T @ self.covariances @ basis])
-        return _Fitted(self, data, data.solve(self.components, columns))
+        return data, data.solve(self.components, columns)
 
-
-class _Fitted(NamedTuple):
-    """Fit of the noise of one axis."""
-
-    contrasts: _Contrasts
-    data: AxisData
-    fit: Fit
-
-    def slow_noise(self, tau0: float) -> SlowNoise:
-        """Return B and K in SI, with their intervals."""
-        scale, scatter = self.data.scale, self.fit.covariance()
-        found = []
-        for name, at in (('B', B), ('K', K)):
-            interval = profile_interval(self.data, self.fit, at)
-            variances = self.fit.p[at] * scale, scatter[at, at] * scale**2
-            found.append(random_coefficient(name, *variances, interval, scale, tau0))
-        return SlowNoise(*found)
-
-    def regression(self, effects: Floats) -> tuple[Floats, Floats, Floats]:
+    def regression(self, fit: Fit, effects: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the effects by generalized least squares: values, covariance, dof of each.
 
         The covariance and its degrees of freedom contain the errors of the noise (Kenward & Roger,
         Biometrics 53, 1997; Satterthwaite).
         """
-        fit, covariances = self.fit, self.contrasts.covariances
+        covariances = self.covariances
         noise = np.linalg.inv(np.tensordot(fit.p, covariances, 1))
         weighed = noise @ effects
         covariance = inverse(effects.T @ weighed)  # singular with only two temperatures
@@ -337,7 +299,18 @@ class _Fitted(NamedTuple):
         dof = 2.0 * np.diag(covariance) ** 2 / np.maximum(scatter, 1e-300)
         rest = noise - weighed @ gain
         more = np.einsum('kei,kl,lfi->ef', moved @ rest, errors, moved, optimize=True)
-        return gain @ self.contrasts.z, covariance + 2.0 * more, np.clip(dof, 1.0, 1e6)
+        return gain @ self.z, covariance + 2.0 * more, np.clip(dof, 1.0, 1e6)
+
+
+def _slow_noise(data: AxisData, fit: Fit, tau0: float) -> SlowNoise:
+    """Return B and K of a fit in SI, with their intervals."""
+    scale, scatter = data.scale, fit.covariance()
+    found = []
+    for name, at in (('B', B), ('K', K)):
+        interval = profile_interval(data, fit, at)
+        variances = fit.p[at] * scale, scatter[at, at] * scale**2
+        found.append(random_coefficient(name, *variances, interval, scale, tau0))
+    return SlowNoise(*found)
 
 
 def _contrasts(
@@ -366,14 +339,13 @@ def _model(
     from scipy.special import fdtrc, stdtrit  # slow to import
 
     scale, columns = known.data.scale, basis.T @ effects
-    rest = _complement(columns)
-    corrected = known.fitted(rest)
-    value, covariance, dof = corrected.regression(columns)
+    corrected, fit = known.fitted(_complement(columns))
+    value, covariance, dof = known.regression(fit, columns)
     test = value[:2] @ np.linalg.solve(covariance[:2, :2], value[:2]) / 2.0
     value, covariance = value * math.sqrt(scale), covariance * scale
     # the mean of all blocks has white noise of its own, and the errors of the effects
     y, center = blocks.values[:, known.data.axis], effects.mean(axis=0)
-    white = float(corrected.fit.p[N]) * scale / blocks.step
+    white = float(fit.p[N]) * scale / blocks.step
     level = float(y.mean() - center @ value)
     levels = [level, *value]
     variances = [white / len(y) + center @ covariance @ center, *np.diag(covariance)]
@@ -396,6 +368,6 @@ def _model(
         'resolved': bool(fdtrc(2.0, dof[:2].min(), test) < TEMPERATURE_RESOLVED),
         'explained': min(max(1.0 - left / drift, 0.0), 1.0) if drifts else None,
         'averaging_time': blocks.step * tau0,
-        'measured': known.fitted(np.eye(len(columns)), math.inf).slow_noise(tau0),
-        'corrected': known.fitted(rest, math.inf).slow_noise(tau0),
+        'measured': _slow_noise(*known.fitted(np.eye(len(columns))), tau0),
+        'corrected': _slow_noise(corrected, fit, tau0),
     }
