@@ -6,7 +6,7 @@
     python bench/bench_online.py memory 600  memory during 600 s at 4 kHz
 
 CPU is compared within one run with an empty raw subscriber on the same topic, so a busy machine
-changes little. The monitor is measured between two fits, which take 5 % of a core at most.
+changes little. The monitor is measured between two fits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from online_nodes import Client, Process, node
+from online_nodes import EMPTY_SUBSCRIBER, Client, Process, node
 
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
 from allan_ros.io.readers.cdr import encode_imus
@@ -30,19 +30,6 @@ LONGEST_S = 600.0
 MEASURE_S = 20.0
 ONE_FIT = ('estimator.growth:=10.0', 'publish.sums_period:=15.0')
 """Parameters with which the second fit starts after the measurement."""
-EMPTY_SUBSCRIBER = """
-import rclpy
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import Imu
-rclpy.init()
-node = rclpy.create_node('empty')
-qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-node.create_subscription(Imu, 'imu/data', lambda raw: None, qos, raw=True)
-try:
-    rclpy.spin(node)
-except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-    pass
-"""
 BURST, BURST_PERIOD_S, BURSTS = 400, 0.2, 150
 PATIENCE_S = 30.0
 """Time in s to wait for a status that lags behind the messages."""

@@ -23,7 +23,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from online_nodes import Client, Process, node
+from online_nodes import EMPTY_SUBSCRIBER, Client, Process, node
 
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
@@ -38,17 +38,6 @@ SETTLE_S = 2.0
 BURST, BURST_PERIOD_S, BURSTS = 400, 0.2, 50
 SIMULATED = [NoiseTerms(N=1e-4)] * 3
 OUT = 'imu/data_with_covariance'
-
-EMPTY_SUBSCRIBER = """
-import rclpy
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import Imu
-rclpy.init()
-node = rclpy.create_node('empty')
-qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
-node.create_subscription(Imu, 'imu/data', lambda raw: None, qos, raw=True)
-rclpy.spin(node)
-"""
 
 
 class Receiver:

@@ -20,6 +20,21 @@ TICKS = os.sysconf('SC_CLK_TCK')
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 os.environ.setdefault('ROS_DOMAIN_ID', '99')
 
+EMPTY_SUBSCRIBER = """
+import rclpy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+rclpy.init()
+node = rclpy.create_node('empty')
+qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+node.create_subscription(Imu, 'imu/data', lambda raw: None, qos, raw=True)
+try:
+    rclpy.spin(node)
+except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+    pass
+"""
+"""A raw subscriber that does nothing, for comparison."""
+
 
 class Process:
     """A Python process with the arguments ``command``, its CPU time and memory."""

@@ -156,6 +156,24 @@ def test_a_removed_checkpoint_folder_is_made_again(graph, still_imu, tmp_path: P
     assert samples_in(checkpoint) == 3000
 
 
+def test_a_checkpoint_of_another_node_is_reported_and_kept(graph, still_imu, tmp_path: Path):
+    checkpoint = tmp_path / 'sums.json'
+    first = graph.run('accumulator', **{'checkpoint.path': str(checkpoint)})
+    graph.send(graph.publisher(), still_imu(2000))
+    used(graph, 2000)
+    assert graph.call('/allan_accumulator/save').success
+    other = {'__node': 'second', 'imu/data': 'imu/b'}
+    second = graph.run('accumulator', remap=other, **{'checkpoint.path': str(checkpoint)})
+    name = 'second: imu/data input'
+    graph.until(lambda: graph.value(name, 'finding: checkpoint_in_use'))
+    assert graph.status(name).level != OK
+    saved = graph.call('/second/save')
+    assert not saved.success and 'this node saves nothing' in saved.message
+    graph.stop(second)
+    graph.stop(first)
+    assert samples_in(checkpoint) == 2000
+
+
 def test_reset_starts_from_zero_and_keeps_the_previous_sums(graph, still_imu, tmp_path: Path):
     checkpoint = tmp_path / 'sums.json'
     graph.run('accumulator', **{'checkpoint.path': str(checkpoint)})
