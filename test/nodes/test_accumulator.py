@@ -111,6 +111,17 @@ def test_it_publishes_its_sums_and_health(graph, still_imu):
     assert [key for key in keys if f'| `{key}`' not in text and f', `{key}` |' not in text] == []
 
 
+def test_the_first_mean_at_rest_is_published_at_once(graph, still_imu):
+    """After a restart with a checkpoint, the model is known, but not yet the bias."""
+    graph.run('accumulator', **{'publish.sums_period': 3600.0})
+    documents = graph.latched('/allan_accumulator/sums')
+    publisher, batch = graph.publisher(), still_imu(4400)
+    graph.send(publisher, batch[:100])
+    graph.until(lambda: documents and documents[-1]['imu']['axes'] == [*AXES])
+    graph.send(publisher, batch[100:])
+    graph.until(lambda: any(one['end_ns'] for one in documents[-1]['means']))
+
+
 @pytest.mark.parametrize('signals', [[signal.SIGTERM], [signal.SIGINT] * 2])
 def test_a_signal_writes_the_checkpoint(graph, still_imu, tmp_path: Path, signals):
     checkpoint = tmp_path / 'sums.json'
