@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.imu import AXES, ImuBatch
+from allan_ros.core.imu import AXES, ImuBatch, joined
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.io.readers import ReadOptions, open_recordings
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
@@ -68,9 +68,12 @@ def payloads(encoding: Any, n: int = MESSAGES) -> list[bytes]:
 
 
 def write_bag(
-    path: Path, batches: Iterable[ImuBatch], storage: str = 'mcap', compression: str = 'none'
-) -> None:
-    """Write samples to a bag with rosbags.
+    path: Path,
+    batches: Iterable[ImuBatch] | Mapping[str, ImuBatch],
+    storage: str = 'mcap',
+    compression: str = 'none',
+) -> Path:
+    """Write samples of one topic, or of several in the order of their times, with rosbags.
 
     ``storage`` is 'mcap', 'sqlite3' or 'ros1', ``compression`` is 'none', 'storage' (the chunks of
     mcap), 'message' or 'file', or for a ROS 1 bag also 'bz2' or 'lz4'.
@@ -88,15 +91,19 @@ def write_bag(
         store = typesys.Stores.ROS2_JAZZY
         mode = rosbag2.CompressionMode[compression.upper()]
         writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
+    topics = batches if isinstance(batches, Mapping) else {'/imu/data': joined(list(batches))}
     with writer:
-        connection = writer.add_connection(
-            '/imu/data', IMU_TYPE, typestore=typesys.get_typestore(store)
-        )
-        for batch in batches:
+        messages = []
+        for topic, batch in topics.items():
+            link = writer.add_connection(topic, IMU_TYPE, typestore=typesys.get_typestore(store))
             times = batch.stamps_ns if batch.record_ns is None else batch.record_ns
             payloads = encode_imus(batch, 'ros1' if storage == 'ros1' else 'cdr')
-            for time_ns, payload in zip(times.tolist(), payloads):
-                writer.write(connection, time_ns, payload)
+            messages += [(time_ns, link, one) for time_ns, one in zip(times.tolist(), payloads)]
+        if len(topics) > 1:
+            messages.sort(key=lambda message: message[0])
+        for time_ns, link, payload in messages:
+            writer.write(link, time_ns, payload)
+    return path
 
 
 def read_and_check(path: Path, options: ReadOptions = ReadOptions()) -> bool:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.recordings import write_topics
 
 import allan_ros as ar
 from allan_ros.cli.main import main
@@ -17,6 +16,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.io.common import CommonResult
 from allan_ros.io.writing import write_recording
+from fuzz.reading import write_bag
 
 RATE = 100.0
 WHITE = np.array([1e-3] * 3 + [1e-2] * 3)
@@ -78,7 +78,7 @@ def test_files_and_topics_give_the_same_rows(
     names = ['left', 'right', 'top']
     for name, batch in zip(names, three):
         write_recording(tmp_path / f'{name}.npz', [batch])
-    write_topics(tmp_path / 'bag', {f'/{name}': batch for name, batch in zip(names, three)})
+    write_bag(tmp_path / 'bag', {f'/{name}': batch for name, batch in zip(names, three)})
     files = ar.common(*(tmp_path / f'{name}.npz' for name in names))
     topics = ar.common(tmp_path / 'bag')
     assert [row.label for row in files.rows[:3]] == ['left', 'right', 'top']

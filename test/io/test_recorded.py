@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.recordings import write_topics
 
 import allan_ros as ar
 from allan_ros.cli.main import main
@@ -20,6 +19,7 @@ from allan_ros.io.readers import ReadOptions
 from allan_ros.io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
 from allan_ros.io.signal import STATISTICS, SignalEnvelope, summarize_signal
 from allan_ros.io.verdict import used_samples
+from fuzz.reading import write_bag
 
 pytest.importorskip('rosbags')
 
@@ -51,7 +51,7 @@ def read(path: Path, **options: str) -> RecordingSums:
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
 @pytest.mark.parametrize('unused', [0.0, np.nan])
 def test_two_topics_give_the_sums_of_each(tmp_path: Path, storage: str, unused: float) -> None:
-    path = write_topics(tmp_path / 'camera.bag', camera(70.0, unused), storage)
+    path = write_bag(tmp_path / 'camera.bag', camera(70.0, unused), storage)
     both = read(path, **BOTH)
     gyro, accel = read(path, topic=GYRO), read(path, topic=ACCEL)
     assert both.sums == (
@@ -71,7 +71,7 @@ def test_the_other_fields_of_both_topics_are_ignored(tmp_path: Path) -> None:
     clean, disturbed = camera(70.0), camera(70.0)
     disturbed[GYRO].samples[3000:9000, 3:] = np.random.default_rng(4).normal(size=(6000, 3))
     disturbed[ACCEL].samples[2000:, :3] = 7.0
-    paths = [write_topics(tmp_path / n, b) for n, b in (('clean', clean), ('disturbed', disturbed))]
+    paths = [write_bag(tmp_path / n, b) for n, b in (('clean', clean), ('disturbed', disturbed))]
     one, other = (read(path, **BOTH) for path in paths)
     assert one.sums == other.sums
     assert one.provenance.counts == other.provenance.counts
@@ -80,8 +80,8 @@ def test_the_other_fields_of_both_topics_are_ignored(tmp_path: Path) -> None:
 def test_recordings_of_two_topics_are_added(tmp_path: Path) -> None:
     later = START_NS + 100 * 10**9
     paths = [
-        write_topics(tmp_path / 'a', camera(40.0)),
-        write_topics(tmp_path / 'b', {t: b[50:] for t, b in camera(60.0, start_ns=later).items()}),
+        write_bag(tmp_path / 'a', camera(40.0)),
+        write_bag(tmp_path / 'b', {t: b[50:] for t, b in camera(60.0, start_ns=later).items()}),
     ]
     parts = [read(path, **BOTH) for path in paths]
     total = add_recordings(parts)
@@ -89,7 +89,7 @@ def test_recordings_of_two_topics_are_added(tmp_path: Path) -> None:
 
 
 def test_the_results_have_the_noise_of_both(tmp_path: Path) -> None:
-    path = write_topics(tmp_path / 'camera', camera(120.0))
+    path = write_bag(tmp_path / 'camera', camera(120.0))
     results = ar.analyze(path, **BOTH)
     assert tuple(results) == AXES
     for axis in results:
@@ -109,7 +109,7 @@ def test_the_results_have_the_noise_of_both(tmp_path: Path) -> None:
 def test_a_topic_with_one_sensor_names_the_option(
     tmp_path: Path, one: str, other: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = write_topics(tmp_path / 'camera', camera(70.0))
+    path = write_bag(tmp_path / 'camera', camera(70.0))
     (found,) = [f for f in read(path, topic=one).provenance.findings if f.id == 'sensor_elsewhere']
     assert other in found.message
     assert f'--topic {GYRO} --accel-topic {ACCEL}' in found.remedy
@@ -120,15 +120,15 @@ def test_a_topic_with_one_sensor_names_the_option(
 
 def test_the_topic_with_the_most_similar_name_is_suggested(tmp_path: Path) -> None:
     batches = camera(70.0)
-    path = write_topics(tmp_path / 'bag', {'/imu/data': batches[ACCEL], **batches})
+    path = write_bag(tmp_path / 'bag', {'/imu/data': batches[ACCEL], **batches})
     (found,) = [f for f in read(path, topic=GYRO).provenance.findings if f.id == 'sensor_elsewhere']
     assert found.values['accel'] == ACCEL
-    alone = write_topics(tmp_path / 'alone', {GYRO: batches[GYRO]})
+    alone = write_bag(tmp_path / 'alone', {GYRO: batches[GYRO]})
     assert [f.id for f in read(alone).provenance.findings] == ['sensor_all_zero']
 
 
 def test_wrong_topics_are_rejected(tmp_path: Path) -> None:
-    path = write_topics(tmp_path / 'camera', camera(70.0))
+    path = write_bag(tmp_path / 'camera', camera(70.0))
     with pytest.raises(AllanError, match=f'topic {ACCEL}: no static data .* All gyro values'):
         read(path, topic=ACCEL, accel_topic=GYRO)
     with pytest.raises(AllanError, match='has no topic /accel'):

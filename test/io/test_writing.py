@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.recordings import imu_batches, joined, read
+from support.recordings import imu_batches, read
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.imu import ImuBatch
+from allan_ros.core.imu import ImuBatch, joined
 from allan_ros.io.writing import write_recording
 from fuzz.reading import write_bag
 

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,9 +12,8 @@ import numpy as np
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
-from allan_ros.core.imu import ImuBatch
+from allan_ros.core.imu import ImuBatch, joined
 from allan_ros.io.readers import ReadOptions, Recording, open_recordings
-from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 
 START_NS = 1_700_000_000_123_456_789
 
@@ -40,18 +38,6 @@ def imu_batches(n: int = 2000, *, parts: int = 3, frame_id: str = 'imu_link') ->
     whole = ImuBatch(stamps, samples, record, frame_id)
     edges = np.linspace(0, n, parts + 1).astype(int)
     return [whole[start:stop] for start, stop in pairwise(edges)]
-
-
-def joined(batches: Iterable[ImuBatch]) -> ImuBatch:
-    """Return consecutive batches of one frame as one."""
-    batches = list(batches)
-    records = [batch.record_ns for batch in batches if batch.record_ns is not None]
-    return ImuBatch(
-        np.concatenate([batch.stamps_ns for batch in batches]),
-        np.concatenate([batch.samples for batch in batches]),
-        np.concatenate(records) if records else None,
-        batches[0].frame_id,
-    )
 
 
 def read(path: Path, **options: Any) -> Contents:
@@ -87,24 +73,3 @@ def refused(path: Path, **options: Any) -> str:
     assert said.startswith(str(path))
     assert '\n' not in said
     return said
-
-
-def write_topics(path: Path, batches: dict[str, ImuBatch], storage: str = 'mcap') -> Path:
-    """Write a bag with these topics in the order of their stamps."""
-    from rosbags import rosbag1, rosbag2, typesys
-
-    if storage == 'ros1':
-        writer, store = rosbag1.Writer(path), typesys.Stores.ROS1_NOETIC
-    else:
-        plugin = rosbag2.StoragePlugin[storage.upper()]
-        writer = rosbag2.Writer(path, version=8, storage_plugin=plugin)
-        store = typesys.Stores.ROS2_JAZZY
-    with writer:
-        messages = []
-        for topic, batch in batches.items():
-            link = writer.add_connection(topic, IMU_TYPE, typestore=typesys.get_typestore(store))
-            payloads = encode_imus(batch, 'ros1' if storage == 'ros1' else 'cdr')
-            messages += [(t, link, bytes(p)) for t, p in zip(batch.stamps_ns.tolist(), payloads)]
-        for stamp, link, payload in sorted(messages, key=lambda message: message[0]):
-            writer.write(link, stamp, payload)
-    return path

@@ -9,7 +9,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
@@ -118,36 +118,33 @@ def open_storage(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     # If the recorder was killed, a write-ahead log contains the last messages. Without a log, the
     # file is opened as immutable, which also works on read-only media.
     log, shared = (path.with_name(f'{path.name}-{suffix}') for suffix in ('wal', 'shm'))
-    with translated(shown, _LIBRARY_ERRORS, REMEDY):
-        file = open_regular(path)
-    with file:
-        if not (log.is_file() and log.stat().st_size):
-            with _opened(path, shown, 'immutable=1') as storage:
-                yield storage
-        elif shared.is_file():
-            with _opened(path, shown, 'mode=ro') as storage:
-                yield storage
-        else:  # SQLite would create the -shm file and not remove it
-            with tempfile.TemporaryDirectory(prefix='allan_ros.') as folder:
-                with translated(shown, (OSError,), 'check the space for temporary files'):
-                    size = path.stat().st_size + log.stat().st_size
-                    if size > shutil.disk_usage(folder).free:
-                        raise OSError(f'its log requires a temporary copy of {size} bytes')
-                    copy = Path(folder, 'bag.db3')
-                    shutil.copyfile(path, copy)
-                    shutil.copyfile(log, copy.with_name('bag.db3-wal'))
-                with _opened(copy, shown, 'mode=ro') as storage:
-                    yield storage
-
-
-@contextmanager
-def _opened(path: Path, shown: Path, mode: str) -> Iterator[Sqlite3Storage]:
-    with translated(shown, _LIBRARY_ERRORS, REMEDY):
-        connection = sqlite3.connect(
-            f'file:{quote(os.fsencode(path.absolute()))}?{mode}', uri=True, check_same_thread=False
-        )
-    with closing(connection):
+    with ExitStack() as stack:
         with translated(shown, _LIBRARY_ERRORS, REMEDY):
-            size = path.stat().st_size if mode == 'immutable=1' else None
+            size: int | None = os.fstat(stack.enter_context(open_regular(path)).fileno()).st_size
+        mode = 'immutable=1'
+        if log.is_file() and log.stat().st_size:
+            mode, size = 'mode=ro', None
+            if not shared.is_file():  # SQLite would create the -shm file and not remove it
+                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='allan_ros.'))
+                path = _copied(path, log, Path(folder), shown)
+        with translated(shown, _LIBRARY_ERRORS, REMEDY):
+            connection = sqlite3.connect(
+                f'file:{quote(os.fsencode(path.absolute()))}?{mode}',
+                uri=True,
+                check_same_thread=False,
+            )
+            stack.enter_context(closing(connection))
             storage = Sqlite3Storage(shown, connection, size)
         yield storage
+
+
+def _copied(path: Path, log: Path, folder: Path, shown: Path) -> Path:
+    """Copy a database and its log into a folder, and return the path of the copy."""
+    with translated(shown, (OSError,), 'check the space for temporary files'):
+        size = path.stat().st_size + log.stat().st_size
+        if size > shutil.disk_usage(folder).free:
+            raise OSError(f'its log requires a temporary copy of {size} bytes')
+        copy = folder / 'bag.db3'
+        shutil.copyfile(path, copy)
+        shutil.copyfile(log, copy.with_name('bag.db3-wal'))
+    return copy

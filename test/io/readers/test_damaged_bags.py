@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.recordings import imu_batches, joined, outcome, read, refused
+from support.recordings import imu_batches, outcome, read, refused
 
+from allan_ros.core.imu import joined
 from allan_ros.io.readers import topics_of
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from fuzz.hostile_target import KINDS, MAKE, PLACES

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.recordings import imu_batches, joined, outcome, read, refused
+from support.recordings import imu_batches, outcome, read, refused
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.imu import joined
 from allan_ros.io.readers import open_recordings
 from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.io.writing import write_recording
