@@ -29,41 +29,28 @@ def fit_of(**noise):
     return AxisFit({**{t: unseen(1.0) for t in 'QBKR'}, 'N': seen(N), **noise})
 
 
-def test_no_longer_record_is_recommended_for_q_and_r():
-    assert recommended_duration(fit_of(B=seen(1e-5), K=seen(1e-7)), 60.0) is None
+LIMITED = {'B': unseen(5e-5), 'K': unseen(1e-9)}
 
 
-def test_a_limit_that_cannot_matter_needs_no_longer_recording():
-    # at 100 s white noise is N/10 = 1e-5; a B of 1e-6 and a K of 1e-7 are far below it
-    assert recommended_duration(fit_of(B=unseen(1e-6), K=unseen(1e-7)), 60.0) is None
-
-
-def test_a_relevant_limit_gives_a_fixed_length():
-    lengths = {recommended_duration(fit_of(), seconds) for seconds in (60.0, 600.0, HOUR)}
-    assert lengths == {(4 * HOUR, ('B', 'K'))}
-    assert recommended_duration(fit_of(), 5 * HOUR) is None
-
-
-def test_the_length_does_not_depend_on_an_unresolved_estimate():
-    assert recommended_duration(fit_of(K=unseen(1.0, 1e-9)), 60.0) == recommended_duration(
-        fit_of(K=unseen(1.0, 1e-5)), 60.0
-    )
-
-
-def test_datasheet_limits_set_the_length():
-    fit = fit_of(B=unseen(5e-5), K=unseen(1e-9))
-    # 8.5 N/sqrt(T) = 2e-5 at 30 min 6 s
-    assert recommended_duration(fit, 60.0, {'B': 2e-5}) == (HOUR, ('B',))
-    assert recommended_duration(fit, 60.0, {'B': 6e-5}) is None
-    assert (
-        recommended_duration(fit, 60.0, {'B': 1e-9}) is None
-    )  # longer than any recommended duration
-
-
-def test_without_n_a_minute_is_recommended_first():
-    fit = fit_of(N=unseen(1.0))
-    assert recommended_duration(fit, 5.0) == (SECONDS_FOR_N, ('N',))
-    assert recommended_duration(fit, 90.0) is None
+@pytest.mark.parametrize(
+    ('noise', 'seconds', 'limits', 'advice'),
+    [
+        ({'B': seen(1e-5), 'K': seen(1e-7)}, 60.0, {}, None),  # none for Q and R
+        # at 100 s white noise is N/10 = 1e-5; a B of 1e-6 and a K of 1e-7 are far below it
+        ({'B': unseen(1e-6), 'K': unseen(1e-7)}, 60.0, {}, None),
+        *(({}, seconds, {}, (4 * HOUR, ('B', 'K'))) for seconds in (60.0, 600.0, HOUR)),
+        ({}, 5 * HOUR, {}, None),
+        # an estimate that is not resolved has no effect
+        *(({'K': unseen(1.0, k)}, 60.0, {}, (4 * HOUR, ('B', 'K'))) for k in (1e-9, 1e-5)),
+        (LIMITED, 60.0, {'B': 2e-5}, (HOUR, ('B',))),  # 8.5 N/sqrt(T) = 2e-5 at 30 min 6 s
+        (LIMITED, 60.0, {'B': 6e-5}, None),
+        (LIMITED, 60.0, {'B': 1e-9}, None),  # longer than any recommended length
+        ({'N': unseen(1.0)}, 5.0, {}, (SECONDS_FOR_N, ('N',))),
+        ({'N': unseen(1.0)}, 90.0, {}, None),
+    ],
+)
+def test_the_length_follows_from_n_and_the_limits_that_matter(noise, seconds, limits, advice):
+    assert recommended_duration(fit_of(**noise), seconds, limits) == advice
 
 
 def test_the_longest_recommendation_contains_all_terms():

@@ -11,7 +11,7 @@ from allan_ros.core.allan.curve import AllanCurve, chi_squared_limits
 from allan_ros.core.fit.interpretation import dominant_regions, largest_deviation, model_line
 from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient, model_of_terms
 from allan_ros.core.imu import from_datasheet
-from allan_ros.core.noise import NoiseTerms, term_avar
+from allan_ros.core.noise import NoiseTerms, ProcessModel, term_avar
 
 TAU0, TWO_HOURS = 0.01, 720000
 
@@ -118,3 +118,23 @@ def test_only_points_that_are_certain_are_compared_with_the_model():
     for column in (adev, low, high):
         column[10] *= 0.2
     assert largest_deviation(line, curve.axis(0)) == pytest.approx((-0.8, curve.tau[10]))
+
+
+def test_limits_replace_only_terms_that_are_not_resolved():
+    noise = {
+        'N': Coefficient(1e-3, (0.9e-3, 1.1e-3)),
+        'B': Coefficient(1e-4, None, 2e-4, 'likely'),
+        'K': Coefficient(None, None, 3e-5, 'not_observable'),
+        'R': Coefficient(None, status='not_observable'),
+    }
+    model = ProcessModel(NoiseTerms(N=1e-3, B=1e-4, R=2e-9), ((2e-4, 300.0),))
+    fit = AxisFit(noise, model)
+    limits = fit.model_at_limits
+    assert limits.terms == NoiseTerms(N=1e-3, B=2e-4, K=3e-5, R=2e-9)
+    assert limits.gauss_markov == model.gauss_markov
+    assert fit.likely == ('B',)
+
+
+def test_a_model_of_terms_has_the_sign_of_the_ramp():
+    noise = {'N': Coefficient(1e-3), 'B': Coefficient(None), 'R': Coefficient(1e-8, sign=-1)}
+    assert model_of_terms(noise).terms == NoiseTerms(N=1e-3, R=-1e-8)
