@@ -35,6 +35,12 @@ from .node import AllanNode, Part
 from .settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
 
+FIT_SHARE = 0.05
+"""Largest share of the time for which fits may use a CPU core."""
+
+LONGEST_WAIT_S = 20.0
+"""Longest pause in s between two fits that `FIT_SHARE` causes."""
+
 STALE_PERIODS = 3.0
 """Number of periods without sums after which they are reported as missing."""
 
@@ -71,10 +77,10 @@ class ImuEstimate(Part):
         self._failed: Finding | None = None
         self._invalidated: Finding | None = None
         self._faults: tuple[Finding, ...] = ()
-        self._fitting: Future[Results] | None = None
+        self._fitting: Future[tuple[Results, float]] | None = None
         self._outdated = False  # whether the sums of the running fit have been replaced
         self._compared: tuple[Results | None, float, tuple[Comparison, ...]] = None, 0.0, ()
-        self._fit_ended = 0.0
+        self._fit_ended = self._next_fit = 0.0
         self._steps: dict[str, NoiseStep] = {}
         home = home_of(label)
         self._publisher = node.create_publisher(String, f'{home}noise_model', LATCHED)
@@ -108,12 +114,13 @@ class ImuEstimate(Part):
             self._fit_if_due()
             return
         try:
-            self._results = fitting.result()
+            self._results, took = fitting.result()
         except Exception as error:
             self._fail(error)
             return
         self._failed = self._invalidated = None
-        self._fit_ended = now
+        wait = min(took * (1.0 / FIT_SHARE - 1.0), LONGEST_WAIT_S)
+        self._fit_ended, self._next_fit = now, now + wait
         self._publish(self._results)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
@@ -168,10 +175,10 @@ class ImuEstimate(Part):
     # --- fitting ----------------------------------------------------------------------------------
 
     def _fit_if_due(self) -> None:
-        """Start a fit if none is running and the sums have changed enough."""
+        """Start a fit if the sums have changed enough and the last fit was long enough ago."""
         if self._snapshot is None or self._fitting is not None:
             return
-        if self._has_changed(self._snapshot.sums):
+        if time.monotonic() >= self._next_fit and self._has_changed(self._snapshot.sums):
             self._start(self._snapshot.total)
 
     def _has_changed(self, sums: tuple[AllanSums, ...]) -> bool:
@@ -181,9 +188,7 @@ class ImuEstimate(Part):
 
     def _start(self, total: Total) -> None:
         self._fitted, self._outdated = total[0], False
-        self._fitting = self._worker.submit(
-            partial(analyze_sums, *total, self._settings.value.method)
-        )
+        self._fitting = self._worker.submit(partial(_timed_fit, total, self._settings.value.method))
 
     def _fail(self, error: Exception) -> None:
         if not isinstance(error, AllanError):
@@ -195,7 +200,7 @@ class ImuEstimate(Part):
     def _withdraw(self, lost: float) -> None:
         """Invalidate the model because the share ``lost`` of its samples was removed."""
         self._outdated = self._fitting is not None
-        self._fitted, self._failed = (), None
+        self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None
         if results is None:
             return
@@ -274,3 +279,10 @@ class SumsInput(Part):
 
 def _kinds(faults: tuple[Finding, ...]) -> set[tuple[str, tuple[str, ...]]]:
     return {(f.id, f.axes) for f in faults}
+
+
+def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
+    """Return the results of a fit, and its CPU time in s."""
+    began = time.thread_time()
+    results = analyze_sums(*total, method)
+    return results, time.thread_time() - began

@@ -34,11 +34,35 @@ SUMS = '/sums', ['std_msgs/msg/String']
 CACHED_PAGES = 8
 """Number of rendered pages that are kept."""
 
-REQUEST_S = 10.0
-"""Longest time in s for a request; then the connection is closed."""
+MOST_REQUESTS, REQUEST_S = 16, 10.0
+"""Largest number of requests at a time, and longest time in s for one; others are closed."""
 
 STALE_S = 60.0
 """Age in s from which sums are shown as out of date; nodes publish them every 10 s."""
+
+
+class _Server(ThreadingHTTPServer):
+    """Serves each request in a thread, at most `MOST_REQUESTS` at a time."""
+
+    daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self._free = threading.BoundedSemaphore(MOST_REQUESTS)
+        super().__init__(address, handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Start a thread for a request, or close it if there are too many."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Answer a request."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
 
 
 class LivePage:
@@ -53,7 +77,7 @@ class LivePage:
         self._sums: dict[str, tuple[float, str]] = {}  # topic -> time in s and latest document
         self._subscriptions: dict[str, Any] = {}
         try:
-            self._server = ThreadingHTTPServer((HOST, port), _handler_of(self))
+            self._server = _Server((HOST, port), _handler_of(self))
         except OSError as error:
             raise AllanError(
                 f'port {port} cannot be used ({error.strerror}): give another one with --web PORT'

@@ -5,9 +5,12 @@ change."""
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import re
 import socket
+import threading
+import time
 import urllib.request
 from collections.abc import Iterator
 
@@ -24,7 +27,7 @@ from support.node_server import PATIENCE_S
 
 from allan_ros.core.errors import AllanError
 from allan_ros.io.files import to_json
-from allan_ros.nodes.live_page import REFRESH_S, LivePage, _with_age
+from allan_ros.nodes.live_page import MOST_REQUESTS, REFRESH_S, LivePage, _with_age
 from allan_ros.nodes.messages import Snapshot
 
 TOPIC = '/allan_monitor/sums'
@@ -82,6 +85,26 @@ def test_other_hosts_and_unknown_paths_are_rejected(page: LivePage) -> None:
         connection.request('GET', path, headers={'Host': host})
         assert connection.getresponse().status == code
         connection.close()
+
+
+def test_half_requests_do_not_exhaust_the_threads(page: LivePage) -> None:
+    before = threading.active_count()
+    place = ('127.0.0.1', port_of(page))
+    halves = [socket.create_connection(place) for _ in range(2 * MOST_REQUESTS)]
+    for half in halves:
+        with contextlib.suppress(OSError):
+            half.sendall(b'GET / HT')
+    for half in halves[MOST_REQUESTS:]:  # closed by the server
+        with contextlib.suppress(ConnectionError):
+            assert half.recv(1) == b''
+    assert threading.active_count() - before <= MOST_REQUESTS
+    for half in halves:
+        half.close()
+    deadline = time.monotonic() + PATIENCE_S
+    while threading.active_count() > before:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert 'No accumulator' in read(page.address)
 
 
 def test_a_port_in_use_is_one_line(node: Node) -> None:
