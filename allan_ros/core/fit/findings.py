@@ -110,13 +110,19 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
     return step
 
 
+HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
+"""Largest relative distance of a frequency from a multiple of another one, its harmonic, and the
+largest multiple: near a high one lies every frequency."""
+
+
 def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list[Finding]:
     """Return the findings about the fit of one axis; ``tau0`` is the sample period in s."""
     name = (sums.axes[axis],)
     found = []
     if fit.filtered:
         found.append(finding('low_pass', name, frequency=4.0 / (fit.m_min * tau0)))
-    found += [line_finding(name, line, tau0) for line in fit.processes.sinusoid]
+    for lines in with_harmonics(fit.processes.sinusoid):
+        found.append(line_finding(name, lines, tau0))
     for hump in fit.processes.resonance:
         width = 1.0 / (math.pi * hump.correlation_time)
         numbers = {'frequency': hump.frequency, 'width': width, 'amplitude': hump.sigma}
@@ -166,14 +172,30 @@ def _process_findings(name: tuple[str], fit: AxisFit) -> list[Finding]:
     return found
 
 
-def line_finding(name: tuple[str], line: Sinusoid, tau0: float) -> Finding:
-    """Return the finding about a sinusoid.
+def with_harmonics(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
+    """Return groups of one sinusoid and its harmonics; the input is sorted by frequency."""
+    groups: list[list[Sinusoid]] = []
+    for line in lines:
+        for group in groups:
+            ratio = line.frequency / group[0].frequency
+            if abs(ratio - round(ratio)) < HARMONIC * ratio and ratio < HIGHEST_HARMONIC:
+                group.append(line)
+                break
+        else:
+            groups.append([line])
+    return groups
+
+
+def line_finding(name: tuple[str], lines: Sequence[Sinusoid], tau0: float) -> Finding:
+    """Return the finding about a sinusoid and its harmonics.
 
     ``name`` contains the axis, ``tau0`` is the sample period in s.
     """
+    line = lines[0]
+    amplitude = math.sqrt(sum(each.amplitude**2 for each in lines))
     if line.frequency < SLOWEST_VIBRATION:
         period = 1.0 / line.frequency
-        return finding('slow_disturbance', name, period=period, amplitude=line.amplitude)
+        return finding('slow_disturbance', name, period=period, amplitude=amplitude)
     rate = 1.0 / tau0
     other = rate - line.frequency
     is_other = f'{other:.3g}' != f'{line.frequency:.3g}'
@@ -183,5 +205,6 @@ def line_finding(name: tuple[str], line: Sinusoid, tau0: float) -> Finding:
         name,
         frequency=line.frequency,
         alias=other if has_alias else None,
-        amplitude=line.amplitude,
+        harmonics=', '.join(f'{each.frequency:.3g}' for each in lines[1:]) or None,
+        amplitude=amplitude,
     )

@@ -7,7 +7,7 @@ from support.sums import sums_of
 
 from allan_ros.core.findings import finding
 from allan_ros.core.fit import fit_noise
-from allan_ros.core.fit.findings import common_step, line_finding, merge_equal
+from allan_ros.core.fit.findings import common_step, line_finding, merge_equal, with_harmonics
 from allan_ros.core.fit.model import Sinusoid
 
 
@@ -30,7 +30,7 @@ def test_equal_findings_are_joined():
 )
 def test_the_finding_of_a_sinusoid_depends_on_its_frequency(hertz, id, words):
     line = Sinusoid(0.01, (0.009, 0.011), hertz, (hertz, hertz))
-    found = line_finding(('accel_x',), line, 0.01)
+    found = line_finding(('accel_x',), [line], 0.01)
     assert found.id == id and found.message.startswith(words)
 
 
@@ -74,3 +74,16 @@ def test_few_points_of_real_noise_have_no_step_and_cause_no_warning():
         for _ in range(2000):
             phase = np.cumsum(rng.normal(size=rng.integers(5, 40)))
             assert common_step(phase, float(rng.uniform(0.1, 60.0))) is None
+
+
+def test_a_sinusoid_and_its_harmonics_are_one_finding():
+    lines = [Sinusoid(a, (a, a), f, (f, f)) for a, f in ((0.3, 15.0), (0.4, 30.0))]
+    found = line_finding(('accel_x',), lines, 0.01)
+    assert found.values['amplitude'].value == pytest.approx(0.5)
+    assert found.message.startswith('Vibration at 15 Hz') and '30' in found.message
+
+
+def test_a_fast_sinusoid_is_no_harmonic_of_a_slow_one():
+    lines = [Sinusoid(a, (a, a), f, (f, f)) for a, f in ((0.1, 0.224), (20.0, 47.0), (5.0, 94.2))]
+    groups = with_harmonics(lines)
+    assert [len(group) for group in groups] == [1, 2]
