@@ -19,6 +19,7 @@ from typing import Any
 
 from ..api import is_document
 from ..core.errors import AllanError, one_line
+from ..core.fields import plain
 from ..core.findings import SEVERITIES, Finding, by_consequence, finding
 from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
@@ -215,7 +216,7 @@ def _check_document(
         for axis, result in outcome.results.axes.items()
     }
     document['serial'] = outcome.results.identity.hardware_id
-    document |= {'exit_code': code, **verdict.to_document(), 'note': note, 'axes': axes}
+    document |= {'exit_code': code, **plain(verdict), 'note': note, 'axes': axes}
     # a duplicate is not judged, and --fail-on fails a unit, whatever its numbers are
     if code == EXIT_FAILED or note:
         document['level'] = 'failed' if code == EXIT_FAILED else 'unknown'
@@ -374,7 +375,7 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
 def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:
     if outcome.results is None:
         return {'path': outcome.unit.path, 'name': outcome.unit.name, 'error': outcome.error}
-    verdict = verdict_of(outcome.results, units=units).to_document()
+    verdict = plain(verdict_of(outcome.results, units))
     results = results_to_document(outcome.results, curves=False)
     named = {'path': outcome.unit.path, 'name': outcome.unit.name}
     return {**named, 'verdict': verdict, 'results': results}

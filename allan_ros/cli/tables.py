@@ -32,6 +32,7 @@ from ..io.verdict import (
     Verdict,
     finding_text,
     findings_and_notes,
+    further_steps,
     headline,
     too_short,
 )
@@ -180,9 +181,7 @@ def findings_lines(
 
 def _step_lines(results: Results, verdict: Verdict, columns: int) -> Iterator[str]:
     """Yield the next steps that are not remedies of findings."""
-    remedies = tuple(each.remedy.rstrip('.') for each in results.findings)
-    steps = [step for step in verdict.next_steps if not (remedies and step.startswith(remedies))]
-    for i, step in enumerate(steps[:MOST_STEPS]):
+    for i, step in enumerate(further_steps(results, verdict)[:MOST_STEPS]):
         if i == 0:
             yield ''
         yield from wrapped(f'{"next:" if i == 0 else "     "} {step}', columns, ' ' * 6)

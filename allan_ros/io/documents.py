@@ -65,6 +65,10 @@ SIGNED = (
 )
 """Keys of numbers that may be negative."""
 
+FIT = ('model', 'm_min', 'filtered', 'gof_z', 'lack_of_fit')
+AXIS = ('rounding', 'turn_on', 'temperature', 'growth')
+"""Fields of a fit and of an axis that have the same name in results.json."""
+
 NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
 """Field of a dataclass -> its key in results.json, where these differ."""
 
@@ -77,7 +81,7 @@ def results_to_document(
     Without ``curves``, the curves and the verdict are left out, which gives a short document.
     ``units`` ('deg/h' or 'SI') are the units in the texts of the verdict; numbers are in SI.
     """
-    judged = {'verdict': verdict_of(results, units=units).to_document()} if curves else {}
+    judged = {'verdict': plain(verdict_of(results, units))} if curves else {}
     return {
         'schema': RESULTS_SCHEMA,
         'tool': TOOL,
@@ -339,17 +343,10 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'unit': unit['B'],
         'tau0_s': axis.tau0,
         'noise': {t: {**plain(fit.noise[t]), 'unit': unit[t]} for t in TERMS},
-        'model': plain(fit.model),
-        'm_min': fit.m_min,
-        'filtered': fit.filtered,
-        'gof_z': plain(fit.gof_z),
-        'lack_of_fit': plain(fit.lack_of_fit),
+        **{name: plain(getattr(fit, name)) for name in FIT},
         'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
         'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
-        'rounding': plain(axis.rounding),
-        'turn_on': plain(axis.turn_on),
-        'temperature': plain(axis.temperature),
-        'growth': plain(axis.growth),
+        **{name: plain(getattr(axis, name)) for name in AXIS},
         'processes': plain(fit.processes, NAMES),
         'deviation': plain(fit.deviation),
         'reading': plain(axis.regions),

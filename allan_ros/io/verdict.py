@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 from ..core.compare import Comparison
 from ..core.findings import Finding, by_consequence, duration_text, grouped, is_note
@@ -64,10 +64,6 @@ class Verdict:
     summary: str
     reasons: tuple[str, ...]
     next_steps: tuple[str, ...]
-
-    def to_document(self) -> dict[str, Any]:
-        """Return the verdict as a JSON object, as in results.json."""
-        return asdict(self)
 
 
 def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
@@ -238,6 +234,12 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
         yield 'Compare with a datasheet (--sensor NAME) or an earlier run (--baseline FILE).'
     if level in ('healthy', 'attention', 'measured'):
         yield 'Write a file for a filter: allan export FOLDER --to openvins.'
+
+
+def further_steps(results: Results, verdict: Verdict) -> list[str]:
+    """Return the next steps of a verdict that are not remedies of its findings."""
+    remedies = tuple(r for f in results.findings if (r := f.remedy.rstrip('.')))
+    return [step for step in verdict.next_steps if not step.startswith(remedies)]
 
 
 def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:

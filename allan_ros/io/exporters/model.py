@@ -99,6 +99,8 @@ class FilterNoise:
         Longest integration time in s over which N and K describe the error growth.
     bias : mapping of axis name to float
         Bias at rest in SI, of axes of which it is known.
+    used : dict of axis name to Reduction
+        The reduced-order models whose N and K are written to the file.
     """
 
     def __init__(
@@ -127,7 +129,7 @@ class FilterNoise:
         elif target.rate_hz:
             self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
         self.horizon = options.horizon or target.horizon_s
-        self._reductions: dict[tuple[str, States], Reduction] = {}
+        self.used: dict[str, Reduction] = {}
 
     def rows(self) -> list[Row]:
         """Return the rows of the file."""
@@ -244,13 +246,9 @@ class FilterNoise:
         result, key = self.results.axes[axis], (states, self.horizon)
         if key not in result.reductions:
             result.reductions[key] = reduce_axis(axis, result.fit, *key)
-        self._reductions[axis, states] = result.reductions[key]
+        if states == 'walk':
+            self.used[axis] = result.reductions[key]
         return result.reductions[key]
-
-    @property
-    def used(self) -> dict[str, Reduction]:
-        """Axis -> reduced-order model whose N and K are written to the file."""
-        return {axis: r for (axis, states), r in self._reductions.items() if states == 'walk'}
 
     def findings(self) -> list[Finding]:
         """Return a warning that names the axes whose error growth N and K cannot describe."""

@@ -34,6 +34,7 @@ from ..verdict import (
     WORDS,
     Verdict,
     findings_and_notes,
+    further_steps,
     too_short,
     used_samples,
     verdict_of,
@@ -105,7 +106,7 @@ def render_report(
         '<div class="pair">',
         f'<section id="filter"><h2>Numbers for a filter: imu.yaml</h2>{filter_table(results)}'
         '</section>',
-        *_next_steps(results, verdict, units),
+        *_next_steps(results, verdict),
         '</div>',
         *_findings_section(results),
     ]
@@ -220,11 +221,8 @@ def _verdict_section(results: Results, verdict: Verdict) -> str:
     )
 
 
-def _next_steps(results: Results, verdict: Verdict, units: str) -> Iterator[str]:
-    """Yield the next steps that the findings do not contain."""
-    remedies = tuple(r for f in results.findings if (r := f.texts(units).remedy.rstrip('.')))
-    steps = [step for step in verdict.next_steps if not step.startswith(remedies)]
-    if steps:
+def _next_steps(results: Results, verdict: Verdict) -> Iterator[str]:
+    if steps := further_steps(results, verdict):
         yield f'<section id="next"><h2>What to do next</h2><ol>{_items(steps)}</ol></section>'
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
-from support.exports import warmed, with_coefficient
+from support.exports import with_coefficient
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import finding
@@ -28,20 +28,14 @@ BARE = ExportOptions(fidelity='coefficients')
 
 
 @pytest.fixture
-def results(small_results: Results) -> Results:
-    """Return results with levels that are easy to distinguish."""
-    known = small_results
-    for i, axis in enumerate(known.axes):
-        n, k = 1e-4 * (i + 1), 1e-6 * (i + 1)
-        known = with_coefficient(known, axis, 'N', Coefficient(n, (0.9 * n, 1.1 * n)))
-        known = with_coefficient(known, axis, 'K', Coefficient(k, (0.9 * k, 1.1 * k)))
-    return warmed(known)
+def results(known_results: Results) -> Results:
+    return known_results
 
 
 def test_inflation_multiplies_the_worst_axis_and_a_topic_is_named(results: Results) -> None:
     options = ExportOptions(10.0, topic='/imu7', fidelity='coefficients')
     read = yaml.safe_load(make_export(results, 'kalibr', options).text)
-    assert read['gyroscope_noise_density'] == pytest.approx(10.0 * 3e-4, rel=1e-5)
+    assert read['gyroscope_noise_density'] == pytest.approx(10.0 * 1e-3, rel=1e-5)
     assert read['rostopic'] == '/imu7'
 
 
@@ -97,7 +91,7 @@ def test_rows_have_names_units_and_intervals(results: Results) -> None:
     rows = {row.name: row for row in target_rows(results, 'fast_lio', BARE)}
     assert list(rows) == [f'mapping.{name}_cov' for name in ('gyr', 'acc', 'b_gyr', 'b_acc')]
     gyro = rows['mapping.gyr_cov']
-    assert gyro.values == (pytest.approx(3e-4**2 * 50.0),)
+    assert gyro.values == (pytest.approx(1e-3**2 * 200.0),)
     assert gyro.interval == pytest.approx((0.81 * gyro.value, 1.21 * gyro.value))
     assert gyro.unit == '(rad/s)^2'
     for target in TARGETS:
