@@ -196,6 +196,7 @@ def compare(
     *sources: Results | str | os.PathLike[str],
     sensor: str | Sequence[str] = (),
     margin: float = MARGIN,
+    within: float = 0.0,
     method: str = 'likelihood',
     observer: Observer = Silent(),
 ) -> RunComparison:
@@ -212,6 +213,8 @@ def compare(
     margin : float
         A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above it
         by this fraction.
+    within : float
+        Also test whether the coefficients are the same up to this fraction; 0 for no such test.
     method : str
         Method of the fit of sums and recordings, as in `analyze`; results are not fitted again.
     observer : Observer
@@ -221,7 +224,8 @@ def compare(
     -------
     RunComparison
         The differences of each recording from the first one (``pairs``), the comparisons with
-        the datasheets (``datasheets``), and whether any of them is significant (``differs``).
+        the datasheets (``datasheets``), and whether any of them is significant (``differs``); with
+        ``within``, whether the recordings are the same up to this fraction (``equivalent``).
 
     Raises
     ------
@@ -237,6 +241,7 @@ def compare(
     True
     """
     ResultSettings(method=method, margin=margin)  # checks them before recordings are read
+    check_range(0.0, 10.0, within=within)
     expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
     sensors = [sensor] if isinstance(sensor, PATH) else sensor
     sheets = [load_sensor(str(name)) for name in sensors]
@@ -249,7 +254,7 @@ def compare(
     from .io.comparison import Subject, compare_runs
 
     runs = (results_of(source, method, observer) for source in sources)
-    return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin)
+    return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin, within)
 
 
 @public

@@ -8,6 +8,7 @@ to recordings and sums; a results.json is not fitted again.
 
   allan compare monday tuesday
   allan compare results sensor:adis16475-3 --fail-on-difference
+  allan compare reference today --within 5% --fail-on-difference
   allan compare left.mcap right.mcap top.mcap --common
 """
 
@@ -45,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
         *(text for text in args.inputs if text not in sheets),
         sensor=[text[len(SENSOR_PREFIX) :] for text in sheets],
         margin=args.margin,
+        within=args.within or 0.0,
         method=args.method,
         observer=console,
     )
@@ -64,9 +66,11 @@ def _show(console: Console, text: str, document: Mapping[str, Any]) -> None:
 def _common(args: argparse.Namespace, console: Console) -> int:
     """Print the noise that the IMUs have in common; return the exit code."""
     default = ResultSettings()
-    if args.fail_on_difference or (args.margin, args.method) != (default.margin, default.method):
+    judged = args.within or args.fail_on_difference or args.margin != default.margin
+    if judged or args.method != default.method:
         raise AllanError(
-            '--common judges and fits nothing: omit --fail-on-difference, --margin and --method'
+            '--common judges and fits nothing: omit --within, --fail-on-difference, --margin and '
+            '--method'
         )
     for text in args.inputs:
         if text.startswith(SENSOR_PREFIX) or api.is_document(text):
@@ -100,12 +104,13 @@ increase as a factor, and the ratio of the Allan deviations.
 
 COMPARE_OPTIONS = f"""
 inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
+--within PERCENT  also test whether the coefficients are the same up to this, such as 5%%
 --common  separate the noise that IMUs on one body have in common (vibration) from the noise of
     each; the inputs are recordings made at the same time, or a bag with several Imu topics
 --topic TOPIC []  with --common: Imu topic, if a bag has several (default: all of them are IMUs)
 --accel-topic TOPIC []  with --common: topic of the accelerometer, if the gyro has another topic
 --fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a
-    datasheet is exceeded
+    datasheet is exceeded; with --within, if N is not shown to be the same, or another term differs
 """
 
 INFLATE_OPTIONS = """

@@ -52,6 +52,18 @@ def _terms(text: str) -> dict[str, float]:
         raise argparse.ArgumentTypeError(f'{text!r}: write terms as N=0.3,B=7') from None
 
 
+def _percent(text: str) -> float:
+    """Parse ``5%`` or ``0.05`` to the fraction 0.05; a number above 1 needs the sign."""
+    number, sign, rest = text.partition('%')
+    try:
+        fraction = float(number) / (100.0 if sign else 1.0)
+        if rest or not (sign or fraction <= 1.0):
+            raise ValueError
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text!r}: write a percentage such as 5%') from None
+    return fraction
+
+
 TIME_UNITS = {'': 1.0, 's': 1.0, 'm': 60.0, 'min': 60.0, 'h': 3600.0, 'd': 86400.0}
 """Unit of a time on the command line -> s."""
 
@@ -70,6 +82,7 @@ def _seconds(text: str) -> float:
 TYPES: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(('HZ', 'HOURS'), float),
     'SECONDS': _seconds,
+    'PERCENT': _percent,
     'N': int,
     'N=..,B=..': _terms,
 }
@@ -160,6 +173,8 @@ def add_settings(
         metavar = 'A,B,..' if isinstance(default, tuple) else 'NUMBER'
         if isinstance(default, str):
             metavar = 'TEXT'
+        if info.percent and isinstance(default, float):
+            metavar, word = 'PERCENT', f'{100.0 * default:g}%%'
         if info.choices:
             metavar = f'{{{",".join(filter(None, info.choices))}}}'
         group.add_argument(
@@ -186,6 +201,8 @@ def _parser_of(info: ParameterInfo, default: object) -> Callable[[str], Any]:
         return _words
     if info.auto:
         return lambda text: AUTO if text == 'auto' else _seconds(text)
+    if info.percent:
+        return _percent
     return _seconds if info.unit == 's' else type(default)
 
 

@@ -63,6 +63,12 @@ Change = Literal['higher', 'lower', 'alike', 'undecided']
 """The second recording is significantly higher, significantly lower or not significantly different,
 or the test is impossible or inconclusive."""
 
+Equivalence = Literal['same', 'different', 'undecided']
+"""The same up to a stated fraction, different by more than that, or undecided."""
+
+Z_90 = 1.6449
+"""Normal quantile of a one-sided test at 5 %, half the width of a 90 % interval."""
+
 Floats = NDArray[np.float64]
 
 Estimate = tuple[float, float, float]
@@ -163,6 +169,23 @@ class Difference:
         """
         low, high = self.ci95 or (1.0, 1.0)
         return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
+
+    def equivalence(self, within: float) -> Equivalence:
+        """Return whether both recordings have the same value up to the fraction ``within``.
+
+        'same' if the 90 % interval of the ratio lies between 1 / (1 + within) and 1 + within. These
+        are two one-sided tests at 5 % (Schuirmann, J. Pharmacokin. Biopharm. 15, 1987): if the true
+        ratio is at a limit, the result is 'same' with a probability of at most 5 %. 'different' if
+        the interval lies beyond one of them, else 'undecided'.
+        """
+        if self.ratio is None or self.ci95 is None:
+            return 'undecided'
+        limit, center = math.log1p(within), math.log(self.ratio)
+        ends = (math.log(end) if end > 0.0 else -math.inf for end in self.ci95)
+        low, high = (center + (end - center) * Z_90 / Z_95 for end in ends)
+        if -limit < low and high < limit:
+            return 'same'
+        return 'different' if low > limit or high < -limit else 'undecided'
 
     def against(self, reference: str, margin: float) -> Comparison | None:
         """Compare the second recording with the value of the first one, which is used as a limit.

@@ -32,6 +32,8 @@ class ParameterInfo:
     read_only: bool = False
     auto: bool = False
     """Whether the text 'auto' may be given instead of a number; it is stored as `AUTO`."""
+    percent: bool = False
+    """Whether the command line takes a percentage, such as 20%, for this fraction."""
     off: str = ''
     """Help text of the command-line option that turns the setting off; '' if there is none."""
 

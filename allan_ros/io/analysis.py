@@ -83,6 +83,7 @@ class ResultSettings(CheckedSettings):
         'above it by this fraction.',
         low=0.0,
         high=1.0,
+        percent=True,
     )
 
     def __post_init__(self) -> None:

@@ -76,25 +76,46 @@ class RunComparison:
     pairs: tuple[Pair, ...]
     checked: tuple[Checked, ...] = ()
     family_error: float = FAMILY_ERROR
+    within: float = 0.0  # fraction for the tests of equivalence; 0 for none
 
     def __repr__(self) -> str:
-        pairs = (_sentence(pair, self.family_error) for pair in self.pairs)
+        pairs = [_sentence(pair, self.family_error) for pair in self.pairs]
+        if self.within:
+            pairs += [_equivalence_sentence(pair, self.within) for pair in self.pairs]
         return '\n'.join([*pairs, *map(_datasheet_sentence, self.checked)])
 
     @property
+    def equivalent(self) -> bool:
+        """Whether N of all axes is the same up to ``within``, and no other term is different."""
+        results = (
+            (d.quantity, d.equivalence(self.within))
+            for pair in self.pairs
+            for d in pair.differences
+            if d.tau is None
+        )
+        return all(r == 'same' or (r == 'undecided' and term != 'N') for term, r in results)
+
+    @property
     def differs(self) -> bool:
-        """Whether any difference is significant, or a limit of a datasheet is exceeded."""
+        """Whether any difference is significant, or a limit of a datasheet is exceeded.
+
+        With ``within``, equality up to this fraction is required instead.
+        """
         if any(one.datasheet.verdict == 'exceeds' for one in self.checked):
             return True
-        return any(pair.significant for pair in self.pairs)
+        return not self.equivalent if self.within else any(p.significant for p in self.pairs)
 
 
 def compare_runs(
-    runs: Sequence[Subject], datasheets: Sequence[Datasheet] = (), margin: float = 0.0
+    runs: Sequence[Subject],
+    datasheets: Sequence[Datasheet] = (),
+    margin: float = 0.0,
+    within: float = 0.0,
 ) -> RunComparison:
     """Compare each recording with the first one, and every recording with each datasheet.
 
-    A limit of a datasheet is exceeded if the 95 % interval is completely above
+    With ``within``, the comparison also tests whether the coefficients are the same up to this
+    fraction. A limit of a datasheet is exceeded if the 95 % interval is completely above
     limit * (1 + ``margin``). Raises AllanError when two recordings have no common axis.
     """
     first, *others = runs
@@ -112,20 +133,25 @@ def compare_runs(
         for run in runs
         if (known := run.results.against_datasheet(sheet, margin).datasheet)
     )
-    return RunComparison(tuple(runs), tuple(pairs), tuple(checked))
+    return RunComparison(tuple(runs), tuple(pairs), tuple(checked), within=within)
 
 
 def comparison_document(comparison: RunComparison) -> dict[str, Any]:
     """Return the comparison as a JSON object of the schema ``allan_ros/comparison/1``, in SI."""
+    pairs = plain(comparison.pairs, {'tau': 'tau_s'})
+    for pair, found in zip(comparison.pairs, pairs) if comparison.within else ():
+        for d, one in zip(pair.differences, found['differences']):
+            one['equivalence'] = d.equivalence(comparison.within)
     return {
         'schema': SCHEMA,
         'family_error': comparison.family_error,
+        'within': comparison.within or None,
         'differs': comparison.differs,
         'runs': [
             {'label': run.label, 'results': results_to_document(run.results, curves=False)}
             for run in comparison.runs
         ],
-        'pairs': plain(comparison.pairs, {'tau': 'tau_s'}),
+        'pairs': pairs,
         'datasheets': [
             {
                 'run': one.label,
@@ -184,6 +210,23 @@ def _sentence(pair: Pair, family_error: float) -> str:
     return (
         f'{pair.second} differs from {pair.first} in {len(found)} of {len(pair.differences)} '
         f'comparisons, most in {quantity_text(largest)}: {ratio_text(largest)} times'
+    )
+
+
+def _equivalence_sentence(pair: Pair, within: float) -> str:
+    found: dict[str, dict[str, list[str]]] = {'same': {}, 'different': {}, 'undecided': {}}
+    for d in pair.differences:
+        if d.tau is None and d.p is not None:
+            terms = found[d.equivalence(within)]
+            terms.setdefault(d.quantity, []).append(d.axis.replace('_', ' '))
+    texts = (
+        '; '.join(f'{term} of {", ".join(axes)}' for term, axes in terms.items())
+        for terms in found.values()
+    )
+    same, different, undecided = (text or 'no term' for text in texts)
+    return (
+        f'{pair.second} is the same as {pair.first} to {100.0 * within:g} % in {same}; it differs '
+        f'by more in {different}; undecided, because the intervals are too wide: {undecided}'
     )
 
 

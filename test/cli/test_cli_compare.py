@@ -94,3 +94,20 @@ def test_one_datasheet_is_shown_with_its_sources(capsys) -> None:
     assert main(['sensors', '--json']) == 0
     assert shown in json.loads(capsys.readouterr().out)['sensors']
     assert main(['sensors', 'adis16475']) == 1
+
+
+def test_equality_is_answered_and_sets_the_exit_code(
+    analyzed: Path, recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pair = ['compare', str(analyzed), str(recording), '--fail-on-difference']
+    assert main([*pair, '--within', '20%']) == 0
+    assert f'{recording.stem} is the same as {analyzed.name} to 20 % in' in capsys.readouterr().out
+    assert main([*pair, '--within', '0.01%', '--json']) == 3
+    document = json.loads(capsys.readouterr().out)
+    assert document['within'] == pytest.approx(1e-4)
+    assert document['pairs'][0]['differences'][0]['equivalence'] == 'undecided'
+    assert main([*pair, '--within', '0.2', '--margin', '30%']) == 0
+    for wrong in (['--within', '5'], ['--margin', '5'], ['--margin', '5%%'], ['--within', 'x%']):
+        with pytest.raises(SystemExit):
+            main([*pair, *wrong])
+        assert 'write a percentage such as 5%' in capsys.readouterr().err

@@ -177,3 +177,19 @@ def test_an_earlier_run_is_exceeded_only_significantly_and_by_the_margin(second,
 )
 def test_verdicts_at_a_limit_of_one_and_a_margin_of_a_fifth(coefficient, expected):
     assert verdict(coefficient, 1.0, 0.2) == expected
+
+
+@pytest.mark.parametrize(
+    ('ratio', 'ci95', 'answer'),
+    [
+        (1.0, (0.97, 1.03), 'same'),
+        (1.03, (1.01, 1.051), 'same'),  # the 90 % interval ends at 1.0476
+        (1.04, (1.02, 1.06), 'undecided'),
+        (1.1, (1.06, 1.14), 'different'),
+        (1.0 / 1.1, (1.0 / 1.14, 1.0 / 1.06), 'different'),
+        (None, (0.0, 1.01), 'undecided'),
+    ],
+)
+def test_equality_up_to_a_fraction_is_tested_from_both_sides(ratio, ci95, answer):
+    d = Difference('gyro_x', 'N', None, 1.0, ratio, ci95, 0.5)
+    assert d.equivalence(0.05) == answer
