@@ -267,8 +267,9 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     Parameters
     ----------
     *sources : path, DataFrame, mapping of columns, or ImuBatch
-        One recording of each IMU, or a bag whose Imu topics are the IMUs. In the output, the names
-        of the IMUs are the paths or topics, or A, B, C ...
+        One recording of each IMU, or a bag whose Imu topics are the IMUs. The axes of a single IMU
+        are compared with each other. In the output, the names of the IMUs are the paths or topics,
+        or A, B, C ...
     rate : float
         Sample rate in Hz, as in `analyze`.
     **options
@@ -312,8 +313,8 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
         for topic in topics if len(topics) > 1 else [reading.topic]:
             name = topic if topics[1:] and len(sources) == 1 else f'{label} {topic}'.strip()
             recordings[name] = ReadJob(path, replace(reading, topic=topic)).open()
-    if len(recordings) < 2:
-        raise AllanError(f'{len(recordings)} IMUs: give a recording of each of two or more')
+    if not recordings:
+        raise AllanError('no recording is given: give one of each IMU')
     return common_of(recordings, settings)
 
 

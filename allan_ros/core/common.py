@@ -62,22 +62,22 @@ class CommonNoise:
     Attributes
     ----------
     axis : str
-        Name of the axis, such as 'gyro_x'.
+        Name of the axis, such as 'gyro_x'; of two axes, if the axes of one IMU are compared.
     label : str
         Name of the IMU.
     coherence : Coherence
-        Correlation of the Allan differences with the mean of the other IMUs: 0 for independent
-        noise, 1 for common noise.
+        Correlation of the Allan differences with the mean of the other IMUs, or of two axes: 0 for
+        independent noise, 1 for common noise.
     measured, own : Coefficient or None
         N in SI of all noise, and without the noise that all IMUs measure equally. With two IMUs,
-        ``own`` is the root mean square of both. None if the samples are constant.
+        ``own`` is the root mean square of both. None if two axes are compared.
     """
 
     axis: str
     label: str
     coherence: Coherence
-    measured: Coefficient | None
-    own: Coefficient | None
+    measured: Coefficient | None = None
+    own: Coefficient | None = None
 
 
 class Samples(NamedTuple):
@@ -99,6 +99,17 @@ def common_noise(axis: str, imus: Sequence[Samples], labels: Sequence[str]) -> l
         coherence = _coherence(*covariance, this, others)
         found.append(CommonNoise(axis, label, coherence, noise[i], noise[number + i]))
     return found
+
+
+def common_of_axes(
+    axes: Sequence[str], samples: Sequence[Samples], label: str
+) -> list[CommonNoise]:
+    """Return the coherence of each two axes of one IMU; raise AllanError for too few samples."""
+    covariance, unit = _allan_covariance(_sums(axes[0], samples), len(axes)), np.eye(len(axes))
+    return [
+        CommonNoise(f'{axes[i]} {axes[j]}', label, _coherence(*covariance, unit[i], unit[j]))
+        for i, j in combinations(range(len(axes)), 2)
+    ]
 
 
 def aligned(sensors: Sequence[Samples]) -> list[Samples]:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise that several IMUs have in common: from recordings to a table."""
+"""Noise that several IMUs, or the axes of one IMU, have in common: from recordings to a table."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..core.common import CommonNoise, Samples, common_noise
+from ..core.common import CommonNoise, Samples, common_noise, common_of_axes
 from ..core.errors import AllanError
 from ..core.fields import plain
-from ..core.imu import AXES
+from ..core.imu import AXES, SENSORS, sensor_of
 from ..core.settings import SegmenterSettings
 from ..core.stream.pipeline import ImuStream
 from .analysis import one_thread
@@ -29,9 +29,10 @@ NEAR = 1.5
 
 @dataclass(frozen=True)
 class CommonResult:
-    """The common and the own noise of several IMUs on one body.
+    """The common and the own noise of several IMUs on one body, or of the axes of one IMU.
 
-    Printed, it is a table. ``rows`` has a `CommonNoise` for each axis and IMU.
+    Printed, it is a table. ``rows`` has a `CommonNoise` for each axis and IMU, or for each two axes
+    of a single IMU.
     """
 
     rows: tuple[CommonNoise, ...]
@@ -42,6 +43,12 @@ class CommonResult:
     def document(self) -> dict[str, Any]:
         """Return the result as a JSON object of the schema ``allan_ros/common/1``, in SI."""
         return {'schema': 'allan_ros/common/1', 'rows': plain(self.rows)}
+
+    def plot(self) -> Any:
+        """Return a matplotlib Figure of the coherence over the averaging time."""
+        from .plots import common_figure
+
+        return common_figure(self)
 
 
 @one_thread()
@@ -63,14 +70,19 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
     rows: list[CommonNoise] = []
     labels = list(recordings)
     axes = [axis for axis in AXES if all(axis in samples for samples in known)]
-    for axis in axes:
-        rows += common_noise(axis, [samples[axis] for samples in known], labels)
+    if len(known) > 1:
+        for axis in axes:
+            rows += common_noise(axis, [samples[axis] for samples in known], labels)
+    for sensor in SENSORS if len(known) == 1 else ():
+        own = [axis for axis in axes if sensor_of(axis) == sensor]
+        if len(own) > 1:
+            rows += common_of_axes(own, [known[0][axis] for axis in own], labels[0])
     if not rows:
         found = (
             f'{label} has {", ".join(samples) or "none"}' for label, samples in zip(labels, known)
         )
         raise AllanError(
-            f'no common axis: of data at rest, {"; ".join(found)}: choose topics with '
+            f'no two axes to compare: of data at rest, {"; ".join(found)}: choose topics with '
             '--topic and --accel-topic, or record longer'
         )
     return CommonResult(tuple(rows))
@@ -79,11 +91,13 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
 def common_lines(common: CommonResult, units: str = 'deg/h') -> Iterator[str]:
     """Yield the lines of a table: N as measured, N without common noise, and the coherence."""
     shown = [tau for tau in SHOWN_TAU_S if any(_text(row, tau) for row in common.rows)]
+    has_noise = any(row.measured or row.own for row in common.rows)
     own = 'own N' if len({row.label for row in common.rows}) > 2 else 'own N, mean of both'
-    table = [['axis', 'IMU', 'N', own, '', *(f'coherence at {tau:g} s' for tau in shown)]]
+    noise = ['N', own, ''] if has_noise else []
+    table = [['axis', 'IMU', *noise, *(f'coherence at {tau:g} s' for tau in shown)]]
     for row in common.rows:
         unit = shown_unit(row.axis, 'N', units)
-        cells = [row.axis, row.label, '', '', '']
+        cells = [row.axis, row.label, *([''] * len(noise))]
         if row.measured is not None:
             cells[2] = f'{value_text(row.measured, unit)} {unit.name}'
         if row.own is not None:

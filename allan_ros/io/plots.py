@@ -35,6 +35,7 @@ except ImportError as error:
     ) from None
 
 if TYPE_CHECKING:
+    from .common import CommonResult
     from .results import Results
 
 RC: dict[str, Any] = {
@@ -119,6 +120,24 @@ def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure
             _draw_axis(panel, name, axis, units)
             if panel.lines:
                 panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def common_figure(common: CommonResult) -> Figure:
+    """Return the coherence of each axis with 95 % limits, in a panel for each axis."""
+    names = list(dict.fromkeys(row.axis for row in common.rows))
+    with rc_context(RC):
+        title = 'coherence: 0 for independent, 1 for common noise'
+        figure, panels = _new_figure(len(names), title)
+        for panel, name in zip(panels, names):
+            panel.set(xscale='log', ylim=(-1.05, 1.05), ylabel=name.replace('_', ' '))
+            panel.axhline(0.0, color='k', lw=0.8)
+            for row in (row for row in common.rows if row.axis == name):
+                tau, value, low, high = row.coherence
+                (line,) = panel.plot(tau, value, lw=1.0, label=row.label)
+                panel.fill_between(tau, low, high, color=line.get_color(), alpha=BAND_ALPHA, lw=0)
+        for text in panels[0].legend().get_texts():
+            text.set_parse_math(False)
     return figure
 
 

@@ -60,12 +60,15 @@ def test_the_own_noise_of_each_imu(common: CommonResult) -> None:
     assert 'deg/sqrt(h)' in lines[1] and 'coherence at 1 s' in lines[0]
 
 
-def test_the_document(common: CommonResult) -> None:
+def test_the_document_and_the_chart(common: CommonResult) -> None:
     rows = json.loads(json.dumps(common.document()))['rows']
     assert rows[0]['own']['ci95'] == list(common.rows[0].own.ci95)
     assert {len(rows[0]['coherence'][key]) for key in ('tau', 'value', 'low', 'high')} == {
         len(common.rows[0].coherence.tau)
     }
+    figure = common.plot()
+    assert [panel.get_ylabel() for panel in figure.axes] == [a.replace('_', ' ') for a in AXES]
+    assert [len(panel.lines) for panel in figure.axes] == [4] * 6  # three IMUs and zero
 
 
 def test_files_and_topics_give_the_same_rows(
@@ -87,6 +90,8 @@ def test_files_and_topics_give_the_same_rows(
         assert [row.own for row in found.rows] == [row.own for row in common.rows]
     two = ar.common(tmp_path / 'bag', tmp_path / 'left.npz')
     assert [row.label for row in two.rows[:4]] == ['bag /left', 'bag /right', 'bag /top', 'left']
+    one = ar.common(tmp_path / 'bag', topic='/left')
+    assert {row.label for row in one.rows} == {'bag /left'} and 'own N' not in repr(one)
     pair = repr(ar.common(*three[:2])).splitlines()
     assert 'own N, mean of both' in pair[0] and '-0.00' not in ' '.join(pair)
     assert main(['compare', str(tmp_path / 'bag'), 'b', '--topic', '/left']) == 1  # not --common
@@ -104,13 +109,24 @@ def test_only_the_time_at_rest_of_all_imus_is_used(three: list[ImuBatch]) -> Non
         assert row.own is not None and row.own.value == pytest.approx(1e-4, rel=0.15)
 
 
+def test_the_axes_of_one_imu_are_compared(capsys: pytest.CaptureFixture[str]) -> None:
+    (batch, *_) = imus(6000, 0.0)
+    batch.samples[:, 1] += 2.0 * batch.samples[:, 0]
+    found = ar.common(batch)
+    assert len(found.rows) == 6 and all(row.own is None for row in found.rows)
+    first, *others = found.rows
+    assert first.axis == 'gyro_x gyro_y' and first.coherence.low[0] > 0.8
+    assert all(abs(row.coherence.value[0]) < 0.1 for row in others)
+    assert 'gyro_x gyro_y' in repr(found)
+
+
 def test_wrong_inputs_are_rejected(three: list[ImuBatch], tmp_path: Path) -> None:
     gyro = {'gyro_x': np.random.default_rng(3).normal(scale=1e-3, size=3000)}
     accel = {'accel_x': np.random.default_rng(4).normal(scale=1e-2, size=3000)}
     for wrong, why in (
         (lambda: ar.common(gyro, accel, rate=100), 'A has gyro_x; B has accel_x: choose topics'),
-        (lambda: ar.common(gyro, rate=100), '1 IMUs: give a recording of each'),
-        (ar.common, '0 IMUs'),
+        (lambda: ar.common(gyro, rate=100), 'no two axes to compare'),
+        (ar.common, 'no recording is given'),
         (lambda: ar.common(tmp_path / 'missing.mcap'), 'missing.mcap'),
         (lambda: ar.common(three[0], three[1][:50]), 'too little time in common'),
         (lambda: ar.common(three[0], no_such_option=1), 'no_such_option'),
