@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -16,7 +15,7 @@ from ..core.fields import plain
 from ..core.filters.noise_parameters import TermInflation
 from ..core.filters.reductions import horizon_text, shortest_horizon
 from ..core.imu import SI_UNITS, sensor_of
-from .datasheets import VERDICTS, Datasheet, DatasheetComparison, comparison_to_document
+from .datasheets import Datasheet, DatasheetComparison, comparison_to_document
 from .documents import results_to_document
 from .format import significant
 from .measured import AgainstMeasured, against_measured
@@ -237,10 +236,15 @@ def _size(difference: Difference) -> float:
 
 
 def _datasheet_sentence(checked: Checked) -> str:
-    found = Counter(c.verdict for c in checked.datasheet.comparisons)
-    counts = ', '.join(f'{found[one]} {one}' for one in VERDICTS if one in found)
-    name = checked.datasheet.datasheet.name
-    return f'{checked.label} and the datasheet of {name}: {counts or "no limit to compare with"}'
+    name, checks = checked.datasheet.datasheet.name, checked.datasheet.comparisons
+    beyond = [f'{c.axis.replace("_", " ")} {c.term}' for c in checks if c.verdict == 'exceeds']
+    if beyond:
+        return f'{checked.label} exceeds the datasheet of {name} in {", ".join(beyond)}'
+    unsettled = sum(c.verdict == 'undecided' for c in checks)
+    if unsettled == len(checks):
+        return f'{checked.label} cannot be judged by the datasheet of {name}'
+    note = f'; {unsettled} of {len(checks)} are undecided' if unsettled else ''
+    return f'{checked.label} is within the datasheet of {name}{note}'
 
 
 REST, RUNNING = 'at rest', 'at rest, motors on'
