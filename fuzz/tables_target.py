@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import io
+import tempfile
 import zipfile
 from functools import lru_cache
 from pathlib import Path
@@ -26,7 +27,7 @@ CELLS += ['1_000', '٣', '0x10', '"', '"a\nb"', '9' * 400, '1e19', '--1', 'é', 
 KINDS = ('<f8', '>f4', '<i8', '<u8', '<u1', '<f2', '<c16', '|O', '|S3', '<U4', '|V8', '<f16', '?')
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _array(deflate: bool = False) -> bytes:
     out, batch = io.BytesIO(), small_batch()
     imu = np.column_stack([batch.stamps_ns * 1e-9, batch.samples])
@@ -36,12 +37,11 @@ def _array(deflate: bool = False) -> bytes:
 
 
 @lru_cache(maxsize=1)
-def _table(folder: str) -> bytes:
-    path = Path(folder, 'seed.csv')
-    write_table(path, [small_batch(12)])
-    data = path.read_bytes()
-    path.unlink()
-    return data
+def _table() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, 'seed.csv')
+        write_table(path, [small_batch(12)])
+        return path.read_bytes()
 
 
 @st.composite
@@ -100,9 +100,7 @@ def _files(draw: Any) -> tuple[str, bytes]:
         case 'csv':
             return draw(st.sampled_from(['a.csv', 'a.tsv', 'a.txt'])), draw(_csv())
         case 'table':
-            import tempfile
-
-            return 'a.csv', draw(any_bytes([_table(tempfile.gettempdir())]))
+            return 'a.csv', draw(any_bytes([_table()]))
         case 'npy':
             return 'a.npy', draw(_npy())
         case 'npz':
