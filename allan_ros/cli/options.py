@@ -94,9 +94,8 @@ def add_options(parser: argparse.ArgumentParser, text: str) -> None:
 
     Each line declares one option: its names, the placeholder of its value, and after two spaces the
     help, which continues on lines with deeper indentation. A positional argument has its name
-    before the placeholder. ``...`` permits several values of an argument, or several uses of an
-    option; ``?`` makes an argument optional. A line that ends with a colon begins a group. Options
-    with ``|`` are mutually exclusive.
+    before the placeholder. ``...`` permits several values of an argument, ``?`` makes it optional.
+    A line that ends with a colon begins a group. Options with ``|`` are mutually exclusive.
 
         inputs INPUT...             an argument
         group:
@@ -127,8 +126,6 @@ def add_options(parser: argparse.ArgumentParser, text: str) -> None:
                 given['choices'] = word[1:-1].split(',')
             if positional:
                 given['nargs'] = {'...': '+', '?': '?'}.get(rest[0][len(word) :])
-            elif rest[0] != word:
-                given.update(action='append', default=[])
         if rest[1:]:
             default = rest[1][1:-1]
             given['default'] = given['type'](default)

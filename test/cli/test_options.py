@@ -64,7 +64,6 @@ group:
     two lines
   | --level {low,high}  a word
   --rate HZ [100]  a number
-  --label TEXT...  may be repeated
   --to TARGET []  a text
 """
 
@@ -72,12 +71,10 @@ group:
 def test_options_are_read_from_a_text() -> None:
     parser = argparse.ArgumentParser()
     add_options(parser, TEXT)
-    none = argparse.Namespace(inputs=['a'], quiet=False, level=None, rate=100.0, label=[], to='')
+    none = argparse.Namespace(inputs=['a'], quiet=False, level=None, rate=100.0, to='')
     assert parser.parse_args(['a']) == none
-    words = ['a', 'b', '--level=low', '--rate=2', '--label=x', '--label=y', '--to=z']
-    known = argparse.Namespace(
-        inputs=['a', 'b'], quiet=False, level='low', rate=2.0, label=['x', 'y'], to='z'
-    )
+    words = ['a', 'b', '--level=low', '--rate=2', '--to=z']
+    known = argparse.Namespace(inputs=['a', 'b'], quiet=False, level='low', rate=2.0, to='z')
     assert parser.parse_args(words) == known
     for wrong in (['-q', '--level=low'], ['--level=middle'], ['--rate=fast']):
         with pytest.raises(SystemExit):
