@@ -47,9 +47,9 @@ _HOME = {
     'AllanError': 'core.errors',
     'AxisCurve': 'core.allan.curve',
     **dict.fromkeys(('AxisResult', 'Quantity', 'adev', 'fit'), 'io.axis_result'),
-    **dict.fromkeys(('Datasheet', 'sensor'), 'io.datasheets'),
     'load': 'io.documents',
     'Results': 'io.results',
+    'sensor': 'io.datasheets',
     'simulate': 'io.simulation',
 }
 

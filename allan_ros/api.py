@@ -125,7 +125,7 @@ def analyze(
         A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval lies
         above it by this fraction.
     hardware_id : str
-        Serial number of the IMU; only results with equal serial numbers can be merged.
+        Serial number of the IMU; only results with equal serial numbers can be added.
     processes : int
         Number of recordings that are read at the same time, each in its own process.
     **options
@@ -152,9 +152,7 @@ def analyze(
     0.001
     >>> round(results['gyro_z'].N.to('deg/sqrt(h)').value, 1)
     3.4
-
-    Two recordings of one IMU, without reading them again:
-
+    >>> # two recordings of one IMU, without reading them again
     >>> a, b = (ar.analyze(ar.simulate(hours=0.1, rate=50, seed=i)) for i in (1, 2))
     >>> ar.analyze([a, b]).samples == a.samples + b.samples
     True
@@ -224,7 +222,7 @@ def compare(
     -------
     RunComparison
         The differences of each recording from the first one (``pairs``), the comparisons with
-        the datasheets (``datasheets``), and whether any of them is significant (``differs``); with
+        the datasheets (``checked``), and whether any of them is significant (``differs``); with
         ``within``, whether the recordings are the same up to this fraction (``equivalent``).
 
     Raises
@@ -346,8 +344,8 @@ def inflate(
     Returns
     -------
     Inflation
-        For each axis (``axes``), the factors for N (``white.factor``) and K (``walk.factor``); and
-        the largest factor for N of all axes (``factor``).
+        For each axis (``axes``), N and K with motors off and on, and their ratio, such as
+        ``axes['gyro_x']['N'].factor``; and the largest factor for N of all axes (``factor``).
 
     Raises
     ------

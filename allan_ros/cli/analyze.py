@@ -77,7 +77,6 @@ inputs INPUT...  recording, earlier sums, or a folder of recordings
     workers must see the same paths
 """
 
-
 RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
 """Suffixes of the recordings that `analyze` reads."""
 

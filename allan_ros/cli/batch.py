@@ -40,7 +40,6 @@ EXIT_ERROR, EXIT_FAILED, EXIT_UNJUDGED = 1, 3, 4
 WORST_FIRST = (EXIT_FAILED, EXIT_ERROR, EXIT_UNJUDGED, 0)
 """Exit codes of units; the first one that occurs is the exit code of all."""
 
-
 MOST_NAMED = 10
 """Largest number of units that are named for each verdict in the totals."""
 
@@ -105,7 +104,7 @@ def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
         codes.append(code)
         named.setdefault(word, []).append(Path(outcome.unit.name).name)
         if console.json:
-            console.line(_check_document(outcome, code, verdict, note, args.units))
+            console.line(_check_document(outcome, code, verdict, note))
         elif outcome.results is None and len(units) == 1:
             raise AllanError(outcome.error)
         elif not console.quiet:
@@ -204,9 +203,7 @@ def _unit_text(outcome: Outcome, verdict: Verdict, note: str, units: str) -> str
     return f'{name}: {"; ".join(filter(None, parts))}'
 
 
-def _check_document(
-    outcome: Outcome, code: int, verdict: Verdict, note: str, units: str
-) -> dict[str, Any]:
+def _check_document(outcome: Outcome, code: int, verdict: Verdict, note: str) -> dict[str, Any]:
     """Return the verdict on one unit, with N, B and K in SI, as a JSON object."""
     document: dict[str, Any] = {'name': outcome.unit.name, 'path': outcome.unit.path}
     if outcome.results is None:

@@ -368,9 +368,8 @@ def load_sensor(name: str) -> Datasheet:
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     with located(f'{fields.where}.carries'):
-        sensor = _datasheet(
-            _file(fields.text('carries'))
-        )  # rejects the file of a product, and so itself
+        # rejects the file of another product, and so itself
+        sensor = _datasheet(_file(fields.text('carries')))
     return replace(
         sensor,
         name=fields.text('name'),

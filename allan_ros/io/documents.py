@@ -172,7 +172,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     ----------
     path : path
         The folder of an analysis, a results.json, or a sums.json or checkpoint, whose sums are
-        fitted again. Only results with sums (all but a results.json) can be merged and saved.
+        fitted again. Only results with sums (all but a results.json) can be added and saved.
     method : str
         Method of the fit of sums: 'likelihood' or 'paper', as in `analyze`.
 

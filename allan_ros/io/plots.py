@@ -73,16 +73,10 @@ def figure_files(
 
     ``formats`` are 'png', 'svg' or 'pdf'; ``units`` is 'deg/h' or 'SI'.
     """
-    figures = {f'allan_{sensor}': sensor_figure(results, sensor, units) for sensor in SENSORS}
-    return rendered(figures, formats)
-
-
-def rendered(figures: Mapping[str, Figure | None], formats: Sequence[str]) -> dict[str, bytes]:
-    """Return file name -> content of each figure in each format; None is not drawn."""
     return {
-        f'{name}.{form}': render_figure(figure, form)
-        for name, figure in figures.items()
-        if figure is not None
+        f'allan_{sensor}.{form}': render_figure(figure, form)
+        for sensor in SENSORS
+        if (figure := sensor_figure(results, sensor, units)) is not None
         for form in formats
     }
 

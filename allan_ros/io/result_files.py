@@ -67,13 +67,12 @@ def write_result_files(
     if plots:
         from .plots import figure_files  # imports matplotlib
 
-        drawn |= figure_files(results, plots, units)
+        drawn = figure_files(results, plots, units)
     method = {'command': command} if command else {}
     method['fingerprint of the sums'] = f'{digest} (equal for equal samples)'
     named = [*filters, *drawn, RESULTS, SUMS]
     report = render_report(results, units, summary, method, named)
-    contents: dict[str, str | bytes] = {**drawn, REPORT: report}
-    contents |= filters
+    contents: dict[str, str | bytes] = {**drawn, REPORT: report, **filters}
     files = sorted({*contents, RESULTS, SUMS})
     document = {
         **results_to_document(results, units=units),
