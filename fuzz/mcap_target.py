@@ -18,20 +18,11 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from .damage import any_bytes, damaged, integers, texts
+from .damage import any_bytes, integers, texts
 from .reading import MESSAGES, PERIOD_NS, START_NS, payloads, read_and_check
 
 MAGIC = b'\x89MCAP0\r\n'
 IMU_TYPE = 'sensor_msgs/msg/Imu'
-NESTED_SCHEMA = (
-    'sensor_msgs/Imu imu\nfloat64[3] bias\n' + '=' * 80 + '\nMSG: sensor_msgs/Imu\n'
-    'std_msgs/Header header\n' + '=' * 80 + '\nMSG: std_msgs/Header\n'
-    'builtin_interfaces/Time stamp\nstring frame_id\n'
-)
-SCHEMA_ALPHABET = st.sampled_from(
-    ['float64', ' ', '\n', 'x', '[', ']', '=' * 80, 'MSG: a/b', '#', '"', '<=', '9' * 30, 'string']
-    + ['sensor_msgs/Imu', 'a/b', 'uint8', 'IDL: a/b', 'module', 'struct', '{', '}', ';', '\0', 'é']
-)
 
 
 @dataclass(frozen=True)
@@ -47,8 +38,6 @@ class Plan:
     encoding: str = 'cdr'
     topic: str = '/imu'
     type: str = IMU_TYPE
-    schema_format: str = 'ros2msg'
-    schema: str = ''
     message: bytes | None = None
     log_time: int | None = None
     channel: int | None = None
@@ -80,9 +69,7 @@ def _or(value: int | None, otherwise: int) -> int:
 
 def build(plan: Plan) -> bytes:
     """Return the file of a plan."""
-    schema = record(
-        3, _number('<H', 1) + _text(plan.type) + _text(plan.schema_format) + _text(plan.schema)
-    )
+    schema = record(3, _number('<H', 1) + _text(plan.type) + _text('ros2msg') + _text(''))
     channel = b''.join(
         record(4, struct.pack('<HH', n, 1) + _text(plan.topic) + _text(encoding) + _text(''))
         for n, encoding in ((1, plan.encoding), (2, f'{plan.encoding}1'))[: plan.channels]
@@ -186,14 +173,11 @@ def seeds() -> tuple[bytes, ...]:
 @st.composite
 def _planned(draw: Any) -> bytes:
     """Draw a file with at most three damaged fields."""
-    nested = draw(st.booleans()) and draw(st.booleans())
     plan = Plan(
         chunks=draw(st.sampled_from([1, 2, 4])),
         compression=draw(st.sampled_from(['', '', 'zstd', 'lz4'])),
         loose=draw(st.sampled_from([(), (), (), (0,), (0, 1, 2, 3)])),
         summary=draw(st.booleans()),
-        type='a/msg/B' if nested else IMU_TYPE,
-        schema=NESTED_SCHEMA if nested else '',
     )
     odd: dict[str, Any] = {
         'message': any_bytes(payloads('cdr', 2)),
@@ -208,9 +192,6 @@ def _planned(draw: Any) -> bytes:
         'encoding': texts | st.sampled_from(['ros1', 'json']),
         'topic': texts,
         'type': texts | st.sampled_from(['a/b', 'a/msg/B', 'sensor_msgs/Imu']),
-        'schema_format': st.sampled_from(['ros1msg', 'ros2idl', 'omgidl', '', 'x']),
-        'schema': st.lists(SCHEMA_ALPHABET, max_size=30).map(''.join)
-        | damaged([NESTED_SCHEMA.encode()]).map(lambda data: data.decode(errors='replace')),
     }
     chosen = draw(st.lists(st.sampled_from(list(odd)), max_size=3, unique=True))
     return build(replace(plan, **{name: draw(odd[name]) for name in chosen}))
