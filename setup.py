@@ -86,7 +86,7 @@ setup(
         'PyYAML>=5.4',
         'rich>=10',  # tables of allan_watch; plain text without it
         'lz4>=3.1',  # mcap bags with this compression
-        'rosbags>=0.11.7',  # writes bags; reads ROS 1 bags and Imu fields in other messages
+        'rosbags>=0.11.7',  # writes bags; reads ROS 1 bags
         'scipy>=1.8',
         'zstandard>=0.18',  # mcap and sqlite3 bags with this compression
     ],

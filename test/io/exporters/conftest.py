@@ -22,7 +22,7 @@ from allan_ros.io.results import Results
 
 RATE = 200.0
 SHARES = {'x': 0.6, 'y': 0.8, 'z': 1.0}
-"""Level of each axis relative to its sensor: z is the worst, the mean is sqrt(2/3) times z."""
+"""Level of each axis relative to its sensor: z is the worst."""
 
 LEVELS = {'gyro': {'N': 1e-3, 'B': 1e-4, 'K': 1e-5}, 'accel': {'N': 2e-3, 'B': 3e-4, 'K': 2e-5}}
 """In SI. K of accel_z is not resolved and its limit is 3e-5."""
