@@ -342,5 +342,5 @@ const Chart = (() => {
     });
   }
 
-  return { all, create, download, element, number, saving, toggles };
+  return { all, create, element, number, saving, toggles };
 })();

@@ -201,7 +201,7 @@ def baseline_table(
 ) -> Iterator[str]:
     """Yield an HTML table of the comparison with an earlier run; nothing without comparisons."""
     notes = [
-        '"Within": not significantly above the earlier run. "Beyond": significantly above it, by '
+        '"within": not significantly above the earlier run. "exceeds": significantly above it, by '
         'more than the margin.'
     ]
     yield from _checks_table(sensor, axes, comparisons, notes, {}, baseline)
