@@ -67,7 +67,7 @@ def test_paths_are_read_alone_together_and_in_processes(tmp_path: Path) -> None:
     assert ar.compare(one, paths[0]).runs[1].results.samples == one.samples
 
 
-def test_a_worker_that_dies_is_reported(tmp_path: Path) -> None:
+def test_a_worker_that_dies_is_reported() -> None:
     jobs = [ReadJob(_Deadly(f'{i}')) for i in range(2)]  # type: ignore[arg-type]
     with pytest.raises(AllanError, match=r'one of 2 processes died, .*memory ran out'):
         list(read_in_processes(jobs, 2))

@@ -167,9 +167,7 @@ def test_a_gyro_alone_is_analyzed_without_an_imu_yaml(
     assert names == FILES - {'imu.yaml'}
 
 
-def test_real_recordings_are_analyzed(
-    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_real_recordings_are_analyzed(shared_data: Path, tmp_path: Path) -> None:
     assert main(['analyze', str(shared_data / 'mpu6050.npz'), '-o', str(tmp_path)]) == 0
     results = read(tmp_path / 'results.json')
     assert results['rate_hz'] == pytest.approx(99.3, abs=0.05)

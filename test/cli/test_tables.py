@@ -54,7 +54,7 @@ def test_no_finding_is_cut_or_wider_than_80_columns(
     assert '...' not in wide[1] and wide[1].endswith(found.texts(units).remedy)
 
 
-def test_the_prefix_of_a_row_fits_its_largest_value(small_results: Results) -> None:
+def test_the_prefix_of_a_row_fits_its_largest_value() -> None:
     large = Coefficient(0.0274, (0.026, 0.029))
     rows = dict(coefficient_rows('accel', {'accel_x': {**dict.fromkeys(TERMS, large)}}, 'deg/h'))
     assert rows['B mg'] == [('2.794', '2.65..2.96')]

@@ -109,7 +109,7 @@ def test_only_the_time_at_rest_of_all_imus_is_used(three: list[ImuBatch]) -> Non
         assert row.own is not None and row.own.value == pytest.approx(1e-4, rel=0.15)
 
 
-def test_the_axes_of_one_imu_are_compared(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_axes_of_one_imu_are_compared() -> None:
     (batch, *_) = imus(6000, 0.0)
     batch.samples[:, 1] += 2.0 * batch.samples[:, 0]
     found = ar.common(batch)

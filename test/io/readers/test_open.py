@@ -153,7 +153,7 @@ def read_without(hidden: list[str], *paths: Path) -> list[str]:
 
 
 def test_bags_are_read_without_optional_packages(tmp_path: Path) -> None:
-    """ROS 1 and an Imu in another message need rosbags, and compressed bags need a package."""
+    """ROS 1 bags need rosbags, and compressed bags need a package."""
     paths = [tmp_path / name for name in ('m.mcap', 't.csv', 's')]
     for path in paths[:2]:
         write_recording(path, imu_batches(30))
