@@ -24,7 +24,7 @@ from ..core.imu import UNITS, sensor_of
 from ..io.datasheets import DEFAULT_RATE_HZ, Datasheet, Limit, load_sensor, sensor_names
 from ..io.exporters import TARGETS, ExportOptions
 from ..io.files import MAX_BYTES, read_text
-from ..io.format import shown_unit, significant
+from ..io.format import LIMIT_DIGITS, shown_unit, significant
 from ..io.measured import measured_entry, measured_lines
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
@@ -85,9 +85,6 @@ def run(args: argparse.Namespace) -> int:
 GAP = 2
 """Characters between two columns."""
 
-DIGITS = 3
-"""Significant digits of a limit."""
-
 SEEN = {
     'datasheet': 'read in the document itself:',
     'secondary': 'not read, but quoted by',
@@ -136,7 +133,9 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
             sensor, term, unit = header.split()
             by_axis = (terms for axis, terms in sheet.limits.items() if axis.startswith(sensor))
             limits = [terms[term].value for terms in by_axis if term in terms]
-            row.append(significant(max(limits) / UNITS[unit].factor, DIGITS) if limits else '-')
+            row.append(
+                significant(max(limits) / UNITS[unit].factor, LIMIT_DIGITS) if limits else '-'
+            )
         rows.append(row)
     widths = [max(map(len, column)) + GAP for column in zip(*rows)]
     shown = sum(sum(widths[: n + 1]) - GAP <= columns for n in range(len(widths)))
@@ -166,7 +165,7 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
             groups.setdefault((sensor_of(axis), term, limit), []).append(axis)
     for (sensor, term, limit), axes in groups.items():
         units = (shown_unit(sensor, term, system) for system in ('deg/h', 'SI'))
-        values = (f'{significant(limit.value * u.factor, DIGITS)} {u.name}' for u in units)
+        values = (f'{significant(limit.value * u.factor, LIMIT_DIGITS)} {u.name}' for u in units)
         yield ''
         yield from wrapped(f'{", ".join(axes)} {term}: stated {limit.stated}', columns, '  ')
         notes = (f'limit {" = ".join(values)}', limit.note, limit.condition)

@@ -16,6 +16,8 @@ from ..core.imu import AXES, SENSORS, sensor_of
 from ..io.datasheets import DatasheetComparison
 from ..io.exporters import RAISED, origin_text, target_rows
 from ..io.format import (
+    LIMIT_DIGITS,
+    NOTHING_KNOWN,
     VALUE_DIGITS,
     ShownUnit,
     deviation_text,
@@ -57,9 +59,6 @@ HEADLINES: dict[LimitVerdict | None, str] = {
     None: 'it states no limit for the measured terms',
 }
 
-LIMIT_DIGITS = 3
-"""Significant digits of a limit, as in the tables of intervals."""
-
 
 def datasheet_lines(
     comparison: DatasheetComparison, units: str, columns: int, judged: bool = True
@@ -96,8 +95,8 @@ def _line(group: list[Comparison], stated: str, units: str) -> str:
 LABEL, GAP = 16, 2
 """Width of the first column, and space between the columns of two axes, in characters."""
 
-DEVIATION, NOTHING = 'deviation', '-'
-"""Label of the last row, and the text of a cell without a number."""
+DEVIATION = 'deviation'
+"""Label of the last row."""
 
 MOST_FINDINGS, MOST_STEPS = 5, 4
 """Largest number of findings without ``--verbose``, and of next steps."""
@@ -152,7 +151,7 @@ def _temperature_lines(results: Results, units: str, columns: int) -> Iterator[s
 
 def _has_numbers(results: Results, axis: str) -> bool:
     noise = results.axes[axis].fit.noise.values()
-    return any(value_text(c, ShownUnit('', 1.0)) != NOTHING for c in noise)
+    return any(value_text(c, ShownUnit('', 1.0)) != NOTHING_KNOWN for c in noise)
 
 
 def verdict_lines(verdict: Verdict, columns: int, colors: bool = False) -> list[str]:
@@ -209,7 +208,7 @@ def _legend(results: Results) -> str:
     if not any(c.ci95 or c.upper95 for c in known):
         return f'method {results.method} gives no intervals'
     text = '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
-    deviates = any(_deviation(results, axis) != NOTHING for axis in results.axes)
+    deviates = any(_deviation(results, axis) != NOTHING_KNOWN for axis in results.axes)
     return text + f'; {DEVIATION}: largest difference of the curve from the model' * deviates
 
 
@@ -242,7 +241,7 @@ SMALL_DEVIATION = 0.05
 def _deviation(results: Results, axis: str) -> str:
     deviation = results.axes[axis].fit.deviation
     large = deviation is not None and abs(deviation.relative) >= SMALL_DEVIATION
-    return deviation_text(deviation) if large and not too_short(results) else NOTHING
+    return deviation_text(deviation) if large and not too_short(results) else NOTHING_KNOWN
 
 
 def table_lines(rows: Sequence[tuple[str, Sequence[Cell]]], width: int) -> Iterator[str]:
@@ -251,7 +250,7 @@ def table_lines(rows: Sequence[tuple[str, Sequence[Cell]]], width: int) -> Itera
     If the table is too wide, intervals are printed below their values; if it is still too wide, it
     is split into blocks of at most ``width`` characters.
     """
-    rows = [row for row in rows if any(cell != (NOTHING, '') for cell in row[1])]
+    rows = [row for row in rows if any(cell != (NOTHING_KNOWN, '') for cell in row[1])]
     if not rows:
         return
     label = max(LABEL, *(len(text) + GAP for text, _ in rows))
@@ -305,7 +304,7 @@ def _comparison_rows(
             for subject in comparison.runs
         }
         unit = row_unit(sensor, term, units, known := [c for row in fitted.values() for c in row])
-        if all(value_text(c, unit) == NOTHING for c in known):
+        if all(value_text(c, unit) == NOTHING_KNOWN for c in known):
             continue
         for i, (run, row) in enumerate(fitted.items()):
             label = '' if i else f'{term} {unit.name}'

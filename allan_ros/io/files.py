@@ -277,11 +277,6 @@ def parse_yaml(text: str) -> Any:
         loader.dispose()
 
 
-NEAREST, LISTED = 3, 8
-"""For an unknown name: largest number of similar names that are suggested, and number of names that
-are listed if none is similar."""
-
-
 def read_yaml(path: Path) -> Any:
     """Read a YAML or JSON file of at most 100 kB; raises AllanError if it is invalid."""
     try:
@@ -330,6 +325,11 @@ def config_folders(kind: str) -> list[Path]:
     folders = [Path(home) / 'allan_ros' / kind, here.parents[2] / 'config' / kind]
     folders += [parent / 'share' / 'allan_ros' / 'config' / kind for parent in here.parents]
     return [folder for folder in folders if folder.is_dir()]
+
+
+NEAREST, LISTED = 3, 8
+"""For an unknown name: largest number of similar names that are suggested, and number of names that
+are listed if none is similar."""
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:

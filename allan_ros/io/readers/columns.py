@@ -240,10 +240,15 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
     return tuple(renamed)
 
 
-def listed(names: Sequence[str], most: int = 10) -> str:
-    """Return the first ``most`` names and the number of the others, as text."""
-    text = ', '.join(names[:most])
-    return f'{text} and {len(names) - most} more' if len(names) > most else text
+MOST_LISTED = 10
+"""Largest number of columns or topics that a message names; the others are counted."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the first `MOST_LISTED` names and the number of the others, as text."""
+    text = ', '.join(names[:MOST_LISTED])
+    more = len(names) - MOST_LISTED
+    return f'{text} and {more} more' if more > 0 else text
 
 
 def _meaning(name: str) -> Meaning:
