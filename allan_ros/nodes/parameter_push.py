@@ -237,7 +237,9 @@ class ParameterPush(Part):
         if self._plan is None:
             return []
         enabled = self._settings.value.enabled
-        problems = [f'{name}: {note}' if name else note for name, (_, note) in self._notes.items()]
+        # what was said of a parameter does not hold while none is set
+        notes = {n: note for n, (_, note) in self._notes.items() if enabled or not n}
+        problems = [f'{name}: {note}' if name else note for name, note in notes.items()]
         done, pairs = [], {}
         for name, held in self._held.items():
             pairs[name] = _text(held.now)
