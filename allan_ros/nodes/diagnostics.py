@@ -26,12 +26,7 @@ from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
 from ..io.axis_result import AxisResult
 from ..io.datasheets import exceeds_limit
-from ..io.format import (
-    LIMIT_DIGITS,
-    shown_unit,
-    significant,
-    value_text,
-)
+from ..io.format import LIMIT_DIGITS, shown_unit, significant, value_text
 
 LEVELS: Mapping[str, bytes] = {
     'info': DiagnosticStatus.OK,
@@ -40,9 +35,8 @@ LEVELS: Mapping[str, bytes] = {
 }
 """Severity of a finding -> level of a status, which is `bytes` in Python."""
 
-
 NUMBER = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
-"""Values of a status that are written as metrics."""
+"""Pattern of the values of a status that are written as metrics."""
 
 FINDING = 'finding'
 """Key of a status with the id of the finding in its message. ``finding: <id>`` has the text."""

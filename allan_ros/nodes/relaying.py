@@ -116,7 +116,7 @@ class ImuRelay(Part):
         self._problem: tuple[Finding, ...] = ()
         self._variances: dict[str, Variances] = {}
         self._patch = CovariancePatch({})
-        self._made_of: tuple[object, ...] = ()
+        self._made_of: tuple[object, ...] = None, None, None
         self._ratio = 1.0  # of the interval of the variances with a horizon
         self._last_malformed = self._last_frame = ''
         overriding = QoSOverridingOptions.with_default_policies()
@@ -160,7 +160,7 @@ class ImuRelay(Part):
         """Make a new patch if the noise model, the bias or the parameters have changed."""
         results, settings, bias = self._results, self._settings.value, self._bias
         made_of = results, settings, bias
-        if len(self._made_of) == 3 and all(map(operator.is_, made_of, self._made_of)):
+        if all(map(operator.is_, made_of, self._made_of)):
             return
         self._made_of, self._ratio, noise, frame_id = made_of, 1.0, {}, ''
         if results is not None:
