@@ -152,7 +152,7 @@ def test_findings_are_colored_only_on_request(small_results: Results) -> None:
 
 def test_five_findings_at_most_and_all_on_demand(small_results: Results) -> None:
     axes = tuple(small_results.axes)
-    first = finding('settled_part', ('gyro_x',), early=7200.0)
+    first = finding('settled_part', ('gyro_x',), early=7200.0, size=1.0)
     many = tuple(
         Finding(f'kind_{i}', 'warning', f'Cause {"abcdefgh"[i]}.', f'Do {i}.', (axis,))
         for i in range(8)

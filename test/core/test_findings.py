@@ -49,7 +49,7 @@ def test_every_text_is_complete_in_both_units(id, optional):
 
 def test_a_quantity_is_shown_in_the_units_of_the_output():
     for axis in ('gyro_x', 'accel_x'):
-        found = finding('bias_steps', (axis,), size=1e-5, share=0.5)
+        found = finding('bias_steps', (axis,), size=1e-5, share=0.5, at='3 h')
         unit = shown_unit(axis, 'B', 'deg/h')
         assert f'up to {significant(1e-5 * unit.factor, 3)} {unit.name}' in found.message
         assert '1.00e-05 ' + SI_UNITS[axis[:-2]]['B'] in found.texts('SI').message
@@ -141,10 +141,10 @@ def test_findings_are_in_the_order_of_their_consequence():
         finding('no_noise', ('gyro_x',)),
         finding('gyro_unit', n=1.0, rate=1.0),
         Finding('unknown', 'error', '', ''),
-        finding('bias_steps', ('gyro_x',), size=1.0, share=0.5),
+        finding('bias_steps', ('gyro_x',), size=1.0, share=0.5, at='3 h'),
         finding('lack_of_fit', ('accel_x',), low=1.0, high=2.0, deviation=0.3),
         finding('vibration', ('gyro_x',), frequency=1.0, amplitude=1.0),
-        finding('settled_part', early=60.0),
+        finding('settled_part', ('gyro_x',), early=60.0, size=1.0),
         Finding('unknown', 'warning', '', ''),
         finding('lack_of_fit', ('accel_x',), low=1.0, high=2.0, deviation=0.01),
         finding('level_changes', ('gyro_x',), which='here', value=1.0, low=0.99, high=1.003),
