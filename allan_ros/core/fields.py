@@ -131,9 +131,9 @@ class Fields:
             raise self._wrong(key, value, f'one of {", ".join(choices)}')
         return value
 
-    def integer(self, key: str, default: object = _REQUIRED, least: int = -MAX_INTEGER) -> int:
-        """Return a whole number of at least ``least``; ``default`` if the key is missing."""
-        value = int(self._get(key, int, 'a whole number', default))
+    def integer(self, key: str, least: int = -MAX_INTEGER) -> int:
+        """Return a whole number of at least ``least``."""
+        value = int(self._get(key, int, 'a whole number'))
         if not least <= value < MAX_INTEGER:
             raise self._wrong(key, value, f'a whole number from {least} to {MAX_INTEGER}')
         return value

@@ -218,9 +218,7 @@ def _filled(
     return FIELD.sub(inserted, OPTIONAL.sub(optional, template))
 
 
-def _text_of(
-    values: Sequence[Any], spec: str, units: str, spelled: Callable[[str], str] = str
-) -> str:
+def _text_of(values: Sequence[Any], spec: str, units: str, spelled: Callable[[str], str]) -> str:
     """Return a value as text, or the range of several values."""
     if all(isinstance(value, Quantity) for value in values):
         return _quantities_text(values, int(spec.lstrip('QNBKRsignal') or 3), units, spelled)

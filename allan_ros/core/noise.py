@@ -263,7 +263,7 @@ def gauss_markov_avar(tau: ArrayLike, time: float) -> Floats:
 
 @dataclass(frozen=True)
 class ProcessModel:
-    """Noise model of one axis: the five terms, Gauss-Markov processes and sinusoids.
+    """Noise model of one axis: the five terms, processes, and the effect of a low-pass filter.
 
     Attributes
     ----------

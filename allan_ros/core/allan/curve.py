@@ -94,19 +94,16 @@ def _phase_autocovariance(noise_type: int, m: int, t: NDArray[np.int64]) -> Floa
     return np.asarray(u**3 - u / m**2)
 
 
-def chi_squared_limits(
-    avar: ArrayLike, degrees: ArrayLike, level: float = CI_LEVEL
-) -> tuple[Floats, Floats]:
-    """Return the lower and upper confidence limits of the deviation sqrt(avar).
+def chi_squared_limits(avar: ArrayLike, degrees: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the lower and upper limits of the deviation sqrt(avar) at the level `CI_LEVEL`.
 
-    ``degrees`` are the equivalent degrees of freedom of ``avar`` (NaN gives NaN), and ``level`` is
-    the confidence level. The limits are sqrt(avar degrees / chi^2) at two quantiles of chi^2, NIST
-    SP 1065 section 5.3.1.
+    ``degrees`` are the equivalent degrees of freedom of ``avar`` (NaN gives NaN). The limits are
+    sqrt(avar degrees / chi^2) at two quantiles of chi^2, NIST SP 1065 section 5.3.1.
     """
     from scipy import special
 
     avar, degrees = np.asarray(avar, float), np.asarray(degrees, float)
-    tail = (1.0 - level) / 2.0
+    tail = (1.0 - CI_LEVEL) / 2.0
     low, high = (np.sqrt(avar * degrees / special.chdtri(degrees, p)) for p in (tail, 1.0 - tail))
     return low, high
 
@@ -286,7 +283,7 @@ def degrees_of_freedom(
     return degrees
 
 
-# --- spectra ------------------------------------------------------------------------------------
+# --- spectra --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

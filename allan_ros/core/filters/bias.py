@@ -113,9 +113,9 @@ class BiasModel(NamedTuple):
     def of_fit(cls, fit: AxisFit) -> BiasModel:
         """Return the model from the fit of an axis.
 
-        The standard deviation of the slope is the root sum of squares of R and
-        its standard error, even if R is not resolved. Without a slope, the 95 % interval of the
-        bias 10 min ahead contains only 89 to 93 % of the values of simulated sensors.
+        The standard deviation of the slope is the root sum of squares of R and its standard error,
+        even if R is not resolved. Without a slope, the 95 % interval of the bias 10 min ahead
+        contains only 89 to 93 % of the values of simulated sensors.
         """
         ramp = fit.noise['R']
         value, limit = abs(ramp.value or 0.0), ramp.upper95 or 0.0
@@ -129,15 +129,14 @@ class BiasModel(NamedTuple):
 
 
 class BiasFilter:
-    """Kalman filter for the bias of one axis at rest.
+    """Kalman filter for the bias of one axis at rest, from means over 1 s (`MEAN_S`).
+
+    The means follow each other without gaps, except for the times given to `pause`.
 
     Parameters
     ----------
     model : BiasModel
         Noise processes and slope, which become the states of the filter.
-    period : float
-        Averaging time of each mean in s. The means follow each other without gaps, except for the
-        times given to `pause`.
 
     Examples
     --------
@@ -150,15 +149,14 @@ class BiasFilter:
     (1.0, 0.05)
     """
 
-    def __init__(self, model: BiasModel, period: float = MEAN_S) -> None:
+    def __init__(self, model: BiasModel) -> None:
         space = state_space(drift_model(model.processes))
         if not space.white and not space.walk:
             # without any noise, the innovation variance would become 0
             space = replace(space, white=1e-12)
         self._space = replace(space, slope=bool(model.slope_std))
         self._slope_std = model.slope_std
-        self.period = period
-        self._phi, self._noise = self._space.transition(period), self._space.noise(period)
+        self._phi, self._noise = self._space.transition(MEAN_S), self._space.noise(MEAN_S)
         self._known = False  # whether a mean was added
         self._state = np.zeros(self._space.size)
         self._covariance = np.zeros((self._space.size, self._space.size))
@@ -166,7 +164,7 @@ class BiasFilter:
         self._errors: deque[tuple[float, float]] = deque(maxlen=STEP_MEANS)
 
     def update(self, mean: float) -> None:
-        """Predict the state over one period, and update it with the mean of the samples over it.
+        """Predict the state over 1 s, and update it with the mean of the samples over it.
 
         If the bias has made a step, the state is estimated from the means after it alone.
         """
@@ -189,7 +187,7 @@ class BiasFilter:
         self._predict(self._phi, self._noise)
         variance = self._covariance[0, 0]
         gain = self._covariance[:, 0] / variance
-        error = mean * self.period - self._state[0]
+        error = mean * MEAN_S - self._state[0]
         self._errors.append((mean, float(error / math.sqrt(variance))))
         self._state = self._state + gain * error
         self._covariance = self._covariance - np.outer(gain, self._covariance[0])

@@ -7,8 +7,8 @@ Terms used in this package:
 - *variance coefficients* q, w, b, k: the squares of Q, N, B, K with the sample period tau0 as the
   unit of time. All expectations are linear in them.
 - *ramp*: constant rate of change of the samples (term R), per sample.
-- *process*: a Gauss-Markov process or a sinusoid that is added to the model if the five terms do
-  not describe the data. Its *shape* is its correlation time or its frequency.
+- *process*: a Gauss-Markov process, a sinusoid or a resonance that is added to the model if the
+  five terms do not describe the data. Its *shape* is its correlation time, its frequency, or both.
 - *component*: a term or a process of a model.
 - *gain*: decrease of -2 log likelihood.
 - *lack of fit*: octave of frequencies in which the data differ from the model.

@@ -139,7 +139,6 @@ class WarmUp:
 class BiasSteps:
     """Steps of the bias of one axis."""
 
-    axis: int
     ns: tuple[int, ...]  # stamps of the steps
     sizes: tuple[float, ...]
     walk_before: float  # variance of the random walk per sample, without the steps in the model
@@ -298,7 +297,7 @@ def bias_steps(
     order = np.argsort(at)
     ns = [means.start_ns + round((at[i] + 1) * means.step * tau0 * 1e9) for i in order]
     before, after = (float(s.fit.p[3]) * s.data.scale for s in (segment, now))
-    return BiasSteps(axis, tuple(ns), tuple(float(beta[i]) for i in order), before, after, excess)
+    return BiasSteps(tuple(ns), tuple(float(beta[i]) for i in order), before, after, excess)
 
 
 def step_findings(sums: AllanSums, without: set[int]) -> list[Finding]:

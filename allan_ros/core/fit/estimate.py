@@ -203,7 +203,7 @@ def _trial(rules: Selection, top: float) -> _Trial:
     """Select a model up to the frequency ``top`` and test it."""
     f = rules.data.statistics.f
     rules = replace(rules, data=replace(rules.data, used=f < top), fastest=top)
-    if top < 0.5:  # neither a process nor a sinusoid may imitate a filter
+    if top < 0.5:  # no process may imitate a filter
         rules = replace(rules, signed=(Q,), shortest=8.0 / top, fastest=top / 2.0)
     rules, fit = rules.selected()
     return _Trial(top, rules, fit, _test(rules, fit))

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Least squares on the Allan variance: method 'paper', and curves of other tools.
 
-None of them uses the covariance of the Allan variances.
+Neither uses the covariance of the Allan variances.
 
 'paper' is the method of Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019. It fits the
 Allan variance sigma^2(tau) = sum A_p tau^p, p = -2..2, without weights, to averages over groups
@@ -105,7 +105,7 @@ def fit_paper(sums: AllanSums) -> NoiseModel:
     findings: list[Finding] = []
     axes = {}
     if points < len(TERMS):
-        findings.append(_too_few(sums.axes, points))
+        findings.append(finding('too_few_points', sums.axes, points=points, needed=len(TERMS)))
     for i, (axis, sign) in enumerate(zip(sums.axes, _signs_of_ramps(sums))):
         a = np.full(len(TERMS), np.nan)
         if points >= len(TERMS):
@@ -133,10 +133,6 @@ def _axis_fit(squares: Floats, sign: int) -> AxisFit:
         if square > 0.0:
             noise[term] = Coefficient(math.sqrt(square), sign=sign if term == 'R' else 0)
     return AxisFit(noise, model_of_terms(noise))
-
-
-def _too_few(axes: tuple[str, ...], points: int) -> Finding:
-    return finding('too_few_points', axes, points=points, needed=len(TERMS))
 
 
 POINTS_PER_OCTAVE = 4

@@ -234,7 +234,7 @@ class AxisFit:
         The fitted model, complete: it is what is tested, drawn and exported. Terms that are not
         resolved are included with their estimates.
     processes : Processes
-        Gauss-Markov processes and sinusoids of the model, with intervals.
+        Gauss-Markov processes, sinusoids and resonances of the model, with intervals.
     m_min : int
         Smallest averaging factor that the model describes; above 1 if the samples are low-pass
         filtered.

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Selection of processes: which Gauss-Markov processes and sinusoids the data need.
+"""Selection of processes: which Gauss-Markov processes, sinusoids and resonances the data need.
 
 Processes are added one at a time. Every candidate is rated by the square of its score divided by
 its information, which approximates the gain in -2 log L; the best one of each kind is fitted, its

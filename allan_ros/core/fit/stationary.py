@@ -26,7 +26,7 @@ from .model import Z_95
 from .statistics import Floats
 
 LEAST_REMAINING = 0.25
-"""Smallest fraction of the samples that must remain after the early part."""
+"""Smallest fraction of the samples that must remain after a warm-up."""
 
 LEVEL_CHANGES = 1e-3
 """Probability below which the level of the white noise varies, per axis (0 of 240 records)."""
