@@ -146,7 +146,7 @@ def show_power(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 
 SHOWS = {
-    'alarms': (show_alarms, ('noise', 'early part', 'steps', 'level', 'CPU time per axis')),
+    'alarms': (show_alarms, ('noise', 'warm-up', 'steps', 'level', 'CPU time per axis')),
     'gains': (show_gains, ('noise', 'warm-up 90 %', '99 %', 'steps 90 %', '99 %')),
     'power': (show_power, ('effect', 'found', 'K covered')),
 }
