@@ -76,7 +76,7 @@ def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
     return np.asarray(near / variance)
 
 
-def _phase_autocovariance(noise_type: int, m: int, t: NDArray[np.int64]) -> Floats:
+def _phase_autocovariance(noise_type: int, m: int, t: Ints) -> Floats:
     """Return the generalized autocovariance of the phase at lags of t samples, up to a factor.
 
     For sampled noise: delta(t) for white phase, -|t| for white, t^2 ln|t| for flicker and
@@ -118,7 +118,7 @@ QUANTIZATION_SLOPE = -1.5
 """Slopes of the Allan variance below this are classified as white phase noise."""
 
 
-def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDArray[np.int64]:
+def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
     """Return the noise type at each averaging factor from the slope of the Allan variance.
 
     The type is the exponent alpha = -1 - mu of the spectrum, where mu is the slope of log avar over
@@ -141,7 +141,7 @@ def noise_types_of_avar(m: NDArray[np.int64], avar: Floats, samples: int) -> NDA
     return out
 
 
-def _local_slopes(m: NDArray[np.int64], avar: Floats, weights: Floats) -> Floats:
+def _local_slopes(m: Ints, avar: Floats, weights: Floats) -> Floats:
     """Return the weighted slope of log avar over log m near each factor; NaN without two points."""
     x = np.log(m.astype(float))
     distance = np.log(SLOPE_RANGE) * (1.0 + 1e-9)
@@ -186,9 +186,9 @@ class AxisCurve:
     array([0.5, 1. ])
     """
 
-    m: NDArray[np.int64]
+    m: Ints
     tau: Floats
-    n: NDArray[np.int64]
+    n: Ints
     adev: Floats
     ci_low: Floats
     ci_high: Floats
@@ -221,7 +221,7 @@ class AllanCurve(AxisCurve):
 
     axes: tuple[str, ...]
     edf: Floats
-    noise_type: NDArray[np.int64]
+    noise_type: Ints
 
     def axis(self, i: int) -> AxisCurve:
         """Return the curve of the axis in column ``i``."""
@@ -258,9 +258,7 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
     return AllanCurve(m, tau, n, adev, low, high, sums.axes, degrees, types)
 
 
-def degrees_of_freedom(
-    sums: AllanSums, m: NDArray[np.int64], stride: NDArray[np.int64], types: NDArray[np.int64]
-) -> Floats:
+def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> Floats:
     """Return the equivalent degrees of freedom of the Allan variances of the sums, (factors, axes).
 
     They are NaN at factors for which no segment is long enough. Segments of a length class are
