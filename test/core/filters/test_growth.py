@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Predicted error growth: closed forms against integrals, simulation and each other."""
+"""Predicted error growth: closed forms against state spaces, simulation and each other."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.filters.growth import predicted_growth
+from allan_ros.core.filters.reductions import StateSpace
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.simulate import simulate_axis
 
@@ -32,6 +33,39 @@ def test_growth_over_the_window_is_the_allan_deviation():
         np.testing.assert_allclose(
             predicted_growth(model, tau, tau), expected, rtol=1e-4, atol=1e-9
         )
+
+
+@pytest.mark.parametrize(
+    'space',
+    [
+        StateSpace(1.0),
+        StateSpace(0.0, 1.0),
+        StateSpace(0.0, 0.0, ((1.0, 10.0),)),
+        StateSpace(1.0, 0.3, ((2.0, 2.0), (1.0, 300.0))),
+    ],
+)
+@pytest.mark.parametrize('horizon, window', [(30.0, 12.0), (5.0, 100.0)])
+def test_growth_is_that_of_the_state_space(space, horizon, window):
+    first, later = space.transition(window), space.transition(horizon)
+    covariance = first @ space.initial_covariance(1.0) @ first.T + space.noise(window)
+    error = later[0]  # theta(h) of the states at time 0, where theta(-W) is 0
+    error[0] -= 1.0 + horizon / window
+    expected = math.sqrt(error @ covariance @ error + space.noise(horizon)[0, 0])
+    model = ProcessModel(NoiseTerms(N=space.white, K=space.walk), space.gauss_markov)
+    assert predicted_growth(model, horizon, window) == pytest.approx(expected, rel=1e-6)
+
+
+def test_growth_of_a_ramp_and_of_a_sinusoid_of_any_phase():
+    horizon, window = 30.0, 12.0
+    ramp = horizon * (horizon + window) / 2.0
+    assert predicted_growth(PROCESSES['R'], horizon, window) == pytest.approx(ramp)
+    ((amplitude, frequency),) = PROCESSES['sinusoid'].sinusoids
+    turn, phase = 2.0 * np.pi * frequency, 2.0 * np.pi * np.arange(16) / 16
+    times = -window, 0.0, horizon
+    before, start, end = (amplitude / turn * np.sin(turn * t + phase) for t in times)
+    error = end - start - horizon / window * (start - before)
+    std = float(np.sqrt(np.mean(error**2)))
+    assert predicted_growth(PROCESSES['sinusoid'], horizon, window) == pytest.approx(std)
 
 
 def test_growth_of_simulated_flicker():
