@@ -46,13 +46,12 @@ MOSTLY = 0.5
 
 def half_widths(seconds: float, seed: int) -> dict[tuple[str, str], float]:
     """Return (axis, term) -> half-width of its interval over the truth, NaN if not resolved."""
-    noise = {sensor: list(grades.values()) for sensor, grades in GRADES.items()}
-    gyro, accel = noise['gyro'], noise['accel']
-    samples = ar.simulate(seconds / 3600.0, RATE, preset='', gyro=gyro, accel=accel, seed=seed)
+    noise = {sensor: dict(zip('xyz', grades.values())) for sensor, grades in GRADES.items()}
+    samples = ar.simulate(seconds / 3600.0, RATE, preset='', **noise, seed=seed)
     results = ar.analyze(samples, motion_gate=False)
     out = {}
-    for i, axis in enumerate(AXES):
-        truth = noise[sensor_of(axis)][i % 3]
+    for axis in AXES:
+        truth = noise[sensor_of(axis)][axis[-1]]
         for term in 'NBK':
             c = results.noise[axis][term]
             seen = c.status == 'estimated' and c.ci95 is not None
