@@ -204,18 +204,23 @@ def test_no_value_of_an_invalidated_model_is_set(graph, pushing):
     assert slow.gain == 0.1
 
 
-@pytest.mark.parametrize('how', ['the node ends', 'disabled'])
-def test_nothing_stays_set_without_a_model_behind_it(graph, pushing, how):
-    from rclpy.parameter import Parameter
-
+def test_nothing_stays_set_when_the_node_ends(graph, pushing):
     slow, node = pushing
     graph.model_of(6000)
     said(graph, 'set gain = ')
-    if how == 'the node ends':
-        graph.stop(node)
-    else:
-        node.set_parameters([Parameter('push.enabled', value=False)])
+    graph.stop(node)
     graph.until(lambda: slow.gain == 0.1)
+
+
+def test_why_a_value_is_not_set_is_said_only_while_values_are_set(graph, pushing):
+    from rclpy.parameter import Parameter
+
+    _, node = pushing
+    node.set_parameters([Parameter('push.max_factor', value=1.0)])
+    graph.model_of(6000)
+    said(graph, 'so it is not set')
+    node.set_parameters([Parameter('push.enabled', value=False)])
+    assert said(graph, 'off: ').message == 'off: push.enabled is false'
 
 
 def test_a_value_far_from_the_one_that_was_found_is_refused():
