@@ -99,7 +99,7 @@ def test_unknown_methods_and_empty_sums_are_rejected(white):
 
 @pytest.mark.parametrize('seed', range(50))
 def test_nonnegative_least_squares_is_as_close_as_that_of_scipy(seed: int) -> None:
-    """Also with dependent columns, of which several solutions are equally close."""
+    """Also with dependent columns, of which several solutions are equally close, and with signs."""
     from scipy.optimize import nnls
 
     rng = np.random.default_rng(seed)
@@ -107,7 +107,8 @@ def test_nonnegative_least_squares_is_as_close_as_that_of_scipy(seed: int) -> No
     if seed % 2:
         matrix = np.column_stack([matrix, -matrix[:, :2], matrix[:, 3] * (1.0 + 1e-9)])
     target = rng.normal(size=12) * 10.0 ** rng.uniform(-3.0, 3.0)
-    x = nonnegative_least_squares(matrix, target)
-    assert x.min() >= 0.0
-    closest = nnls(matrix, target)[1]
+    signed = rng.random(matrix.shape[1]) < 0.3 * (seed % 3)
+    x = nonnegative_least_squares(matrix, target, signed)
+    assert x[~signed].min(initial=0.0) >= 0.0
+    closest = nnls(np.column_stack([matrix, -matrix[:, signed]]), target)[1]
     assert np.linalg.norm(matrix @ x - target) <= closest + 1e-12 * np.linalg.norm(target)
