@@ -252,7 +252,7 @@ class RepeatFilter:
     """Interpolates samples that repeat the previous one, in evenly spaced blocks.
 
     ``groups`` are the positions of the axes of each group: a sample is repeated if it equals the
-    previous one on all axes of a group. The last `LONGEST_REPEAT` samples are buffered.
+    previous one on all axes of a group. The last `LONGEST_REPEAT` samples are not returned yet.
     """
 
     def __init__(self, groups: list[list[int]], axes: int) -> None:

@@ -69,8 +69,8 @@ def filtered(rows, groups, lengths):
         part = slice(at, at + length)
         blocks += repeats.feed([Block(stamps[part], rows[:, part])])
         at += length
-        # what is not returned yet is buffered: the last new sample and the repeats after it
-        assert min(at, rows.shape[1]) - sum(map(len, blocks)) <= LONGEST_REPEAT + 1
+        # what is not returned yet is buffered
+        assert min(at, rows.shape[1]) - sum(map(len, blocks)) <= LONGEST_REPEAT
     joined = Block.joined(blocks + repeats.flush())
     assert (joined.stamps == stamps).all()
     filled = np.zeros(rows.shape, bool) if joined.filled is None else joined.filled
