@@ -185,7 +185,7 @@ that ends in .yaml is a path.
 
   allan sensors
   allan sensors icm-42688-p
-  allan sensors --from results    (an entry for the catalogue)
+  allan sensors --from results > entry.yaml
   allan analyze my_bag --sensor icm-42688-p
 """
 
