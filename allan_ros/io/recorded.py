@@ -288,8 +288,7 @@ def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iter
         if recordings[1:]:
             recordings[-1].close()
     for job, recording in zip(jobs, recordings):
-        bar = observer.progress(job.path, recording.messages)
-        with bar as progress:
+        with observer.progress(job.path, recording.messages) as progress:
             recorded = read_recording(job, recording, progress.advance)
         yield recorded
 
