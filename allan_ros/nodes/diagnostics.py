@@ -102,8 +102,8 @@ def input_status(
 ) -> DiagnosticStatus:
     """Return the status of one input.
 
-    ``static_s`` is the time at rest in s since the start of the present pass; ``passes`` is their
-    number. ``streams`` is the number of different sample rates of the sensors. ``noted`` are
+    ``static_s`` is the time at rest in the sums, in s. ``passes`` is the number of times that the
+    sums were started. ``streams`` is the number of different sample rates of the sensors. ``noted`` are
     findings that do not change the level, ``others`` more values.
     """
     c, r = health.counts, statistics
