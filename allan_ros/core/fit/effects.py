@@ -301,7 +301,10 @@ def bias_steps(
 
 
 def step_findings(sums: AllanSums, without: set[int]) -> list[Finding]:
-    """Return the findings about steps in the longest segment, except of some axes."""
+    """Return the findings about steps in the longest segment, except of some axes.
+
+    Times are counted from the start of the recording, also if its first part is excluded.
+    """
     tau0 = sums.tau0 or 1.0
     every = [m for r in sums.recordings for m in r.means]
     longest = max(every, key=lambda m: m.samples, default=None)
@@ -316,7 +319,8 @@ def step_findings(sums: AllanSums, without: set[int]) -> list[Finding]:
         if steps is not None and steps.walk_after < STEPS_RATIO * steps.walk_before:
             share = 1.0 - math.sqrt(steps.walk_after / steps.walk_before)
             size = max(abs(s) for s in steps.sizes)
-            times = [duration_text((ns - longest.start_ns) * 1e-9) for ns in steps.ns]
+            begin = longest.age * tau0
+            times = [duration_text(begin + (ns - longest.start_ns) * 1e-9) for ns in steps.ns]
             at = ', '.join(times)
             found.append(finding('bias_steps', (axis,), size=size, share=share, at=at))
     return found

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from allan_ros.core.allan.running import RunningSums
-from allan_ros.core.allan.sums import AllanSums
+from allan_ros.core.allan.sums import AllanSums, part
+from allan_ros.core.fit.effects import step_findings
 from allan_ros.core.fit.stationary import fit_stationary, levels, present_part
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import NoiseTerms
@@ -90,12 +91,15 @@ def test_steps_of_the_bias_are_located() -> None:
     y = draw(4, 8 * HOUR)
     y[3 * HOUR :, 1] += 100.0 * DEG_H
     y[6 * HOUR :, 1] -= 60.0 * DEG_H
-    _, model = fit_stationary(sums_of(y))
+    sums = sums_of(y)
+    _, model = fit_stationary(sums)
     (found,) = (f for f in model.findings if f.id in CHANGES)
     assert found.id == 'bias_steps' and found.axes == ('gyro_y',)
     assert found.values['size'].value == pytest.approx(100.0 * DEG_H, rel=0.15)
     assert 0.8 < found.values['share'] <= 1.0
     assert found.values['at'] == '3 h, 6 h'
+    (later,) = step_findings(part(sums, first=4), set())  # times are still from the start
+    assert later.values['at'] == '3 h, 6 h'
 
 
 @pytest.mark.parametrize('at', [44_000, 52_000, 60_000])
