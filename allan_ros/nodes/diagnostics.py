@@ -103,8 +103,8 @@ def input_status(
     """Return the status of one input.
 
     ``static_s`` is the time at rest in the sums, in s. ``passes`` is the number of times that the
-    sums were started. ``streams`` is the number of different sample rates of the sensors. ``noted`` are
-    findings that do not change the level, ``others`` more values.
+    sums were started. ``streams`` is the number of different sample rates of the sensors. ``noted``
+    are findings that do not change the level, ``others`` more values.
     """
     c, r = health.counts, statistics
     excluded = {
