@@ -130,7 +130,7 @@ Y = gyro(Q=0.124, N=0.168, B=4.972, K=8.169, R=11.068)
 Z = gyro(Q=0.100, N=0.245, B=6.058, K=50.568, R=66.250)
 HOUR = 3600.0
 DAY = 24 * HOUR
-# The month of bench/soak_month.py, split at every drive and knock, at a sufficient rate.
+# A month on a robot, split at every drive and shock.
 MONTH = gyro(N=0.172, K=6.19)
 WITH_FLICKER = replace(MONTH, B=from_datasheet('B', 'gyro', 1.24))
 SCENARIOS = {

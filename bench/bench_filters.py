@@ -140,7 +140,7 @@ def units() -> dict[str, Any]:
 
 
 SETTLED_HOURS = {'imu1': 1.1, 'imu2': 1.1, 'imu4': 1.45}
-"""Start of the settled part in h: the units drift for an hour, and imu4 was knocked until 1.43
+"""Start of the settled part in h: the units drift for an hour, and imu4 has shocks until 1.43
 h."""
 
 BAND_RECORDS = 200

@@ -33,7 +33,7 @@ FORMS = {
     'quantization': lambda n, rng: np.diff(rng.normal(size=n), prepend=0.0),
     'constant': lambda n, rng: np.ones(n),
     'ramp': lambda n, rng: np.arange(n, dtype=float),
-    'one knock': lambda n, rng: np.eye(1, n, n // 2)[0],
+    'one shock': lambda n, rng: np.eye(1, n, n // 2)[0],
     'step': lambda n, rng: np.linspace(-1.0, 1.0, n).round() / 1.0,
     'alternating': lambda n, rng: (-1.0) ** np.arange(n),
 }

@@ -53,7 +53,7 @@ def samples_in(path: Path) -> int:
     return sum(samples * count for samples, count in sums_in(path)[0]['lengths'])
 
 
-def with_gap_and_knock(still_imu) -> ImuBatch:
+def with_gap_and_shock(still_imu) -> ImuBatch:
     batch = still_imu(12000)
     batch.samples[7000:7040] += np.random.default_rng(5).normal(0.0, 1.0, (40, 6))
     keep = np.ones(len(batch), bool)
@@ -70,7 +70,7 @@ def play(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_a_played_bag_gives_the_sums_of_the_bag(graph, still_imu, tmp_path: Path):
     bag, checkpoint = tmp_path / 'bag', tmp_path / 'sums.json'
-    write_recording(bag, [with_gap_and_knock(still_imu)])
+    write_recording(bag, [with_gap_and_shock(still_imu)])
     graph.start('accumulator', **{'checkpoint.path': str(checkpoint)})
     assert 'played 11499 messages' in play(str(bag), '--rate', '0').stdout
     saved = graph.call('/allan_accumulator/save')
@@ -289,7 +289,7 @@ def test_every_message_is_in_one_count_at_any_time(graph, still_imu):
     """Also while the latest samples are held until it is known whether the IMU was at rest."""
     graph.run('accumulator', **{'publish.sums_period': 3600.0})
     publisher = graph.publisher()
-    batch = with_gap_and_knock(still_imu)
+    batch = with_gap_and_shock(still_imu)
     batch.samples[9000:9010] = np.nan
     batch.samples[10_500:, :3] += np.random.default_rng(4).normal(0.0, 0.5, (999, 3))
     graph.until(lambda: graph.value('input', 'received') == '0')

@@ -46,7 +46,7 @@ def estimator(graph: Any, method: str = 'paper') -> tuple[Any, list[dict[str, An
 
 def test_growing_sums_are_not_replaced(still_imu) -> None:
     batch = still_imu(12_000)
-    batch.samples[6000:6040] += np.random.default_rng(5).normal(0.0, 1.0, (40, 6))  # a knock
+    batch.samples[6000:6040] += np.random.default_rng(5).normal(0.0, 1.0, (40, 6))  # a shock
     pieces = [sums_of(batch[:n]) for n in range(1000, 12_001, 500)]
     assert max(map(replaced_share, pieces, pieces[1:])) < 0.1
     assert replaced_share((), pieces[0]) == 0.0
