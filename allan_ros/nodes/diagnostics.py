@@ -335,7 +335,7 @@ def _metrics(status: DiagnosticStatus) -> Iterator[str]:
 
 
 def _metric(metric: str, value: object, **labels: str) -> str:
-    # the escapes of JSON for quotation mark, backslash and newline are those of Prometheus
+    # JSON escapes quotation marks, backslashes and line breaks in the same way as Prometheus
     shown = ','.join(
         f'{name}={json.dumps(text, ensure_ascii=False)}' for name, text in labels.items()
     )

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from ..core.compare import MARGIN
 from ..core.errors import AllanError
+from ..core.fit import METHODS
 from ..core.imu import SAMPLE_UNITS
 from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter, parameter
 
@@ -155,7 +156,7 @@ class EstimatorSettings(CheckedSettings):
     method: str = parameter(
         'likelihood',
         'Method that fits the five terms.',
-        choices=('likelihood', 'paper'),
+        choices=METHODS,
     )
     growth: float = parameter(
         0.1, 'Fit again when the number of samples has grown by this fraction.', '', 0.0, 10.0

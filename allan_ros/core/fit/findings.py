@@ -178,7 +178,8 @@ def with_harmonics(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
     for line in lines:
         for group in groups:
             ratio = line.frequency / group[0].frequency
-            if abs(ratio - round(ratio)) < HARMONIC * ratio and ratio < HIGHEST_HARMONIC:
+            is_multiple = abs(ratio - round(ratio)) < HARMONIC * ratio
+            if is_multiple and 1.5 < ratio < HIGHEST_HARMONIC:
                 group.append(line)
                 break
         else:

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 DIGITS = 6
 """Significant digits of numbers in a file, more than any interval justifies."""
 
-WRONG_UNITS = ('gyro_unit', 'accel_unit', 'accel_scale')
-"""Findings that the samples are not in SI units: no file is written without `--force`."""
+REFUSED = ('gyro_unit', 'accel_unit', 'accel_scale')
+"""Ids of findings that the samples are not in SI units: no file is written without `--force`."""
 
 DEFAULT_TOPIC = '/imu0'
 """Topic in files of recordings without a topic, as in the examples of Kalibr."""
@@ -112,7 +112,7 @@ class FilterNoise:
     ) -> None:
         if not 0.0 < results.tau0 < math.inf:
             raise AllanError('these results have no sample rate: record longer, or analyze again')
-        wrong = [each for each in results.findings if each.id in WRONG_UNITS]
+        wrong = [each for each in results.findings if each.id in REFUSED]
         if wrong and not options.force:
             raise AllanError(
                 f'{wrong[0]} Then analyze again; --force writes these numbers nevertheless.'

@@ -22,7 +22,7 @@ from ...core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
 from ...core.noise import NoiseTerms, ProcessModel
 from ..format import significant
 from . import FROM_DATASHEET, ExportOptions, Form, Key, Row, Target, Value, target_of
-from .model import WRONG_UNITS, FilterNoise, notation_of
+from .model import REFUSED, FilterNoise, notation_of
 
 if TYPE_CHECKING:
     from ..results import Results
@@ -42,7 +42,7 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
     results, target, inflate = noise.results, noise.target, noise.options.inflate
     limits = dict.fromkeys(row.key for row in rows if row.is_limit)
     unsure = dict.fromkeys(row.key for row in rows if row.no_interval)
-    first = (*WRONG_UNITS, 'from_datasheet')
+    first = (*REFUSED, 'from_datasheet')
     subject = 'Bias of an IMU over' if name == 'temperature' else 'IMU noise for'
     start = results.provenance.start
     title = [
