@@ -66,8 +66,8 @@ setup(
         PACKAGE: [
             'py.typed',
             'core/findings.txt',
-            'io/report/*.css',
-            'io/report/*.js',
+            'view/report/*.css',
+            'view/report/*.js',
         ]
     },
     data_files=[

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from .api import analyze, common, compare, inflate
     from .core.allan.curve import AxisCurve
     from .core.errors import AllanError
-    from .io.axis_result import AxisResult, Quantity, adev, fit
-    from .io.documents import load
-    from .io.results import Results
-    from .io.simulation import simulate
+    from .results.axis_result import AxisResult, Quantity, adev, fit
+    from .results.documents import load
+    from .results.results import Results
+    from .results.simulation import simulate
 
 __version__ = '1.0.0'
 
@@ -46,11 +46,11 @@ __all__ = [
 _HOME = {
     'AllanError': 'core.errors',
     'AxisCurve': 'core.allan.curve',
-    **dict.fromkeys(('AxisResult', 'Quantity', 'adev', 'fit'), 'io.axis_result'),
-    'load': 'io.documents',
-    'Results': 'io.results',
-    'sensor': 'io.datasheets',
-    'simulate': 'io.simulation',
+    **dict.fromkeys(('AxisResult', 'Quantity', 'adev', 'fit'), 'results.axis_result'),
+    'load': 'results.documents',
+    'Results': 'results.results',
+    'sensor': 'results.datasheets',
+    'simulate': 'results.simulation',
 }
 
 

@@ -26,12 +26,9 @@ from .core.settings import (
     describe,
     expect,
 )
-from .io.analysis import ResultSettings, analyze_recorded, one_thread
-from .io.datasheets import load_sensor
-from .io.documents import RESULTS, SUMS, labels_of, load, load_sums
-from .io.files import PATH, public
-from .io.readers import ReadOptions, Recording, topics_of
-from .io.recorded import (
+from .readers import ReadOptions, Recording, topics_of
+from .readers.files import PATH, public
+from .readers.recorded import (
     Observer,
     ReadJob,
     RecordingSums,
@@ -41,11 +38,14 @@ from .io.recorded import (
     read_in_turn,
     read_recording,
 )
-from .io.results import Results
+from .results.analysis import ResultSettings, analyze_recorded, one_thread
+from .results.datasheets import load_sensor
+from .results.documents import RESULTS, SUMS, labels_of, load, load_sums
+from .results.results import Results
 
 if TYPE_CHECKING:
-    from .io.common import CommonResult
-    from .io.comparison import Inflation, RunComparison
+    from .results.common_noise import CommonResult
+    from .results.comparison import Inflation, RunComparison
 
 
 def results_of(
@@ -181,7 +181,7 @@ def analyze(
         read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
         recorded = add_recordings([*read, *stored])
     else:
-        from .io.readers.arrays import recording_in_memory
+        from .readers.arrays import recording_in_memory
 
         recording = recording_in_memory(source, reading, axes)
         job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
@@ -249,7 +249,7 @@ def compare(
         raise AllanError('an input is given twice: give different recordings')
     if len(sources) + len(sheets) < 2 or not sources:
         raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
-    from .io.comparison import Subject, compare_runs
+    from .results.comparison import Subject, compare_runs
 
     runs = (results_of(source, method, observer) for source in sources)
     return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin, within)
@@ -297,8 +297,8 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     >>> round(float(row.coherence.value[0]), 1)
     0.9
     """
-    from .io.common import common_of
-    from .io.readers.arrays import recording_in_memory
+    from .readers.arrays import recording_in_memory
+    from .results.common_noise import common_of
 
     reading, settings = _settings(options, rate)
     recordings: dict[str, Recording] = {}
@@ -360,7 +360,7 @@ def inflate(
     >>> round(ar.inflate(off, on).axes['gyro_x']['N'].factor, 1)
     2.0
     """
-    from .io.comparison import REST, RUNNING, Inflation, Subject, compare_runs
+    from .results.comparison import REST, RUNNING, Inflation, Subject, compare_runs
 
     check_range(1e-3, 1e9, 's', horizon=horizon)
     quiet = results_of(rest, observer=observer)

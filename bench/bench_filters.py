@@ -36,7 +36,7 @@ from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.reductions import reduce_model
 from allan_ros.core.imu import AXES
 from allan_ros.core.noise import NoiseTerms, ProcessModel
-from allan_ros.io.exporters import ExportOptions, make_export
+from allan_ros.export import ExportOptions, make_export
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', ROOT.parent / 'shared'))

@@ -60,7 +60,7 @@ def bag(folder: Path, name: str, messages: int) -> Path:
 def table(path: Path) -> int:
     """Read a bag to its Allan table."""
     from allan_ros.core.stream.pipeline import ImuStream
-    from allan_ros.io.readers import open_recordings
+    from allan_ros.readers import open_recordings
 
     (recording,) = open_recordings([path])
     accumulator = ImuStream()
@@ -73,7 +73,7 @@ def table(path: Path) -> int:
 
 def read(path: Path) -> int:
     """Read a bag to arrays of samples."""
-    from allan_ros.io.readers import open_recordings
+    from allan_ros.readers import open_recordings
 
     (recording,) = open_recordings([path])
     return sum(map(len, recording.batches()))
@@ -97,7 +97,7 @@ def floor(path: Path) -> int:
     """
     from zstandard import ZstdDecompressor
 
-    from allan_ros.io.readers.mcap import CHUNK, MAGIC, RECORD
+    from allan_ros.readers.mcap import CHUNK, MAGIC, RECORD
 
     for database in path.glob('*.db3'):
         with sqlite3.connect(f'file:{database}?immutable=1', uri=True) as connection:
@@ -136,7 +136,7 @@ def measured(work: str, path: Path) -> tuple[float, int, float]:
 def work_here(work: str, path: Path) -> None:
     """Do the work and print its cost without imports."""
     import allan_ros.core.stream.pipeline
-    import allan_ros.io.readers.rosbag2  # noqa: F401
+    import allan_ros.readers.rosbag2  # noqa: F401
 
     begin = time.process_time()
     messages = WORK[work](path)
@@ -178,7 +178,7 @@ def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
 
 def spread(path: Path, processes: int) -> None:
     """Read a bag `RECORDINGS` times in parallel, as ``allan analyze --jobs`` does."""
-    from allan_ros.io.recorded import ReadJob, read_in_processes, read_in_turn
+    from allan_ros.readers.recorded import ReadJob, read_in_processes, read_in_turn
 
     jobs = [ReadJob(str(path))] * RECORDINGS
     for _ in read_in_turn(jobs) if processes == 1 else read_in_processes(jobs, processes):

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from online_nodes import EMPTY_SUBSCRIBER, Client, Process, node
 
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
-from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.readers.cdr import encode_imus
 
 RATES_HZ = (200, 1000, 4000)
 SETTLE_S = 5.0

@@ -27,10 +27,10 @@ from online_nodes import EMPTY_SUBSCRIBER, Client, Process, node
 
 from allan_ros.core.simulate import NoiseTerms, simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.analysis import analyze_sums
-from allan_ros.io.documents import results_to_document
-from allan_ros.io.readers.cdr import CovariancePatch, encode_imus
-from allan_ros.io.recorded import Provenance
+from allan_ros.readers.cdr import CovariancePatch, encode_imus
+from allan_ros.readers.recorded import Provenance
+from allan_ros.results.analysis import analyze_sums
+from allan_ros.results.documents import results_to_document
 
 RATES_HZ = (200, 1000)
 MEASURE_S = 10.0

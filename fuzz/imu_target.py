@@ -12,7 +12,7 @@ from typing import Any
 from hypothesis import strategies as st
 
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.readers.cdr import CovariancePatch, MalformedMessage, decode_imus, frame_id_of
+from allan_ros.readers.cdr import CovariancePatch, MalformedMessage, decode_imus, frame_id_of
 
 from .damage import any_bytes, floats, texts
 from .reading import BrokenRule, check_line, payloads

@@ -11,8 +11,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from allan_ros.io.readers import open_recordings
-from allan_ros.io.writing import write_table
+from allan_ros.readers import open_recordings
+from allan_ros.readers.writing import write_table
 
 from .damage import damaged
 from .reading import BrokenRule, refused_or_valid, small_batch, write_bag

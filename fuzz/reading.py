@@ -15,8 +15,8 @@ import numpy as np
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch, joined
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.readers import ReadOptions, open_recordings
-from allan_ros.io.readers.cdr import IMU_TYPE, encode_imus
+from allan_ros.readers import ReadOptions, open_recordings
+from allan_ros.readers.cdr import IMU_TYPE, encode_imus
 
 MESSAGES = 40
 """Number of messages of a small bag, enough for several chunks or pages."""

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from allan_ros.io.readers import ReadOptions
-from allan_ros.io.writing import write_table
+from allan_ros.readers import ReadOptions
+from allan_ros.readers.writing import write_table
 
 from .damage import any_bytes, signed, texts
 from .reading import read_and_check, small_batch

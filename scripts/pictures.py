@@ -23,8 +23,8 @@ from matplotlib.figure import Figure
 import allan_ros as ar
 from allan_ros.core.imu import UNITS
 from allan_ros.core.noise import NoiseTerms, term_avar
-from allan_ros.io.format import TERM_STYLES
-from allan_ros.io.plots import LIMIT_ALPHA
+from allan_ros.view.format import TERM_STYLES
+from allan_ros.view.plots import LIMIT_ALPHA
 
 RATE = 100.0
 """Sampling rate of every picture in Hz."""

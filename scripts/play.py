@@ -35,8 +35,8 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_imu
-from allan_ros.io.readers import ReadOptions, open_recordings
-from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.readers import ReadOptions, open_recordings
+from allan_ros.readers.cdr import encode_imus
 
 # noise terms of a good MEMS IMU
 GYRO = [NoiseTerms(N=5e-5, B=2e-5, K=2e-6)] * 3

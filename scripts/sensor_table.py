@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from allan_ros.io.datasheets import Datasheet, load_sensor
+from allan_ros.results.datasheets import Datasheet, load_sensor
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / 'docs' / 'sensors.md'

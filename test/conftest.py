@@ -21,10 +21,10 @@ from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.analysis import analyze_sums
-from allan_ros.io.readers import SourceInfo
-from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results
+from allan_ros.readers import SourceInfo
+from allan_ros.readers.recorded import Provenance
+from allan_ros.results.analysis import analyze_sums
+from allan_ros.results.results import Results
 
 # The time an example takes depends on the machine, not on the law that is tested.
 settings.register_profile('allan_ros', deadline=None)
@@ -88,7 +88,7 @@ def each_fit_is_computed_once() -> Iterator[None]:
     the time.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('allan_ros.io.analysis.fit_stationary', fit_once)
+        patch.setattr('allan_ros.results.analysis.fit_stationary', fit_once)
         yield
 
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.readers import open_recordings
+from allan_ros.readers import open_recordings
 from fuzz import mcap_target
 from fuzz.reading import MESSAGES, read_and_check
 

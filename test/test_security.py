@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from allan_ros.core.errors import AllanError, one_line
-from allan_ros.io.files import write_atomic
+from allan_ros.readers.files import write_atomic
 
 LOG = logging.getLogger('test')
 
@@ -57,7 +57,7 @@ def test_the_scan_finds_forbidden_calls(tmp_path: Path) -> None:
 def test_the_loader_of_yaml_is_a_safe_one() -> None:
     import yaml
 
-    from allan_ros.io.files import parse_yaml
+    from allan_ros.readers.files import parse_yaml
 
     with pytest.raises(yaml.YAMLError):
         parse_yaml('!!python/object/apply:os.getcwd []')

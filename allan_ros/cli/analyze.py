@@ -26,13 +26,19 @@ from ..api import is_document
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding
 from ..core.settings import SegmenterSettings, check_rate
-from ..io.analysis import ResultSettings
-from ..io.datasheets import load_sensor
-from ..io.documents import RESULTS, load, load_sums, results_to_document
-from ..io.exporters import target_of
-from ..io.readers import ReadOptions
-from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_in_processes, read_in_turn
-from ..io.verdict import verdict_of
+from ..export import target_of
+from ..readers import ReadOptions
+from ..readers.recorded import (
+    ReadJob,
+    RecordingSums,
+    add_recordings,
+    read_in_processes,
+    read_in_turn,
+)
+from ..results.analysis import ResultSettings
+from ..results.datasheets import load_sensor
+from ..results.documents import RESULTS, load, load_sums, results_to_document
+from ..results.verdict import verdict_of
 from .batch import (
     EXIT_ERROR,
     EXIT_FAILED,

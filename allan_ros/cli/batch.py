@@ -23,14 +23,14 @@ from ..core.fields import plain
 from ..core.findings import SEVERITIES, Finding, by_consequence, finding
 from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, sensor_of
-from ..io.analysis import ResultSettings, analyze_recorded
-from ..io.documents import load, load_sums, results_to_document
-from ..io.files import write_atomic
-from ..io.format import known_numbers, shown_unit, value_text
-from ..io.readers import topics_of
-from ..io.recorded import ReadJob, RecordingSums, add_recordings, read_recording
-from ..io.results import Results
-from ..io.verdict import WORDS, Verdict, finding_text, verdict_of
+from ..readers import topics_of
+from ..readers.files import write_atomic
+from ..readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
+from ..results.analysis import ResultSettings, analyze_recorded
+from ..results.documents import load, load_sums, results_to_document
+from ..results.results import Results
+from ..results.verdict import WORDS, Verdict, finding_text, verdict_of
+from ..view.format import known_numbers, shown_unit, value_text
 from .console import Console, colored, painted
 from .options import settings_of
 from .tables import LEVEL_COLORS
@@ -73,7 +73,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """
     console, outcomes, codes = Console.of(args), [], []
     if args.output:
-        from ..io.result_files import made_folder
+        from ..view.result_files import made_folder
 
         made_folder(Path(args.output))
     for outcome in _outcomes([Unit(n, [job]) for n, job in zip(names_of(jobs), jobs)], args):
@@ -293,7 +293,7 @@ def fit_and_write(
     )
     if not folder:
         return results, []
-    from ..io.result_files import write_result_files
+    from ..view.result_files import write_result_files
 
     results, paths = write_result_files(
         folder,

@@ -21,11 +21,11 @@ from pathlib import Path
 from ..core.errors import AllanError
 from ..core.fields import plain
 from ..core.imu import UNITS, sensor_of
-from ..io.datasheets import DEFAULT_RATE_HZ, Datasheet, Limit, load_sensor, sensor_names
-from ..io.exporters import TARGETS, ExportOptions
-from ..io.files import MAX_BYTES, read_text
-from ..io.format import LIMIT_DIGITS, shown_unit, significant
-from ..io.measured import measured_entry, measured_lines
+from ..export import TARGETS, ExportOptions
+from ..readers.files import MAX_BYTES, read_text
+from ..results.datasheets import DEFAULT_RATE_HZ, Datasheet, Limit, load_sensor, sensor_names
+from ..results.measured import measured_entry, measured_lines
+from ..view.format import LIMIT_DIGITS, shown_unit, significant
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
 
@@ -46,10 +46,10 @@ def run(args: argparse.Namespace) -> int:
             'give a results.json or its folder, or --sensor NAME, and --to TARGET; --list shows '
             'the targets'
         )
-    from ..io.documents import load
-    from ..io.exporters import make_export, target_of
-    from ..io.exporters.text import against, verdicts
-    from ..io.files import write_atomic
+    from ..export import make_export, target_of
+    from ..export.text import against, verdicts
+    from ..readers.files import write_atomic
+    from ..results.documents import load
 
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
@@ -100,7 +100,7 @@ def sensors(args: argparse.Namespace) -> int:
     """Print one datasheet, a list of all, or results as an entry for the file of a datasheet."""
     console = Console.of(args)
     if source := vars(args)['from']:
-        from ..io.documents import load
+        from ..results.documents import load
 
         if args.name:
             raise AllanError(f'--from prints an entry for any sensor: omit {args.name}')

@@ -63,8 +63,8 @@ recording:
 
 def run(args: argparse.Namespace) -> int:
     """Simulate a recording, and write it and its true values."""
-    from ..io.simulation import read_specification, stated_noise, write_truth
-    from ..io.writing import write_recording
+    from ..readers.writing import write_recording
+    from ..results.simulation import read_specification, stated_noise, write_truth
 
     changes = {name: getattr(args, name) for name in NOISES if getattr(args, name)}
     stated, faults = read_specification(args.spec) if args.spec else (None, Faults())

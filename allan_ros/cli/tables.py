@@ -13,9 +13,20 @@ from ..core.errors import AllanError
 from ..core.findings import prefixed
 from ..core.fit import TERMS, Coefficient
 from ..core.imu import AXES, SENSORS, sensor_of
-from ..io.datasheets import DatasheetComparison
-from ..io.exporters import RAISED, origin_text, target_rows
-from ..io.format import (
+from ..export import RAISED, origin_text, target_rows
+from ..results.datasheets import DatasheetComparison
+from ..results.results import Results
+from ..results.verdict import (
+    WORDS,
+    Level,
+    Verdict,
+    finding_text,
+    findings_and_notes,
+    further_steps,
+    headline,
+    too_short,
+)
+from ..view.format import (
     LIMIT_DIGITS,
     NOTHING_KNOWN,
     VALUE_DIGITS,
@@ -27,21 +38,10 @@ from ..io.format import (
     temperature_text,
     value_text,
 )
-from ..io.results import Results
-from ..io.verdict import (
-    WORDS,
-    Level,
-    Verdict,
-    finding_text,
-    findings_and_notes,
-    further_steps,
-    headline,
-    too_short,
-)
 from .console import SEVERITY_COLORS, painted, wrapped
 
 if TYPE_CHECKING:
-    from ..io.comparison import RunComparison
+    from ..results.comparison import RunComparison
 
 LEVEL_COLORS: dict[Level, str] = {
     'healthy': '1;32',
@@ -295,7 +295,7 @@ def _comparison_rows(
     comparison: RunComparison, sensor: str, axes: Sequence[str], units: str
 ) -> Iterator[tuple[str, list[Cell]]]:
     """Yield the rows of one sensor: values and ratios, then counts of significant deviations."""
-    from ..io.comparison import ratio_text, verdict_text
+    from ..results.comparison import ratio_text, verdict_text
 
     yield sensor, [(axis[-1], '') for axis in axes]
     for term in TERMS:

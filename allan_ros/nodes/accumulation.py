@@ -23,9 +23,9 @@ from ..core.stream.cleaning import PassSplitter
 from ..core.stream.health import StreamHealth
 from ..core.stream.pipeline import ImuStream
 from ..core.stream.transport import TransportMonitor, faults_of
-from ..io.checkpoint import Checkpoint, Total
-from ..io.readers import SourceInfo
-from ..io.recorded import Provenance
+from ..readers import SourceInfo
+from ..readers.recorded import Provenance
+from ..results.checkpoint import Checkpoint, Total
 from .diagnostics import input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput
 from .messages import REPLACED_SHARE, Snapshot, replaced_share

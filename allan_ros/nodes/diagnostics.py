@@ -24,9 +24,9 @@ from ..core.fit.model import TERMS, Coefficient
 from ..core.imu import sensor_of
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
-from ..io.axis_result import AxisResult
-from ..io.datasheets import exceeds_limit
-from ..io.format import LIMIT_DIGITS, shown_unit, significant, value_text
+from ..results.axis_result import AxisResult
+from ..results.datasheets import exceeds_limit
+from ..view.format import LIMIT_DIGITS, shown_unit, significant, value_text
 
 LEVELS: Mapping[str, bytes] = {
     'info': DiagnosticStatus.OK,

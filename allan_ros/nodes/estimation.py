@@ -24,11 +24,11 @@ from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
 from ..core.stream.transport import faults_of
-from ..io.analysis import analyze_sums
-from ..io.checkpoint import Total
-from ..io.datasheets import load_sensor
-from ..io.documents import load, results_to_document
-from ..io.results import Results
+from ..results.analysis import analyze_sums
+from ..results.checkpoint import Total
+from ..results.datasheets import load_sensor
+from ..results.documents import load, results_to_document
+from ..results.results import Results
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
 from .messages import REPLACED_SHARE, BiasPublisher, Snapshot, replaced_share
 from .node import AllanNode, Part

@@ -35,7 +35,7 @@ from ..core.errors import one_line
 from ..core.findings import Finding, finding
 from ..core.imu import NANOSECONDS, ImuBatch, sample_factors
 from ..core.stream.transport import Arrivals, ConstantAxes, TransportStatistics
-from ..io.readers.cdr import MalformedMessage, decode_imus, is_imu
+from ..readers.cdr import MalformedMessage, decode_imus, is_imu
 from .settings import InputSettings
 
 try:

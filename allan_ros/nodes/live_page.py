@@ -17,8 +17,8 @@ from std_msgs.msg import String
 
 from ..core.errors import AllanError
 from ..core.findings import duration_text
-from ..io.analysis import analyze_sums
-from ..io.report import render_report
+from ..results.analysis import analyze_sums
+from ..view.report import render_report
 from .messages import Snapshot
 from .shell import LATCHED
 

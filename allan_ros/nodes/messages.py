@@ -21,11 +21,15 @@ from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
 from ..core.findings import Finding
 from ..core.imu import AXES, ImuIdentity
 from ..core.stream.health import Means
-from ..io.checkpoint import Total
-from ..io.documents import finding_from_document, sums_file_from_document, sums_file_to_document
-from ..io.files import parse_json
-from ..io.recorded import with_accel
-from ..io.results import Results
+from ..readers.files import parse_json
+from ..readers.recorded import with_accel
+from ..results.checkpoint import Total
+from ..results.documents import (
+    finding_from_document,
+    sums_file_from_document,
+    sums_file_to_document,
+)
+from ..results.results import Results
 from .shell import LATCHED
 
 REPLACED_SHARE = 0.1

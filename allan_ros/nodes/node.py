@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from ..core.settings import CheckedSettings, ParameterInfo, describe
-from ..io.files import write_atomic
+from ..readers.files import write_atomic
 from .diagnostics import metrics_text, status_name, status_of
 from .settings import GROUPS, PublishSettings
 from .shell import STEADY

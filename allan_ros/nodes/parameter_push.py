@@ -37,9 +37,9 @@ from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.imu import AXES, SENSORS
 from ..core.stream.transport import faults_of
-from ..io.exporters import ExportOptions, target_rows
-from ..io.files import config_file, read_yaml
-from ..io.results import Results
+from ..export import ExportOptions, target_rows
+from ..readers.files import config_file, read_yaml
+from ..results.results import Results
 from .diagnostics import key_values, status_name
 from .node import AllanNode, Part
 from .settings import SETTLED_RATIO, PushSettings

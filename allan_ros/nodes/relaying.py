@@ -28,10 +28,10 @@ from ..core.filters.noise_parameters import Variances, white_ratio, white_varian
 from ..core.findings import Finding, finding
 from ..core.imu import SENSORS, ImuIdentity, sensor_of
 from ..core.stream.transport import faults_of
-from ..io.documents import results_from_document
-from ..io.files import parse_json
-from ..io.readers.cdr import CovariancePatch, MalformedMessage, frame_id_of
-from ..io.results import Results
+from ..readers.cdr import CovariancePatch, MalformedMessage, frame_id_of
+from ..readers.files import parse_json
+from ..results.documents import results_from_document
+from ..results.results import Results
 from .diagnostics import status_name, status_of
 from .imu_input import full_name, qos_text, subscribe_raw
 from .node import AllanNode, Part

@@ -11,7 +11,7 @@ import pytest
 
 import allan_ros as ar
 from allan_ros.core.settings import choose, expect
-from allan_ros.io.files import PATH
+from allan_ros.readers.files import PATH
 
 SOURCE = 'source is {}: results or a path is expected'
 TAUS = np.geomspace(0.1, 1000.0, 30)

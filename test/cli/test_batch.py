@@ -16,7 +16,7 @@ import pytest
 from allan_ros.cli.analyze import recordings_in
 from allan_ros.cli.main import main
 from allan_ros.core.imu import ImuBatch
-from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.readers.cdr import encode_imus
 
 QUICK = ('--method', 'paper')
 """The fastest method, for tests that do not depend on the fit."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from allan_ros.cli.main import main
-from allan_ros.io.datasheets import sensor_names
+from allan_ros.results.datasheets import sensor_names
 
 
 def test_analyze_prints_and_keeps_the_comparison_with_a_datasheet(

@@ -9,9 +9,9 @@ from allan_ros.cli.main import main
 from allan_ros.core.fit import TERMS
 from allan_ros.core.imu import shown_unit
 from allan_ros.core.simulate import PRESETS
-from allan_ros.io.datasheets import load_sensor
-from allan_ros.io.readers import open_recordings
-from allan_ros.io.simulation import read_noise, truth_path
+from allan_ros.readers import open_recordings
+from allan_ros.results.datasheets import load_sensor
+from allan_ros.results.simulation import read_noise, truth_path
 
 SHORT = ['--hours', '0.01', '--rate', '50']  # 1800 samples
 

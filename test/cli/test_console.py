@@ -13,7 +13,7 @@ import pytest
 
 from allan_ros.cli.console import Progress, colored
 from allan_ros.cli.main import main
-from allan_ros.io.exporters import TARGETS
+from allan_ros.export import TARGETS
 
 FIT = ['--method', 'paper']
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from allan_ros.cli.main import main
-from allan_ros.io.exporters import TARGETS, target_of
+from allan_ros.export import TARGETS, target_of
 
 
 def test_analyze_writes_the_requested_files_and_the_one_of_kalibr(analyzed: Path) -> None:

@@ -195,7 +195,7 @@ def test_a_missing_matplotlib_is_noticed_before_anything_is_read(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(sys.modules, 'matplotlib', None)
-    monkeypatch.delitem(sys.modules, 'allan_ros.io.plots', raising=False)
+    monkeypatch.delitem(sys.modules, 'allan_ros.view.plots', raising=False)
     missing = tmp_path / 'missing.csv'  # reading it first would end in another error
     assert main(['analyze', str(missing), '-o', str(tmp_path), '--plots', 'svg']) == 1
     (line,) = capsys.readouterr().err.splitlines()

@@ -25,7 +25,7 @@ from allan_ros.core.findings import (
     significant,
 )
 from allan_ros.core.imu import SI_UNITS, shown_unit
-from allan_ros.io.documents import finding_from_document
+from allan_ros.results.documents import finding_from_document
 
 
 def test_every_kind_of_finding_has_a_severity_a_message_and_a_remedy():

@@ -25,7 +25,7 @@ import pytest
 from support.node_server import PATIENCE_S, NodeProcess, NodeServer
 
 from allan_ros.core.imu import ImuBatch
-from allan_ros.io.readers.cdr import encode_imus
+from allan_ros.readers.cdr import encode_imus
 
 ROOT = Path(__file__).resolve().parents[2]
 DOMAINS = range(1, 101)

@@ -21,9 +21,9 @@ pytest.importorskip('rclpy')
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.readers import open_recordings
-from allan_ros.io.writing import write_recording
 from allan_ros.nodes.accumulation import _events
+from allan_ros.readers import open_recordings
+from allan_ros.readers.writing import write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 

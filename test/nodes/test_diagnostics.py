@@ -26,11 +26,11 @@ from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.core.stream.transport import TransportStatistics
-from allan_ros.io.analysis import analyze_sums
-from allan_ros.io.axis_result import AxisResult
-from allan_ros.io.recorded import Provenance
 from allan_ros.nodes import diagnostics
 from allan_ros.nodes.diagnostics import AxisView, axis_status, input_status, metrics_text
+from allan_ros.readers.recorded import Provenance
+from allan_ros.results.analysis import analyze_sums
+from allan_ros.results.axis_result import AxisResult
 
 DEG_PER_SQRT_H = np.pi / 180.0 / 60.0
 N = 0.2 * DEG_PER_SQRT_H

@@ -14,9 +14,9 @@ import pytest
 pytest.importorskip('rclpy')
 
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.analysis import analyze_sums
-from allan_ros.io.documents import results_from_document, results_to_document
-from allan_ros.io.recorded import Provenance
+from allan_ros.readers.recorded import Provenance
+from allan_ros.results.analysis import analyze_sums
+from allan_ros.results.documents import results_from_document, results_to_document
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 N = 1e-3 * 200.0**-0.5

@@ -17,11 +17,11 @@ from allan_ros.core.filters.noise_parameters import white_ratio
 from allan_ros.core.findings import finding
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.analysis import analyze_sums
-from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results
 from allan_ros.nodes.relaying import cover_bias, relay_variances
 from allan_ros.nodes.settings import SETTLED_RATIO, RelaySettings
+from allan_ros.readers.recorded import Provenance
+from allan_ros.results.analysis import analyze_sums
+from allan_ros.results.results import Results
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 

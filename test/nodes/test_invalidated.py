@@ -16,9 +16,9 @@ from std_msgs.msg import String
 
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.recorded import Provenance
 from allan_ros.nodes.messages import Snapshot, replaced_share
 from allan_ros.nodes.shell import LATCHED
+from allan_ros.readers.recorded import Provenance
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 

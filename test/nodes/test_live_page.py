@@ -26,9 +26,9 @@ from support.chromium import Chromium
 from support.node_server import PATIENCE_S
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.files import to_json
 from allan_ros.nodes.live_page import MOST_REQUESTS, REFRESH_S, LivePage, _with_age
 from allan_ros.nodes.messages import Snapshot
+from allan_ros.readers.files import to_json
 
 TOPIC = '/allan_monitor/sums'
 

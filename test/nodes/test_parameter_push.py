@@ -13,8 +13,8 @@ import pytest
 pytest.importorskip('rclpy')
 
 from allan_ros.core.errors import AllanError
-from allan_ros.io.files import config_names
 from allan_ros.nodes.parameter_push import TARGETS, Proposal, load_plan
+from allan_ros.readers.files import config_names
 
 OK, WARN = b'\x00', b'\x01'
 N = 1e-3 / 200**0.5

@@ -21,11 +21,11 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.filters.noise_parameters import white_variances
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.io.analysis import analyze_sums
-from allan_ros.io.documents import results_to_document
-from allan_ros.io.readers.cdr import CovariancePatch, encode_imus, imu_dtype
-from allan_ros.io.recorded import Provenance
-from allan_ros.io.results import Results
+from allan_ros.readers.cdr import CovariancePatch, encode_imus, imu_dtype
+from allan_ros.readers.recorded import Provenance
+from allan_ros.results.analysis import analyze_sums
+from allan_ros.results.documents import results_to_document
+from allan_ros.results.results import Results
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 OUT = 'imu/data_with_covariance'

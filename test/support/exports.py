@@ -20,9 +20,9 @@ import yaml
 from allan_ros.core.fit import Coefficient, GaussMarkov, Processes
 from allan_ros.core.fit.model import model_of_terms
 from allan_ros.core.fit.temperature import SlowNoise, TemperatureModel
-from allan_ros.io.axis_result import AxisResult
-from allan_ros.io.exporters import ExportOptions, make_export
-from allan_ros.io.results import Results
+from allan_ros.export import ExportOptions, make_export
+from allan_ros.results.axis_result import AxisResult
+from allan_ros.results.results import Results
 
 
 def near(value: Any) -> Any:

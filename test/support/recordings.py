@@ -13,7 +13,7 @@ import numpy as np
 from allan_ros.core.errors import AllanError
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch, joined
-from allan_ros.io.readers import ReadOptions, Recording, open_recordings
+from allan_ros.readers import ReadOptions, Recording, open_recordings
 
 START_NS = 1_700_000_000_123_456_789
 

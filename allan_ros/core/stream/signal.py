@@ -1,0 +1,407 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Summary of the raw signal for charts, in memory that does not depend on the recording length.
+
+`SignalEnvelope` keeps the range, mean and noise of the samples in each of up to 2048 bins, because
+a chart must show every shock. `SignalSummary` places all recordings on one time axis, with the
+times that are excluded and the reasons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..imu import AXES, LARGEST, ImuBatch
+from .health import Event, Segment
+
+Floats = NDArray[np.float64]
+
+MAX_BINS = 2048
+"""Largest number of bins, more than the pixels of a plot; when all are full, pairs are joined."""
+
+
+STATISTICS: dict[str, Any] = {
+    'low': np.fmin,
+    'high': np.fmax,
+    'total': np.add,
+    'count': np.add,
+    'square': np.add,
+    'pairs': np.add,
+}
+"""Statistics of a bin, and the function that joins two bins: lowest and highest sample; sum and
+number of samples; sum of squared differences of successive samples, and number of these."""
+
+
+class SignalEnvelope:
+    """Range, mean and noise of every axis in bins of equal sample count, in constant memory.
+
+    The result does not depend on the size of the batches. NaN is ignored; a bin with only NaN is
+    NaN.
+    """
+
+    def __init__(self) -> None:
+        self._step = 1
+        self._samples = 0
+        self._bins = {name: np.empty((MAX_BINS, len(AXES))) for name in STATISTICS}
+        self._start_ns = np.empty((MAX_BINS, 2), np.int64)
+        self._last = np.full((1, len(AXES)), np.nan)
+
+    def update(self, batch: ImuBatch) -> None:
+        """Add the next samples."""
+        while len(batch):
+            room = MAX_BINS * self._step - self._samples
+            if not room:
+                half = MAX_BINS // 2
+                for name, join in STATISTICS.items():
+                    values = self._bins[name]
+                    values[:half] = join(values[::2], values[1::2])
+                self._start_ns[:half] = self._start_ns[::2]
+                self._step *= 2
+                continue
+            self._add_to_bins(batch[:room])
+            batch = batch[room:]
+
+    def with_accel(self, other: SignalEnvelope) -> SignalEnvelope:
+        """Return a copy with the accelerometer of another topic, in bins at about its times."""
+        joined = deepcopy(self)
+        accel = slice(len(AXES) // 2, None)
+        # a bin contains all bins of the other topic that begin in it, or else the next one
+        starts = np.searchsorted(other.start_ns[1:], self.start_ns).clip(max=other.bins - 1)
+        starts[:1] = 0
+        for name, join in STATISTICS.items():
+            values = other._bins[name][: other.bins, accel]
+            joined._bins[name][: self.bins, accel] = join.reduceat(values, starts)
+        return joined
+
+    @property
+    def bins(self) -> int:
+        """Number of bins."""
+        return -(-self._samples // self._step)
+
+    def statistics(self, step: int = 1) -> dict[str, Floats]:
+        """Return the `STATISTICS` of each group of ``step`` bins, each (groups, 6), in SI."""
+        starts = np.arange(0, self.bins, step)
+        return {
+            name: join.reduceat(self._bins[name][: self.bins], starts)
+            for name, join in STATISTICS.items()
+        }
+
+    @property
+    def start_ns(self) -> NDArray[np.int64]:
+        """Stamp of the first sample of each bin, (bins,).
+
+        This is the header stamp, or the record time if header stamps do not advance.
+        """
+        header, record = self._start_ns[: self.bins].T
+        stamps: NDArray[np.int64] = header if np.ptp(header) > 0 else record
+        return stamps
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Start of each bin in s since the first sample, (bins,), never decreasing."""
+        stamps = self.start_ns.astype(float)  # int64 may overflow when subtracted
+        return np.asarray(np.maximum.accumulate((stamps - stamps[:1]) * 1e-9), float)
+
+    def _add_to_bins(self, batch: ImuBatch) -> None:
+        first = self._samples
+        bins = (first + np.arange(len(batch))) // self._step
+        starts = np.flatnonzero(np.diff(bins, prepend=-1))
+        # values that no IMU measures are excluded here and in the sums
+        samples = np.where(np.abs(batch.samples) <= LARGEST, batch.samples, np.nan)
+        squares = np.diff(np.concatenate([self._last, samples]), axis=0) ** 2
+        self._last = samples[-1:]
+        new = {'low': samples, 'high': samples}
+        for number, sum_of, values in (('count', 'total', samples), ('pairs', 'square', squares)):
+            known = np.isfinite(values)
+            new |= {sum_of: np.where(known, values, 0.0), number: known.astype(float)}
+        record = batch.stamps_ns if batch.record_ns is None else batch.record_ns
+        start_ns = np.stack([batch.stamps_ns[starts], record[starts]], axis=1)
+        at = int(bins[0])
+        filled = slice(at, at + len(starts))
+        begun = bool(first % self._step)  # the first bin has samples already
+        if begun:
+            start_ns[0] = self._start_ns[at]
+        self._start_ns[filled] = start_ns
+        for name, join in STATISTICS.items():
+            joined = join.reduceat(new[name], starts)
+            if begun:
+                joined[0] = join(joined[0], self._bins[name][at])
+            self._bins[name][filled] = joined
+        self._samples += len(batch)
+
+
+Item = TypeVar('Item')
+
+ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
+"""Plausible range in degC; readings outside are ignored."""
+
+
+@dataclass(frozen=True)
+class TemperatureTrace:
+    """Temperature readings of one sensor in a recording."""
+
+    source: str  # topic or column
+    header_ns: NDArray[np.int64]  # times of measurement, (n,)
+    record_ns: NDArray[np.int64]  # times of recording, equal to header_ns if there is one clock
+    celsius: Floats  # degC, (n,)
+
+
+def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> TemperatureTrace | None:
+    """Return the plausible readings of a temperature sensor; None if there is none.
+
+    ``source`` is their topic or column, and a reading is (header stamp in ns, record time in ns,
+    degC).
+    """
+    valid = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # also false for NaN
+    if not valid:
+        return None
+    header, record, celsius = zip(*valid)
+    return TemperatureTrace(
+        source, np.array(header, np.int64), np.array(record, np.int64), np.array(celsius, float)
+    )
+
+
+class Decimated(Generic[Item]):
+    """Every n-th item of a stream; n doubles when there are more than ``most`` items.
+
+    Examples
+    --------
+    >>> kept = Decimated(most=4)
+    >>> for i in range(9):
+    ...     kept.add(i)
+    >>> list(kept)
+    [0, 4, 8]
+    """
+
+    def __init__(self, most: int = MAX_BINS) -> None:
+        self._most = most
+        self._step = 1
+        self._added = 0
+        self._items: list[Item] = []
+
+    def add(self, item: Item) -> None:
+        """Add the next item."""
+        if self._added % self._step == 0:
+            if len(self._items) == self._most:
+                self._items = self._items[::2]
+                self._step *= 2
+            if self._added % self._step == 0:
+                self._items.append(item)
+        self._added += 1
+
+    def __iter__(self) -> Iterator[Item]:
+        return iter(self._items)
+
+
+GAP = 3.0
+"""Duration of a bin, relative to the median, above which it contains a gap."""
+
+
+class Excluded(NamedTuple):
+    """A period from ``start`` to ``end`` in s without used samples.
+
+    ``why`` is the kind of an `Event`, or '' for another reason, such as warm-up.
+    """
+
+    start: float
+    end: float
+    why: str = ''
+
+
+@dataclass(frozen=True)
+class SignalTemperature:
+    """Temperature over the time axis of a `SignalSummary`; NaN separates recordings."""
+
+    source: str  # topic or column; several if recordings differ
+    time_s: Floats  # s, (n,)
+    celsius: Floats  # degC, (n,)
+
+
+@dataclass(frozen=True)
+class SignalSummary:
+    """Signals of all recordings, one directly after the other on a common time axis."""
+
+    time_s: Floats  # start of each bin in s since the first sample of the first recording, (bins,)
+    # lowest sample, SI, (bins, 6); NaN at the start of a recording or without the sensor
+    low: Floats
+    high: Floats
+    mean: Floats  # SI, (bins, 6)
+    # standard deviation of the differences of successive samples / sqrt(2), SI, (bins, 6)
+    noise: Floats
+    used: NDArray[np.bool_]  # whether all samples of the bin are used, (bins,)
+    middle: Floats  # median of the signal, SI, (6,)
+    excluded: tuple[Excluded, ...]
+    gaps: tuple[tuple[float, float], ...]  # (start, end) in s of times without samples
+    starts: tuple[float, ...]  # of each recording in s
+    temperature: SignalTemperature | None = None
+
+    @property
+    def reach(self) -> Floats:
+        """Largest distance from ``middle`` in the used bins, (6,), SI; 1 for an absent axis.
+
+        If no bin is used, this is the largest distance in all bins.
+        """
+        sizes = np.fmax(np.abs(self.low - self.middle), np.abs(self.high - self.middle))
+        for rows in (sizes[self.used], sizes):
+            largest = np.fmax.reduce(rows, axis=0, initial=0.0)
+            if largest.any():
+                return np.where(largest > 0.0, largest, 1.0)
+        return np.ones(len(AXES))
+
+
+def summarize_signal(
+    signals: Sequence[SignalEnvelope],
+    segments: Sequence[Segment],
+    bins: int,
+    events: Sequence[Event] = (),
+    temperatures: Sequence[TemperatureTrace | None] = (),
+) -> SignalSummary | None:
+    """Return the summary of all recordings in about ``bins`` bins; None if none has two bins.
+
+    ``signals`` has the signal, and ``temperatures`` the temperature or None, of each recording.
+    ``segments`` are the used parts of all recordings, and ``events`` their shocks and the reasons
+    why other times are not used.
+    """
+    temperatures = temperatures or [None] * len(signals)
+    known = [(s, t) for s, t in zip(signals, temperatures) if s.bins > 1]
+    if not known:
+        return None
+    step = max(1, round(sum(signal.bins for signal, _ in known) / bins))
+    parts: list[SignalSummary] = []
+    offset = 0.0
+    for signal, trace in known:
+        part, length = _recording(signal, trace, segments, step, events, offset)
+        parts.append(part)
+        offset += length
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ('time_s', 'low', 'high', 'mean', 'noise', 'used')
+    }
+    low, high = joined['low'], joined['high']
+    middle = np.full(len(AXES), np.nan)
+    there = ~np.all(np.isnan(low), axis=0)
+    middle[there] = np.nanmedian(low[:, there] + high[:, there], axis=0) / 2.0
+    joined |= {
+        name: tuple(item for part in parts for item in getattr(part, name))
+        for name in ('excluded', 'gaps', 'starts')
+    }
+    temperature = _joined([part.temperature for part in parts if part.temperature])
+    return SignalSummary(middle=middle, temperature=temperature, **joined)
+
+
+def _recording(
+    signal: SignalEnvelope,
+    trace: TemperatureTrace | None,
+    segments: Sequence[Segment],
+    step: int,
+    events: Sequence[Event],
+    offset: float,
+) -> tuple[SignalSummary, float]:
+    """Return the summary of one recording that begins at ``offset``, and its length in s."""
+    starts = np.arange(0, signal.bins, step)  # of groups of bins
+    time = signal.time_s[starts]
+    known = signal.statistics(step)
+    low, high = known['low'], known['high']
+    with np.errstate(invalid='ignore', divide='ignore'):
+        mean = known['total'] / known['count']
+        noise = np.sqrt(known['square'] / (2.0 * known['pairs']))
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    length = float(time[-1] + usual)
+    # bins of equal sample count that last far longer than the others
+    at = np.flatnonzero(steps > GAP * usual)
+    holes = [(float(time[i] + usual), float(time[i + 1])) for i in at]
+    first_ns = int(signal.start_ns[0])
+    outside = list(_excluded(_times(segments, first_ns, length), holes, length))
+    for event in events:
+        for start, end in _times([event], first_ns, length):
+            outside = _marked(outside, Excluded(start, end, event.kind))
+    used = np.ones(len(time), bool)
+    for out in outside:
+        used &= (time >= out.end) | (np.append(time[1:], length) <= out.start)
+    if offset:
+        low[0] = high[0] = np.nan  # no line from the previous recording
+    least = 1e-3 * length  # shorter gaps are narrower than a line
+    summary = SignalSummary(
+        time + offset,
+        low,
+        high,
+        mean,
+        noise,
+        used,
+        np.empty(0),
+        tuple(
+            Excluded(out.start + offset, out.end + offset, out.why)
+            for out in outside
+            if out.why or out.end - out.start > least
+        ),
+        tuple((start + offset, end + offset) for start, end in holes if end - start > least),
+        (offset,),
+        None if trace is None else _temperature(trace, first_ns, length, offset),
+    )
+    return summary, length
+
+
+def _times(
+    known: Sequence[Segment | Event], first_ns: int, length: float
+) -> list[tuple[float, float]]:
+    starts = [(one.start_ns - first_ns) * 1e-9 for one in known]
+    times = [(start, start + one.duration_s) for start, one in zip(starts, known)]
+    return [(start, end) for start, end in times if start < length and end > 0.0]
+
+
+def _excluded(
+    used: Sequence[tuple[float, float]], holes: Sequence[tuple[float, float]], length: float
+) -> Iterator[Excluded]:
+    """Yield the periods of one recording that are neither in a segment nor in a gap."""
+    before = 0.0
+    for start, end in sorted([*used, *holes, (length, length)]) if used else ():
+        if start > before:
+            yield Excluded(before, start)
+        before = max(before, end)
+
+
+def _marked(excluded: list[Excluded], event: Excluded) -> list[Excluded]:
+    """Return the excluded periods with the kind of an event; a shock is a period of its own."""
+    if event.why == 'shock':
+        return [*excluded, event]
+    start, end = event.start, event.end
+    return [
+        out._replace(why=event.why)
+        if out.why != 'shock' and out.start < end and start < out.end
+        else out
+        for out in excluded
+    ]
+
+
+def _temperature(
+    trace: TemperatureTrace, first_ns: int, length: float, offset: float
+) -> SignalTemperature | None:
+    """Return the readings during one recording; None for fewer than two.
+
+    The header times are used, or the record times if fewer than two header times are within the
+    recording.
+    """
+    for stamps in (trace.header_ns, trace.record_ns):
+        time = np.asarray((stamps - first_ns) * 1e-9, float)
+        inside = (time >= 0.0) & (time <= length)
+        if inside.sum() > 1:
+            order = np.argsort(time[inside], kind='stable')
+            celsius = trace.celsius[inside][order]
+            return SignalTemperature(trace.source, time[inside][order] + offset, celsius)
+    return None
+
+
+def _joined(parts: Sequence[SignalTemperature]) -> SignalTemperature | None:
+    if not parts:
+        return None
+    times = [np.insert(p.time_s, 0, p.time_s[:1] if i else []) for i, p in enumerate(parts)]
+    values = [np.insert(p.celsius, 0, [np.nan] if i else []) for i, p in enumerate(parts)]
+    source = ', '.join(dict.fromkeys(part.source for part in parts))
+    return SignalTemperature(source, np.concatenate(times), np.concatenate(values))

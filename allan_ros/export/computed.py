@@ -1,0 +1,239 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Export targets whose rows are computed: state space, Gazebo, Madgwick filter, temperature.
+
+The document ``allan_ros/state_space/2`` has for each axis under ``axes``: the levels ``white``,
+``walk`` and ``gauss_markov`` in SI, and the matrices of
+`allan_ros.core.filters.reductions.StateSpace` at one rate. A simulator with a single Gauss-Markov
+bias gets the process whose error growth is closest to the model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from ..core.errors import AllanError
+from ..core.filters.growth import drift_model, interval_models
+from ..core.filters.reductions import Level, StateSpace
+from ..core.imu import AXES, SI_UNITS, sensor_of
+from ..core.noise import ProcessModel
+from ..view.format import LIMIT_DIGITS, VALUE_DIGITS, significant
+from . import ANY_NODE, INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
+from .model import FilterNoise, Notation, clamped, rounded
+from .text import json_form, xml_form, yaml_form
+
+SCHEMA = 'allan_ros/state_space/2'
+
+MATRIX_DIGITS = 12
+"""Significant digits of the matrices: diagonal elements of Phi are close to 1."""
+
+
+def _document(noise: FilterNoise) -> Iterator[Row]:
+    yield Row(('schema',), SCHEMA)
+    yield Row(('rate_hz',), noise.rate)
+    step, inflate = 1.0 / noise.rate, noise.options.inflate
+    for axis, result in noise.results.axes.items():
+        reduction = noise.reduction(axis, 'processes')
+        model, levels = reduction.model, tuple(reduction.levels.values())
+        processes = [[rounded(inflate * sigma), rounded(tau)] for sigma, tau in model.gauss_markov]
+        white, walk = (rounded(inflate * level) for level in (model.terms.N, model.terms.K))
+        space = StateSpace(white, walk, tuple((sigma, tau) for sigma, tau in processes))
+        document = {
+            'unit': SI_UNITS[sensor_of(axis)]['B'],
+            'white': white,
+            'walk': walk,
+            'gauss_markov': processes,
+            'ramp': rounded(result.fit.model.terms.R),
+            'limits': [level.term for level in levels if level.is_limit],
+            'Phi': rounded(space.transition(step).tolist(), MATRIX_DIGITS),
+            'Qd': rounded(space.noise(step).tolist(), MATRIX_DIGITS),
+            'R': rounded(space.sample_variance(noise.rate)),
+        }
+        yield Row(('axes', axis), document, levels=levels)
+
+
+def _gazebo(noise: FilterNoise) -> Iterator[Row]:
+    """Yield the noise elements of <imu> in SDF.
+
+    In each step, Gazebo adds noise of the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)) to the
+    bias: its stationary standard deviation is sigma_b sqrt(tau/2). With 'gaussian_quantized' it
+    rounds samples to multiples of the precision, which adds precision^2/12 to the variance.
+    """
+    for element, sensor in (('angular_velocity', 'gyro'), ('linear_acceleration', 'accel')):
+        unit = SI_UNITS[sensor]['B']
+        white, bias, time = (
+            noise.row(Key(name, sensor, what, of))
+            for name, what, of in (
+                ('stddev', 'N', 'std'),
+                ('dynamic_bias_stddev', 'driving', f'{unit}/sqrt(s)'),
+                ('dynamic_bias_correlation_time', 'tau', 's'),
+            )
+        )
+        # these texts refer to all three axes
+        white_words, bias_words = (f'of {sensor} {row.words}' for row in (white, bias))
+        for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
+            path = ('imu', element, name[-1], 'noise')
+            step, turn_on = axis.rounding, axis.turn_on
+            yield Row((*path, '@type'), 'gaussian_quantized' if step else 'gaussian')
+            yield Row((*path, 'mean'), 0.0)
+            # at least half of the variance, so that rounding does not suppress the noise completely
+            variance = white.value[i] ** 2
+            stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
+            yield Row((*path, white.key), rounded(stddev), white_words, levels=white.levels)
+            if turn_on and turn_on.std:
+                words = (
+                    f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
+                )
+                sigma = rounded(noise.options.inflate * turn_on.std)
+                yield Row((*path, 'bias_stddev'), sigma, words)
+            yield replace(
+                bias, path=(*path, bias.key), value=bias.value[i], words=bias_words, unit=''
+            )
+            yield Row((*path, time.key), time.value[i])
+            if step:
+                words = f'of {name} [{unit}]: step of the samples; stddev is without its rounding'
+                yield Row((*path, 'precision'), rounded(step), words)
+            white_words = bias_words = ''
+
+
+MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
+"""Ratio of the filter gain to the gyro error (S. O. H. Madgwick, An efficient orientation filter
+for inertial and inertial/magnetic sensor arrays, 2010, section on filter gains)."""
+
+
+def _madgwick(noise: FilterNoise) -> Iterator[Row]:
+    """Yield the parameters gain and zeta of the Madgwick filter at the horizon h.
+
+    The gain is sqrt(3/4) times the error of the gyro: its Allan deviation at h without quantization
+    and vibration, and its bias if this is known, because the filter estimates no bias without a
+    magnetometer. zeta is sqrt(3/4) times the drift per second: R if every axis has a ramp, else
+    K / sqrt(h), because a random walk moves by K sqrt(h) within h.
+    """
+    horizon, axes = noise.horizon, noise.axes_of('gyro')
+    factor = MADGWICK_FACTOR * noise.options.inflate
+    gains = []
+    for axis, result in axes.items():
+        bias, white = noise.bias.get(axis, 0.0), noise.level(axis, 'N')
+
+        def gain(model: ProcessModel, n: float, bias: float = bias) -> float:
+            drift = drift_model(replace(model, terms=replace(model.terms, N=n)))
+            return factor * math.hypot(math.sqrt(float(drift.avar([horizon])[0])), bias)
+
+        ends = interval_models(result.fit)
+        low, high = map(gain, ends, white.interval) if ends else (0.0, math.inf)
+        value = gain(result.fit.model, white.value)
+        gains.append(Level(axis, 'gain', value, (low, high), white.is_limit))
+    worst = max(gains, key=lambda level: level.value)
+    words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s'
+    words += f'{" and the bias" if noise.bias else ""}: '
+    words += ', '.join(f'{level.axis} {level.value:.3g}' for level in gains)
+    row = Row((*ANY_NODE, 'gain'), rounded(worst.value), words, 'rad/s', worst.interval)
+    yield clamped(row, 0.0, 1.0)
+    term, formula, scale = 'R', 'sqrt(3/4) |R|', MADGWICK_FACTOR
+    if not all(result.fit.noise['R'].status == 'estimated' for result in axes.values()):
+        term, formula = 'K', f'sqrt(3/4) K / sqrt(h) with h = {horizon:g} s'
+        scale = MADGWICK_FACTOR / math.sqrt(horizon)
+    notation = Notation(formula, 'rad/s^2', factor=1.0 / scale)
+    zeta = noise.level_row((*ANY_NODE, 'zeta'), 'gyro', term, notation)
+    yield clamped(zeta, -1.0, 1.0)
+
+
+def _temperature(noise: FilterNoise) -> Iterator[Row]:
+    """Yield T0, and b0, b1 and b2 of the sensors whose three axes have a model of the bias.
+
+    Where the temperature has no effect that is resolved, b1 and b2 are 0.
+    """
+    sensors = noise.results.temperature_models
+    complete = {s: models for s, models in sensors.items() if len(models) == len(AXES) / 2}
+    if not complete:
+        raise AllanError(
+            'no bias over temperature in these results: record while the temperature rises and '
+            'falls by 3 K or more'
+        )
+    first = next(iter(next(iter(complete.values())).values()))
+    where = f'{first.lowest:.1f} to {first.highest:.1f} degC'
+    words = f'[degC]: T0 of the model, which was measured from {where}'
+    yield Row(('reference',), first.reference, words, 'degC', (first.lowest, first.highest))
+    for sensor, models in complete.items():
+        # the level of an accelerometer contains gravity
+        for i, what in enumerate(('b0', 'b1', 'b2')[sensor == 'accel' :], sensor == 'accel'):
+            unit = SI_UNITS[sensor]['B'] + ('', '/K', '/K^2')[i]
+            pairs = [(getattr(m, what), getattr(m, f'{what}_ci95')) for m in models.values()]
+            used = [not i or model.resolved for model in models.values()]
+            text = (
+                f'{name} {significant(value, VALUE_DIGITS)}, 95 % interval '
+                f'{significant(low, LIMIT_DIGITS)}..{significant(high, LIMIT_DIGITS)}'
+                f'{"" if use else " (not resolved: written as 0)"}'
+                for name, use, (value, (low, high)) in zip(models, used, pairs)
+            )
+            values = rounded([value if use else 0.0 for use, (value, _) in zip(used, pairs)])
+            widest = max((ends for _, ends in pairs), key=lambda ends: ends[1] - ends[0])
+            yield Row((f'{sensor}_{what}',), values, f'[{unit}]: {"; ".join(text)}', unit, widest)
+
+
+COMPUTED = {
+    'state_space': Target(
+        'state_space.json',
+        'exact discrete state space of the fitted processes (IEEE Std 952; van Loan 1978); '
+        'Phi, Qd: a step of 1/rate_hz of (integral, walk, Gauss-Markov ...); '
+        'R = N^2 f: variance of a sample',
+        json_form,
+        rows=_document,
+        notes=(
+            'walk is a state even if it is 0: it represents the turn-on bias',
+            'walk covers a ramp and slow sinusoids over the horizon, because they have no '
+            'states; if K is not resolved, it contains 15 % of the expected K^2',
+        ),
+        three=True,
+        horizon_s=INS_HORIZON_S,
+        walk=False,
+    ),
+    'gazebo': Target(
+        'gazebo_imu.sdf',
+        'standard deviation per sample, and a Gauss-Markov bias of the driving density '
+        'dynamic_bias_stddev (gz-sensors, src/GaussianNoiseModel.cc)',
+        xml_form,
+        rows=_gazebo,
+        notes=(
+            'put it into <sensor type="imu">; f must be its update_rate',
+            'bias_stddev (turn-on bias) needs results of several recordings; precision is written '
+            'where rounding causes more than a tenth of the white noise',
+        ),
+        three=True,
+        horizon_s=SIMULATOR_HORIZON_S,
+        walk=False,
+        bound=False,
+    ),
+    'imu_filter_madgwick': Target(
+        'imu_filter_madgwick.yaml',
+        "Madgwick's beta (rad/s) and zeta (rad/s^2): sqrt(3/4) times the error and the drift "
+        'of the gyro (imu_filter_madgwick/src/imu_filter.cpp; ranges of imu_filter_ros.cpp)',
+        yaml_form,
+        rows=_madgwick,
+        notes=(
+            'the gain covers noise, not the bias of the gyro: it must exceed 0.87 times the bias '
+            'in rad/s unless the bias is subtracted before; the default of 0.1 covers 6 deg/s',
+            'zeta has an effect only with a magnetometer (use_mag); without one, the filter '
+            'estimates no bias',
+        ),
+        horizon_s=10.0,
+        walk=False,
+    ),
+    'temperature': Target(
+        'temperature.yaml',
+        'SI and K: the bias at T degC is b0 + b1 (T - reference) + b2 (T - reference)^2, and a '
+        'filter subtracts it from the samples x, y, z',
+        yaml_form,
+        rows=_temperature,
+        notes=(
+            'the noise remains: N and K are in the file of the filter',
+            'b0 is the mean of this recording; it contains the rotation of the Earth and differs '
+            'after each switch-on. The level of an accelerometer contains gravity and is not here',
+        ),
+        three=True,
+        walk=False,
+    ),
+}
+"""Name -> target."""

@@ -1,0 +1,310 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The noise of one IMU in the convention of one target: the rows of its file.
+
+N and K are continuous-time noise densities. A filter with the rate f needs discrete-time noise. In
+one step of 1/f seconds, white noise must add N^2/f to the variance of the integral of the samples,
+and a random walk must add K^2/f to the variance of the bias (N. Trawny, S. I. Roumeliotis, Indirect
+Kalman Filter for 3D Attitude Estimation, University of Minnesota, 2005, eqs. 129, 130). `NOTATIONS`
+lists the scalings that filters use.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ..core.errors import AllanError
+from ..core.filters.noise_parameters import axis_level, reduce_axis
+from ..core.filters.reductions import Level, Reduction, States, closest_process, horizon_text
+from ..core.findings import Finding, finding
+from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
+from ..view.format import LIMIT_DIGITS, VALUE_DIGITS, significant
+from . import FROM_DATASHEET, ExportOptions, Key, Row, Target
+
+if TYPE_CHECKING:
+    from ..results.axis_result import AxisResult
+    from ..results.results import Results
+
+DIGITS = 6
+"""Significant digits of numbers in a file, more than any interval justifies."""
+
+REFUSED = ('gyro_unit', 'accel_unit', 'accel_scale')
+"""Ids of findings that the samples are not in SI units: no file is written without `--force`."""
+
+DEFAULT_TOPIC = '/imu0'
+"""Topic in files of recordings without a topic, as in the examples of Kalibr."""
+
+
+class Notation(NamedTuple):
+    """A notation of N or K in the file of a filter: (level / factor)^power f^rate_power.
+
+    A filter step of 1/f s with the standard deviation s = N sqrt(f) adds (s / f)^2 = N^2/f to the
+    variance of the integral. With K instead of N, it adds K^2/f to the variance of the bias.
+    """
+
+    # templates for the header of a file: {term} is N or K; {density}, {std} and {bias} are the
+    # units of the term, of its standard deviation per sample, and of the bias
+    formula: str
+    unit: str
+    power: float = 1.0
+    rate_power: float = 0.0
+    factor: float = 1.0  # unit of the number in SI
+
+    def number(self, level: float, rate: float) -> float:
+        """Return the number to write for N or K in SI (``level``) and a filter rate in Hz."""
+        return float((level / self.factor) ** self.power * rate**self.rate_power)
+
+    def level(self, number: float, rate: float) -> float:
+        """Return N or K in SI for a number read from a file and the filter rate in Hz."""
+        return float((number / rate**self.rate_power) ** (1.0 / self.power) * self.factor)
+
+
+NOTATIONS = {
+    'density': Notation('', '{density}'),
+    'std': Notation('{term} sqrt(f)', '{std}', 1.0, 0.5),
+    'variance': Notation('{term}^2 f', '({std})^2', 2.0, 1.0),
+    'step_std': Notation('{term} / sqrt(f)', '{bias}', 1.0, -0.5),
+    'covariance': Notation('{term}^2', '({density})^2', 2.0),
+}
+"""Notations in which filters expect N and K."""
+
+
+def notation_of(key: Key) -> Notation:
+    """Return the notation of a key for N or K."""
+    return NOTATIONS.get(key.unit) or Notation('', key.unit, factor=UNITS[key.unit].factor)
+
+
+def rounded(value: Any, digits: int = DIGITS) -> Any:
+    """Return a number, or nested lists of numbers, rounded to ``digits`` significant digits."""
+    if isinstance(value, (list, tuple)):
+        return [rounded(each, digits) for each in value]
+    return float(f'{value:.{digits}g}')
+
+
+class FilterNoise:
+    """The noise of one IMU in the convention of one target, with one set of options.
+
+    The constructor raises AllanError if the units of the samples are probably wrong. Every method
+    raises it if a sensor is absent, or an axis has neither a value nor a limit.
+
+    Attributes
+    ----------
+    rate : float
+        Rate of the filter in Hz.
+    horizon : float
+        Longest integration time in s over which N and K describe the error growth.
+    bias : mapping of axis name to float
+        Bias at rest in SI, of axes of which it is known.
+    used : dict of axis name to Reduction
+        The reduced-order models whose N and K are written to the file.
+    """
+
+    def __init__(
+        self,
+        results: Results,
+        options: ExportOptions,
+        target: Target,
+        bias: Mapping[str, float] = {},
+    ) -> None:
+        if not 0.0 < results.tau0 < math.inf:
+            raise AllanError('these results have no sample rate: record longer, or analyze again')
+        wrong = [each for each in results.findings if each.id in REFUSED]
+        if wrong and not options.force:
+            raise AllanError(
+                f'{wrong[0]} Then analyze again; --force writes these numbers nevertheless.'
+            )
+        self.results = results
+        self.options = options
+        self.target = target
+        self.bias = bias
+        self.rate, self.rate_words = rounded(results.rate_hz), 'the rate of the recording'
+        if results.method == FROM_DATASHEET:
+            self.rate_words = 'assumed: state it with --filter-rate'
+        if options.filter_rate:
+            self.rate, self.rate_words = options.filter_rate, 'given as the rate of the filter'
+        elif target.rate_hz:
+            self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
+        self.horizon = options.horizon or target.horizon_s
+        self.used: dict[str, Reduction] = {}
+
+    def rows(self) -> list[Row]:
+        """Return the rows of the file."""
+        target = self.target
+        found = [self.row(key) for key in target.keys]
+        found += [Row((*target.parent, key), value) for key, value in target.fixed.items()]
+        return found + list(target.rows(self) if target.rows else ())
+
+    def row(self, key: Key) -> Row:
+        """Return the row of one key of the target."""
+        path = (*self.target.parent, key.name)
+        if key.what in ('N', 'K'):
+            sensors = SENSORS if key.sensor == '-' else (key.sensor,)
+            rows = [self.level_row(path, sensor, key.what, notation_of(key)) for sensor in sensors]
+            row = max(rows, key=lambda one: max(one.values))
+            return row if key.limits is None else clamped(row, *key.limits)
+        if key.what == 'rate':
+            return Row(path, self.rate)
+        if key.what == 'topic':
+            topics = (source.topic for source in self.results.provenance.sources)
+            recorded = next((topic for topic in topics if topic), DEFAULT_TOPIC)
+            return Row(path, self.options.topic or recorded)
+        if key.what == 'common_tau':
+            words = '[h]: one correlation time for all axes'
+            return Row(path, rounded(self.common_tau / HOUR), words, 'h')
+        return self._process_row(path, key)
+
+    def level_row(self, path: tuple[str, ...], sensor: str, term: str, notation: Notation) -> Row:
+        """Return the row of N, K or R of a sensor: of the worst axis, or of x, y and z."""
+        units, inflate = SI_UNITS[sensor], self.options.inflate
+        levels = [self.level(axis, term) for axis in self.axes_of(sensor)]
+        if not self.target.three:
+            levels = [max(levels, key=lambda level: level.value)]
+        std = units['B' if term == 'N' else 'R']
+        unit = notation.unit.format(density=units[term], std=std, bias=units['B'])
+        formula = notation.formula.format(term=term)
+        words = (
+            f'[{unit}]{f" = {formula}" if formula else ""}: {"; ".join(map(level_words, levels))}'
+        )
+        values = [rounded(notation.number(inflate * one.value, self.rate)) for one in levels]
+        intervals = (one.interval for one in levels)
+        widest = max(intervals, key=lambda ends: ends[1] / ends[0] if ends[0] else math.inf)
+        low, high = (notation.number(inflate * end, self.rate) for end in widest)
+        value = values if self.target.three else values[0]
+        return Row(path, value, words, unit, (low, high), tuple(levels))
+
+    def level(self, axis: str, term: str) -> Level:
+        """Return the noise level of a term of one axis.
+
+        K, and N if the target models a random walk, are adjusted to the error growth of the
+        complete model, unless `ExportOptions.fidelity` is 'coefficients'.
+        """
+        reduces = term == 'K' or (term == 'N' and self.target.walk)
+        if self.options.fidelity == 'coefficients' or not reduces:
+            return axis_level(axis, self.results.axes[axis].fit, term)
+        return self.reduction(axis).levels[term]
+
+    def _process_row(self, path: tuple[str, ...], key: Key) -> Row:
+        """Return the row of sigma, tau or the driving density of the Gauss-Markov bias of x, y, z.
+
+        It is the process whose growth is closest to the growth of the drift of each axis.
+        """
+        axes = self.axes_of(key.sensor)
+        common = any(each.what == 'common_tau' for each in self.target.keys)
+        tau = self.common_tau if common else None
+        # the axes without a fitted process, and K from which their process is computed
+        walks, pairs = {}, []
+        for name, axis in axes.items():
+            model = axis.fit.model
+            if not model.gauss_markov:
+                reduction = self.reduction(name, 'processes')
+                model, walks[name] = reduction.model, reduction.levels['K']
+            pair = closest_process(model, self.horizon, tau, self.target.bound)
+            assert pair is not None  # both sensors drift
+            pairs.append(pair)
+        taus = [pair[1] for pair in pairs]
+        if key.what == 'tau':
+            return Row(path, rounded(taus), '[s]', key.unit)
+        values = [self.options.inflate * sigma / UNITS[key.unit].factor for sigma, _ in pairs]
+        equals = ''
+        if key.what == 'driving':
+            equals = ' = sigma sqrt(2 / tau)'
+            values = [value * math.sqrt(2.0 / one) for value, one in zip(values, taus)]
+        si = SI_UNITS[key.sensor]['B']
+        described = '; '.join(
+            f'{name} {significant(s, VALUE_DIGITS)} {si}, {t:.4g} s{_origin(walks.get(name))}'
+            for name, (s, t) in zip(axes, pairs)
+        )
+        words = (
+            f'[{key.unit}]{equals}: sigma and correlation time whose growth '
+            f'{"bounds" if self.target.bound else "follows"} the growth of the model: {described}'
+        )
+        note = finding('export_no_gauss_markov', tuple(walks), horizons=horizon_text(self.horizon))
+        return Row(
+            path,
+            rounded(values),
+            words,
+            key.unit,
+            levels=tuple(walks.values()),
+            findings=(note,) if walks else (),
+        )
+
+    def axes_of(self, sensor: str) -> Mapping[str, AxisResult]:
+        """Return axis -> result of a sensor; raise AllanError if one of the three is missing."""
+        names = AXES[SENSORS[sensor]]
+        missing = [name for name in names if name not in self.results.axes]
+        if missing:
+            what = sensor if len(missing) == len(names) else ', '.join(missing)
+            raise AllanError(f'no {what} in these results: this file needs gyro and accel')
+        return {name: self.results.axes[name] for name in names}
+
+    def reduction(self, axis: str, states: States = 'walk') -> Reduction:
+        """Return the reduced-order model of one axis for a filter with these states."""
+        result, key = self.results.axes[axis], (states, self.horizon)
+        if key not in result.reductions:
+            result.reductions[key] = reduce_axis(axis, result.fit, *key)
+        if states == 'walk':
+            self.used[axis] = result.reductions[key]
+        return result.reductions[key]
+
+    def findings(self) -> list[Finding]:
+        """Return a warning that names the axes whose error growth N and K cannot describe."""
+        poor = {
+            axis: one.ratio[1]
+            for axis, one in self.used.items()
+            if one.poor or self.results.axes[axis].fit.model.gauss_markov
+        }
+        if not poor:
+            return []
+        horizons, worst = horizon_text(self.horizon), max(poor.values())
+        return [finding('export_two_numbers', tuple(poor), horizons=horizons, ratio=worst)]
+
+    @cached_property
+    def common_tau(self) -> float:
+        """Geometric mean in s of the correlation times that describe the drift of all axes."""
+        models = [self.reduction(name, 'processes').model for name in self.results.axes]
+        taus = [pair[1] for one in models if (pair := closest_process(one, self.horizon))]
+        return math.exp(sum(math.log(tau) for tau in taus) / len(taus))
+
+
+def level_words(level: Level) -> str:
+    """Return the term, axis, value and 95 % interval of a noise level as text, in SI."""
+    unit = SI_UNITS[sensor_of(level.axis)][level.term]
+    words = f'{level.term} of {level.axis}'
+    if level.is_limit:
+        limit = significant(level.raised_from or level.value, LIMIT_DIGITS)
+        words += f' not resolved, 95 % upper limit {limit} {unit}'
+        return f'{words}, raised to cover the error growth' if level.raised_from else words
+    words += f' {significant(level.value, VALUE_DIGITS)} {unit}'
+    if level.ci95 is not None:
+        low, high = (significant(end, VALUE_DIGITS) for end in level.ci95)
+        words += f', 95 % interval {low}..{high}'
+    elif level.raised_from is None:
+        words += ', no 95 % interval'
+    if level.raised_from:
+        measured = significant(level.raised_from, VALUE_DIGITS)
+        words += f', raised from {measured} to cover the error growth of the other terms'
+    elif level.raised_from is not None:
+        words += ', not resolved, set to cover the error growth of the other terms'
+    return words
+
+
+def _origin(walk: Level | None) -> str:
+    """Return a note if the process is computed from an uncertain K, else ''."""
+    if walk is None or not (walk.is_limit or walk.no_interval):
+        return ''
+    return f' from {"the 95 % upper limit of K" if walk.is_limit else "K without an interval"}'
+
+
+def clamped(row: Row, low: float, high: float) -> Row:
+    """Return the row with its number within [low, high], and a finding if it was outside."""
+    value = min(max(row.value, low), high)
+    if value == row.value:
+        return row
+    numbers = {'value': row.value, 'low': low, 'high': high, 'written': value}
+    note = finding('export_clamped', key=row.key, **numbers)
+    words = f'{row.words}; {row.value:g} lies outside [{low:g}, {high:g}]'
+    return replace(row, value=value, words=words, findings=(*row.findings, note))

@@ -1,0 +1,323 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reads samples from memory and from numpy files: ``.npz`` with the array ``imu``, or ``.npy``.
+
+The columns of a file are t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2), or some of them (`NAMES`), or
+those in the options. In a ``.npz`` file, the array ``stamps_ns`` (int64) replaces t, and
+``record_ns`` (int64) and ``frame_id`` (one string) are optional.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from io import BytesIO
+from math import prod
+from pathlib import Path
+from tokenize import TokenError
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from ..core.errors import AllanError
+from ..core.fields import MAX_INTEGER
+from ..core.findings import finding
+from ..core.imu import AXES, MAX_NAME, SENSORS, ImuBatch, even_stamps
+from . import (
+    MAX_CHUNK_BYTES,
+    MAX_FILE_RATIO,
+    ReadOptions,
+    Recording,
+    Report,
+    SourceInfo,
+    first_bytes,
+    in_batches,
+    translated,
+)
+from .columns import EXAMPLE, FIRST_ROWS, Columns, columns_of
+from .files import open_regular
+
+NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE}
+"""Number of columns of an array -> their names."""
+
+SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
+
+ZIP_MAGIC = b'PK\x03\x04'
+
+MAX_FRAME_BYTES = 4 * MAX_NAME
+"""Largest size of a frame_id in bytes; numpy stores four for each character."""
+
+MAX_HEADER_BYTES = 1 << 16
+"""Number of bytes within which the header of an array ends."""
+
+_LIBRARY_ERRORS = (
+    *(zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, EOFError, OSError),
+    RuntimeError,  # encrypted file, or unknown compression (NotImplementedError)
+    *(OverflowError, MemoryError, SyntaxError, TokenError, TypeError),
+)
+"""Exceptions of zipfile and numpy for damaged files."""
+
+REMEDY = 'save it again with numpy, or copy it again'
+
+
+def open_array(path: Path, options: ReadOptions) -> Recording:
+    """Open a ``.npz`` or ``.npy`` file as a recording.
+
+    Its arrays are in memory until they are read, or the recording is closed. Raises AllanError when
+    it is not a numpy file, or the shapes of its arrays do not match.
+    """
+    with translated(path, _LIBRARY_ERRORS, REMEDY):
+        batch, found, time = _load(path, options)
+    kept = [batch]
+
+    def read(report: Report) -> Iterator[ImuBatch]:
+        if unit := found.time_unit:
+            report(finding('stamp_unit_assumed', path=path, unit=unit, name=time))
+        with translated(path, _LIBRARY_ERRORS, REMEDY):
+            yield from in_batches(kept.pop() if kept else _load(path, options)[0])
+
+    zipped = first_bytes(path).startswith(ZIP_MAGIC)
+    info = SourceInfo(str(path), SAMPLES if zipped else '', 'array', 'npz' if zipped else 'npy')
+    known = options.with_units(found.units)
+    return Recording(info, len(batch), read, options=known, axes=found.given, close=kept.clear)
+
+
+def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
+    """Return the samples of a file, the meaning of its columns, and the name of the first stamp."""
+    arrays = _arrays(path)
+    samples = arrays[SAMPLES]
+    if samples.ndim not in (1, 2):
+        raise AllanError(
+            f'{path} has shape {samples.shape}: give one row per sample with columns {EXAMPLE}'
+        )
+    n, width = len(samples), prod(samples.shape[1:])
+    if not n:
+        raise AllanError(f'{path} contains no sample: record or export it again')
+    for name in {STAMPS, RECORD} & arrays.keys():
+        times = arrays[name]
+        if times.shape != (n,) or times.dtype.kind not in 'iu':
+            raise AllanError(
+                f'{path}: array {name!r} is {times.dtype} of shape {times.shape}: it must be '
+                f'int64, one for each of the {n} samples'
+            )
+    frame_id = arrays.get(FRAME, np.array(''))
+    if frame_id.size != 1 or frame_id.itemsize > MAX_FRAME_BYTES:
+        raise AllanError(f'{path}: array {FRAME!r} must be one short string: save it as a string')
+    names = tuple(options.columns or NAMES.get(width, '').split(','))
+    if len(names) != width or any('=' in name for name in names):
+        raise AllanError(
+            f'{path} has shape {samples.shape}: name each of its columns, such '
+            f'as --columns {",".join(["t", *AXES][:width])} (- leaves one out)'
+        )
+    found = columns_of(path, names, options)
+    columns = samples.reshape(n, width).T
+    stamps = arrays[STAMPS].astype(np.int64) if STAMPS in arrays else None
+    batch, found = _batch(path, names, columns, found, options, stamps)
+    record = arrays[RECORD].astype(np.int64) if RECORD in arrays else None
+    batch = replace(batch, record_ns=record, frame_id=str(frame_id.reshape(-1)[0]))
+    return batch, found, names[found.stamp[0][0]] if found.stamp else ''
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    with open_regular(path) as file:
+        limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
+        if not first_bytes(path).startswith(ZIP_MAGIC):
+            return {SAMPLES: _array(file, f'{path}', 'fiu', limit)}
+        with zipfile.ZipFile(file) as archive:
+            members = [name[:-4] for name in archive.namelist() if name.endswith('.npy')]
+            if SAMPLES not in members:
+                raise AllanError(
+                    f'{path}: has no array {SAMPLES!r} (it has '
+                    f'{", ".join(members[:10]) or "none"}): save the samples as {SAMPLES!r} with '
+                    f'columns {EXAMPLE}'
+                )
+            arrays = {}
+            for name in (name for name in (SAMPLES, STAMPS, RECORD, FRAME) if name in members):
+                with archive.open(f'{name}.npy') as member:
+                    kinds = 'U' if name == FRAME else 'fiu'
+                    arrays[name] = _array(member, f'{path}: array {name!r}', kinds, limit)
+            return arrays
+
+
+def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
+    """Return the array in a file, of one of these kinds and at most ``limit`` bytes."""
+    head = BytesIO(file.read(MAX_HEADER_BYTES))
+    version = npy.read_magic(head)
+    if version not in ((1, 0), (2, 0)):
+        raise AllanError(f'{where} has numpy format {version}: save plain numbers with numpy.save')
+    read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, fortran, dtype = read_header(head)
+    if dtype.kind not in kinds:
+        right = 'a string' if kinds == 'U' else 'float64 or int64'
+        raise AllanError(f'{where} is of type {dtype}: save it as {right}')
+    size = prod(shape) * dtype.itemsize
+    if not 0 <= size <= limit:
+        raise ValueError(f'an array of {size} bytes')
+    file.seek(head.tell())
+    data = file.read(size)
+    if len(data) != size:
+        raise AllanError(f'{where} ends early: the file is truncated; copy it again')
+    return np.ndarray(shape, dtype, data, order='F' if fortran else 'C')
+
+
+# --- samples in memory --------------------------------------------------------------------------
+
+NAME = 'array'
+"""Path of samples that are not read from a file."""
+
+DEFAULT_AXES = {1: AXES[:1], 3: AXES[:3], 6: AXES}
+"""Number of columns -> default axes."""
+
+
+def recording_in_memory(
+    samples: Any, options: ReadOptions, axes: str | Sequence[str] | None = None
+) -> Recording:
+    """Return samples in memory as a recording.
+
+    ``samples`` is an ImuBatch, an array with one row per sample, a DataFrame, or a mapping from
+    column name to array. Named columns are recognized as in a table. The times are computed from
+    the rate in the options; without it, they are a column such as ``t`` or ``time``, or the index
+    of the DataFrame if it consists of dates or durations. Units in the options apply to columns
+    whose names have no unit.
+    ``axes`` are the names of the axes, or 'gyro' or 'accel' for three of them; by default, the
+    columns of an array are gyro x, y, z and accel x, y, z. Raises AllanError when a shape, name,
+    unit or rate is invalid, or the times are missing.
+    """
+    if isinstance(samples, ImuBatch):
+        return _recording(samples)
+    rate = options.rate_hz
+    if rate and not (np.isfinite(rate) and rate > 0.0):
+        raise AllanError(f'rate is {rate} Hz: give a positive number')
+    if isinstance(samples, Mapping) or hasattr(samples, 'columns'):
+        keys = list(samples.columns if hasattr(samples, 'columns') else samples)
+        names = tuple(map(str, keys))
+        if len(set(names)) < len(names):
+            ((twice, _),) = Counter(names).most_common(1)
+            raise AllanError(f'the column {twice!r} occurs more than once: rename it')
+        wanted = AXES if axes is None else _axis_names(axes)
+        columns: Any = [samples[key] for key in keys]
+    else:
+        columns = _numbers(samples).T
+        names = wanted = _axis_names(axes, len(columns))
+    found = columns_of('the samples', names, options)
+    found = replace(found, axes={at: how for at, how in found.axes.items() if AXES[at] in wanted})
+    index = np.asarray(getattr(getattr(samples, 'index', None), 'values', ()))
+    stamps = None
+    if rate:
+        found = replace(found, stamp=())
+    elif index.dtype.kind in 'Mm' and not found.stamp:
+        stamps = _nanoseconds('the samples', index, 1)
+    batch, found = _batch('the samples', names, columns, found, options, stamps)
+    return _recording(batch, options.with_units(found.units), found.given)
+
+
+def _recording(
+    batch: ImuBatch, options: ReadOptions = ReadOptions(), axes: tuple[str, ...] = AXES
+) -> Recording:
+    if len(batch) and np.abs(batch.stamps_ns.astype(float)).max() > MAX_INTEGER:
+        raise AllanError('some times are more than a hundred years from 1970: check their unit')
+    if not len(batch):
+        raise AllanError('there are no samples: give an array with at least some thousand rows')
+    info = SourceInfo(NAME, '', 'array', 'memory')
+    return Recording(info, len(batch), lambda _: in_batches(batch), options=options, axes=axes)
+
+
+def _numbers(samples: Any) -> NDArray[np.float64]:
+    """Return samples as a float64 array (n, k); raise AllanError when this is impossible."""
+    try:
+        values = np.asarray(np.ma.filled(samples, np.nan) if np.ma.is_masked(samples) else samples)
+        if values.dtype.kind == 'c':
+            raise TypeError('complex values')
+        values = np.asarray(values, float)
+    except (TypeError, ValueError) as error:
+        raise AllanError(
+            f'the samples are not numbers ({error}): give an array, a DataFrame or paths'
+        ) from None
+    values = values[:, None] if values.ndim == 1 else values
+    if values.ndim != 2:
+        raise AllanError(
+            f'the samples have shape {values.shape}: give (n,) or (n, axes), one row per sample'
+        )
+    return values
+
+
+def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
+    """Return the names of the axes of an array with this number of columns; 0: any number."""
+    if axes is None:
+        if columns not in DEFAULT_AXES:
+            raise AllanError(
+                f'the axes of {columns} columns are unknown: name them, such as axes=["gyro_z", '
+                '...]'
+            )
+        return DEFAULT_AXES[columns]
+    names = AXES[SENSORS[axes]] if isinstance(axes, str) and axes in SENSORS else axes
+    names = (names,) if isinstance(names, str) else tuple(names)
+    for name in names:
+        if name not in AXES:
+            raise AllanError(f'axis {name!r} is unknown: choose from {", ".join(AXES)}')
+    columns = columns or len(names)
+    if len(set(names)) < len(names) or len(names) != columns:
+        raise AllanError(
+            f'{columns} columns, but {len(names)} axes ({", ".join(names)}): name one axis per '
+            'column'
+        )
+    return names
+
+
+def _batch(
+    where: object,
+    names: Sequence[str],
+    columns: Any,
+    found: Columns,
+    options: ReadOptions,
+    stamps: NDArray[np.int64] | None,
+) -> tuple[ImuBatch, Columns]:
+    """Return the samples in columns, and the meaning of the columns with the unit of the stamps.
+
+    ``stamps`` replace the columns of times. Raises AllanError when there is no axis or no time, a
+    column is not numeric, or the columns have different lengths.
+    """
+    found.check(where, names, stamps is not None or bool(options.rate_hz))
+    with np.errstate(all='ignore'):  # a damaged file may contain any value
+        values = {at: _numbers(columns[i])[:, 0] * scale for at, (i, scale) in found.axes.items()}
+    n = len(next(iter(values.values())))
+    if any(len(column) != n for column in values.values()):
+        raise AllanError('the columns have different lengths: give one row per sample')
+    rows = np.full((n, len(AXES)), np.nan)
+    for axis, column in values.items():
+        rows[:, axis] = column
+    if stamps is None and found.stamp:
+        first = np.asarray(columns[found.stamp[0][0]][:FIRST_ROWS])
+        if first.dtype.kind not in 'Mm' and len(found.stamp) == 1:  # neither dates nor durations
+            times = _numbers(first)[:, 0]
+            found = found.with_time_unit(where, times, options.stamp_unit)
+        parts = [_nanoseconds(where, columns[at], size) for at, size in found.stamp]
+        stamps = np.asarray(np.sum(parts, axis=0), np.int64)
+    elif stamps is None:
+        stamps = even_stamps(0, n, options.rate_hz)
+    return ImuBatch(stamps, rows), found
+
+
+def _nanoseconds(where: object, times: Any, scale: int) -> NDArray[np.int64]:
+    """Convert times to int64 ns: dates, durations, or numbers in a unit of ``scale`` ns."""
+    values = np.asarray(times)
+    if values.dtype.kind in 'Mm':
+        return values.astype(f'{values.dtype.kind}8[ns]').astype(np.int64)
+    with np.errstate(all='ignore'):
+        in_ns = _numbers(values)[:, 0] * scale
+    bad = ~(np.abs(in_ns) < np.iinfo(np.int64).max)  # also for NaN
+    if bad.any():
+        raise AllanError(
+            f'{where}: the time of row {int(np.argmax(bad))} is not a valid stamp: correct it, or '
+            'state the unit of the times (s, ms, us, ns)'
+        )
+    if values.dtype.kind in 'iu':
+        return values.astype(np.int64) * scale
+    return np.rint(in_ns).astype(np.int64)

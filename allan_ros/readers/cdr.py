@@ -1,0 +1,354 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Decodes and encodes serialized `sensor_msgs/Imu` messages, and changes their covariances.
+
+The layout of a message depends only on the length of ``header.frame_id``. So messages of equal
+length are decoded together, as an array of records. Two serializations are supported:
+
+- ``cdr``: OMG CDR as ROS 2 writes it: four bytes of encapsulation (the second is the byte order),
+  then fields aligned to multiples of their size (OMG DDSI-RTPS 2.3, section 10;
+  CORBA 3.4 part 2, section 9.3).
+- ``ros1``: packed little-endian, with ``header.seq`` (https://wiki.ros.org/msg).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.imu import AXES, MAX_NAME, NANOSECONDS, SENSORS, ImuBatch
+
+IMU_TYPE = 'sensor_msgs/msg/Imu'
+
+Encoding = Literal['cdr', 'ros1']
+
+ABSENT = -1.0
+"""Value of covariance[0] that marks an absent sensor (sensor_msgs/Imu.msg)."""
+
+BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
+"""The first two bytes of the encapsulation as a number: CDR_BE and CDR_LE."""
+
+_ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
+"""The first two bytes of the encapsulation -> byte order."""
+
+_FRAME_AT = 16
+"""Offset of frame_id: after the encapsulation (ROS 1: seq), sec, nanosec and the length of
+frame_id."""
+
+MAX_FRAME_BYTES = MAX_NAME + 1
+"""Largest serialized length of a frame_id, in CDR with the final NUL."""
+
+_DOUBLE = 8
+
+_IMU_BYTES = 400
+"""More than the length of an Imu message without a frame_id."""
+
+_VECTORS = (
+    ('orientation', 4),
+    ('orientation_covariance', 9),
+    ('gyro', 3),
+    ('gyro_covariance', 9),
+    ('accel', 3),
+    ('accel_covariance', 9),
+)
+
+
+class MalformedMessage(Exception):
+    """A message is not an Imu message; ``index`` is its position in the sequence of messages."""
+
+    def __init__(self, index: int, reason: str) -> None:
+        super().__init__(reason)
+        self.index = index
+
+
+@dataclass(frozen=True)
+class DecodedImus:
+    """The content of n Imu messages."""
+
+    stamps_ns: NDArray[np.int64]  # (n,)
+    samples: NDArray[np.float64]  # (n, 6), SI, in the order of `AXES`; NaN: the sensor is absent
+    frame_ids: list[str]  # the distinct frame_ids
+    frames: NDArray[np.intp]  # (n,), index of the frame_id of each message
+    # sensor -> number of messages that declare it absent, but contain valid data, which are used
+    kept: dict[str, int] = field(default_factory=dict)
+
+    def batches(self, record_ns: NDArray[np.int64]) -> Iterator[ImuBatch]:
+        """Yield batches with one frame_id each; ``record_ns``, (n,), are the record times in ns."""
+        edges = [0, len(self.frames)]
+        if len(self.frame_ids) > 1:
+            edges[1:1] = (np.flatnonzero(np.diff(self.frames)) + 1).tolist()
+        for start, stop in pairwise(edges if len(self.frames) else ()):
+            rows, frame_id = slice(start, stop), self.frame_ids[self.frames[start]]
+            yield ImuBatch(self.stamps_ns[rows], self.samples[rows], record_ns[rows], frame_id)
+
+
+@lru_cache(maxsize=256)
+def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
+    """Return the layout of a serialized Imu message as a numpy record.
+
+    ``order`` is the byte order, '<' or '>'. ``frame_bytes`` is the serialized length of the
+    frame_id, in CDR with the final NUL. ``itemsize`` is the length of the message in bytes, which
+    may be padded at the end; 0 means no padding. Raises ValueError when it is too short.
+    """
+    start = 4
+    if encoding == 'cdr':
+        fields: list[tuple[str, Any, int]] = [('representation', '>u2', 0)]
+        fields += [('sec', f'{order}i4', start)]
+    else:
+        fields = [('seq', f'{order}u4', 0), ('sec', f'{order}u4', start)]
+    fields += [('nanosec', f'{order}u4', start + 4), ('frame_bytes', f'{order}u4', start + 8)]
+    fields += [('frame_id', (np.void, frame_bytes), start + 12)]
+    offset = start + 12 + frame_bytes
+    if encoding == 'cdr':
+        offset += -(offset - start) % _DOUBLE
+    for name, count in _VECTORS:
+        fields += [(name, (f'{order}f8', (count,)), offset)]
+        offset += count * _DOUBLE
+    names, formats, offsets = map(list, zip(*fields))
+    size = itemsize or offset
+    return np.dtype({'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': size})
+
+
+def decode_imus(
+    payloads: Sequence[bytes | memoryview] | NDArray[np.void],
+    encoding: Encoding,
+) -> DecodedImus:
+    """Decode serialized Imu messages.
+
+    A sensor is absent (NaN in the result) where covariance[0] is -1 or NaN and its data are
+    invalid. Raises MalformedMessage for the first payload that is not an Imu message.
+    """
+    n = len(payloads)
+    room = np.empty((len(AXES), n)).T
+    decoded = DecodedImus(np.empty(n, np.int64), room, [], np.zeros(n, np.intp))
+    for rows, records in _grouped_by_layout(payloads, encoding):
+        decoded.stamps_ns[rows] = records['sec'].astype(np.int64) * NANOSECONDS + records['nanosec']
+        for sensor, axes in SENSORS.items():
+            for i, axis in enumerate(range(len(AXES))[axes]):
+                decoded.samples[rows, axis] = records[sensor][:, i]
+            first = records[f'{sensor}_covariance'][:, 0].copy()
+            if not first.min() >= 0.0:  # also for NaN
+                absent = np.arange(n)[rows][(first == ABSENT) | np.isnan(first)]
+                _drop_absent(decoded, sensor, absent)
+        distinct, which = _distinct(records['frame_id'])
+        places = []
+        for name in distinct:
+            text = name.rstrip(b'\0' if encoding == 'cdr' else b'').decode(errors='replace')
+            if text not in decoded.frame_ids:
+                decoded.frame_ids.append(text)
+            places.append(decoded.frame_ids.index(text))
+        decoded.frames[rows] = places[0] if len(places) == 1 else np.array(places)[which]
+    return decoded
+
+
+def _drop_absent(decoded: DecodedImus, sensor: str, absent: NDArray[np.intp]) -> None:
+    """Set a sensor to NaN in the messages that declare it absent; ``absent`` are their indices.
+
+    Many drivers declare this by mistake. So valid data (finite, not all zero) are kept.
+    """
+    values = decoded.samples[absent, SENSORS[sensor]]
+    valid = np.isfinite(values).all(axis=1) & values.any(axis=1)
+    if valid.any():
+        decoded.kept[sensor] = decoded.kept.get(sensor, 0) + int(np.count_nonzero(valid))
+    decoded.samples[absent[~valid], SENSORS[sensor]] = np.nan
+
+
+def _grouped_by_layout(
+    payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
+) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
+    n = len(payloads)
+    # fields that must be equal in messages of equal length, so that their layout is the same
+    fields = ('frame_bytes',) if encoding == 'ros1' else ('frame_bytes', 'representation')
+    several = not isinstance(payloads, np.ndarray) and len(set(map(len, payloads))) > 1
+    if n and not several:
+        dtype = _layout_of(bytes(payloads[0]), encoding).dtype
+        if isinstance(payloads, np.ndarray):
+            records = payloads.view(dtype)
+        else:
+            records = np.frombuffer(b''.join(payloads), dtype)
+        if all((records[name] == records[name][0]).all() for name in fields):
+            yield slice(0, n), records
+            return
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for row, payload in enumerate(map(bytes, payloads)):
+        kind = payload[:2] if encoding == 'cdr' else b'', payload[_FRAME_AT - 4 : _FRAME_AT]
+        groups.setdefault((len(payload), *kind), []).append(row)
+    for rows in groups.values():
+        same = [bytes(payloads[row]) for row in rows]
+        dtype = _layout_of(same[0], encoding, rows[0]).dtype
+        yield np.array(rows), np.frombuffer(b''.join(same), dtype)
+
+
+class _Layout(NamedTuple):
+    """Layout of a message: byte order, record type, offsets of fields, and place of frame_id."""
+
+    order: str
+    dtype: np.dtype[Any]
+    offsets: dict[str, int]
+    frame: slice
+
+
+def _layout_of(payload: bytes, encoding: Encoding = 'cdr', index: int = 0) -> _Layout:
+    """Return the layout of an Imu message, or raise MalformedMessage with ``index``."""
+    if len(payload) < _FRAME_AT:
+        raise MalformedMessage(index, f'{len(payload)} bytes are too few for an Imu')
+    order = '<' if encoding == 'ros1' else _ORDERS.get(payload[:2])
+    if order is None:
+        reason = f'its encapsulation 0x{payload[:2].hex()} is not plain CDR'
+        raise MalformedMessage(index, reason)
+    length = payload[_FRAME_AT - 4 : _FRAME_AT]
+    frame_bytes = int.from_bytes(length, 'little' if order == '<' else 'big')
+    if frame_bytes > MAX_FRAME_BYTES:
+        reason = f'its frame_id has {frame_bytes} bytes, the limit is {MAX_FRAME_BYTES}'
+        raise MalformedMessage(index, reason)
+    try:
+        return _layout(encoding, order, frame_bytes, len(payload))
+    except ValueError as error:
+        reason = f'{len(payload)} bytes are too few for an Imu with a frame_id of {frame_bytes}'
+        raise MalformedMessage(index, reason) from error
+
+
+@lru_cache(maxsize=256)
+def _layout(encoding: Encoding, order: str, frame_bytes: int, length: int = 0) -> _Layout:
+    dtype = imu_dtype(encoding, order, frame_bytes, length)
+    offsets = {name: entry[1] for name, entry in (dtype.fields or {}).items()}
+    return _Layout(order, dtype, offsets, slice(_FRAME_AT, _FRAME_AT + frame_bytes))
+
+
+def is_imu(payload: bytes, encoding: Encoding) -> bool:
+    """Return whether a payload is a serialized Imu message."""
+    try:
+        decode_imus([payload], encoding)
+    except MalformedMessage:
+        return False
+    return True
+
+
+def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
+    """Return the distinct byte strings of an array, and for each item the index of its string."""
+    if not names.itemsize:
+        return [b''], np.zeros(len(names), np.intp)
+    size, flat = names.itemsize, names.copy().view(np.uint8)
+    if (flat[size:] == flat[: len(flat) - size]).all():
+        return [flat[:size].tobytes()], np.zeros(len(names), np.intp)
+    distinct, which = np.unique(flat.reshape(-1, size), axis=0, return_inverse=True)
+    # reshaped because numpy 2.0 returns a column
+    return [name.tobytes() for name in distinct], which.reshape(-1)
+
+
+def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
+    """Serialize a batch to one message per sample, in byte order '<' or '>'.
+
+    A sensor whose axes are all NaN is declared absent (zeros, covariance[0] = -1), and so is the
+    orientation.
+    """
+    frame = batch.frame_id.encode() + (b'\0' if encoding == 'cdr' else b'')
+    dtype = imu_dtype(encoding, order, len(frame))
+    records = np.zeros(len(batch), dtype)
+    if encoding == 'cdr':
+        records['representation'] = LITTLE_ENDIAN if order == '<' else BIG_ENDIAN
+    records['sec'], records['nanosec'] = np.divmod(batch.stamps_ns, NANOSECONDS)
+    records['frame_bytes'] = len(frame)
+    records['frame_id'] = np.void(frame)
+    records['orientation'][:, 3] = 1.0
+    records['orientation_covariance'][:, 0] = ABSENT
+    for name, axes in SENSORS.items():
+        values = batch.samples[:, axes]
+        absent = np.asarray(np.isnan(values).all(axis=1))
+        records[name] = np.where(absent[:, None], 0.0, values)
+        records[f'{name}_covariance'][absent, 0] = ABSENT
+    joined = memoryview(records.tobytes())
+    size = dtype.itemsize
+    return [joined[start : start + size] for start in range(0, len(joined), size)]
+
+
+def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:
+    """Return header stamp in ns, frame_id and temperature in degC of a Temperature message.
+
+    Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
+    """
+    # the value follows the header, like the orientation in an Imu message
+    padded = payload + bytes(_IMU_BYTES)
+    _, dtype, offsets, frame = _layout_of(padded, encoding)
+    if len(payload) < offsets['orientation'] + _DOUBLE:
+        raise MalformedMessage(0, f'{len(payload)} bytes are too few for a Temperature')
+    record = np.frombuffer(padded, dtype, 1)[0]
+    stamp_ns = int(record['sec']) * NANOSECONDS + int(record['nanosec'])
+    frame_id = payload[frame].rstrip(b'\0').decode(errors='replace')
+    return stamp_ns, frame_id, float(record['orientation'][0])
+
+
+_COVARIANCE_BYTES = 9 * _DOUBLE
+
+_UNKNOWN = bytes(_COVARIANCE_BYTES)
+"""All zeros: the covariance is unknown (sensor_msgs/Imu.msg)."""
+
+_NUMBERS = {order: struct.Struct(f'{order}9d') for order in '<>'}
+
+
+class CovariancePatch:
+    """Writes known variances into the covariances of Imu messages in CDR.
+
+    ``variances`` maps a sensor to the variances of its axes in (rad/s)^2 or (m/s^2)^2. A covariance
+    that begins with -1 or NaN, which marks an absent sensor, is never changed. A covariance that is
+    not all zeros was set by the driver and is changed only with ``overwrite``. If ``frame_id`` is
+    not '', only messages with this frame_id are changed.
+    """
+
+    def __init__(
+        self,
+        variances: Mapping[str, tuple[float, float, float]],
+        overwrite: bool = False,
+        frame_id: str = '',
+    ) -> None:
+        self._overwrite = overwrite
+        self._frame = frame_id.encode()
+        self._packed = {
+            order: [
+                (sensor, numbers.pack(x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z))
+                for sensor, (x, y, z) in variances.items()
+            ]
+            for order, numbers in _NUMBERS.items()
+        }
+
+    def patch(self, payload: bytes) -> bytes:
+        """Return the message with the known covariances; the same object if none was changed.
+
+        Raises MalformedMessage when the payload is not an Imu message in plain CDR.
+        """
+        order, _, offsets, frame = _layout_of(payload)
+        if self._frame and payload[frame].rstrip(b'\0') != self._frame:
+            return payload
+        patched = None
+        for sensor, covariance in self._packed[order]:
+            start = offsets[f'{sensor}_covariance']
+            stop = start + _COVARIANCE_BYTES
+            if not self._may_change(payload[start:stop], order):
+                continue
+            if patched is None:
+                patched = bytearray(payload)
+            patched[start:stop] = covariance
+        return payload if patched is None else bytes(patched)
+
+    def _may_change(self, covariance: bytes, order: str) -> bool:
+        if covariance == _UNKNOWN:
+            return True
+        numbers = _NUMBERS[order].unpack(covariance)
+        if numbers[0] == ABSENT or numbers[0] != numbers[0]:
+            return False
+        return self._overwrite or not any(numbers)
+
+
+def frame_id_of(payload: bytes) -> str:
+    """Return header.frame_id of an Imu message in CDR.
+
+    Raises MalformedMessage when the payload is not an Imu message in plain CDR.
+    """
+    return payload[_layout_of(payload).frame].rstrip(b'\0').decode(errors='replace')

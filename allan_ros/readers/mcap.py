@@ -1,0 +1,420 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reads an mcap file, with or without its summary (https://mcap.dev/spec).
+
+The summary at the end lists the chunks. The rest of the file is searched for messages outside
+chunks, and for chunks that the summary does not list. If there is no summary, because the recorder
+was killed, or if it contradicts itself, the complete file is searched. One chunk is decompressed at
+a time, so the memory does not depend on the size of the file.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import MAX_CHUNK_BYTES, damaged, translated
+from .bag import Messages, Topic, Truncation, among, decompress, normal_type
+from .files import open_regular
+
+MAGIC = b'\x89MCAP0\r\n'
+
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
+
+CHUNK_INDEX, STATISTICS, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
+
+FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
+"""Opcode -> only valid length of a record."""
+
+RECORD = struct.Struct('<BQ')
+"""Opcode and length at the start of each record."""
+
+MESSAGE_HEAD = struct.Struct('<HIqQ')
+"""Channel, sequence, log time, publish time."""
+
+INDEX_HEAD = struct.Struct('<HI')
+"""Channel, and size of the pairs (log time, offset) that follow."""
+
+CHUNK_HEAD = struct.Struct('<QQQI')
+"""First and last log time, uncompressed size, CRC-32 (0: none)."""
+
+CHUNK_INDEX_HEAD = struct.Struct('<QQQQI')
+"""First and last log time, start and length of the chunk, size of the map that follows."""
+
+STATISTICS_HEAD = struct.Struct('<QHIIIIQQI')
+"""Numbers of messages, schemas, channels, attachments, metadata and chunks, first and last log
+time, and size of the map from channel to number of messages that follows."""
+
+CRC_BYTES = 4
+"""Size of the CRC-32 of the summary, the last field of the footer; 0 if there is none."""
+
+FOOTER_BYTES = RECORD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
+
+LOOSE_BYTES = 1 << 20
+"""Messages outside chunks are read about this many bytes at a time."""
+
+MAX_SORT_BYTES = 512 * 2**20
+"""Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
+
+DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
+"""Exceptions when a file is damaged."""
+
+REMEDY = 'copy it again, or repair it with "mcap recover"'
+
+
+@dataclass(frozen=True, order=True)
+class Chunk:
+    """A part of a file that contains messages: time of the first one, and place in the file.
+
+    ``next`` is the offset after its index. ``loose`` marks a sequence of messages outside chunks.
+    """
+
+    start_ns: int
+    offset: int
+    length: int
+    next: int
+    loose: bool = False
+
+
+@dataclass
+class Contents:
+    """Topics, message types and message counts according to the records of a file."""
+
+    topics: dict[int, Topic] = field(default_factory=dict)
+    schemas: dict[int, str] = field(default_factory=dict)  # number -> name of the type
+    counted: Counter[int] = field(default_factory=Counter)  # message records of each channel
+    stated: Counter[int] = field(default_factory=Counter)  # messages according to the statistics
+    totals: tuple[int, ...] = ()  # the head of the statistics
+
+    def add(self, opcode: int, data: bytes, at: int, stop: int) -> None:
+        """Count the message, or store the schema, channel or statistics in ``data[at:stop]``."""
+        if opcode == MESSAGE:
+            self.counted[MESSAGE_HEAD.unpack_from(data, at)[0]] += 1
+        elif opcode == SCHEMA:
+            (number,) = struct.unpack_from('<H', data, at)
+            self.schemas[number] = _text(data, at + 2)[0]
+        elif opcode == CHANNEL:
+            number, schema = struct.unpack_from('<HH', data, at)
+            name, at = _text(data, at + 4)
+            encoding, at = _text(data, at)
+            kind = normal_type(self.schemas.get(schema, ''))
+            self.topics[number] = Topic(number, name, kind, encoding)
+        elif opcode == STATISTICS:
+            self.totals = STATISTICS_HEAD.unpack_from(data, at)
+            size = self.totals[-1]
+            at += STATISTICS_HEAD.size
+            self.stated = Counter(dict(struct.iter_unpack('<HQ', data[at : min(at + size, stop)])))
+
+    def check(self, opcode: int, data: bytes, at: int) -> None:
+        """Raise ValueError if a schema or channel in a chunk differs from the known one."""
+        found = Contents(schemas=dict(self.schemas))
+        found.add(opcode, data, at, at)
+        for number, schema in self.schemas.items():
+            if found.schemas[number] != schema:
+                raise ValueError(f'schema {number} is {found.schemas[number]} in a chunk only')
+        for number, topic in found.topics.items():
+            known = self.topics.get(number)
+            if known is None or (known.name, known.type) != (topic.name, topic.type):
+                raise ValueError(f'channel {number} is {topic.name} in a chunk, but not elsewhere')
+
+
+class McapStorage:
+    """An open mcap file; error messages name it ``path``.
+
+    Raises one of `DAMAGE` when it is of another format or damaged.
+    """
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self._path = path
+        self._file = file
+        self._size = os.fstat(file.fileno()).st_size
+        self._chunks: list[Chunk] = []
+        self._indexed: Counter[int] = Counter()  # messages in MessageIndex and outside chunks
+        self.truncation: Truncation | None = None
+        if self._read(0, len(MAGIC)) != MAGIC:
+            raise damaged(path, 'it is not an mcap file', 'give a recording')
+        self._contents, listed, end = self._read_summary()
+        at = len(MAGIC)
+        for chunk in listed:
+            at = max(self._scan(at, chunk.offset - RECORD.size), chunk.next)
+            self._chunks.append(chunk)
+        at = self._scan(at, end)
+        known = self._contents
+        if listed:
+            known.counted = Counter(known.stated)
+        else:
+            known.stated = known.stated or known.counted | self._indexed
+            magic_at = self._size - len(MAGIC)
+            ended = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
+            if not self.truncation and not ended:
+                self.truncation = Truncation(at, self._size)
+        self._chunks.sort()
+        self.topics = list(known.topics.values())
+
+    def counts(self) -> dict[int, int]:
+        """Return topic id -> number of messages."""
+        return dict(self._contents.counted)
+
+    def stated(self, ids: set[int], read: int) -> int:
+        """Return how many messages of these topics the file contains, according to its index.
+
+        ``read`` is the number of messages that were read, which is returned without an index.
+        """
+        if not self._contents.stated:
+            return read
+        stated = sum(self._contents.stated[number] for number in ids)
+        return max(stated, read) if self.truncation else stated  # the index may be truncated, too
+
+    def blocks(self, ids: set[int]) -> Iterator[Messages]:
+        """Yield the next messages of these topics, in the order of record time."""
+        with translated(self._path, DAMAGE, REMEDY):
+            pending = Messages.none()
+            ends = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
+            for chunk, until in zip(self._chunks, ends):
+                ready, pending = sorted_until(until, pending, self._messages(chunk, ids))
+                yield ready
+
+    def _messages(self, chunk: Chunk, ids: set[int]) -> Messages:
+        data = self._data(chunk)
+        view = memoryview(data)
+        channels: list[int] = []
+        times: list[int] = []
+        payloads: list[bytes | memoryview] = []
+        unpack, head_bytes, first = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size, True
+        for opcode, start, end in records(data):
+            if opcode != MESSAGE:
+                self._contents.check(opcode, data, start)
+                continue
+            if first and (equal := equal_messages(data, start, end)) is not None:
+                return _of_channels(equal, ids)
+            first = False
+            if end - start < head_bytes:
+                raise struct.error('a message record is too short')
+            channel, _, time_ns, _ = unpack(data, start)
+            if channel in ids:
+                channels.append(channel)
+                times.append(time_ns)
+                payloads.append(view[start + head_bytes : end])
+        return Messages(np.array(channels, np.int64), np.array(times, np.int64), payloads)
+
+    def _read(self, offset: int, length: int) -> bytes:
+        if length > MAX_CHUNK_BYTES:
+            raise ValueError(
+                f'a record of {length} bytes at byte {offset}, the limit is {MAX_CHUNK_BYTES}'
+            )
+        self._file.seek(offset)
+        return self._file.read(length)
+
+    def _data(self, chunk: Chunk) -> bytes:
+        """Return the decompressed records of a chunk, after checking its CRC-32."""
+        data = self._read(chunk.offset, chunk.length)
+        if chunk.loose:
+            return data
+        _, _, size, checksum = CHUNK_HEAD.unpack_from(data)
+        compression, at = _text(data, CHUNK_HEAD.size)
+        (stored,) = struct.unpack_from('<Q', data, at)
+        packed = memoryview(data)[at + 8 : at + 8 + stored]
+        try:
+            plain = decompress(packed, compression, min(size, MAX_CHUNK_BYTES))
+            if len(plain) != size:
+                raise ValueError(f'{len(plain)} bytes instead of {size}')
+            if checksum and zlib.crc32(plain) != checksum:
+                raise ValueError('its checksum is wrong')
+        except ValueError as error:
+            reason = f'the chunk at byte {chunk.offset} is damaged: {error}'
+            raise damaged(self._path, reason, REMEDY) from error
+        return plain
+
+    def _read_summary(self) -> tuple[Contents, list[Chunk], int]:
+        """Return the contents and chunks according to the summary, and its offset.
+
+        There are no contents and chunks if it is missing, or if its records contradict each other.
+        """
+        unusable: tuple[Contents, list[Chunk], int] = (Contents(), [], self._size)
+        footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
+        if not footer.endswith(MAGIC) or footer[0] != FOOTER:
+            return unusable
+        start, _, checksum = struct.unpack_from('<QQI', footer, RECORD.size)
+        end = self._size - FOOTER_BYTES
+        if not 0 < start <= end:
+            return unusable
+        try:
+            data = self._read(start, end - start)
+            if checksum and zlib.crc32(data + footer[: -CRC_BYTES - len(MAGIC)]) != checksum:
+                return unusable
+            known = Contents()
+            chunks: dict[int, Chunk] = {}
+            channels: set[int] = set()
+            for opcode, at, stop in records(data):
+                known.add(opcode, data, at, stop)
+                if opcode == CHUNK_INDEX:
+                    chunk, inside = _listed_chunk(data, at)
+                    chunks[chunk.offset] = chunk
+                    channels |= inside
+        except (struct.error, ValueError):
+            return unusable
+        counted = [known.stated.total(), len(known.topics), len(chunks)]
+        agrees = known.totals and [known.totals[i] for i in (0, 2, 5)] == counted
+        if not (agrees and all(counted) and channels | {*known.stated} <= {*known.topics}):
+            return unusable
+        return known, [chunks[offset] for offset in sorted(chunks)], start
+
+    def _scan(self, at: int, stop: int) -> int:
+        """Read the records from offset ``at`` on, and return the offset of the first unread byte.
+
+        Reading ends at ``stop``, or at the first record that extends beyond it.
+        """
+        skipped = 0
+        while at + RECORD.size <= stop:
+            head = self._read(at, RECORD.size)
+            if head.startswith(MAGIC):  # after the footer
+                at += len(MAGIC)
+                continue
+            opcode, length = RECORD.unpack(head)
+            start, end = at + RECORD.size, at + RECORD.size + length
+            if end > stop or opcode == 0:
+                break
+            if FIXED_BYTES.get(opcode, length) != length or DATA_END < opcode <= LAST_OPCODE:
+                skipped += end - at
+            elif opcode == CHUNK:
+                first, _, _, _ = CHUNK_HEAD.unpack(self._read(start, CHUNK_HEAD.size))
+                self._chunks.append(Chunk(first, start, length, end))
+                data = self._data(self._chunks[-1])
+                for inner, inner_at, inner_end in records(data):
+                    self._contents.add(inner, data, inner_at, inner_end)
+            elif opcode == MESSAGE:
+                data = self._read(start, MESSAGE_HEAD.size)
+                self._contents.add(opcode, data, 0, len(data))
+                self._add_loose(data, at, end)
+            elif opcode == MESSAGE_INDEX:
+                channel, size = INDEX_HEAD.unpack(self._read(start, INDEX_HEAD.size))
+                self._indexed[channel] += size // 16
+            elif opcode in (SCHEMA, CHANNEL, STATISTICS):
+                self._contents.add(opcode, self._read(start, length), 0, length)
+            at = end
+        if skipped:
+            self.truncation = Truncation(self._size - skipped, self._size)
+        return at
+
+    def _add_loose(self, head: bytes, offset: int, end: int) -> None:
+        """Add the message record at ``offset``, which is outside chunks, to the list of chunks.
+
+        ``head`` is the beginning of its content. Adjacent messages form one chunk.
+        """
+        channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
+        self._indexed[channel] += 1
+        last = self._chunks[-1] if self._chunks else None
+        if last and last.loose and last.next == offset and last.length < LOOSE_BYTES:
+            log_time, offset = min(last.start_ns, log_time), last.offset
+            self._chunks.pop()
+        self._chunks.append(Chunk(log_time, offset, end - offset, end, loose=True))
+
+
+def _listed_chunk(data: bytes, at: int) -> tuple[Chunk, set[int]]:
+    """Return the chunk that the ChunkIndex record at ``data[at:]`` describes, and its channels."""
+    first, _, offset, length, map_bytes = CHUNK_INDEX_HEAD.unpack_from(data, at)
+    at += CHUNK_INDEX_HEAD.size
+    channels = {n for n, _ in struct.iter_unpack('<HQ', data[at : at + map_bytes])}
+    (index_length,) = struct.unpack_from('<Q', data, at + map_bytes)
+    start, end = offset + RECORD.size, offset + length
+    return Chunk(first, start, end - start, end + index_length), channels
+
+
+def _text(data: bytes, at: int) -> tuple[str, int]:
+    (length,) = struct.unpack_from('<I', data, at)
+    end = at + 4 + length
+    return data[at + 4 : end].decode(errors='replace'), end
+
+
+@contextmanager
+def open_storage(path: Path, shown: Path) -> Iterator[McapStorage]:
+    """Open an mcap file for reading.
+
+    Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
+    when it is of another format or damaged.
+    """
+    with translated(shown, DAMAGE, REMEDY):
+        file = open_regular(path)
+    with file:
+        with translated(shown, DAMAGE, REMEDY):
+            storage = McapStorage(shown, file)
+        yield storage
+
+
+# --- messages in a chunk -----------------------------------------------------------------------
+
+
+def records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, offset and end offset of the content of each record in the data.
+
+    Raises struct.error when a record extends beyond the end.
+    """
+    at, size, unpack, head_bytes = 0, len(data), RECORD.unpack_from, RECORD.size
+    while at + head_bytes <= size:
+        opcode, length = unpack(data, at)
+        start = at + head_bytes
+        at = start + length
+        if at > size or not opcode:
+            raise struct.error('a record extends beyond the end of its chunk')
+        yield opcode, start, at
+
+
+def equal_messages(data: bytes, start: int, end: int) -> NDArray[np.void] | None:
+    """Return all message records from ``data[start:end]`` on, (n,), without copying them.
+
+    ``start`` and ``end`` are the offsets of the content of the first one. Returns None if they have
+    different lengths, or other records follow.
+    """
+    first, length = start - RECORD.size, end - start
+    count, rest = divmod(len(data) - first, RECORD.size + length)
+    if rest or length <= MESSAGE_HEAD.size:
+        return None
+    found = np.ndarray((count,), _message_dtype(length), data, first)
+    same = (found['opcode'] == MESSAGE) & (found['length'] == length)
+    return found if same.all() else None
+
+
+@lru_cache(maxsize=64)
+def _message_dtype(length: int) -> np.dtype[Any]:
+    fields = [('opcode', 'u1'), ('length', '<u8'), ('channel', '<u2'), ('sequence', '<u4')]
+    fields += [('log_time', '<i8'), ('publish_time', '<u8')]
+    return np.dtype([*fields, ('payload', f'V{length - MESSAGE_HEAD.size}')])
+
+
+def _of_channels(found: NDArray[np.void], ids: set[int]) -> Messages:
+    mine = among(found['channel'], ids)
+    if not mine.all():
+        found = found[mine]
+    return Messages(found['channel'], found['log_time'].astype(np.int64), found['payload'])
+
+
+def sorted_until(
+    until: int | None, pending: Messages, chunk: Messages
+) -> tuple[Messages, Messages]:
+    """Sort messages by record time; return the messages before ``until``, and the others.
+
+    ``pending`` are the other messages of earlier chunks, ``until`` is the start of the next chunk
+    in ns, or None after the last chunk. Raises ValueError when more than `MAX_SORT_BYTES` remain.
+    """
+    times = chunk.record_ns
+    complete = until is None or not len(times) or times[-1] < until
+    if complete and not len(pending) and (times[1:] >= times[:-1]).all():
+        return chunk, pending
+    both = pending.followed_by(chunk)
+    order = np.argsort(both.record_ns, kind='stable')
+    ready = len(order) if until is None else int(np.searchsorted(both.record_ns[order], until))
+    later = both.chosen(order[ready:])
+    if sum(map(len, later.payloads)) > MAX_SORT_BYTES:
+        raise ValueError(f'chunks overlap by more than {MAX_SORT_BYTES} bytes')
+    return both.chosen(order[:ready]), later

@@ -1,0 +1,347 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Read recordings and compute their Allan sums, in one or in several processes.
+
+The sums are bit for bit the same for any number of processes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime, timezone
+from functools import reduce
+from itertools import product
+from operator import add
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.allan.sums import AllanSums, add_sums
+from ..core.errors import AllanError
+from ..core.findings import SEVERITIES, Finding, finding
+from ..core.imu import NANOSECONDS, ImuIdentity, sensor_of
+from ..core.settings import SegmenterSettings
+from ..core.stream.health import Counts, Event, Segment
+from ..core.stream.pipeline import ImuStream
+from ..core.stream.signal import SignalEnvelope, TemperatureTrace
+from . import ReadOptions, Recording, SourceInfo, open_recordings
+
+EARLIEST_S = 978_307_200
+"""2001-01-01 in Unix time; smaller stamps count from the start of a machine or a simulation."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """The origin of sums, stored with them in `sums.json` and `results.json`.
+
+    Segments are in the order of time. Findings come from the reader and the stream. Settings are
+    plain values. ``last_stamp_ns`` is the latest stamp in the sums of a node. With simulated
+    time, earlier samples show that the recording is played again.
+    """
+
+    sources: tuple[SourceInfo, ...] = ()
+    segments: tuple[Segment, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    counts: Counts = field(default_factory=Counts)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    last_stamp_ns: int | None = None
+
+    def __add__(self, other: Provenance) -> Provenance:
+        """Return the combined provenance without repeated findings; settings are of ``self``."""
+        counts = deepcopy(self.counts)
+        counts.add(other.counts)
+        stamps = [t for t in (self.last_stamp_ns, other.last_stamp_ns) if t is not None]
+        return Provenance(
+            self.sources + other.sources,
+            tuple(sorted(self.segments + other.segments, key=lambda s: s.start_ns)),
+            tuple(dict.fromkeys(self.findings + other.findings)),
+            counts,
+            self.settings,
+            max(stamps, default=None),
+        )
+
+    @property
+    def start(self) -> datetime | None:
+        """Time of the first sample in UTC; None if the stamps are not dates."""
+        start_s = min((s.start_ns for s in self.segments), default=0) // NANOSECONDS
+        return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EARLIEST_S else None
+
+    def with_accel(self, accel: Provenance) -> Provenance:
+        """Return the combined provenance of two topics; the segments are from the gyro."""
+        return replace(self + accel, segments=self.segments)
+
+
+@dataclass(frozen=True)
+class RecordingSums:
+    """The sums of one or more recordings of one IMU, with the data for a report.
+
+    ``signals`` and ``events`` are empty unless they were requested.
+    """
+
+    name: str  # path of the first recording
+    sums: tuple[AllanSums, ...]  # one for all axes, or one per sensor if the rates differ
+    provenance: Provenance = field(default_factory=Provenance)
+    signals: tuple[SignalEnvelope, ...] = ()  # one per recording
+    temperatures: tuple[TemperatureTrace | None, ...] = ()  # one per recording, if it was read
+    events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
+
+    def __add__(self, other: RecordingSums) -> RecordingSums:
+        """Return the sums of both recordings.
+
+        Raises AllanError when the recordings are of different IMUs, or share samples.
+        """
+        try:
+            sums = add_sums(self.sums, other.sums)
+        except AllanError as error:
+            raise AllanError(f'{other.name} cannot be added to {self.name}: {error}') from error
+        if any(_share_a_segment(a, b) for a, b in product(self.sums, other.sums)):
+            raise AllanError(
+                f'{other.name} contains samples of an earlier recording: give each '
+                'recording once, because samples must not count twice'
+            )
+        return RecordingSums(
+            self.name,
+            sums,
+            self.provenance + other.provenance,
+            self.signals + other.signals,
+            self.temperatures + other.temperatures,
+            self.events + other.events,
+        )
+
+    def temperature_readings(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the times in ns and values in degC of all temperature readings, sorted.
+
+        The times are header stamps, or record times if those are not on the clock of the samples.
+        """
+        used = self.provenance.segments
+        begin = min((s.start_ns for s in used), default=0)
+        end = max((s.start_ns + s.duration_s * 1e9 for s in used), default=0.0)
+        times, values = [np.zeros(0, np.int64)], [np.zeros(0)]
+        for trace in self.temperatures:
+            if trace is not None:
+                inside = (trace.header_ns >= begin) & (trace.header_ns <= end)
+                times.append(trace.header_ns if inside.sum() > 1 else trace.record_ns)
+                values.append(trace.celsius)
+        order = np.argsort(np.concatenate(times), kind='stable')
+        return np.concatenate(times)[order], np.concatenate(values)[order]
+
+    def with_findings(self, findings: Iterable[Finding]) -> RecordingSums:
+        """Return a copy with further findings."""
+        return replace(self, provenance=self.provenance + Provenance(findings=tuple(findings)))
+
+
+@dataclass(frozen=True)
+class ReadJob:
+    """The path and the settings to read one recording; it can be sent to another process.
+
+    ``with_context`` requests the data for a report: signal and events.
+    """
+
+    path: str
+    reading: ReadOptions = field(default_factory=ReadOptions)
+    segmenter: SegmenterSettings = field(default_factory=SegmenterSettings)
+    hardware_id: str = ''
+    with_context: bool = False
+
+    def open(self) -> Recording:
+        """Open the recording without reading its samples."""
+        (recording,) = open_recordings([self.path], self.reading)
+        return recording
+
+
+def read_recording(
+    job: ReadJob,
+    recording: Recording | None = None,
+    advance: Callable[[int], None] = lambda samples: None,
+) -> RecordingSums:
+    """Return the sums of one recording, which is read once from start to end.
+
+    ``recording`` is the open recording of the job, by default ``job.open()``. ``advance`` is called
+    with the number of samples of each batch. Raises AllanError when there is no static data.
+    """
+    recording = job.open() if recording is None else recording
+    recorded = _read_topic(job, recording, advance)
+    if recording.accel is None:
+        return recorded
+    return _joined(recorded, _read_topic(job, recording.accel, advance))
+
+
+def _read_topic(
+    job: ReadJob, recording: Recording, advance: Callable[[int], None]
+) -> RecordingSums:
+    stream = ImuStream(job.segmenter, job.hardware_id, recording.sensor)
+    signal = SignalEnvelope()
+    for batch in recording.batches():
+        stream.update(batch)
+        if job.with_context:
+            signal.update(batch)
+        advance(len(batch))
+    stream.end()
+    known = stream.result()
+    findings = tuple(
+        f
+        for f in (*recording.findings, *known.findings)
+        if not f.axes or not {*f.axes}.isdisjoint(recording.axes)
+    )
+    findings += _other_topic(recording, findings)
+    counts = known.health.counts
+    if not known.sums:
+        raise AllanError(_no_data(job, recording.info.topic, counts, findings))
+    settings = {
+        **asdict(job.segmenter),
+        **asdict(recording.options),
+        'hardware_id': job.hardware_id,
+    }
+    provenance = Provenance((recording.info,), known.segments, findings, counts, settings)
+    temperatures = (recording.temperature(known.sums[0].identity.frame_id),)
+    if not job.with_context:
+        return RecordingSums(job.path, known.sums, provenance, temperatures=temperatures)
+    events = known.health.events
+    return RecordingSums(job.path, known.sums, provenance, (signal,), temperatures, events)
+
+
+def with_accel(
+    gyro: Sequence[AllanSums], accel: Sequence[AllanSums], identity: ImuIdentity
+) -> tuple[AllanSums, ...]:
+    """Return the sums of two topics of one IMU; ``accel`` gets the identity of ``gyro``."""
+    return (*gyro, *(replace(sums, identity=identity) for sums in accel))
+
+
+def _joined(gyro: RecordingSums, accel: RecordingSums) -> RecordingSums:
+    events = sorted((*gyro.events, *accel.events), key=lambda event: event.start_ns)
+    return replace(
+        gyro,
+        sums=with_accel(gyro.sums, accel.sums, gyro.sums[0].identity),
+        provenance=gyro.provenance.with_accel(accel.provenance),
+        signals=tuple(a.with_accel(b) for a, b in zip(gyro.signals, accel.signals)),
+        temperatures=tuple(a or b for a, b in zip(gyro.temperatures, accel.temperatures)),
+        events=tuple(events),
+    )
+
+
+def _other_topic(recording: Recording, findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return a finding if a sensor is absent, and another topic of the bag may contain it."""
+    absent = [f for f in findings if f.id in ('sensor_absent', 'sensor_all_zero')]
+    if not (absent and recording.other_topics):
+        return ()
+    axes, here, there = absent[0].axes, recording.info.topic, recording.other_topics[0]
+    sensor = sensor_of(axes[0])
+    gyro, accel = (there, here) if sensor == 'gyro' else (here, there)
+    return (finding('sensor_elsewhere', axes, sensor=sensor, other=there, gyro=gyro, accel=accel),)
+
+
+def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Finding]) -> str:
+    causes = [f for f in findings if f.id not in ('nothing_left', 'unit_assumed')]
+    worst = min((SEVERITIES.index(f.severity) for f in causes), default=0)
+    why = ' '.join(str(f) for f in causes if SEVERITIES.index(f.severity) == worst)
+    if counts.skipped and counts.skipped == counts.received:
+        why = f'--skip {job.segmenter.skip:g} (s) excludes the complete recording: reduce it'
+    why = why or ('it is too short' if counts.received else 'it has no samples')
+    samples = f'{counts.received:,} sample' + 's' * (counts.received != 1)
+    where = f'{job.path}: topic {topic}' if job.reading.accel_topic else job.path
+    return f'{where}: no static data in {samples}: {why}'
+
+
+def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
+    """Return whether ``a`` and ``b`` have a segment with equal block means: noise never repeats."""
+    return any(
+        (one.samples, one.start_ns) == (other.samples, other.start_ns)
+        and np.array_equal(x.reference, y.reference)
+        and np.array_equal(one.coarser(other.step).values, other.coarser(one.step).values)
+        for x, y in product(a.recordings, b.recordings)
+        for one, other in product(x.means, y.means)
+    )
+
+
+class Observer(Protocol):
+    """Receives the progress of reading recordings."""
+
+    def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
+        """Return a context manager that yields an object with the method ``advance(samples)``.
+
+        ``label`` describes the input, ``total`` is its number of samples, or None if unknown.
+        """
+        return contextlib.nullcontext(self)
+
+
+class Silent(Observer):
+    """An `Observer` that does nothing."""
+
+    def advance(self, samples: int) -> None: ...
+
+    def __repr__(self) -> str:
+        return 'Silent()'
+
+
+def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iterator[RecordingSums]:
+    """Read the recordings one after the other, in this process."""
+    # All are opened before the first is read, so that a wrong name is reported at once.
+    recordings: list[Recording] = []
+    for job in jobs:
+        recordings.append(job.open())
+        if recordings[1:]:
+            recordings[-1].close()
+    for job, recording in zip(jobs, recordings):
+        with observer.progress(job.path, recording.messages) as progress:
+            recorded = read_recording(job, recording, progress.advance)
+        yield recorded
+
+
+def read_in_processes(
+    jobs: Sequence[ReadJob], processes: int, observer: Observer = Silent()
+) -> Iterator[RecordingSums]:
+    """Read the recordings in several processes at a time; yield their sums in the given order."""
+    from concurrent.futures import ProcessPoolExecutor
+    from concurrent.futures.process import BrokenProcessPool
+    from multiprocessing import active_children, get_context
+
+    # not a fork, which would copy the locks of numpy's threads without the threads
+    workers = min(processes, len(jobs))
+    pool = ProcessPoolExecutor(workers, mp_context=get_context('spawn'))
+    try:
+        with _interrupts_blocked():
+            futures = [pool.submit(read_recording, job) for job in jobs]
+        with observer.progress(f'{len(jobs)} recordings in {workers} processes', None) as progress:
+            for future in futures:
+                recorded = future.result()
+                progress.advance(recorded.provenance.counts.received)
+                yield recorded
+    except KeyboardInterrupt:
+        for child in active_children():  # safe, because no task writes files
+            child.terminate()
+        raise
+    except BrokenProcessPool as error:
+        raise AllanError(
+            f'one of {workers} processes died, probably because memory ran out: reduce --jobs'
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT, also in all processes that are started within the context."""
+    if not hasattr(signal, 'pthread_sigmask'):  # not on Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
+    """Return the sums of all recordings of one IMU, added in the order of their first samples."""
+    return reduce(add, sorted(recordings, key=_start_ns))
+
+
+def _start_ns(recorded: RecordingSums) -> tuple[int, int]:
+    starts = [period.begin_ns for s in recorded.sums for period in s.periods]
+    return min(starts, default=0), sum(s.samples for s in recorded.sums)

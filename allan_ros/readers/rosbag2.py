@@ -1,0 +1,375 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reads the samples of an Imu topic, and the temperature of the IMU, from a bag.
+
+The Imu topic is selected by its type. Messages are decoded in blocks, so the memory does not depend
+on the size of the bag.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.errors import AllanError
+from ..core.findings import finding
+from ..core.imu import AXES, SENSORS, ImuBatch, joined
+from ..core.stream.signal import Decimated, TemperatureTrace, trace_of
+from . import (
+    BATCH,
+    MAX_CHUNK_BYTES,
+    METADATA,
+    ReadOptions,
+    Recording,
+    Report,
+    SourceInfo,
+    in_batches,
+)
+from .bag import (
+    MAX_MESSAGE_BYTES,
+    Bag,
+    Messages,
+    Payloads,
+    Topic,
+    Truncation,
+    among,
+    bag_of,
+    decompress,
+    frame_compression,
+)
+from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
+from .columns import listed
+
+if TYPE_CHECKING:
+    from .bag import Storage
+
+ENCODINGS = ('cdr', 'ros1')
+"""Supported serializations."""
+
+Key = tuple[str, str]
+"""Topic name and type, which identify a topic in all files of a bag."""
+
+
+@dataclass
+class Survey:
+    """The topics of all files of a bag, and their numbers of messages."""
+
+    topics: dict[Key, Topic] = field(default_factory=dict)
+    counts: Counter[Key] = field(default_factory=Counter)
+    truncation: Truncation | None = None  # of the first truncated file
+
+    def listed(self, keys: Iterable[Key]) -> str:
+        """Return name, type and number of messages of these topics, as text."""
+        shown = []
+        for key in keys:
+            encoding = self.topics[key].encoding
+            unsupported = '' if encoding in ENCODINGS else f', serialized as {encoding}'
+            shown.append(f'{key[0]} ({key[1]}, {self.counts[key]}{unsupported})')
+        return listed(shown)
+
+    def imus(self) -> list[Key]:
+        """Return the Imu topics with messages; all Imu topics if none has messages."""
+        imus = [key for key in self.topics if key[1] == IMU_TYPE]
+        return [key for key in imus if self.counts[key]] or imus
+
+
+MAX_TOPICS = 100
+"""Number of Imu topics of a bag above which one must be selected: each is read separately."""
+
+
+def imu_topics(path: Path) -> list[str]:
+    """Return the Imu topics of a bag, as `ReadOptions.topic` accepts them.
+
+    Topics without messages are only listed if no Imu topic has messages. The list is empty if there
+    are more than `MAX_TOPICS`.
+    """
+    bag = bag_of(path)
+    imus = survey_bag(bag).imus()
+    bag.close()
+    return [name for name, _ in imus] if len(imus) <= MAX_TOPICS else []
+
+
+def survey_bag(bag: Bag) -> Survey:
+    """Return the topics of a bag, which metadata.yaml states.
+
+    Without metadata.yaml, or if it states no Imu message, which may be wrong, the messages in all
+    files are counted.
+    """
+    described = bag.described or {}
+    survey = Survey(
+        {key: Topic(0, *key, stated.encoding) for key, stated in described.items()},
+        Counter({key: stated.messages for key, stated in described.items()}),
+    )
+    bag.storage(bag.files[0])
+    if any(key[1] == IMU_TYPE and count for key, count in survey.counts.items()):
+        return survey
+    counted: Counter[Key] = Counter()
+    for file in bag.files:
+        storage = bag.storage(file)
+        counts = storage.counts()
+        for topic in storage.topics:
+            key = (topic.name, topic.type)
+            survey.topics.setdefault(key, topic)
+            counted[key] += counts.get(topic.id, 0)
+        survey.truncation = survey.truncation or storage.truncation
+    survey.counts |= counted
+    return survey
+
+
+def chosen_topic(path: Path, survey: Survey, wanted: str, accel_topic: str = '') -> Topic:
+    """Return the Imu topic with the name ``wanted``, or the only Imu topic if it is ''.
+
+    ``accel_topic`` contains only the accelerometer; it is chosen only if it is ``wanted``.
+    Raises AllanError when there is no such topic, there are several, or it cannot be decoded.
+    """
+    imus = [key for key in survey.imus() if key[0].lstrip('/') != accel_topic.lstrip('/')]
+    candidates = [_named(path, survey, wanted)] if wanted else imus
+    if not candidates:
+        raise _no_imu(path, survey)
+    if len(candidates) > 1:
+        labels = listed([f'{key[0]} ({survey.counts[key]})' for key in candidates])
+        raise AllanError(
+            f'{path}: has {len(candidates)} Imu topics: {labels}: choose one with --topic'
+        )
+    topic = survey.topics[candidates[0]]
+    if topic.encoding not in ENCODINGS:
+        raise AllanError(
+            f'{path}: topic {topic.name} is serialized as {topic.encoding!r}: only '
+            f'{" and ".join(ENCODINGS)} can be read; convert the bag with "ros2 bag convert"'
+        )
+    if not survey.counts[candidates[0]]:
+        raise no_message(path, topic.name)
+    return topic
+
+
+def no_message(path: Path, name: str) -> AllanError:
+    return AllanError(
+        f'{path}: topic {name} has no message: check that the driver was running and record again'
+    )
+
+
+def _named(path: Path, survey: Survey, wanted: str) -> Key:
+    """Return the Imu topic with the name ``wanted``, with or without a leading slash."""
+    keys = [key for key in survey.topics if key[0].lstrip('/') == wanted.lstrip('/')]
+    imus = [key for key in survey.topics if key[1] == IMU_TYPE]
+    matching = [key for key in keys if key in imus]
+    if matching:
+        return matching[0]
+    if not keys:
+        shown = survey.listed(imus or survey.topics) or 'none'
+        problem = f'has no topic {wanted}; it has {shown}: check --topic'
+    else:
+        problem = (
+            f'topic {wanted} is of type {keys[0][1]}, not sensor_msgs/Imu: choose another with '
+            '--topic'
+        )
+    raise AllanError(f'{path}: {problem}')
+
+
+def _no_imu(path: Path, survey: Survey) -> AllanError:
+    cut = survey.truncation
+    read = f'; only {cut.read} of {cut.size} bytes could be read (copy it again)' if cut else ''
+    busiest = sorted(survey.topics, key=lambda key: (-survey.counts[key], key))
+    return AllanError(
+        f'{path}: no sensor_msgs/Imu topic; it has {survey.listed(busiest) or "no topic"}{read}: '
+        'record the topic of the IMU'
+    )
+
+
+# --- samples --------------------------------------------------------------------------------------
+
+
+def open_bag(path: Path, options: ReadOptions) -> Recording:
+    """Open the Imu topic of a bag as a recording; ``path`` is a bag folder or a bag file.
+
+    Raises AllanError when the bag cannot be read or has no Imu topic, or when it has several and
+    the options select none.
+    """
+    bag = bag_of(path)
+    survey = survey_bag(bag)
+    topic = chosen_topic(path, survey, options.topic, options.accel_topic)
+    topics = [topic for topic in survey.topics.values() if topic.encoding in ENCODINGS]
+
+    def recording(topic: Topic, axes: tuple[str, ...], accel: Recording | None) -> Recording:
+        others = [name for name, _ in survey.imus() if name != topic.name]
+        reader = _Reader(bag, topic, options, _thermometers(topics, topic.name))
+        return Recording(
+            SourceInfo(str(path), topic.name, topic.type, bag.format),
+            survey.counts[topic.name, topic.type] + (accel.messages or 0 if accel else 0),
+            reader.read,
+            reader.temperature,
+            options,
+            axes,
+            bag.close,
+            accel,
+            sorted(others, key=lambda name: -_shared(name, topic.name)),
+        )
+
+    if not options.accel_topic:
+        return recording(topic, AXES, None)
+    other = chosen_topic(path, survey, options.accel_topic)
+    return recording(topic, AXES[SENSORS['gyro']], recording(other, AXES[SENSORS['accel']], None))
+
+
+@dataclass
+class _Reader:
+    """Reads the Imu of one topic, and messages of its possible temperature topics beside it."""
+
+    bag: Bag
+    topic: Topic
+    options: ReadOptions
+    thermometers: list[Topic]
+    # record time in ns and serialized bytes, of each topic
+    _temperatures: list[Decimated[tuple[int, bytes]]] = field(default_factory=list)
+    # sensor -> number of messages that wrongly declare it absent
+    _kept: Counter[str] = field(default_factory=Counter)
+
+    def read(self, report: Report) -> Iterator[ImuBatch]:
+        """Yield the samples of all files, in order."""
+        self._temperatures = [Decimated() for _ in self.thermometers]
+        self._kept.clear()
+        bag, key, total = self.bag, (self.topic.name, self.topic.type), 0
+        stated = bag.described or {}
+        for file in bag.files:
+            storage = bag.storage(file)
+            if found := storage.truncation:
+                report(finding('bag_cut', path=file, read=found.read, size=found.size))
+            read = 0
+            for batch in _rebatched(self._decoded(file, self._blocks(storage))):
+                read += len(batch)
+                yield self.options.in_si(batch)
+            if key not in stated:
+                _compare(storage.stated(_ids(storage, self.topic), read), read, file, report)
+            total += read
+        bag.close()
+        if key in stated:
+            _compare(stated[key].messages, total, bag.path / METADATA, report)
+        for sensor, count in sorted(self._kept.items()):
+            axes = AXES[SENSORS[sensor]]
+            report(finding('covariance_ignored', axes, count=count, sensor=sensor, read=total))
+        if not total:
+            raise no_message(bag.path, self.topic.name)
+
+    def _blocks(self, storage: Storage) -> Iterator[Messages]:
+        mine, *others = (_ids(storage, topic) for topic in (self.topic, *self.thermometers))
+        for block in storage.blocks(mine.union(*others)):
+            for numbers, kept in zip(others, self._temperatures):
+                for row in np.flatnonzero(among(block.topics, numbers)).tolist():
+                    kept.add((int(block.record_ns[row]), bytes(block.payloads[row])))
+            rows = np.flatnonzero(among(block.topics, mine))
+            yield block if len(rows) == len(block) else block.chosen(rows)
+
+    def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
+        done = 0  # number of messages of this file
+        for block in blocks:
+            try:
+                imus = decode_imus(_decompressed(block.payloads), _encoding(self.topic))
+            except MalformedMessage as error:
+                raise AllanError(
+                    f'{file}: message {done + error.index + 1} of {self.topic.name} is not '
+                    f'a {self.topic.type} ({error}): record it again'
+                ) from error
+            self._kept.update(imus.kept)
+            yield from imus.batches(block.record_ns)
+            done += len(block)
+
+    def temperature(self, frame_id: str) -> TemperatureTrace | None:
+        """Return the temperature of the IMU; None if no topic, or more than one, can contain it.
+
+        If there are several topics, the one with the ``frame_id`` of the IMU is used.
+        """
+        found = [
+            (topic, [t for message in kept if (t := _temperature(topic, *message))])
+            for topic, kept in zip(self.thermometers, self._temperatures)
+        ]
+        if len(found) > 1:
+            found = [(topic, read) for topic, read in found if read and read[0][1] == frame_id]
+        if len(found) != 1:
+            return None
+        ((topic, read),) = found
+        return trace_of(topic.name, [reading for reading, _ in read])
+
+
+def _ids(storage: Storage, topic: Topic) -> set[int]:
+    return {t.id for t in storage.topics if (t.name, t.type) == (topic.name, topic.type)}
+
+
+def _compare(stated: int, read: int, where: Path, report: Report) -> None:
+    if stated != read:
+        report(finding('count_differs', path=where, stated=stated, read=read))
+
+
+def _encoding(topic: Topic) -> Encoding:
+    return 'ros1' if topic.encoding == 'ros1' else 'cdr'
+
+
+def _rebatched(batches: Iterable[ImuBatch]) -> Iterator[ImuBatch]:
+    """Yield the same samples in batches of about `BATCH` samples with one frame_id each."""
+    parts: list[ImuBatch] = []
+    count = 0
+    for batch in batches:
+        if parts and (batch.frame_id != parts[0].frame_id or count >= BATCH):
+            yield from in_batches(joined(parts))
+            parts, count = [], 0
+        parts.append(batch)
+        count += len(batch)
+    if parts:
+        yield from in_batches(joined(parts))
+
+
+def _decompressed(payloads: Payloads) -> Payloads:
+    compression = frame_compression(bytes(payloads[0])) if len(payloads) else ''
+    if not compression:
+        return payloads
+    plain: list[bytes | memoryview] = []
+    size = 0
+    for payload in payloads:
+        try:
+            plain.append(decompress(bytes(payload), compression, MAX_MESSAGE_BYTES))
+            size += len(plain[-1])
+            if size > MAX_CHUNK_BYTES:
+                raise ValueError(f'messages expand to more than {MAX_CHUNK_BYTES} bytes')
+        except ValueError as error:
+            raise MalformedMessage(len(plain), f'{compression} {error}') from error
+    return plain
+
+
+TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
+
+MAX_THERMOMETERS = 16
+"""Number of equally near Temperature topics above which none can be assigned to the Imu."""
+
+
+def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
+    """Return the Temperature topics that have the longest common namespace with the Imu topic.
+
+    The list is empty if they are more than `MAX_THERMOMETERS`.
+    """
+    found = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
+    most = max((_shared(topic.name, imu_topic) for topic in found), default=0)
+    nearest = [topic for topic in found if _shared(topic.name, imu_topic) == most]
+    return nearest if len(nearest) <= MAX_THERMOMETERS else []
+
+
+def _shared(name: str, other: str) -> int:
+    """Return the number of leading words of two topic names that are equal."""
+    pairs = list(zip(name.strip('/').split('/'), other.strip('/').split('/')))
+    equal = [a == b for a, b in pairs]
+    return equal.index(False) if False in equal else len(equal)
+
+
+def _temperature(
+    topic: Topic, record_ns: int, payload: bytes
+) -> tuple[tuple[int, int, float], str] | None:
+    """Return (header stamp in ns, record time in ns, degC) and frame_id; None if damaged."""
+    with suppress(MalformedMessage, ValueError):
+        plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
+        header_ns, frame_id, celsius = decode_temperature(plain, _encoding(topic))
+        return (header_ns, record_ns, celsius), frame_id
+    return None

@@ -1,0 +1,365 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reads tables of samples: CSV, TSV, and columns separated by spaces.
+
+`write_recording` writes tables without loss of precision, with stamps in ns, samples in SI, and
+the frame_id in a comment::
+
+    # frame_id: imu_link
+    stamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z
+    1600000000000000000,0.001,-0.002,0.0,0.01,-0.02,9.81
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from decimal import Decimal, DecimalException
+from io import TextIOWrapper
+from itertools import chain, islice, takewhile
+from pathlib import Path
+from typing import TextIO, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import AllanError
+from ..core.findings import finding
+from ..core.imu import AXES, SAMPLE_SI, ImuBatch, even_stamps
+from ..core.stream.signal import Decimated, TemperatureTrace, trace_of
+from . import BATCH, ReadOptions, Recording, Report, SourceInfo
+from .columns import DATES, EXAMPLE, FIRST_ROWS, LEFT_OUT, Columns, columns_of, picked_names
+from .files import open_regular
+
+T = TypeVar('T')
+
+COMMENT, FRAME_COMMENT = '#', '# frame_id:'
+
+INT64 = np.iinfo(np.int64)
+
+MAX_LINE = 1 << 20
+"""Longest line of a table, in characters."""
+
+QUOTED = re.compile('"[^"]*"')
+
+DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
+"""Start of a date with a time (ISO 8601)."""
+
+TIME_ZONE = re.compile(r'([+-])(\d\d):?(\d\d)$|Z$')
+"""End of a date with a time zone."""
+
+TOPIC_NAMES = ('sec', 'nanosec', LEFT_OUT, *[LEFT_OUT] * 13, 'angular_velocity_x')
+TOPIC_NAMES += ('angular_velocity_y', 'angular_velocity_z', *[LEFT_OUT] * 9)
+TOPIC_NAMES += tuple(f'linear_acceleration_{axis}' for axis in 'xyz') + (LEFT_OUT,) * 9
+"""Columns of ``ros2 topic echo --csv``, which writes no header. The third is the frame_id."""
+
+
+def open_table(path: Path, options: ReadOptions) -> Recording:
+    """Open a table of numbers in a text file as a recording.
+
+    Raises AllanError when it has no rows, when it has no axis, or when the times are unknown.
+    """
+    with _text(path) as file:
+        table = _layout(path, file, options)
+    info = SourceInfo(str(path), '', 'table', 'tsv' if table.delimiter == '\t' else 'csv')
+    known = options.with_units(table.columns.units)
+    return Recording(info, None, table.read, table.temperature, known, table.columns.given)
+
+
+@dataclass
+class _Table:
+    """A table: its layout, and the temperatures of the rows that were read."""
+
+    path: Path
+    delimiter: str  # ',', ';' or tab; '' for white space
+    width: int  # number of columns
+    names: tuple[str, ...]
+    header_line: int  # number of the line with the names; 0 without a header
+    columns: Columns
+    rate_hz: float  # sample rate if there are no stamps
+    _kept: Decimated[tuple[int, float]] = field(default_factory=Decimated)
+
+    def read(self, report: Report) -> Iterator[ImuBatch]:
+        """Yield the samples in order."""
+        self._kept = Decimated()
+        for sensor, name in self.columns.assumed.items():
+            unit = SAMPLE_SI[sensor]
+            report(finding('unit_assumed', path=self.path, sensor=sensor, unit=unit, name=name))
+        if unit := self.columns.time_unit:
+            name = self.names[self.columns.stamp[0][0]]
+            report(finding('stamp_unit_assumed', path=self.path, unit=unit, name=name))
+        column = self.columns.temperature
+        with _text(self.path) as file:
+            for rows in self._rows(file, report):
+                batch = rows.batch()
+                if column is not None:
+                    celsius = (row[column] for row in rows.cells)
+                    for stamp, cell in zip(batch.stamps_ns.tolist(), celsius):
+                        self._kept.add((stamp, _number(cell) if _is_number(cell) else np.nan))
+                yield batch
+
+    def temperature(self, frame_id: str = '') -> TemperatureTrace | None:
+        """Return the temperature over time; None if the table has no such column."""
+        column = self.columns.temperature
+        if column is None:
+            return None
+        readings = [(stamp, stamp, celsius) for stamp, celsius in self._kept]
+        return trace_of(self.names[column].strip(), readings)
+
+    def _rows(self, file: TextIO, report: Report) -> Iterator[_Rows]:
+        """Yield the rows in groups of at most `BATCH` rows with one frame_id each.
+
+        The last line is not used if it has no line end, because its last number may be truncated.
+        """
+        lines, rows = _Lines(self, file), _Rows(self)
+        try:
+            for cells in _split(lines, self.delimiter):
+                if not lines.complete:
+                    report(finding('table_cut', path=self.path, line=lines.number))
+                    break
+                if len(rows.cells) == BATCH or lines.frame_id != rows.frame_id:
+                    if rows.cells:
+                        yield rows
+                    rows = _Rows(self, rows.first + len(rows.cells), lines.frame_id)
+                rows.numbers.append(lines.number)
+                rows.cells.append(cells)
+        except csv.Error as error:
+            if lines.complete:
+                raise AllanError(
+                    f'{self.path}: line {lines.number} is not a row of a table ({error}): '
+                    'correct or remove it'
+                ) from error
+            report(finding('table_cut', path=self.path, line=lines.number))
+        if rows.cells:
+            yield rows
+
+
+def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
+    comment = ''
+    lines = _bounded_lines(path, file)
+    number = 0
+    for number, line in enumerate(lines, 1):  # noqa: B007
+        if line.startswith(COMMENT):
+            comment = line
+        elif not line.isspace():
+            break
+    else:
+        raise AllanError(f'{path}: has no line of data: record or export it again')
+    if '\0' in line:
+        raise AllanError(f'{path}: is UTF-16 or not text: save the table as UTF-8')
+    delimiter = next((mark for mark in '\t;,' if mark in QUOTED.sub('', line)), '')
+    more = (one for one in lines if not one.startswith(COMMENT) and not one.isspace())
+    rows = _split(chain([line], more), delimiter)
+    try:
+        first = tuple(cell.strip() for cell in next(rows))
+        number += getattr(rows, 'line_num', 1) - 1  # a header may contain quoted line breaks
+        above = next(_split([comment.lstrip('# ')], delimiter)) if comment else []
+    except (csv.Error, StopIteration) as error:
+        raise AllanError(
+            f'{path}: line {number} is not a row of a table: correct the file'
+        ) from error
+    names, header_line = _names(path, first, above, number, options.columns)
+    next_rows = [] if header_line else [list(first)]
+    try:
+        next_rows += islice(rows, FIRST_ROWS)
+    except csv.Error:  # reported when the line is read
+        next_rows = next_rows or [[]]
+    if not next_rows:
+        raise AllanError(f'{path}: has no line after its header: record or export it again')
+    columns = columns_of(path, names, options)
+    columns.check(path, names, bool(options.rate_hz))
+    if len(columns.stamp) == 1:
+        ((column, _),) = columns.stamp
+        cells = [row[column] for row in next_rows if len(row) > column]
+        if cells and DATE.match(cells[0]):
+            columns = replace(columns, stamp=((column, DATES),))
+        else:
+            times = list(map(_number, takewhile(_is_number, cells))) or [0.0]
+            columns = columns.with_time_unit(path, np.array(times), options.stamp_unit)
+    return _Table(path, delimiter, len(first), names, header_line, columns, options.rate_hz)
+
+
+def _names(
+    path: Path, first: tuple[str, ...], above: list[str], number: int, columns: tuple[str, ...]
+) -> tuple[tuple[str, ...], int]:
+    """Return the names of the columns, and the number of the line that contains them or 0.
+
+    ``first`` are the cells of the first line, which is line ``number``, and ``above`` the cells of
+    the last comment before it. ``columns`` are the names in the options.
+    """
+    given = tuple(name.strip() for name in columns)
+    picked = bool(given) and all('=' in name for name in given)
+    if given and not picked:
+        if len(given) != len(first):
+            raise AllanError(
+                f'{path}: has {len(first)} columns, {len(given)} are named by --columns: '
+                f'name each ({LEFT_OUT} leaves one out), or pick some as in gx=NAME'
+            )
+        used = [cell for name, cell in zip(given, first) if name != LEFT_OUT]
+        return given, 0 if all(map(_is_value, used)) else number
+    values = [_is_value(cell) for cell in first]
+    if len(first) == len(TOPIC_NAMES) and values.count(False) == 1 and not values[2]:
+        return TOPIC_NAMES, 0
+    if not all(values):
+        names, line = first, number
+    elif len(above) == len(first) and not all(map(_is_value, above)):
+        names, line = tuple(cell.strip() for cell in above), 0
+    else:
+        raise AllanError(
+            f'{path}: has {len(first)} columns of numbers and no header: '
+            f'name them, such as --columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
+        )
+    return (picked_names(path, names, given) if picked else names), line
+
+
+def _number(cell: str) -> float:
+    """Convert a cell to a number; a quoted one may have a decimal comma."""
+    return float(cell.replace(',', '.'))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        _number(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_value(cell: str) -> bool:
+    return _is_number(cell) or bool(DATE.match(cell))
+
+
+def _text(path: Path) -> TextIO:
+    # an invalid byte is replaced, and then reported as a value that is not a number
+    return TextIOWrapper(open_regular(path), encoding='utf-8-sig', errors='replace', newline=None)
+
+
+def _bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
+    number, read = 0, file.readline
+    while line := read(MAX_LINE):
+        number += 1
+        if len(line) == MAX_LINE and not line.endswith('\n'):
+            raise AllanError(
+                f'{path}: line {number} has more than {MAX_LINE} characters: '
+                'give a table of numbers'
+            )
+        yield line
+
+
+def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+    """Yield the cells of each row; a quoted cell may contain line breaks and delimiters.
+
+    Without a delimiter, cells are separated by white space. A comma that is no delimiter is a
+    decimal mark. Raises csv.Error when a quote is not closed, or a cell is longer than 128 kB.
+    """
+    if delimiter != ',':
+        lines = (line.replace(',', '.') for line in lines)
+    if not delimiter:
+        return map(str.split, lines)
+    return csv.reader(lines, delimiter=delimiter, skipinitialspace=True, strict=True)
+
+
+class _Lines:
+    """Iterates over the lines of a table after its header, without comments and empty lines.
+
+    ``number`` is the number of the last line that was read, from 1 on. ``frame_id`` is taken from
+    the last comment that contains one. ``complete`` is whether the last line has a line end.
+    """
+
+    def __init__(self, table: _Table, file: TextIO) -> None:
+        self.number = 0
+        self.frame_id = ''
+        self.complete = True
+        self._table, self._file = table, file
+
+    def __iter__(self) -> Iterator[str]:
+        for line in _bounded_lines(self._table.path, self._file):
+            self.number += 1
+            if line.startswith(COMMENT):
+                if line.startswith(FRAME_COMMENT):
+                    self.frame_id = line[len(FRAME_COMMENT) :].strip()
+            elif self.number > self._table.header_line and not line.isspace():
+                self.complete = line.endswith('\n')
+                yield line
+
+
+@dataclass
+class _Rows:
+    table: _Table
+    first: int = 0  # index of the first row in the table
+    frame_id: str = ''
+    numbers: list[int] = field(default_factory=list)  # line number of each row
+    cells: list[list[str]] = field(default_factory=list)
+
+    def batch(self) -> ImuBatch:
+        """Convert the rows to samples; raise AllanError when a row or value is invalid."""
+        table, n = self.table, len(self.cells)
+        meaning = table.columns
+        for number, row in zip(self.numbers, self.cells):
+            if len(row) != table.width:
+                raise AllanError(
+                    f'{table.path}: line {number} has {len(row)} columns, {table.width} expected: '
+                    'correct or remove the line'
+                )
+        samples = np.full((n, len(AXES)), np.nan)
+        for axis, (column, scale) in meaning.axes.items():
+            samples[:, axis] = self._floats(column)
+            if scale != 1.0:
+                samples[:, axis] *= scale
+        stamps, record = (
+            sum((self._nanoseconds(*part) for part in parts), np.zeros(n, np.int64))
+            for parts in (meaning.stamp, meaning.record)
+        )
+        if not meaning.stamp:
+            stamps = even_stamps(self.first, n, table.rate_hz)
+        return ImuBatch(stamps, samples, record if meaning.record else None, self.frame_id)
+
+    def _floats(self, column: int) -> NDArray[np.float64]:
+        """Convert a column to numbers; an empty cell becomes NaN."""
+        with suppress(ValueError):
+            return np.array([float(row[column]) for row in self.cells])
+        return np.array(self._converted(column, lambda cell: float(cell or 'nan')))
+
+    def _nanoseconds(self, column: int, scale: int) -> NDArray[np.int64]:
+        """Convert a column of times exactly to ns; ``scale`` is the size of its unit in ns."""
+        if scale == 1:
+            with suppress(ValueError, OverflowError):
+                return np.array([int(row[column]) for row in self.cells], dtype=np.int64)
+        in_ns = _date if scale == DATES else lambda cell: round(Decimal(cell) * scale)
+        times = self._converted(column, in_ns)
+        for row, time in enumerate(times):
+            if not INT64.min <= time <= INT64.max:
+                raise AllanError(
+                    f'{self.table.path}: line {self.numbers[row]}, column {column + 1}: the time '
+                    f'{self.cells[row][column].strip()} does not fit the range of stamps: state '
+                    'its unit with --stamp-unit (s, ms, us, ns)'
+                )
+        return np.array(times, np.int64)
+
+    def _converted(self, column: int, convert: Callable[[str], T]) -> list[T]:
+        converted = []
+        for row, cells in enumerate(self.cells):
+            cell = cells[column].strip().replace(',', '.')
+            try:
+                converted.append(convert(cell))
+            except (DecimalException, ValueError, OverflowError):
+                name = f' ({self.table.names[column]})' if self.table.names else ''
+                raise AllanError(
+                    f'{self.table.path}: line {self.numbers[row]}, column {column + 1}{name}: '
+                    f'{cell[:40]!r} is not a number: correct or remove the line'
+                ) from None
+        return converted
+
+
+def _date(text: str) -> int:
+    """Convert a date with a time (ISO 8601) to ns since 1970; raise ValueError if it is invalid."""
+    if not DATE.match(text):
+        raise ValueError('not a date')
+    zone = TIME_ZONE.search(text)
+    stamp = int(np.datetime64(TIME_ZONE.sub('', text), 'ns').astype(np.int64))
+    if zone and zone[1]:
+        stamp -= int(zone[1] + '1') * (60 * int(zone[2]) + int(zone[3])) * 60 * 10**9
+    return stamp

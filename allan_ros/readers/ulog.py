@@ -1,0 +1,193 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reads PX4 logs (``.ulg``) with ``pyulog``: the topic ``sensor_combined`` or ``vehicle_imu``.
+
+``sensor_combined`` contains angular rate and acceleration of the IMU in use. Each instance of
+``vehicle_imu`` contains the delta angles and delta velocities of one IMU, which are divided by
+their integration times. Dropouts of the logger cause gaps in the stamps. The temperature is read
+from the topic of the same gyro.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import AllanError
+from ..core.findings import finding
+from ..core.imu import AXES, SENSORS, ImuBatch
+from ..core.stream.signal import MAX_BINS, TemperatureTrace, trace_of
+from . import (
+    ReadOptions,
+    Recording,
+    Report,
+    SourceInfo,
+    damaged,
+    in_batches,
+    optional_package,
+)
+from .files import open_regular
+
+TOPICS = ('sensor_combined', 'vehicle_imu')
+
+THERMOMETERS = ('sensor_gyro', 'sensor_accel')
+"""Topics with the temperature of an IMU."""
+
+SELECTION = 'sensor_selection'
+"""Topic that states which IMU ``sensor_combined`` is from."""
+
+MAX_BYTES = 4 * 2**30
+"""Largest size of a log in bytes; the parser keeps the data of the topics in memory."""
+
+MAX_SEEKS = 50_000
+"""Number of damaged bytes (about a second of processing) after which reading stops."""
+
+REMEDY = 'copy the log again'
+
+
+def open_ulog(path: Path, options: ReadOptions) -> Recording:
+    """Open a PX4 log as a recording of one IMU.
+
+    If the options select no topic, ``sensor_combined`` is preferred. Raises AllanError when the log
+    cannot be read, has no IMU, or has several instances of ``vehicle_imu`` and no selection.
+    """
+    log = _parsed(path)
+    found = {_label(data, log): data for data in log.data_list if data.name in TOPICS}
+    name = _chosen(path, list(found), options.topic)
+    data = found[name]
+    try:
+        batch, integration_s = _samples(name, data.data)
+    except (KeyError, ValueError, OverflowError) as error:
+        raise damaged(path, f'topic {name}: {error}', REMEDY) from error
+    batch = options.in_si(batch)
+
+    def read(report: Report) -> Iterator[ImuBatch]:
+        if log.file_corruption:
+            report(finding('log_damaged', path=path))
+        if count := len(log.dropouts):
+            seconds = sum(dropout.duration for dropout in log.dropouts) / 1e3
+            report(finding('log_dropouts', path=path, count=count, seconds=seconds))
+        period_s = float(np.median(np.diff(batch.stamps_ns))) * 1e-9 if len(batch) > 1 else 0.0
+        if period_s > 1.5 * integration_s > 0.0:  # the logger left out samples
+            rate, full = 1.0 / period_s, 1.0 / integration_s
+            report(finding('log_decimated', path=path, topic=name, rate=rate, full=full))
+        yield from in_batches(batch)
+
+    trace = _temperature(log, data)
+    info = SourceInfo(str(path), name, data.name, 'ulog')
+    return Recording(info, len(batch), read, lambda frame_id: trace, options=options)
+
+
+def _parsed(path: Path) -> Any:
+    core = optional_package('pyulog', f'{path}: reading a PX4 log')
+    with open_regular(path) as file, redirect_stdout(io.StringIO()):  # the parser prints
+        if os.fstat(file.fileno()).st_size > MAX_BYTES:
+            raise AllanError(f'{path}: is larger than {MAX_BYTES} bytes: split the log')
+        try:
+            return core.ULog(_Limited(file), [*TOPICS, *THERMOMETERS, SELECTION])
+        except Exception as error:  # the parser may raise any exception
+            raise damaged(path, error, REMEDY) from error
+
+
+class _Limited:
+    """A file object whose content ends after `MAX_SEEKS` seeks.
+
+    The parser seeks back once for each byte of a damaged part of the log, which takes very long.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._seeks = 0
+        self.tell = file.tell
+        self.close = file.close
+
+    def read(self, size: int = -1) -> bytes:
+        """Return the next bytes, or b'' after too many seeks."""
+        return self._file.read(size) if self._seeks <= MAX_SEEKS else b''
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Change the position, and count the seeks."""
+        self._seeks += 1
+        return self._file.seek(offset, whence)
+
+
+def _label(data: Any, log: Any) -> str:
+    several = sum(other.name == data.name for other in log.data_list) > 1
+    return f'{data.name}:{data.multi_id}' if several else str(data.name)
+
+
+def _chosen(path: Path, names: list[str], wanted: str) -> str:
+    if not names:
+        raise AllanError(f'{path}: has no topic {" or ".join(TOPICS)}: log one of them')
+    if wanted:
+        if wanted not in names:
+            raise AllanError(
+                f'{path}: has no topic {wanted}; it has {", ".join(names)}: check --topic'
+            )
+        return wanted
+    if TOPICS[0] in names:
+        return TOPICS[0]
+    if len(names) > 1:
+        raise AllanError(
+            f'{path}: has {len(names)} IMUs: {", ".join(names)}: choose one with --topic'
+        )
+    return names[0]
+
+
+def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]:
+    """Return the samples of a topic, and the median integration time in s (0 if unknown)."""
+    record = _nanoseconds(data['timestamp'])
+    stamps = _nanoseconds(data['timestamp_sample']) if 'timestamp_sample' in data else record
+    samples = np.empty((len(AXES), len(record))).T
+    if 'delta_angle[0]' in data:
+        for sensor, field in (('gyro', 'delta_angle'), ('accel', 'delta_velocity')):
+            seconds = data.get(f'{field}_dt', data.get('dt', np.zeros(1))) * 1e-6
+            seconds = np.where(seconds > 0.0, seconds, np.nan)
+            samples[:, SENSORS[sensor]] = _vectors(data, field) / seconds[:, None]
+        integration = data.get('delta_angle_dt', data.get('dt', np.zeros(1)))
+    else:
+        samples[:, SENSORS['gyro']] = _vectors(data, 'gyro_rad')
+        samples[:, SENSORS['accel']] = _vectors(data, 'accelerometer_m_s2')
+        relative = data.get('accelerometer_timestamp_relative', np.zeros(1))
+        absent = np.flatnonzero(relative == 0x7FFFFFFF)  # of a sample without acceleration
+        samples[absent, SENSORS['accel']] = np.nan
+        integration = data.get('gyro_integral_dt', np.zeros(1))
+    unit = 1.0 if integration.dtype.kind == 'f' else 1e-6  # older logs state it in s
+    return ImuBatch(stamps, samples, record, name), float(np.median(integration)) * unit
+
+
+def _temperature(log: Any, data: Any) -> TemperatureTrace | None:
+    """Return the temperature of the gyro of a topic; None if it is unknown which one it is."""
+    topics = [topic for topic in log.data_list if topic.name in THERMOMETERS]
+    known = (topic for topic in log.data_list if topic.name == SELECTION)
+    stated = data.data if 'gyro_device_id' in data.data else next(known, data).data
+    if 'gyro_device_id' in stated:
+        device = stated['gyro_device_id'][-1:]
+        topics = [t for t in topics if 'device_id' in t.data and t.data['device_id'][-1:] == device]
+    elif len({topic.multi_id for topic in topics}) > 1:
+        return None
+    for topic in sorted(topics, key=lambda topic: THERMOMETERS.index(topic.name)):
+        stamps, celsius = topic.data['timestamp'], topic.data.get('temperature', np.zeros(0))
+        rows = slice(None, None, max(1, -(-len(celsius) // MAX_BINS)))
+        times = (stamps[rows].astype(np.int64) * 1000).tolist()
+        trace = trace_of(_label(topic, log), zip(times, times, celsius[rows].tolist()))
+        if trace is not None:
+            return trace
+    return None
+
+
+def _vectors(data: dict[str, NDArray[Any]], field: str) -> NDArray[np.float64]:
+    return np.stack([data[f'{field}[{i}]'] for i in range(3)], axis=1).astype(np.float64)
+
+
+def _nanoseconds(microseconds: NDArray[Any]) -> NDArray[np.int64]:
+    if (microseconds > np.iinfo(np.int64).max // 1000).any():
+        raise ValueError('a timestamp is out of range')
+    return microseconds.astype(np.int64) * 1000

@@ -1,0 +1,159 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write samples as a recording: an mcap bag (a folder), or a file .mcap, .db3, .csv, .tsv, .npz.
+
+Bags are written by the package ``rosbags``. A recording is written to a temporary folder next to
+its path and renamed when it is complete. Every format stores int64 stamps and float64 samples, so
+reading returns exactly the same numbers.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import AllanError
+from ..core.imu import AXES, NANOSECONDS, ImuBatch, joined
+from . import optional_package
+from .cdr import IMU_TYPE, encode_imus
+from .tables import FRAME_COMMENT
+
+BAG_FILES = {'.mcap': 'MCAP', '.db3': 'SQLITE3'}
+"""Suffix of a bag in a single file, without metadata.yaml -> its storage."""
+
+METADATA_VERSION = 8
+"""Version of metadata.yaml, as of ROS 2 Jazzy."""
+
+
+def write_recording(
+    path: str | os.PathLike[str],
+    batches: Iterable[ImuBatch],
+    *,
+    topic: str = '/imu/data',
+    overwrite: bool = False,
+) -> int:
+    """Write samples to a new recording, and return their number.
+
+    Parameters
+    ----------
+    path : path
+        A file .mcap, .db3, .csv, .tsv or .npz; otherwise the folder of an mcap bag.
+    batches : iterable of ImuBatch
+        The batches in recorded order, all with the same frame_id.
+    topic : str
+        Topic name in a bag.
+    overwrite : bool
+        Replace an existing recording at ``path``.
+
+    Raises
+    ------
+    AllanError
+        When the path exists or cannot be written, or is named like a ROS 1 bag.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == '.bag':
+        raise AllanError(
+            f'{path}: ROS 1 bags cannot be written: name a folder for an mcap bag, or a file '
+            '.mcap, .db3, .csv, .tsv or .npz'
+        )
+    # rosbags gives the path to SQLite as a part of a URI
+    if suffix == '.db3' and {*'?#%'} & {*str(path.absolute())}:
+        raise AllanError(f'{path}: choose a path without "?", "#" and "%" for a .db3 file')
+    try:
+        with _draft(path, overwrite) as draft:
+            if suffix in ('.csv', '.tsv'):
+                return write_table(draft, batches)
+            if suffix == '.npz':
+                return _write_npz(draft, batches)
+            return _write_bag(draft, batches, topic)
+    except OSError as error:
+        raise AllanError(
+            f'{path} cannot be written ({error.strerror or error}): '
+            'check the folder, its permissions and the free space'
+        ) from error
+    except (struct.error, OverflowError) as error:
+        raise AllanError(f'{path} cannot be written ({error}): check the stamps') from error
+
+
+def _keep_storage_file(bag: Path) -> None:
+    """Replace the folder of a bag by its storage file."""
+    (file,) = (child for child in bag.iterdir() if child.name != 'metadata.yaml')
+    kept = file.rename(bag.with_name(f'{bag.name}.file'))
+    shutil.rmtree(bag)
+    kept.rename(bag)
+
+
+@contextmanager
+def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
+    """Yield a temporary path with the same name; its content is then moved to ``path``."""
+    if path.exists() and not overwrite:
+        raise AllanError(f'{path} exists already: choose another name, or use --overwrite')
+    if path.is_dir() and not (path / 'metadata.yaml').is_file():
+        raise AllanError(f'{path} is a folder, but not a bag: choose another name')
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # a folder, because the files in a rosbag2 are named after the bag
+    scratch = Path(tempfile.mkdtemp(prefix=f'.{path.name}.', dir=path.parent))
+    try:
+        draft = scratch / path.name
+        yield draft
+        if path.is_dir():
+            path.rename(scratch / 'replaced')
+        draft.replace(path)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _write_bag(path: Path, batches: Iterable[ImuBatch], topic: str) -> int:
+    purpose = f'{path}: writing a bag'
+    typesys = optional_package('rosbags.typesys', purpose)
+    rosbag2 = optional_package('rosbags.rosbag2', purpose)
+    storage = BAG_FILES.get(path.suffix.lower())
+    plugin = rosbag2.StoragePlugin[storage or 'MCAP']
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    written = 0
+    with rosbag2.Writer(path, version=METADATA_VERSION, storage_plugin=plugin) as writer:
+        connection = writer.add_connection(topic, IMU_TYPE, typestore=store)
+        for batch in batches:
+            for time_ns, payload in zip(batch.stamps_ns.tolist(), encode_imus(batch, 'cdr')):
+                writer.write(connection, time_ns, payload)
+            written += len(batch)
+    if storage:
+        _keep_storage_file(path)
+    return written
+
+
+def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
+    """Write the batches as a table, and return the number of rows.
+
+    The delimiter is a tab if the suffix is .tsv, else a comma.
+    """
+    delimiter = '\t' if path.suffix.lower() == '.tsv' else ','
+    written = 0
+    with path.open('w', encoding='utf-8', newline='\n') as file:
+        for batch in batches:
+            if not written:
+                file.write(f'{FRAME_COMMENT} {" ".join(batch.frame_id.split())}\n')
+                file.write(delimiter.join(['stamp_ns', *AXES]) + '\n')
+            columns = [map(str, batch.stamps_ns.tolist())]
+            columns += [map(repr, axis) for axis in batch.samples.T.tolist()]
+            file.writelines(delimiter.join(row) + '\n' for row in zip(*columns))
+            written += len(batch)
+    return written
+
+
+def _write_npz(path: Path, batches: Iterable[ImuBatch]) -> int:
+    """Write the arrays ``imu`` (with t in s), ``stamps_ns`` and ``frame_id``, of which all are in
+    memory; return the number of samples."""
+    whole = joined(list(batches))
+    imu = np.column_stack([whole.stamps_ns / NANOSECONDS, whole.samples])
+    with path.open('wb') as file:
+        np.savez(file, imu=imu, stamps_ns=whole.stamps_ns, frame_id=np.array(whole.frame_id))
+    return len(whole)

@@ -1,0 +1,216 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fit the sums of recordings, which gives `Results`, and the settings of results.
+
+Linear algebra is limited to one thread: the matrices of a fit have about a hundred rows, and those
+of the sums are as small, so more threads do not make it faster, and their busy-waiting multiplies
+the CPU time. OpenBLAS is set on Linux, which the wheels of numpy and scipy contain.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.allan.curve import AllanCurve, allan_curve
+from ..core.allan.sums import AllanSums
+from ..core.compare import MARGIN
+from ..core.filters.bias import turn_on_bias
+from ..core.findings import Finding
+from ..core.fit import METHODS, NoiseModel
+from ..core.fit.findings import rounding_step, with_deviations
+from ..core.fit.interpretation import dominant_regions
+from ..core.fit.stationary import fit_stationary
+from ..core.fit.temperature import temperature_models
+from ..core.imu import AXES
+from ..core.settings import AUTO, UNIT_SYSTEMS, CheckedSettings, parameter
+from ..core.stream.health import sums_findings
+from ..readers.recorded import Provenance, RecordingSums
+from ..view.format import check_plots
+from .axis_result import AxisResult
+from .results import Results
+
+PREFIXES = ('scipy_openblas', 'openblas')
+SUFFIXES = ('64_', '')
+"""Parts of the function names in the builds of OpenBLAS."""
+
+_lock = threading.Lock()
+_users = 0
+_restore = ExitStack()
+
+
+@dataclass(frozen=True)
+class ResultSettings(CheckedSettings):
+    """Settings for fitting, comparing, printing and exporting results."""
+
+    method: str = parameter(
+        'likelihood',
+        'Method of the fit: likelihood (maximum likelihood, with confidence intervals) or paper '
+        '(plain least squares, as in Cong et al. 2019).',
+        choices=METHODS,
+    )
+    units: str = parameter(
+        'deg/h',
+        'Units of the output: as in datasheets, such as deg/h and ug, or SI.',
+        choices=UNIT_SYSTEMS,
+    )
+    export: tuple[str, ...] = parameter(
+        (),
+        'Further files for filters: kalibr, openvins, px4 ... (`allan export --list` lists all, '
+        '`allan export` has more options).',
+    )
+    sensor: str = parameter(
+        '',
+        'Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml '
+        'file.',
+    )
+    baseline: str = parameter(
+        '', 'Earlier run of this IMU to compare with: its results.json, or its folder.'
+    )
+    plots: tuple[str, ...] = parameter(
+        (), 'Also draw the Allan deviation of each sensor as a figure: png, svg, pdf.'
+    )
+    margin: float = parameter(
+        MARGIN,
+        'A coefficient exceeds the datasheet or the earlier run if its complete interval lies '
+        'above it by this fraction.',
+        low=0.0,
+        high=1.0,
+        percent=True,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_plots(self.plots)
+
+    @property
+    def stated_margin(self) -> float | None:
+        """The margin; None if it is the default, so that an earlier comparison keeps its margin."""
+        return None if self.margin == MARGIN else self.margin
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Limit BLAS to one thread within the context; several threads may be in it at once."""
+    global _users
+    with _lock:
+        if not _users:
+            _limit()
+        _users += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _users -= 1
+            if not _users:
+                _restore.close()
+
+
+def _limit() -> None:
+    """Set one thread, and register in `_restore` how to undo it."""
+    import scipy.linalg  # noqa: F401  # loads its own BLAS library
+
+    for get, set_number in _openblas():
+        _restore.callback(set_number, get())
+        set_number(1)
+
+
+def _openblas() -> Iterator[tuple[Callable[[], int], Callable[[int], Any]]]:
+    """Yield the functions that get and set the number of threads of each loaded OpenBLAS."""
+    paths: set[str] = set()
+    with suppress(OSError):  # not Linux
+        for line in Path('/proc/self/maps').read_text(errors='surrogateescape').splitlines():
+            path = line.split(maxsplit=5)[-1]
+            if 'openblas' in path.rpartition('/')[2]:
+                paths.add(path)
+    for path in sorted(paths):
+        with suppress(OSError):
+            library = ctypes.CDLL(path)
+            for name in (f'{p}_{{}}_num_threads{s}' for p in PREFIXES for s in SUFFIXES):
+                if hasattr(library, name.format('set')):
+                    yield getattr(library, name.format('get')), getattr(library, name.format('set'))
+                    break
+
+
+@one_thread()
+def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Results:
+    """Fit the Allan variance sums of one IMU, and return the results.
+
+    A warm-up at the start is excluded, unless the settings of the recordings state a time to skip.
+    Raises AllanError if there are too few data.
+    """
+    skip = recorded.provenance.settings.get('skip', AUTO)
+    exclude_warm_up = isinstance(skip, (int, float)) and skip < 0.0
+    fitted = [fit_stationary(s, method, exclude_warm_up) for s in recorded.sums]
+    sums = [s for s, _ in fitted]
+    curves = [allan_curve(s) for s in sums]
+    fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]
+    axes = dict(_axis_results(zip(recorded.sums, curves, fits)))
+    time_ns, celsius = recorded.temperature_readings()
+    warmed: list[Finding] = []
+    if len(celsius) > 1:
+        for complete, fit in zip(recorded.sums, fits):
+            models, found = temperature_models(complete, time_ns, celsius, fit)
+            axes |= {name: replace(axes[name], temperature=m) for name, m in models.items()}
+            warmed += found
+    longest = max(sums, key=lambda s: s.samples)
+    tau0 = longest.tau0 or float('nan')
+    findings = (
+        *recorded.provenance.findings,
+        *(f for s in sums for f in sums_findings(s)),
+        *(f for fit in fits for f in fit.findings),
+        *warmed,
+    )
+    return Results(
+        longest.identity,
+        method,
+        tau0,
+        longest.samples,
+        longest.samples * tau0,
+        longest.segment_count,
+        {name: axes[name] for name in AXES if name in axes},
+        recorded.provenance,
+        tuple(dict.fromkeys(findings)),
+        recorded=recorded,
+    )
+
+
+def analyze_sums(
+    sums: Sequence[AllanSums], provenance: Provenance, method: str = 'likelihood'
+) -> Results:
+    """Fit sums that are in memory, for example in a running node, and return the results.
+
+    ``sums`` has one item with all axes, or one item for each sensor if their rates differ. Raises
+    AllanError if there are too few data.
+    """
+    return analyze_recorded(RecordingSums('', tuple(sums), provenance), method)
+
+
+def _axis_results(
+    fitted: Iterable[tuple[AllanSums, AllanCurve, NoiseModel]],
+) -> Iterable[tuple[str, AxisResult]]:
+    for sums, curve, model in fitted:
+        means = np.array([one.mean for one in sums.recordings])
+        lengths = np.array([one.samples * model.tau0 for one in sums.recordings])
+        for i, name in enumerate(curve.axes):
+            fit = model.axes[name]
+            white = (fit.noise['N'].value or 0.0) ** 2 / model.tau0
+            axis = AxisResult(
+                model.tau0,
+                fit,
+                curve.axis(i),
+                tuple(dominant_regions(curve, fit)),
+                name,
+                rounding_step(sums, i, white) if white else None,
+                turn_on_bias(means[:, i], float(fit.model.avar(lengths).mean()))
+                if len(means) > 1
+                else None,
+            )
+            yield name, axis

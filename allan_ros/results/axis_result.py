@@ -1,0 +1,405 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Results of one axis (`AxisResult`, `Quantity`), and the functions `adev` and `fit`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from numbers import Real
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..core.allan.curve import AxisCurve, allan_curve
+from ..core.allan.running import RunningSums
+from ..core.errors import AllanError
+from ..core.filters.bias import TurnOnBias
+from ..core.filters.growth import Growth, growth_table
+from ..core.filters.noise_parameters import reduce_axis
+from ..core.filters.reductions import Reduction, States, StateSpace, state_space
+from ..core.fit import TERMS, AxisFit, Coefficient, Processes
+from ..core.fit.interpretation import ModelLine, Region, model_line
+from ..core.fit.least_squares import fit_curve
+from ..core.fit.model import Status
+from ..core.fit.temperature import TemperatureModel
+from ..core.imu import AXES, SI_UNITS, UNITS, sensor_of, to_si
+from ..core.noise import NoiseTerms, ProcessModel
+from ..core.settings import choose, expect
+from ..view.format import ShownUnit, interval_text, value_text
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One noise coefficient of one axis, with its confidence interval and unit.
+
+    Attributes
+    ----------
+    value : float or None
+        The estimate; None if the recording does not resolve the coefficient. For the ramp R, the
+        magnitude.
+    ci95 : (low, high) or None
+        95 % confidence interval of the estimate; None if unknown.
+    upper95 : float or None
+        95 % upper limit of a coefficient that is not resolved; None if unknown.
+    unit : str
+        Unit of the numbers.
+    sign : int
+        Sign of the ramp R, 1 or -1; 0 for other coefficients.
+
+    Examples
+    --------
+    >>> Quantity(1e-4, (9e-5, 1.1e-4), None, 'rad/s/sqrt(Hz)').to('deg/sqrt(h)')
+    0.3438 (0.309..0.378) deg/sqrt(h)
+    >>> Quantity(None, None, 2e-5, 'rad/s').to('deg/h')
+    < 4.13 deg/h
+    """
+
+    value: float | None
+    ci95: tuple[float, float] | None
+    upper95: float | None
+    unit: str
+    sign: int = 0
+
+    def to(self, unit: str) -> Quantity:
+        """Return the coefficient converted to another unit.
+
+        Parameters
+        ----------
+        unit : str
+            A unit of the same kind, such as 'deg/sqrt(h)' for N of a gyro.
+
+        Raises
+        ------
+        AllanError
+            When the unit is unknown or of another kind; the message lists the possible units.
+        """
+        si = UNITS[self.unit].si
+        expect(str, unit=unit)
+        factor = to_si(1.0, self.unit, si) / to_si(1.0, unit, si)
+        return replace(
+            self,
+            value=None if self.value is None else self.value * factor,
+            ci95=self.ci95 and (self.ci95[0] * factor, self.ci95[1] * factor),
+            upper95=None if self.upper95 is None else self.upper95 * factor,
+            unit=unit,
+        )
+
+    def __repr__(self) -> str:
+        status: Status = 'not_observable' if self.value is None else 'estimated'
+        known = Coefficient(self.value, self.ci95, self.upper95, status, self.sign)
+        unit = ShownUnit(self.unit, 1.0)
+        interval = interval_text(known, unit)
+        return f'{value_text(known, unit)}{f" ({interval})" if interval else ""} {self.unit}'
+
+
+@dataclass(frozen=True)
+class AxisResult:
+    """The results of one axis: coefficients, Allan deviation and fitted noise model.
+
+    The coefficients are the attributes ``Q``, ``N``, ``B``, ``K`` and ``R``, each a `Quantity`.
+
+    Attributes
+    ----------
+    tau0 : float
+        Sample period in s.
+    fit : AxisFit
+        The fitted coefficients and noise processes, in SI.
+    curve : AxisCurve or None
+        The measured Allan deviation in SI; None if only the coefficients are known.
+    regions : tuple of Region
+        Ranges of averaging times, each with the noise that dominates in it.
+    name : str
+        Name of the axis, such as 'gyro_z'.
+    rounding : float or None
+        Step to which the samples are rounded, in SI; None if rounding causes less than a tenth of
+        their white noise.
+    turn_on : TurnOnBias or None
+        Scatter of the bias between recordings; None for fewer than two recordings.
+    temperature : TemperatureModel or None
+        Bias as a function of temperature; None if no temperature was recorded, or it varied too
+        little or in one direction only.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> axis = ar.analyze(ar.simulate(hours=0.1, rate=50))['accel_z']
+    >>> axis.name, round(axis.N.to('ug/sqrt(Hz)').value, -1)
+    ('accel_z', 20.0)
+    >>> [one.horizon for one in axis.growth][:2]  # s
+    [1.0, 10.0]
+    >>> [q.unit for q in (axis.Q, axis.B, axis.K, axis.R)]
+    ['m/s', 'm/s^2', 'm/s^3/sqrt(Hz)', 'm/s^3']
+    """
+
+    tau0: float
+    fit: AxisFit
+    curve: AxisCurve | None = None
+    regions: tuple[Region, ...] = ()
+    name: str = ''
+    rounding: float | None = None
+    turn_on: TurnOnBias | None = None
+    temperature: TemperatureModel | None = None
+
+    @property
+    def Q(self) -> Quantity:
+        """Quantization noise in rad or m/s."""
+        return self.quantity('Q')
+
+    @property
+    def N(self) -> Quantity:
+        """Angle or velocity random walk in rad/s/sqrt(Hz) or m/s^2/sqrt(Hz): the density of the
+        white noise."""
+        return self.quantity('N')
+
+    @property
+    def B(self) -> Quantity:
+        """Bias instability in rad/s or m/s^2: the coefficient B, which is the flat part of the
+        curve divided by 0.664."""
+        return self.quantity('B')
+
+    @property
+    def K(self) -> Quantity:
+        """Rate or acceleration random walk, in rad/s^2/sqrt(Hz) or m/s^3/sqrt(Hz)."""
+        return self.quantity('K')
+
+    @property
+    def R(self) -> Quantity:
+        """Rate or acceleration ramp, in rad/s^2 or m/s^3."""
+        return self.quantity('R')
+
+    @property
+    def processes(self) -> Processes:
+        """Gauss-Markov processes and sinusoids that were fitted in addition to the five terms.
+
+        Each item of ``processes.gauss_markov`` has ``sigma`` and ``correlation_time`` (s), and each
+        item of ``processes.sinusoid`` has ``amplitude`` and ``frequency`` (Hz). Sigma and amplitude
+        are in SI. Each number has a 95 % interval, such as ``sigma_ci95``.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> samples = ar.simulate(hours=0.1, rate=50, vibration_gyro=3e-4, vibration_frequency=3.0)
+        >>> axis = ar.analyze(samples, motion_gate=False)['gyro_x']
+        >>> [round(line.frequency, 1) for line in axis.processes.sinusoid]  # Hz
+        [3.0]
+        """
+        return self.fit.processes
+
+    def state_space(self) -> StateSpace:
+        """Return the noise as a state-space model for a Kalman filter.
+
+        It gives the transition matrix and the covariance of the process noise for any time step.
+        The export ``state_space`` contains the same model.
+
+        Raises
+        ------
+        AllanError
+            When N has neither a value nor a limit.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> space = ar.analyze(ar.simulate(hours=0.1, rate=50))['gyro_z'].state_space()
+        >>> space.transition(0.02).shape == space.noise(0.02).shape == (space.size, space.size)
+        True
+        """
+        return state_space(reduce_axis(self.name, self.fit, 'processes').model)
+
+    @cached_property
+    def reductions(self) -> dict[tuple[States, float], Reduction]:
+        """Reduced-order models that were computed: (states, horizon in s) -> model."""
+        return {}
+
+    @property
+    def growth(self) -> tuple[Growth, ...]:
+        """Predicted standard deviation of the angle error (rad) or velocity error (m/s), with 95 %
+        intervals, for several durations of integration without a correction."""
+        return growth_table(self.fit)
+
+    def quantity(self, term: str) -> Quantity:
+        """Return the coefficient of a term ('Q', 'N', 'B', 'K' or 'R') in SI.
+
+        Raises AllanError for any other term.
+        """
+        choose(TERMS, term=term)
+        c = self.fit.noise[term]
+        value = c.value if c.status == 'estimated' else None
+        return Quantity(value, c.ci95, c.upper95, SI_UNITS[sensor_of(self.name)][term], c.sign)
+
+    def _tau(self, m: ArrayLike) -> NDArray[np.float64]:
+        try:
+            return np.asarray(m, float) * self.tau0
+        except (TypeError, ValueError) as error:
+            raise AllanError(
+                f'm is {m!r:.60}: an array of averaging factors is expected'
+            ) from error
+
+    def part_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """Return the Allan deviation of each part of the fitted model: part -> (factors,), in SI.
+
+        ``m`` are averaging factors, which are averaging times in samples. A part is a term, a
+        Gauss-Markov process or a sinusoid.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> axis = ar.analyze(ar.simulate(hours=0.1, rate=50))['accel_z']
+        >>> axis.quantity('N') == axis.N
+        True
+        >>> m = axis.curve.m
+        >>> 'N' in axis.part_adev(m), 'N' in axis.limit_adev(m), axis.total_adev(m).shape == m.shape
+        (True, False, True)
+        >>> bool((axis.model_line().adev <= axis.model_line().upper).all())
+        True
+        """
+        parts = self.fit.model.parts(self._tau(m), self.tau0)
+        # the part of a low-pass filter is negative: it has no deviation
+        return {name: np.sqrt(avar) for name, avar in parts.items() if np.all(avar >= 0.0)}
+
+    def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """Return the Allan deviation of each term that the model omits, at its 95 % upper limit.
+
+        ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
+        deviations in SI, (factors,).
+        """
+        model = self.fit.model.terms
+        limits = {
+            term: c.upper95
+            for term, c in self.fit.noise.items()
+            if c.upper95 is not None and math.isfinite(c.upper95) and not getattr(model, term)
+        }
+        parts = ProcessModel(NoiseTerms(**limits)).parts(self._tau(m), self.tau0)
+        return {name: np.sqrt(avar) for name, avar in parts.items()}
+
+    def model_line(self) -> ModelLine:
+        """Return the Allan deviation of the fitted model at the points of the curve, in SI.
+
+        It is NaN at short averaging times that the fit excludes, and empty if the curve is unknown.
+        ``adev`` is the model itself, and ``upper`` includes the terms that are not resolved, at
+        their 95 % upper limits.
+        """
+        curve = self.curve
+        if curve is None:
+            return ModelLine(np.zeros(0), np.zeros(0))
+        return model_line(self.fit, self.tau0, curve.m)
+
+    def total_adev(self, m: ArrayLike) -> NDArray[np.float64]:
+        """Return the Allan deviation of the fitted model at averaging factors ``m``, in SI,
+        (factors,)."""
+        total: NDArray[np.float64] = np.sqrt(self.fit.model.avar(self._tau(m), self.tau0))
+        return total
+
+
+def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
+    """Compute the overlapping Allan deviation with its 68.3 % confidence limits.
+
+    Parameters
+    ----------
+    samples : (n,) or (n, columns) array
+        Evenly spaced samples of any quantity.
+    rate : float
+        Sample rate in Hz.
+
+    Returns
+    -------
+    AxisCurve
+        The deviation in the unit of the samples at averaging times in s.
+
+    Raises
+    ------
+    AllanError
+        When there are fewer than two samples, some are not finite, or the rate is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> curve = ar.adev(np.random.default_rng(0).normal(size=1000), rate=10.0)
+    >>> [f'{tau:g} s: {value:.2f}' for tau, value in zip(curve.tau[:3], curve.adev)]
+    ['0.1 s: 0.97', '0.2 s: 0.69', '0.3 s: 0.57']
+    """
+    try:
+        values = np.asarray(samples, float)
+    except (TypeError, ValueError) as error:
+        raise AllanError(f'the samples are not numbers ({error}): give an array') from None
+    expect(Real, rate=rate)
+    table = values[:, None] if values.ndim == 1 else values
+    if table.ndim != 2 or not (np.isfinite(rate) and rate > 0.0):
+        raise AllanError(
+            f'samples of shape {values.shape} at {rate} Hz: give (n,) or (n, columns) and a '
+            'positive rate'
+        )
+    if not np.isfinite(table).all():
+        bad = int(np.count_nonzero(~np.isfinite(table).all(axis=1)))
+        raise AllanError(f'{bad} of {len(table)} samples are NaN or infinite: remove them')
+    engine = RunningSums(axes=tuple(f'column {i}' for i in range(table.shape[1])))
+    if len(table):
+        engine.update(table, 0, round((len(table) - 1) / rate * 1e9))
+    engine.end_segment()
+    curve = allan_curve(engine.sums)
+    columns = (curve.adev, curve.ci_low, curve.ci_high)
+    deviation, low, high = (c[:, 0] if values.ndim == 1 else c for c in columns)
+    return AxisCurve(curve.m, curve.tau, curve.n, deviation, low, high)
+
+
+def fit(
+    curve: AxisCurve | tuple[ArrayLike, ArrayLike],
+    axis: str = 'gyro_x',
+    record: float | None = None,
+) -> AxisResult:
+    """Fit the noise coefficients to an Allan deviation curve, for example of another program.
+
+    `analyze` gives better intervals, because it knows the covariance of the points.
+
+    Parameters
+    ----------
+    curve : AxisCurve or (tau, adev)
+        Averaging times in s and Allan deviations in SI.
+    axis : str
+        The axis of the curve, such as 'gyro_z': it determines the units of the coefficients.
+    record : float, optional
+        Length of the recording in s; by default nine times the longest averaging time.
+
+    Returns
+    -------
+    AxisResult
+
+    Raises
+    ------
+    AllanError
+        When the axis is unknown, or the curve has too few points.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> tau = np.geomspace(0.1, 1000.0, 60)
+    >>> axis = ar.fit((tau, 1e-3 / np.sqrt(tau)), axis='accel_x')
+    >>> round(axis.N.value, 6), axis.N.unit
+    (0.001, 'm/s^2/sqrt(Hz)')
+    """
+    choose(AXES, axis=axis)
+    if record is not None:
+        expect(Real, record=record)
+    if not isinstance(curve, AxisCurve):
+        try:
+            tau, deviation = (np.asarray(values, float) for values in curve)
+        except (TypeError, ValueError) as error:
+            raise AllanError(
+                f'the curve is not a pair of lists tau and adev ({error}): give these, or an '
+                'AxisCurve'
+            ) from None
+        if tau.ndim != 1 or tau.shape != deviation.shape or not len(tau) or not (tau > 0.0).all():
+            raise AllanError(
+                f'tau of shape {tau.shape} and adev of shape {deviation.shape}: give two lists of '
+                'equal length, with positive tau'
+            )
+        unknown = np.full(len(tau), np.nan)
+        m = np.rint(tau / tau[0]).astype(np.int64)
+        curve = AxisCurve(m, tau, np.zeros(len(tau), np.int64), deviation, unknown, unknown)
+    elif curve.adev.ndim != 1:
+        raise AllanError('the curve has several columns: fit each one alone')
+    tau0 = float(curve.tau[0] / curve.m[0])
+    return AxisResult(tau0, fit_curve(curve.tau, curve.adev, record), curve, name=axis)

@@ -1,0 +1,278 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The checkpoint: a `sums.json` that preserves the Allan variance sums of a node over restarts."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..core.allan.sums import AllanSums, add_sums, check_same_imu
+from ..core.errors import AllanError
+from ..core.findings import Finding, finding
+from ..readers.files import (
+    MAX_BYTES,
+    PathLock,
+    parse_json,
+    read_bounded,
+    to_json,
+    write_atomic,
+)
+from ..readers.recorded import Provenance
+from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_document
+
+Total = tuple[tuple[AllanSums, ...], Provenance]
+"""The sums of an IMU over all runs of a node, and the origin of these sums."""
+
+NOTHING: Total = (), Provenance()
+
+
+class Checkpoint:
+    """A file with the Allan variance sums of all runs of a node.
+
+    It adds the sums of earlier runs to the sums of the current run, and saves the total. A damaged
+    file is renamed. A file of another version or IMU is never overwritten: nothing is written until
+    it is moved away, or its IMU is connected again. Only regular files are read, renamed or
+    replaced, and only if no other node has locked the path. Problems never stop the node: each is
+    logged once and becomes a finding.
+
+    Parameters
+    ----------
+    path : path
+        The file; missing folders are created. With '', nothing is loaded or saved.
+    log : object
+        Logger with the methods ``info`` and ``warning``.
+
+    Attributes
+    ----------
+    earlier : (sums, provenance)
+        The content of the file when the current run began.
+    loaded : Finding or None
+        The problem that was found when the file was loaded.
+    refused : Finding or None
+        The reason why the file cannot be replaced at present.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], log: Any) -> None:
+        self.path = os.fspath(path)
+        self.earlier = NOTHING
+        self.loaded: Finding | None = None
+        self.refused: Finding | None = None
+        self._file, self._log = Path(path), log
+        self._lock = PathLock(self._file) if self.path else None
+        self._owned = False  # whether a path is given that no other node has locked
+        self._content: Total | None = NOTHING  # content of the file; None if it cannot be read
+        self._saved_s: float | None = None
+        self._unsaved: Finding | None = None
+        self._in_use: Finding | None = None
+        self._writer = ThreadPoolExecutor(1)
+        self._writing: Future[None] | None = None
+        self._has_new_samples = False
+        if self.path:
+            self._open()
+
+    @property
+    def last_stamp_ns(self) -> int | None:
+        """Latest stamp in ns of the samples whose sums are in the file; None if unknown."""
+        provenance = self.earlier[1]
+        ends = [s.start_ns + round(s.duration_s * 1e9) for s in provenance.segments]
+        known = provenance.last_stamp_ns
+        return max(ends if known is None else [known, *ends], default=None)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Findings about the current problems of the file."""
+        known = (self._in_use, self._unsaved, self.refused, self.loaded)
+        return tuple(f for f in known if f is not None)
+
+    def age_s(self, now: float) -> float | None:
+        """Return the time in s since the file was written; None if this run has not written it.
+
+        ``now`` is the current value of `time.monotonic`.
+        """
+        return None if self._saved_s is None else now - self._saved_s
+
+    def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
+        """Return the sums of all runs, given the sums and the provenance of this run.
+
+        If the file belongs to another IMU or other axes, cannot be read, or is used by another
+        node, these are the sums of this run alone.
+        """
+        self._has_new_samples = bool(sums)
+        if self.refused is not None and not os.path.lexists(self.path):
+            self._clear()
+        if not self._owned or self._content is None:
+            return sums, provenance
+        try:
+            check_same_imu(self._content[0], sums)
+            total = add_sums(self.earlier[0], sums)
+        except AllanError as error:
+            self._refuse(str(error))
+            return sums, provenance
+        self.refused = None
+        both = self.earlier[1] + provenance
+        sources = tuple(dict.fromkeys(both.sources))
+        return total, replace(both, sources=sources, findings=provenance.findings)
+
+    def save(self, total: Total) -> bool:
+        """Write the total if it has new samples; return whether the file is up to date."""
+        self._collect()
+        return self._writable() and (
+            not self._has_new_samples or self._completed(lambda: self._write(total))
+        )
+
+    def save_in_background(self, total: Total) -> None:
+        """Start to write the total in a thread; `tick` records whether it succeeded."""
+        self._collect()
+        if self._has_new_samples and self._writable():
+            self._writing = self._writer.submit(self._write, total)
+
+    def tick(self) -> None:
+        """Record the success or error of the background write, if it has ended."""
+        if self._writing is not None and self._writing.done():
+            self._collect()
+
+    def start_over(self, total: Total) -> str:
+        """Save the total, rename the file to ``<name>.previous``, and start with empty sums.
+
+        Returns the path of the renamed file. If the file cannot be written or renamed, the sums in
+        it are kept and '' is returned.
+        """
+        previous = f'{self.path}.previous'
+        if self.save(total):
+            try:
+                if os.path.lexists(self.path):
+                    self._rename(Path(previous))
+                self._clear()
+                return previous
+            except AllanError as error:
+                self._report_unwritable(error)
+        if self._content is not None:  # the file stays where it is
+            self.earlier = self._content
+        return ''
+
+    def close(self) -> None:
+        """Wait for the background write, and release the lock of the file."""
+        self._collect()
+        self._writer.shutdown()
+        if self._lock is not None:
+            self._lock.release()
+
+    def _open(self) -> None:
+        folder = self._file.parent
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            self._report_unwritable(AllanError(f'{folder} cannot be created ({error.strerror})'))
+        if not self._locked(on_error=True):  # without a lock, the file may be readable
+            return
+        self._owned = True
+        if os.path.lexists(self.path):
+            self._load()
+
+    def _load(self) -> None:
+        try:
+            data = read_bounded(self.path, MAX_BYTES)
+        except (AllanError, OSError) as error:  # not a regular file, too large, or not readable
+            self._content = None
+            self._refuse(str(error) if isinstance(error, AllanError) else str(error.strerror))
+            return
+        try:
+            document = parse_json(data.decode('utf-8'), self.path)
+            schema = document.get('schema') if isinstance(document, dict) else None
+            if isinstance(schema, str) and schema != SUMS_SCHEMA:
+                self._content = None
+                self._refuse(f'it is {schema}, this version reads {SUMS_SCHEMA}')
+                return
+            self.earlier = self._content = sums_file_from_document(document, self.path)
+        except (AllanError, UnicodeDecodeError) as error:
+            self._rename_damaged(str(error))
+            return
+        if self.earlier[0]:
+            samples = max(s.samples for s in self.earlier[0])
+            self._log.info(f'continues {self.path} with {samples} samples')
+
+    def _rename_damaged(self, reason: str) -> None:
+        names = (f'{self.path}.corrupt{i or ""}' for i in range(10**6))
+        aside = next(Path(name) for name in names if not os.path.lexists(name))
+        try:
+            self._rename(aside)
+        except AllanError:
+            self._content = None
+            self._refuse(reason)
+            return
+        self.loaded = finding('checkpoint_corrupt', path=self.path, aside=aside, reason=reason)
+        self._log.warning(str(self.loaded))
+
+    def _rename(self, to: Path) -> None:
+        try:
+            self._file.replace(to)
+        except OSError as error:
+            raise AllanError(
+                f'{self.path}: cannot be renamed to {to.name} ({error.strerror}): '
+                'check the permissions of the folder'
+            ) from error
+
+    def _clear(self) -> None:
+        """Start with empty sums, because there is no file."""
+        self.earlier = self._content = NOTHING
+        self.refused = None
+
+    def _refuse(self, reason: str) -> None:
+        known = self.refused is not None
+        self.refused = finding('checkpoint_refused', path=self.path, reason=reason)
+        if not known:
+            self._log.warning(str(self.refused))
+
+    def _locked(self, on_error: bool) -> bool:
+        """Acquire the lock; return False if another node has it, ``on_error`` if this fails."""
+        try:
+            owner = self._lock.acquire() if self._lock is not None else ''
+        except AllanError as error:
+            self._report_unwritable(error)
+            return on_error
+        if owner:
+            self._in_use = finding('checkpoint_in_use', path=self.path, owner=owner)
+            self._log.warning(str(self._in_use))
+            self._clear()
+            self._owned, self.loaded, self._unsaved = False, None, None
+        return not owner
+
+    def _writable(self) -> bool:
+        """Return whether this node may write the file; retries a lock that failed before."""
+        return self._owned and self.refused is None and self._locked(on_error=False)
+
+    def _write(self, total: Total) -> None:
+        if total[0]:
+            with contextlib.suppress(OSError):  # the folder may have been removed
+                self._file.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(self.path, to_json(sums_file_to_document(*total)))
+            self._content = total
+
+    def _collect(self) -> None:
+        """Wait for the background write, if any, and record its success or error."""
+        writing, self._writing = self._writing, None
+        if writing is not None:
+            self._completed(writing.result)
+
+    def _completed(self, write: Callable[[], None]) -> bool:
+        """Call ``write``, record its time or its error, and return whether it succeeded."""
+        try:
+            write()
+        except AllanError as error:
+            self._report_unwritable(error)
+            return False
+        self._saved_s, self._unsaved = time.monotonic(), None
+        return True
+
+    def _report_unwritable(self, error: AllanError) -> None:
+        found = finding('checkpoint_unwritable', reason=error)
+        if self._unsaved is None:
+            self._log.warning(str(found))
+        self._unsaved = found

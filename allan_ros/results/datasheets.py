@@ -1,0 +1,450 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Datasheets of IMUs: YAML files with the figures of a sensor, read as limits of N and B in SI.
+
+A file contains the figures in the units of the datasheet. A noise density may be one- or two-sided,
+and a bias instability may be B or the minimum of the curve. The file states which (``sided``,
+``stated_as``). If it is ``unknown``, the larger of the two limits is used, with a note, so that an
+ambiguous datasheet causes no false alarm.
+
+The keys ``gyro`` and ``accel`` apply to three axes; a single axis such as ``accel_z`` takes
+precedence. The file of a product that contains a known sensor names this sensor (``carries``) and
+has no figures.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..core.compare import Comparison, LimitVerdict, verdict
+from ..core.errors import AllanError
+from ..core.fields import Fields, located, plain
+from ..core.findings import Finding, Quantity, finding
+from ..core.fit import TERMS, AxisFit, Coefficient
+from ..core.fit.model import model_of_terms
+from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
+from ..core.noise import FLICKER_FLOOR
+from ..core.settings import expect
+from ..export import FROM_DATASHEET
+from ..readers import SourceInfo
+from ..readers.files import PATH, config_file, config_names, public, read_yaml
+from ..readers.recorded import Provenance
+from .axis_result import AxisResult
+from .measured import Measured, known_factors, measured_from_document
+
+if TYPE_CHECKING:
+    from .results import Results
+
+SCHEMA = 'allan_ros/sensor/1'
+
+FROM_MINIMUM = 1.0 / math.sqrt(FLICKER_FLOOR)
+"""Factor from the minimum of a curve to the largest possible B. The minimum is at least
+sqrt(2 ln2/pi) B = 0.664 B, because white noise and random walk add to it."""
+
+MEANINGS = {
+    'sided': {
+        'one': (1.0 / math.sqrt(2.0), 'one-sided density, divided by sqrt(2)'),
+        'two': (1.0, ''),
+        'unknown': (
+            1.0,
+            'the source does not state whether the density is one- or two-sided: N is this value, '
+            'or this value / sqrt(2)',
+        ),
+    },
+    'stated_as': {
+        'coefficient': (1.0, ''),
+        'minimum': (FROM_MINIMUM, 'minimum of the curve, divided by 0.664'),
+        'unknown': (
+            FROM_MINIMUM,
+            'the source does not state whether this is B or the minimum of the curve: used as the '
+            'minimum, divided by 0.664',
+        ),
+    },
+}
+"""Key that states the meaning of a number -> its value -> factor from the number to N or B, and a
+note. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
+
+
+DEFAULT_RATE_HZ = 200.0
+"""Rate of an IMU in files from a datasheet, unless the user states it."""
+
+CROSSING_S = 10.0
+"""Averaging time in s at which flicker noise equals white noise, if a datasheet states no B. Of the
+sensors that were measured, it is 7 to 200 s; a shorter time gives a larger B."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """The document that states the figures of a datasheet file.
+
+    ``seen`` is 'datasheet' if the document itself was read, and 'secondary' if the figures come
+    from ``via``, which quotes it; '' if unknown.
+    """
+
+    title: str
+    revision: str = ''
+    url: str = ''
+    seen: Literal['', 'datasheet', 'secondary'] = ''
+    via: str = ''
+
+    def __str__(self) -> str:
+        return ', '.join(part for part in (self.title, self.revision) if part)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The upper limit of one coefficient, in SI, according to a datasheet.
+
+    ``stated`` is the number and unit in the datasheet, and ``note`` tells how the limit was
+    computed from it. ``condition`` is the condition of the number (typical, range, bandwidth), and
+    ``source`` the key of its source. Each is '' if unknown.
+    """
+
+    value: float
+    stated: str
+    note: str = ''
+    condition: str = ''
+    source: str = ''
+
+
+@dataclass(frozen=True)
+class Datasheet:
+    """The figures that the manufacturer of an IMU states.
+
+    Attributes
+    ----------
+    name, maker : str
+        Name of the IMU, and of its manufacturer.
+    sources : mapping of key to Source
+        The documents that state the figures.
+    limits : mapping of axis name to term ('N', 'B') to Limit
+        Upper limits of the coefficients that the sources state.
+    remark : str
+        A remark for the user.
+    carries : str
+        Name of the sensor inside a product, such as a camera; '' if the IMU is the sensor itself.
+    measured : tuple of Measured
+        Values that were measured with units of this sensor.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> imu = ar.sensor('bmi088')
+    >>> imu.name, round(imu.values()['gyro_x']['N'], 6)  # rad/s/sqrt(Hz)
+    ('BMI088', 0.000173)
+    >>> text = imu.export('openvins', filter_rate=400.0)
+    >>> 'from the datasheet of BMI088 and not measured' in text, 'update_rate: 400.0' in text
+    (True, True)
+    >>> [round(one.hours, 1) for one in ar.sensor('adis16405').measured]
+    [2.0, 2.0, 2.7]
+    """
+
+    name: str
+    maker: str
+    sources: Mapping[str, Source]
+    limits: Mapping[str, Mapping[str, Limit]]
+    remark: str = ''
+    carries: str = ''
+    measured: tuple[Measured, ...] = ()
+
+    def values(self) -> dict[str, dict[str, float]]:
+        """Return axis -> term -> limit in SI."""
+        return {
+            axis: {term: limit.value for term, limit in terms.items()}
+            for axis, terms in self.limits.items()
+        }
+
+    def results(self, rate: float = DEFAULT_RATE_HZ) -> Results:
+        """Return the noise model of the datasheet for an IMU with a rate in Hz.
+
+        It has the stated N and B. K of a file for a filter follows from its reduced-order model:
+        it covers the error growth of N and B over the horizon of the filter. Raises AllanError if
+        the datasheet states no N of an axis of a sensor.
+        """
+        from .results import Results
+
+        unknown = Coefficient(None, status='not_observable')
+        axes, assumed = {}, []
+        for axis, terms in self.values().items():
+            if 'N' not in terms:
+                raise AllanError(
+                    f'{self.name} states no N of {axis}: record the sensor at rest and use '
+                    'allan analyze'
+                )
+            if 'B' not in terms:
+                assumed.append(axis)
+            flicker = terms['N'] / math.sqrt(FLICKER_FLOOR * CROSSING_S)
+            known = {'N': Coefficient(terms['N']), 'B': Coefficient(terms.get('B', flicker))}
+            noise = {term: known.get(term, unknown) for term in TERMS}
+            fit = AxisFit(noise, model_of_terms(noise))
+            axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
+        low, high = known_factors(map(load_sensor, sensor_names()))
+        found = [finding('from_datasheet', name=self.name, low=low, high=high)]
+        if assumed:
+            found.append(finding('bias_not_stated', tuple(assumed), time=CROSSING_S))
+        stated = [f'{one} {one.url}'.strip() for one in self.sources.values()]
+        stated += [
+            f'{kind} {term} stated {limit.stated}{f" ({limit.note})" if limit.note else ""}'
+            for kind in SENSORS
+            for term in 'NB'
+            if (limit := self.limits.get(f'{kind}_x', {}).get(term))
+        ]
+        sources = tuple(SourceInfo(text, '', '', '') for text in stated)
+        identity, provenance = ImuIdentity(self.name), Provenance(sources)
+        period = 1.0 / rate
+        return Results(identity, FROM_DATASHEET, period, 0, 0.0, 0, axes, provenance, tuple(found))
+
+    def export(
+        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+    ) -> str:
+        """Return the text of a file for a filter or simulator, with the noise of the datasheet.
+
+        The arguments are the same as in `Results.export`. ``filter_rate`` is also the rate of the
+        IMU; the default is 200 Hz.
+        """
+        return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
+            target, path, **options
+        )
+
+
+VERDICTS: tuple[LimitVerdict, ...] = ('exceeds', 'undecided', 'within')
+"""Verdicts of a comparison, the worst first; an 'undecided' interval contains the limit."""
+
+
+@dataclass(frozen=True)
+class DatasheetComparison:
+    """The comparisons of all coefficients that have a limit in a datasheet, by axis, then term.
+
+    A coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
+    fraction ``margin``.
+    """
+
+    datasheet: Datasheet
+    margin: float
+    comparisons: tuple[Comparison, ...]
+
+    @property
+    def verdict(self) -> LimitVerdict | None:
+        """The worst verdict; None if nothing could be compared."""
+        found = {c.verdict for c in self.comparisons}
+        return next((one for one in VERDICTS if one in found), None)
+
+    def of(self, axis: str, term: str) -> Comparison | None:
+        """Return the comparison of a coefficient; None if it has no limit."""
+        return next((c for c in self.comparisons if (c.axis, c.term) == (axis, term)), None)
+
+    def limit(self, comparison: Comparison) -> Limit:
+        """Return the limit of a comparison, with its number, note and source."""
+        return self.datasheet.limits[comparison.axis][comparison.term]
+
+
+def against_datasheet(
+    noise: Mapping[str, Mapping[str, Coefficient]], datasheet: Datasheet, margin: float
+) -> DatasheetComparison:
+    """Compare the coefficients (axis -> term -> coefficient) with the limits of a datasheet.
+
+    A coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
+    fraction ``margin``.
+    """
+    found = []
+    for axis, terms in noise.items():
+        for term in (term for term in TERMS if term in datasheet.limits.get(axis, {})):
+            limit, c = datasheet.limits[axis][term].value, terms[term]
+            at_least = (c.ci95 or (c.value or 0.0,))[0] / limit if limit > 0.0 else 0.0
+            judged = verdict(c, limit, margin)
+            found.append(Comparison(datasheet.name, axis, term, limit, judged, at_least))
+    return DatasheetComparison(datasheet, margin, tuple(found))
+
+
+def exceeds_limit(
+    comparison: Comparison, coefficient: Coefficient | None, margin: float, axes: tuple[str, ...]
+) -> Finding:
+    """Return the finding that a coefficient or an Allan deviation exceeds a limit.
+
+    The comparison contains the limit and the measured ratio. ``coefficient`` is the measured value;
+    None if only the ratio is known. The text states the fraction ``margin``, and ``axes`` are the
+    axes to which the finding applies.
+    """
+    c = comparison
+    kind = (sensor_of(c.axis), 'B' if c.tau is not None else c.term)
+    value = None
+    if c.tau is None and coefficient is not None and coefficient.value is not None:
+        value = Quantity(coefficient.value, *kind, *(coefficient.ci95 or ()))
+    return finding(
+        'exceeds_limit',
+        axes,
+        term=c.term if c.tau is None else 'The Allan deviation',
+        tau=c.tau,
+        value=value,
+        least=None if value else Quantity(c.at_least * c.limit, *kind),
+        limit=Quantity(c.limit, *kind),
+        reference=c.reference,
+        margin=margin,
+    )
+
+
+def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
+    """Return the comparison as the object ``datasheet`` of results.json."""
+    sheet = comparison.datasheet
+    axes: dict[str, dict[str, Any]] = {}
+    for c in comparison.comparisons:
+        limit = plain(comparison.limit(c))
+        axes.setdefault(c.axis, {})[c.term] = {
+            'limit': limit.pop('value'),
+            'unit': SI_UNITS[sensor_of(c.axis)][c.term],
+            **limit,
+            'verdict': c.verdict,
+        }
+    return {
+        'name': sheet.name,
+        'maker': sheet.maker,
+        'remark': sheet.remark,
+        'margin': comparison.margin,
+        'verdict': comparison.verdict,
+        'sources': plain(sheet.sources),
+        'axes': axes,
+    }
+
+
+def comparison_from_document(
+    fields: Fields, noise: Mapping[str, Mapping[str, Coefficient]]
+) -> DatasheetComparison:
+    """Read the object ``datasheet`` of results.json, and compare the coefficients with its limits.
+
+    ``noise`` are the coefficients of the same document: axis -> term -> coefficient.
+    """
+    sources = fields.fields('sources')
+    limits: dict[str, dict[str, Limit]] = {}
+    axes = fields.fields('axes')
+    for axis in axes:
+        terms = axes.fields(axis)
+        terms.only(*TERMS)
+        for term in terms:
+            f = terms.fields(term)
+            limits.setdefault(axis, {})[term] = f.record(Limit, value=f.number('limit'))
+    stated = {key: _source(sources.fields(key)) for key in sources}
+    name, maker, remark = (fields.text(key) for key in ('name', 'maker', 'remark'))
+    sheet = Datasheet(name, maker, stated, limits, remark)
+    return against_datasheet(noise, sheet, fields.number('margin'))
+
+
+def sensor_names() -> list[str]:
+    """Return the names of the datasheets of the package and of the user."""
+    return config_names('sensors')
+
+
+@public
+def sensor(name: str | os.PathLike[str]) -> Datasheet:
+    """Return a datasheet, given its name or the path of its .yaml file.
+
+    Raises
+    ------
+    AllanError
+        If the name is unknown, or the file is invalid.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.sensor('adis16475-3').limits['gyro_x']['B'].stated
+    '7 deg/h'
+    """
+    expect(PATH, 'a name or a path', name=name)
+    return load_sensor(os.fspath(name))
+
+
+def load_sensor(name: str) -> Datasheet:
+    """Read a datasheet, given its name or the path of its .yaml file.
+
+    Raises AllanError if the name is unknown or the file is invalid.
+    """
+    fields = _file(name)
+    if 'carries' not in fields:
+        return _datasheet(fields)
+    # a product: the figures of its sensor, with the sources of both files
+    fields.schema(SCHEMA)
+    fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
+    with located(f'{fields.where}.carries'):
+        # rejects the file of another product, and so itself
+        sensor = _datasheet(_file(fields.text('carries')))
+    return replace(
+        sensor,
+        name=fields.text('name'),
+        maker=fields.text('maker', ''),
+        sources={**_sources(fields), **sensor.sources},
+        remark=fields.text('remark', ''),
+        carries=sensor.name,
+    )
+
+
+def _file(name: str) -> Fields:
+    path = config_file('sensors', name, 'datasheet')
+    return Fields(read_yaml(path), str(path))
+
+
+def _datasheet(fields: Fields) -> Datasheet:
+    fields.schema(SCHEMA)
+    fields.only('schema', 'name', 'maker', 'remark', 'sources', 'measured', *SI_UNITS, *AXES)
+    sources = _sources(fields)
+    limits: dict[str, dict[str, Limit]] = {}
+    for axis in AXES:
+        for name in (sensor_of(axis), axis):
+            part = fields.optional_fields(name)
+            if part is not None:
+                limits[axis] = limits.get(axis, {}) | _limits(part, sensor_of(axis), sources)
+    name, maker, remark = fields.text('name'), fields.text('maker', ''), fields.text('remark', '')
+    stated = fields.each('measured') if 'measured' in fields else ()
+    measured = tuple(map(measured_from_document, stated))
+    return Datasheet(name, maker, sources, limits, remark, measured=measured)
+
+
+def _sources(fields: Fields) -> dict[str, Source]:
+    stated = fields.fields('sources')
+    sources = {key: _source(stated.fields(key)) for key in stated}
+    if not sources:
+        raise AllanError(
+            f'{fields.where}.sources is empty: name the document that states the figures'
+        )
+    return sources
+
+
+def _source(fields: Fields) -> Source:
+    fields.only('title', 'revision', 'url', 'seen', 'via')
+    return fields.record(Source)
+
+
+def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, Limit]:
+    walk, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
+    fields.only(walk, 'noise_density', 'bias_instability')
+    limits = {}
+    # If both are stated, the random walk is N itself, and no assumption is needed.
+    for key, term, meaning in (
+        ('noise_density', 'N', 'sided'),
+        (walk, 'N', ''),
+        ('bias_instability', 'B', 'stated_as'),
+    ):
+        if key in fields:
+            limits[term] = _quantity(fields.fields(key), units[term], sources, meaning)
+    return limits
+
+
+def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str = '') -> Limit:
+    """Read an object ``{value, unit, condition, source}`` as a limit in SI.
+
+    ``meaning`` is a key of `MEANINGS` that the object must contain, too; '' for none.
+    """
+    fields.only('value', 'unit', 'condition', 'source', *([meaning] if meaning else []))
+    factor, note = 1.0, ''
+    if meaning:
+        factor, note = MEANINGS[meaning][fields.choice(meaning, tuple(MEANINGS[meaning]))]
+    value = fields.number('value')
+    if not value > 0.0:
+        raise AllanError(f'{fields.where}.value is {value:g}: a positive number is expected')
+    source = next(iter(sources))
+    if 'source' in fields or len(sources) > 1:
+        source = fields.choice('source', tuple(sources))
+    stated = f'{value:g} {fields.text("unit")}'
+    return Limit(fields.quantity(unit) * factor, stated, note, fields.text('condition', ''), source)

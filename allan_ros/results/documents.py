@@ -1,0 +1,397 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON documents `results.json` and `sums.json`.
+
+Unknown values are null, never NaN. Reading is strict: another version, a wrong type, or a missing
+field without a default raises AllanError with the position in the document.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import __version__
+from ..core.allan.curve import CI_LEVEL, AxisCurve
+from ..core.allan.document import sums_from_document, sums_to_document
+from ..core.allan.sums import AllanSums
+from ..core.compare import MARGIN
+from ..core.errors import AllanError, one_line
+from ..core.fields import Fields, plain
+from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, Quantity, required
+from ..core.fit import TERMS, AxisFit, Coefficient, Processes
+from ..core.fit.model import Covariance
+from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
+from ..core.settings import expect
+from ..core.stream.health import Counts, Segment
+from ..readers import SourceInfo
+from ..readers.files import PATH, public, read_json, to_json
+from ..readers.recorded import Provenance, RecordingSums
+from .analysis import analyze_recorded
+from .axis_result import AxisResult
+from .datasheets import comparison_from_document, comparison_to_document
+from .results import Results
+from .verdict import verdict_of
+
+RESULTS_SCHEMA = 'allan_ros/results/2'
+SUMS_SCHEMA = 'allan_ros/sums_file/2'
+
+RESULTS, SUMS = 'results.json', 'sums.json'
+"""Names of the documents in the folder of an analysis: the results, and the sums from which they
+are computed."""
+
+TOOL = {'name': 'allan_ros', 'version': __version__}
+
+SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
+"""Range of sample periods in s: stamps are in ns, and the upper bound is thirty years."""
+
+MAX_SETTINGS = 100
+"""Largest number of settings, and of entries of one setting."""
+
+LISTED_SEGMENTS = 1000
+"""Number of longest segments that are listed; the total number is always stated."""
+
+SIGNED = (
+    *('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'mean', 'R', 'low_pass'),
+    *('reference', 'lowest', 'highest', 'b0', 'b1', 'b2', 'hysteresis'),
+)
+"""Keys of numbers that may be negative."""
+
+FIT = ('model', 'm_min', 'filtered', 'gof_z', 'lack_of_fit')
+AXIS = ('rounding', 'turn_on', 'temperature', 'growth')
+"""Fields of a fit and of an axis that have the same name in results.json."""
+
+NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
+"""Field of a dataclass -> its key in results.json, where these differ."""
+
+
+def results_to_document(
+    results: Results, curves: bool = True, units: str = 'deg/h'
+) -> dict[str, Any]:
+    """Return the results as the document ``allan_ros/results/2`` (results.json).
+
+    Without ``curves``, the curves and the verdict are left out, which gives a short document.
+    ``units`` ('deg/h' or 'SI') are the units in the texts of the verdict; numbers are in SI.
+    """
+    judged = {'verdict': plain(verdict_of(results, units))} if curves else {}
+    return {
+        'schema': RESULTS_SCHEMA,
+        'tool': TOOL,
+        'frame_id': results.identity.frame_id,
+        'hardware_id': results.identity.hardware_id,
+        'method': results.method,
+        'rate_hz': plain(results.rate_hz),
+        'tau0_s': plain(results.tau0),
+        'samples': results.samples,
+        'duration_s': plain(results.duration_s),
+        'segment_count': results.segments,
+        **_provenance_to_document(results.provenance),
+        **judged,
+        'findings': [each.document(units) for each in results.findings],
+        'datasheet': comparison_to_document(results.datasheet) if results.datasheet else None,
+        'axes': {
+            name: _axis_to_document(name, axis, curves) for name, axis in results.axes.items()
+        },
+    }
+
+
+def results_from_document(document: object, where: str = 'results') -> Results:
+    """Return the results in a document ``allan_ros/results/2``.
+
+    ``where`` names the document in messages. Raises AllanError if the document is invalid.
+    """
+    fields = Fields(document, where, SIGNED, NAMES)
+    fields.schema(RESULTS_SCHEMA)
+    provenance = _provenance_from_document(fields)
+    stated = fields.fields('axes')
+    axes = {name: _axis_from_document(name, stated.fields(name)) for name in _axes_of(stated)}
+    stated_sheet = fields.optional_fields('datasheet')
+    noise = {name: axis.fit.noise for name, axis in axes.items()}
+    datasheet = comparison_from_document(stated_sheet, noise) if stated_sheet else None
+    return Results(
+        ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
+        fields.text('method'),
+        _period_from_document(fields),
+        fields.integer('samples', least=0),
+        fields.number('duration_s', least=0.0),
+        fields.integer('segment_count', least=0),
+        axes,
+        provenance,
+        provenance.findings,
+        datasheet,
+        margin=MARGIN if datasheet is None else datasheet.margin,
+    )
+
+
+def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> dict[str, Any]:
+    """Return sums and their provenance as the document of a sums.json."""
+    return {
+        'schema': SUMS_SCHEMA,
+        'tool': TOOL,
+        **_provenance_to_document(provenance),
+        'last_stamp_ns': provenance.last_stamp_ns,
+        'findings': [each.document() for each in provenance.findings],
+        'sums': [sums_to_document(s) for s in sums],
+    }
+
+
+def fingerprint(document: Mapping[str, Any]) -> str:
+    """Return a hash of the sums in the document of a sums.json; equal samples have equal hashes."""
+    text = to_json({'sums': document.get('sums')})
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def sums_file_from_document(
+    document: object, where: str = 'sums'
+) -> tuple[tuple[AllanSums, ...], Provenance]:
+    """Return the sums and the provenance in the document of a sums.json.
+
+    ``where`` names the document in messages. Raises AllanError if the document is invalid.
+    """
+    fields = Fields(document, where, SIGNED, NAMES)
+    fields.schema(SUMS_SCHEMA)
+    return (
+        tuple(sums_from_document(s, f'{where}: sums') for s in fields.sequence('sums')),
+        _provenance_from_document(fields),
+    )
+
+
+@public
+def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
+    """Read the results of an earlier analysis.
+
+    Parameters
+    ----------
+    path : path
+        The folder of an analysis, a results.json, or a sums.json or checkpoint, whose sums are
+        fitted again. Only results with sums (all but a results.json) can be added and saved.
+    method : str
+        Method of the fit of sums: 'likelihood' or 'paper', as in `analyze`.
+
+    Returns
+    -------
+    Results
+
+    Raises
+    ------
+    AllanError
+        When the file is missing, or is not such a document.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import allan_ros as ar
+    >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = results.save(folder)
+    ...     ar.load(folder).samples == results.samples
+    True
+    """
+    expect(PATH, 'a path', path=path)
+    place = Path(path)
+    if place.is_dir():
+        has_results = (place / RESULTS).is_file() or not (place / SUMS).is_file()
+        place = Path(file_in(path, RESULTS if has_results else SUMS))
+    document: Any = read_json(place)
+    if isinstance(document, dict) and document.get('schema') == SUMS_SCHEMA:
+        recorded = RecordingSums(str(place), *sums_file_from_document(document, str(place)))
+        return analyze_recorded(recorded, method)
+    results = results_from_document(document, str(place))
+    file = place.parent / SUMS
+    if not Path(path).is_dir() or not file.is_file():
+        return results
+    sums: Any = read_json(file)
+    if document.get('fingerprint') != fingerprint(sums):  # killed between the two files
+        raise AllanError(
+            f'{path}: {RESULTS} and {SUMS} are of different analyses: analyze the recording again, '
+            'or give one of the two files'
+        )
+    recorded = RecordingSums(str(file), *sums_file_from_document(sums, str(file)))
+    return replace(results, recorded=recorded)
+
+
+def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
+    """Read the sums of a sums.json, a checkpoint, or the folder of an analysis."""
+    place = file_in(path, SUMS)
+    return RecordingSums(place, *sums_file_from_document(read_json(place), place))
+
+
+def file_in(path: str | os.PathLike[str], name: str) -> str:
+    """Return ``path``, or the path of the file ``name`` in it if it is a folder.
+
+    Raises AllanError if the folder does not contain this file.
+    """
+    if not Path(path).is_dir():
+        return str(path)
+    inside = Path(path) / name
+    if not inside.is_file():
+        raise AllanError(
+            f'{path}: no {name} in this folder: give the folder of an analysis, or the file'
+        )
+    return str(inside)
+
+
+def labels_of(paths: Sequence[str]) -> list[str]:
+    """Return a label for each path.
+
+    The label is the name of the file without its suffix, or the name of the folder for a
+    results.json or sums.json. If two labels are equal, the labels are the paths themselves.
+    """
+    short = [
+        Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
+        for path in paths
+    ]
+    unique = len(set(short)) == len(short) and all(short)
+    return short if unique else [str(path) for path in paths]
+
+
+def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
+    longest = sorted(provenance.segments, key=lambda s: -s.samples)[:LISTED_SEGMENTS]
+    return {
+        'source': plain(provenance.sources),
+        'segments': plain(longest),
+        'counts': plain(provenance.counts),
+        'settings': dict(provenance.settings),
+    }
+
+
+def _provenance_from_document(fields: Fields) -> Provenance:
+    splits = fields.fields('counts').fields('splits')
+    split_counts = Counter({reason: splits.integer(reason, least=0) for reason in splits})
+    return Provenance(
+        fields.typed('source', tuple[SourceInfo, ...]),
+        fields.typed('segments', tuple[Segment, ...]),
+        tuple(finding_from_document(each) for each in fields.each('findings')),
+        fields.fields('counts').record(Counts, splits=split_counts),
+        _settings_from_document(fields.fields('settings')),
+        fields.typed('last_stamp_ns', int | None),
+    )
+
+
+def finding_from_document(fields: Fields) -> Finding:
+    """Return a finding; one of another version, which lacks values, keeps its stated texts."""
+    stated = fields.optional_fields('values')
+    values = {name: _value_from_document(stated, name) for name in stated} if stated else {}
+    texts = (one_line(fields.text('message')), one_line(fields.text('remedy')))
+    known = CATALOG.get(fields.text('id'))
+    if known is not None and all(values.get(name) is not None for name in required(known)):
+        texts = known.message_template, known.remedy_template
+    else:
+        values = {}
+    axes = fields.typed('axes', tuple[str, ...])
+    severity: Any = fields.choice('severity', SEVERITIES)
+    return Finding(one_line(fields.text('id')), severity, *texts, axes, values)
+
+
+def _value_from_document(fields: Fields, name: str) -> Any:
+    value = fields.value(name)
+    if isinstance(value, list):
+        return tuple(_quantity_from_document(each) for each in fields.each(name))
+    if isinstance(value, dict):
+        return _quantity_from_document(fields.fields(name))
+    return fields.number(name) if isinstance(value, float) else value
+
+
+def _quantity_from_document(fields: Fields) -> Quantity:
+    value, low, high = (
+        None if fields.value(key) is None else fields.number(key)
+        for key in ('value', 'low', 'high')
+    )
+    sensor, term = fields.choice('sensor', tuple(SENSORS)), fields.choice('term', QUANTITIES)
+    return Quantity(value, sensor, term, low, high)
+
+
+def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
+    settings: dict[str, Any] = {}
+    for name in fields:
+        value = fields.value(name)
+        items = value if isinstance(value, list) else [value]
+        plain = all(v is None or isinstance(v, (bool, str, int, float)) for v in items)
+        if not plain or max(len(items), len(settings)) > MAX_SETTINGS or math.inf in items:
+            raise AllanError(f'{fields.where}: {name!r:.40} is not a known setting')
+        settings[name] = value
+    return settings
+
+
+def _period_from_document(fields: Fields) -> float:
+    period = fields.number('tau0_s', least=SHORTEST_PERIOD_S)
+    if period > LONGEST_PERIOD_S:
+        raise AllanError(f'{fields.where}.tau0_s is {period}: too long for an IMU')
+    return period
+
+
+def _axes_of(fields: Fields) -> tuple[str, ...]:
+    """Return the keys of a JSON object, which must be axis names, in the order of `AXES`."""
+    if unknown := [name for name in fields if name not in AXES]:
+        raise AllanError(
+            f'{fields.where}: {unknown[0]!r:.40} is not an axis: use {", ".join(AXES)}'
+        )
+    return tuple(name for name in AXES if name in fields)
+
+
+def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, Any]:
+    fit, unit = axis.fit, SI_UNITS[sensor_of(name)]
+    document: dict[str, Any] = {
+        'unit': unit['B'],
+        'tau0_s': axis.tau0,
+        'noise': {t: {**plain(fit.noise[t]), 'unit': unit[t]} for t in TERMS},
+        **{name: plain(getattr(fit, name)) for name in FIT},
+        'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
+        'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
+        **{name: plain(getattr(axis, name)) for name in AXIS},
+        'processes': plain(fit.processes, NAMES),
+        'deviation': plain(fit.deviation),
+        'reading': plain(axis.regions),
+    }
+    if fit.covariance is not None:
+        document['covariance'] = plain(fit.covariance)
+    if curves and axis.curve is not None:
+        model = plain(axis.model_line().adev)
+        document['curve'] = {**plain(axis.curve), 'model': model, 'ci_level': CI_LEVEL}
+    return document
+
+
+def _axis_from_document(name: str, fields: Fields) -> AxisResult:
+    noise, stated, covariance = fields.fields('noise'), fields.optional_fields('covariance'), None
+    if stated is not None:
+        names = stated.typed('names', tuple[str, ...])
+        covariance = Covariance(names, stated.table('matrix', len(names), len(names)))
+    fit = fields.record(
+        AxisFit,
+        noise={term: noise.fields(term).record(Coefficient) for term in TERMS},
+        m_min=fields.integer('m_min', least=1),
+        processes=fields.fields('processes').record(Processes),
+        covariance=covariance,
+    )
+    return fields.record(
+        AxisResult,
+        tau0=_period_from_document(fields),
+        fit=fit,
+        curve=_curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
+        name=name,
+    )
+
+
+def _scaled(coefficient: Coefficient, factor: float) -> float | None:
+    if coefficient.value is None or coefficient.status != 'estimated':
+        return None
+    found: float | None = plain(coefficient.value * factor)
+    return found
+
+
+def _curve_from_document(fields: Fields) -> AxisCurve:
+    curve = fields.record(AxisCurve)
+    if len({len(column) for column in vars(curve).values()}) > 1:
+        raise AllanError(f'{fields.where}: its columns have different lengths')
+    tau = curve.tau
+    if len(tau) and not (tau[0] > 0.0 and (np.diff(tau) > 0.0).all()):  # also fails for NaN
+        raise AllanError(f'{fields.where}.tau is not positive and increasing')
+    return curve

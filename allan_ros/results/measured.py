@@ -1,0 +1,166 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Values of N and B that were measured with units of a sensor, as its datasheet file lists them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+from ..core.compare import Change
+from ..core.fields import Fields
+from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, SI_UNITS, UNITS
+from ..view.format import significant
+
+if TYPE_CHECKING:
+    from .datasheets import Datasheet
+    from .results import Results
+
+SHOWN = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
+"""Unit of a measured value in the catalogue, if it differs from `DATASHEET_UNITS`."""
+
+WORDS: dict[Change, str] = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}
+"""Change from the measured units -> its text."""
+
+
+class MeasuredValue(NamedTuple):
+    """N or B of a sensor: root mean square of its axes, and the ends of their 95 % intervals."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Noise that was measured with one unit of a sensor: sensor -> term -> value in SI.
+
+    ``by`` names who recorded it, ``url`` the recording, ``condition`` rate and temperature.
+    """
+
+    by: str
+    url: str = ''
+    hours: float = 0.0
+    condition: str = ''
+    values: Mapping[str, Mapping[str, MeasuredValue]] = field(default_factory=dict)
+
+
+def measured_from_document(fields: Fields) -> Measured:
+    """Return an entry of the list ``measured`` in the file of a sensor."""
+    fields.only('by', 'url', 'hours', 'condition', *SI_UNITS)
+    values: dict[str, dict[str, MeasuredValue]] = {}
+    for sensor in (name for name in SI_UNITS if name in fields):
+        terms = fields.fields(sensor)
+        for term in terms:
+            one = terms.fields(term)
+            one.only(*MeasuredValue._fields, 'unit')
+            factor = one.quantity(SI_UNITS[sensor][term]) / one.number('value')
+            ends = (one.number(key) * factor for key in MeasuredValue._fields)
+            values.setdefault(sensor, {})[term] = MeasuredValue(*ends)
+    return fields.record(Measured, values=values)
+
+
+def measured_values(results: Results) -> dict[tuple[str, str], MeasuredValue]:
+    """Return (sensor, term) -> measured value in SI of N and B, if all axes resolve it."""
+    found = {}
+    for kind, term in ((kind, term) for kind in SENSORS for term in 'NB'):
+        names = [axis for axis in AXES[SENSORS[kind]] if axis in results.axes]
+        known = [results.axes[axis].fit.noise[term] for axis in names]
+        ends = [one.ci95 for one in known if one.status == 'estimated' and one.ci95]
+        if ends and len(ends) == len(known):
+            mean = math.sqrt(sum((one.value or 0.0) ** 2 for one in known) / len(known))
+            low, high = min(e[0] for e in ends), max(e[1] for e in ends)
+            found[kind, term] = MeasuredValue(mean, low, high)
+    return found
+
+
+def _texts(kind: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
+    """Return the values of a term as text, followed by the unit of the catalogue."""
+    unit = SHOWN.get((kind, term), DATASHEET_UNITS[kind][term])
+    return *(significant(value / UNITS[unit].factor, digits) for value in values), unit
+
+
+def measured_entry(results: Results) -> str:
+    """Return the YAML text of results for the list ``measured`` in the file of a sensor."""
+    terms: dict[str, list[str]] = {}
+    for (kind, term), ends in measured_values(results).items():
+        value, low, high, unit = _texts(kind, term, *ends, digits=4)
+        text = f'      {term}: {{value: {value}, low: {low}, high: {high}, unit: {unit}}}'
+        terms.setdefault(f'    {kind}:', []).append(text)
+    return '\n'.join(
+        [
+            'measured:',
+            '  - by: your name or organization',
+            '    url: where the recording or the results can be found',
+            f'    hours: {results.duration_s / 3600.0:.3g}',
+            f'    condition: {results.rate_hz:.4g} Hz, temperature, unit',
+            *(line for head, texts in terms.items() for line in (head, *texts)),
+        ]
+    )
+
+
+class AgainstMeasured(NamedTuple):
+    """N or B of one unit beside the values that were measured with units of the same sensor."""
+
+    sensor: str  # gyro or accel
+    term: str
+    value: MeasuredValue
+    low: float  # ends of the intervals of all measured units, SI
+    high: float
+    units: int  # number of measured units
+    verdict: Change  # 'alike' if the intervals overlap
+
+    def __str__(self) -> str:
+        ends = (*self.value, self.low, self.high)
+        value, low, high, least, most, unit = _texts(self.sensor, self.term, *ends)
+        number = '1 unit has' if self.units == 1 else f'{self.units} units have'
+        return (
+            f'{self.sensor} {self.term} {WORDS[self.verdict]}: {value} ({low}..{high}) {unit}, '
+            f'{number} {least}..{most}'
+        )
+
+
+def against_measured(sheet: Datasheet, results: Results) -> list[AgainstMeasured]:
+    """Compare each resolved N and B with the values that were measured with units of a sensor."""
+    found = []
+    for (kind, term), value in measured_values(results).items():
+        known = [e.values[kind][term] for e in sheet.measured if term in e.values.get(kind, {})]
+        if known:
+            low, high = min(k.low for k in known), max(k.high for k in known)
+            verdict: Change = 'lower' if value.high < low else 'alike'
+            verdict = 'higher' if value.low > high else verdict
+            found.append(AgainstMeasured(kind, term, value, low, high, len(known), verdict))
+    return found
+
+
+def measured_factors(sheet: Datasheet) -> Iterator[tuple[Measured, str, str, float | None]]:
+    """Yield each value that was measured with a sensor: unit, sensor, term, and the ratio to the
+    datasheet, which is None if that states no limit."""
+    limits = sheet.values()
+    for one in sheet.measured:
+        for kind, terms in one.values.items():
+            for term, value in terms.items():
+                limit = limits.get(f'{kind}_x', {}).get(term)
+                yield one, kind, term, value.value / limit if limit else None
+
+
+def known_factors(sheets: Iterable[Datasheet]) -> tuple[float, float]:
+    """Return the smallest and the largest ratio of a measured N or B to its datasheet."""
+    ratios = [ratio for sheet in sheets for *_, ratio in measured_factors(sheet) if ratio]
+    return min(ratios, default=1.0), max(ratios, default=1.0)
+
+
+def measured_lines(sheet: Datasheet) -> Iterator[str]:
+    """Yield a line for each measured value of a sensor, with its ratio to the datasheet."""
+    shown = None
+    for one, kind, term, factor in measured_factors(sheet):
+        if one is not shown:
+            yield f'measured by {one.by}'
+            more = (f'{one.hours:g} h' if one.hours else '', one.condition, one.url)
+            yield from (f'  {text}' for text in more if text)
+            shown = one
+        mean, low, high, unit = _texts(kind, term, *one.values[kind][term])
+        share = f', {significant(factor, 2)} of the datasheet' if factor else ''
+        yield f'  {kind} {term} {mean} ({low}..{high}) {unit}{share}'

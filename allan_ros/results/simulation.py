@@ -1,0 +1,243 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulate an IMU with noise and faults that the user states, in Python or in a file.
+
+A specification of a simulated IMU is a YAML or JSON file. ``noise`` maps axes to coefficients: a
+number in datasheet units, or ``{value, unit}``. ``gyro`` and ``accel`` apply to three axes, and a
+single axis takes precedence. ``faults`` has the fields of `Faults`, in SI:
+
+    noise:
+      gyro: {N: 0.3, B: {value: 7, unit: deg/h}}
+      gyro_z: {N: 0.4}
+    faults: {drop: 0.01, motion: [[60, 2.5]], vibration_gyro: 0.001, vibration_frequency: 25}
+
+The truth file that is written next to a simulated recording is such a file.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import AllanError
+from ..core.fields import Fields, located
+from ..core.imu import AXES, SI_UNITS, ImuBatch, from_datasheet, joined, sensor_of
+from ..core.noise import NoiseTerms
+from ..core.settings import check_range, expect, settings_from
+from ..core.simulate import PRESETS, Faults, simulate_imu
+from ..readers.files import public, read_yaml, to_json, write_atomic
+from .datasheets import load_sensor
+
+TRUTH_SCHEMA = 'allan_ros/truth/1'
+
+TRUTH_SUFFIX = '.truth.json'
+"""Suffix of the truth file: the truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
+
+AxesNoise = Mapping[str, NoiseTerms]
+
+NO_NOISE: AxesNoise = {axis: NoiseTerms() for axis in AXES}
+
+
+def truth_path(recording: str | os.PathLike[str]) -> Path:
+    """Return the path of the file that states the true noise of a simulated recording."""
+    path = Path(recording)
+    return path.with_name(path.name + TRUTH_SUFFIX)
+
+
+def read_specification(path: str | os.PathLike[str]) -> tuple[Fields | None, Faults]:
+    """Read what to simulate from a YAML or JSON file, such as a truth file.
+
+    Returns the stated noise, None if there is none, and the faults. Raises AllanError with the
+    position of an invalid entry.
+    """
+    fields = Fields(read_yaml(Path(path)), str(path))
+    if 'schema' in fields:
+        fields.schema(TRUTH_SCHEMA)
+    fields.only('noise', 'faults', 'schema', 'seconds', 'rate_hz', 'seed')
+    stated = fields.optional_fields('faults')
+    with located(f'{path}.faults'):
+        given = {} if stated is None else {name: stated.value(name) for name in stated}
+        faults = settings_from(Faults, given)
+    return fields.optional_fields('noise'), faults
+
+
+def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
+    """Read the noise of an IMU from a specification: axis -> coefficients in SI.
+
+    Axes that are not named have no noise.
+    """
+    stated, _ = read_specification(path)
+    return with_noise(NO_NOISE, stated or Fields({}, str(path)))
+
+
+def with_noise(noise: AxesNoise, stated: Fields) -> AxesNoise:
+    """Replace coefficients of the noise (axis -> coefficients in SI) by those in ``stated``."""
+    stated.only(*SI_UNITS, *AXES)
+    return {
+        axis: replace(
+            noise[axis],
+            **{
+                term: value
+                for name in (sensor_of(axis), axis)
+                if name in stated
+                for term, value in _terms(stated.fields(name), sensor_of(axis)).items()
+            },
+        )
+        for axis in AXES
+    }
+
+
+def stated_noise(
+    preset: str = '',
+    sensor: str = '',
+    spec: Fields | None = None,
+    changes: Mapping[str, Mapping[str, float]] | None = None,
+) -> AxesNoise:
+    """Return the noise to simulate: axis -> coefficients in SI.
+
+    It comes from the preset, or from the datasheet ``sensor``, which states N and B. Then the noise
+    of a specification (``spec``) and ``changes`` (axis or sensor -> term -> value in datasheet
+    units) replace single coefficients. Raises AllanError if nothing is given or a name is unknown.
+    """
+    noise = NO_NOISE
+    if preset:
+        if preset not in PRESETS:
+            raise AllanError(f'preset {preset!r} is unknown: choose one of {", ".join(PRESETS)}')
+        noise = with_noise(noise, Fields({**PRESETS[preset]}, f'preset {preset}'))
+    elif sensor:
+        limits = load_sensor(sensor).values()
+        noise = {axis: NoiseTerms(**limits.get(axis, {})) for axis in AXES}
+    elif not changes and spec is None:
+        raise AllanError('no noise to simulate: give --preset paper, --sensor, --spec or --gyro ..')
+    if spec is not None:
+        noise = with_noise(noise, spec)
+    return with_noise(noise, Fields({**(changes or {})}, 'noise'))
+
+
+def _terms(stated: Fields, sensor: str) -> dict[str, float]:
+    values: dict[str, float] = {}
+    stated.only(*SI_UNITS[sensor])
+    for term in stated:
+        if isinstance(stated.value(term), dict):
+            values[term] = stated.fields(term).quantity(SI_UNITS[sensor][term])
+        else:
+            values[term] = from_datasheet(term, sensor, stated.number(term))
+    with located(stated.where):
+        NoiseTerms(**values)
+    return values
+
+
+def write_truth(
+    recording: str | os.PathLike[str],
+    noise: AxesNoise,
+    *,
+    seconds: float,
+    rate: float,
+    seed: int,
+    faults: Faults,
+) -> Path:
+    """Write the true noise and faults of a simulated recording next to it, and return the path.
+
+    ``noise`` maps axes to coefficients in SI. The file also contains the duration in s, the sample
+    rate in Hz, the seed, and the faults that differ from their defaults.
+    """
+    changed = {k: v for k, v in asdict(faults).items() if v != getattr(Faults(), k)}
+    document: dict[str, Any] = {
+        'schema': TRUTH_SCHEMA,
+        'seconds': seconds,
+        'rate_hz': rate,
+        'seed': seed,
+        'faults': changed,
+        'noise': {
+            axis: {
+                term: {'value': value, 'unit': SI_UNITS[sensor_of(axis)][term]}
+                for term, value in asdict(terms).items()
+            }
+            for axis, terms in noise.items()
+        },
+    }
+    path = truth_path(recording)
+    write_atomic(path, to_json(document))
+    return path
+
+
+@public
+def simulate(
+    hours: float = 1.0,
+    rate: float = 100.0,
+    preset: str = 'paper',
+    *,
+    sensor: str = '',
+    gyro: Mapping[str, Any] = {},
+    accel: Mapping[str, Any] = {},
+    seed: int = 0,
+    frame_id: str = 'imu_link',
+    **faults: Any,
+) -> ImuBatch:
+    """Simulate the samples of an IMU at rest with known noise.
+
+    Parameters
+    ----------
+    hours, rate : float
+        Duration in h, and sample rate in Hz.
+    preset : str
+        Name of predefined noise: 'paper' (the ADIS16475-3 of Cong et al. 2019), or '' for none.
+    sensor : str
+        Name of a datasheet, whose N and B are used instead of the preset; a term that it does not
+        state is 0.
+    gyro, accel : mapping, optional
+        Coefficients that replace the preset, in datasheet units (gyro N in deg/sqrt(h), B
+        in deg/h; accelerometer N in m/s/sqrt(h), B in ug), for all axes as in
+        ``{'N': 0.3, 'B': 7}``, or by axis as in ``{'z': {'N': 0.3}}``.
+    seed : int
+        Seed of the random numbers, 0 or more.
+    frame_id : str
+        The frame_id of the messages.
+    **faults
+        Faults of the IMU, as in the files of `allan simulate --spec`: ``motion``, ``gaps`` (both as
+        pairs of start and length in s), ``low_pass`` (Hz), ``drop`` ...
+
+    Returns
+    -------
+    ImuBatch
+        With ``stamps_ns`` (n,) in ns and ``samples`` (n, 6) in rad/s and m/s^2.
+
+    Raises
+    ------
+    AllanError
+        When an argument is unknown or invalid, or the samples do not fit into memory.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.simulate(hours=0.01, rate=200, seed=3).samples.shape
+    (7200, 6)
+    >>> one_noisy = ar.simulate(hours=0.01, gyro={'z': {'N': 5.0}})
+    """
+    check_range(0.0, 1e6, 'h', hours=hours)
+    expect(Real, rate=rate)
+    expect(Integral, seed=seed)
+    expect(str, preset=preset, sensor=sensor, frame_id=frame_id)
+    changes = {**_noise_changes('gyro', gyro), **_noise_changes('accel', accel)}
+    terms = list(stated_noise('' if sensor else preset, sensor, changes=changes).values())
+    batches = simulate_imu(
+        hours * 3600.0,
+        rate,
+        terms[:3],
+        terms[3:],
+        seed=seed,
+        faults=settings_from(Faults, faults),
+        frame_id=frame_id,
+    )
+    return joined(list(batches))
+
+
+def _noise_changes(sensor: str, given: Mapping[str, Any]) -> dict[str, Mapping[str, float]]:
+    """Return ``given`` as a mapping by sensor or axis name, such as ``{'gyro_z': {'N': 0.3}}``."""
+    expect(Mapping, 'a mapping of terms', **{sensor: given})
+    each = bool(given) and set(given) <= set('xyz')
+    return {f'{sensor}_{axis}': given[axis] for axis in given} if each else {sensor: given}

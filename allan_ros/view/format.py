@@ -1,0 +1,246 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers, units and curves as they are shown, in texts and in figures of any kind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.findings import prefixed
+from ..core.findings import significant as significant
+from ..core.fit import Coefficient, Deviation
+from ..core.fit.temperature import TemperatureModel
+from ..core.imu import ShownUnit as ShownUnit
+from ..core.imu import shown_unit as shown_unit
+from ..core.settings import choose
+
+if TYPE_CHECKING:
+    from ..results.axis_result import AxisResult
+
+Floats = NDArray[np.float64]
+
+SENSOR_NAMES = {'gyro': 'Gyroscope', 'accel': 'Accelerometer'}
+"""Sensor -> name in a heading."""
+
+VALUE_DIGITS, LIMIT_DIGITS = 4, 3
+"""Significant digits of a value, and of the ends of its interval."""
+
+PRETTY = (
+    ('sqrt(Hz)', '√Hz'),
+    ('sqrt(h)', '√h'),
+    ('^1.5', '¹·⁵'),
+    ('^2', '²'),
+    ('^3', '³'),
+    ('deg', '°'),
+    ('urad', 'µrad'),
+    ('um/', 'µm/'),
+    ('ug', 'µg'),
+)
+"""Part of a unit in plain text -> its spelling in reports and plots."""
+
+NOTHING_KNOWN = '-'
+"""Text for a term with neither a value nor a limit."""
+
+READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
+"""Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
+
+RESOLVED_HALF_WIDTHS = 2.58 / 1.96
+"""Least size of a hysteresis in half widths of its interval to be stated: two-sided 1 %."""
+
+
+def pretty_unit(name: str) -> str:
+    """Return a unit in typographic spelling.
+
+    >>> pretty_unit('deg/sqrt(h)'), pretty_unit('ug'), pretty_unit('m/s^2/sqrt(Hz)')
+    ('°/√h', 'µg', 'm/s²/√Hz')
+    """
+    for plain, typeset in PRETTY:
+        name = name.replace(plain, typeset)
+    return name
+
+
+def value_text(coefficient: Coefficient, unit: ShownUnit) -> str:
+    """Return a coefficient as text: its value, ``< limit`` if it has only a limit, or '-'."""
+    if coefficient.status == 'estimated' and coefficient.value is not None:
+        sign = '-' if coefficient.sign < 0 else ''
+        return sign + significant(coefficient.value * unit.factor, VALUE_DIGITS)
+    if coefficient.upper95 is not None and math.isfinite(coefficient.upper95):
+        return f'< {significant(coefficient.upper95 * unit.factor, LIMIT_DIGITS)}'
+    return NOTHING_KNOWN
+
+
+def interval_text(coefficient: Coefficient, unit: ShownUnit) -> str:
+    """Return the 95 % interval of an estimated coefficient as ``low..high``, else ''.
+
+    It has the sign of the coefficient.
+    """
+    if coefficient.status != 'estimated' or coefficient.ci95 is None:
+        return ''
+    low, high = _signed_interval(coefficient)
+    narrow = high - low < 0.02 * max(abs(low), abs(high))
+    digits = VALUE_DIGITS if narrow else LIMIT_DIGITS
+    return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))
+
+
+def _signed_interval(coefficient: Coefficient) -> tuple[float, float]:
+    """Return the interval of the signed value, from the interval of its magnitude."""
+    low, high = coefficient.ci95 or (math.nan, math.nan)
+    return (-high, -low) if coefficient.sign < 0 else (low, high)
+
+
+def known_numbers(c: Coefficient, unit: ShownUnit) -> tuple[float | None, ...]:
+    """Return the signed value, the two ends of its interval, and the upper limit.
+
+    All are in ``unit`` with six digits, and None if unknown. A coefficient that is not resolved has
+    only a limit, and one that is resolved has no limit.
+    """
+    resolved = c.status == 'estimated'
+    low, high = _signed_interval(c) if resolved and c.ci95 is not None else (None, None)
+    sign = -1.0 if c.sign < 0 else 1.0
+    value = c.value * sign if resolved and c.value is not None else None
+    numbers = (value, low, high, None if resolved else c.upper95)
+    return tuple(None if n is None else float(f'{n * unit.factor:.6g}') for n in numbers)
+
+
+def part_text(part: str, likely: Collection[str]) -> str:
+    """Return the name of a part of the model, with '?' after each term in ``likely``.
+
+    ``part`` is a term, a process, or several of them joined by '+'. Likely terms are not resolved,
+    but the model contains them.
+
+    >>> part_text('B+GM 110 s', ['B'])
+    'B?+GM 110 s'
+    """
+    return '+'.join(f'{name}?' if name in likely else name for name in part.split('+'))
+
+
+def deviation_text(deviation: Deviation | None) -> str:
+    """Return a deviation of a curve from its model, such as '+12 % at 3.4 s'; '' for None."""
+    if deviation is None:
+        return ''
+    return f'{100.0 * deviation.relative:+.0f} % at {significant(deviation.tau, 2)} s'
+
+
+def temperature_text(models: Mapping[str, TemperatureModel], units: str) -> str:
+    """Return the bias over temperature of the axes of one sensor as text, with 95 % intervals.
+
+    These are the slopes, the hysteresis if it is resolved, and K with and without the temperature.
+    """
+    names, known = list(models), list(models.values())
+    bias, walk = (
+        prefixed(shown_unit(names[0], term, units), max(abs(size) for size in sizes))
+        for term, sizes in (
+            ('B', [m.b1 for m in known]),
+            ('K', [m.measured.K.value or 0.0 for m in known]),
+        )
+    )
+    slopes = (
+        f'{name[-1]} {_plus_minus(m.b1, m.b1_ci95, bias)}{"" if m.resolved else " (not resolved)"}'
+        for name, m in models.items()
+    )
+    text = f'{", ".join(slopes)} {bias.name} per K at {known[0].reference:g} degC'
+    shares = [100.0 * m.explained for m in known if m.resolved and m.explained is not None]
+    if shares:
+        low, high = f'{min(shares):.0f}', f'{max(shares):.0f}'
+        text += f', {low if low == high else f"{low} to {high}"} % of the drift'
+    loops = [
+        f'{name[-1]} {_plus_minus(m.hysteresis, m.hysteresis_ci95, bias)}'
+        for name, m in models.items()
+        if abs(m.hysteresis) > RESOLVED_HALF_WIDTHS * np.ptp(m.hysteresis_ci95) / 2.0
+    ]
+    if loops:
+        text += f'; rising minus falling {", ".join(loops)} {bias.name}'
+    without, with_it = (
+        ', '.join(value_text(one, walk) for one in each)
+        for each in ([m.corrected.K for m in known], [m.measured.K for m in known])
+    )
+    return (
+        f'{text}. K of the complete recording: {with_it} {walk.name}, after subtraction of b(T): '
+        f'{without}. The coefficients above are without warm-up and slow cycles.'
+    )
+
+
+def _plus_minus(value: float, ends: tuple[float, float], unit: ShownUnit) -> str:
+    half = (ends[1] - ends[0]) / 2.0
+    return f'{significant(value * unit.factor, 3)} ± {significant(half * unit.factor, 2)}'
+
+
+# --- figures --------------------------------------------------------------------------------------
+
+FORMATS = ('png', 'svg', 'pdf')
+"""File formats of figures."""
+
+TERM_STYLES: dict[str, tuple[str, Any]] = {
+    'Q': ('#CC79A7', (0, (1, 1.2))),
+    'N': ('#0072B2', (0, (5, 1.5))),
+    'B': ('#009E73', (0, (6, 1.5, 1, 1.5))),
+    'K': ('#D55E00', (0, (9, 2))),
+    'R': ('#E69F00', (0, (3, 1.2, 1, 1.2, 1, 1.2))),
+}
+"""Term -> color and dashes of its line.
+
+The colors of Okabe and Ito ("Color universal design", 2008) can be distinguished by color-blind
+readers, the dashes without colors."""
+
+
+class DrawnCurve(NamedTuple):
+    """The curve and the model of one axis as they are drawn.
+
+    Each array has a value for each averaging time, NaN where nothing is drawn.
+    """
+
+    tau: Floats  # averaging times in s
+    adev: Floats
+    low: Floats  # 68.3 % limits
+    high: Floats
+    uncertain: NDArray[np.bool_]  # points that are not compared with the model
+    model: Floats
+    upper: Floats  # model with unresolved terms at their upper limits
+    parts: dict[str, Floats]  # parts of the model
+    limits: dict[str, Floats]  # limits of terms that are not resolved
+    read: dict[str, tuple[float, float]]  # term -> (tau, adev) at which its coefficient can be read
+
+    @property
+    def any(self) -> bool:
+        """Whether any point is positive, so that it can be drawn on a logarithmic axis."""
+        return bool(np.isfinite(self.adev).any())
+
+
+def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
+    """Return the curve and the model of an axis, times ``factor``; None if it has no curve."""
+    curve = axis.curve
+    if curve is None:
+        return None
+    positive = curve.adev[curve.adev > 0.0]
+    # parts of the model are drawn above a fifth of the lowest point of the curve
+    floor = 0.2 * positive.min() if len(positive) else np.inf
+
+    def above(values: Floats, least: float = 0.0) -> Floats:
+        return np.where(values > least, factor * values, np.nan)
+
+    parts = {name: above(adev, floor) for name, adev in axis.part_adev(curve.m).items()}
+    limits = {name: above(adev, floor) for name, adev in axis.limit_adev(curve.m).items()}
+    adev, low, high = (above(values) for values in (curve.adev, curve.ci_low, curve.ci_high))
+    model, upper = (factor * line for line in axis.model_line())
+    read = {
+        term: (tau, factor * float(np.sqrt(axis.fit.model.parts([tau])[term][0])))
+        for term, tau in READ_AT.items()
+        if term in parts
+    }
+    return DrawnCurve(
+        curve.tau, adev, low, high, curve.is_uncertain, model, upper, parts, limits, read
+    )
+
+
+def check_plots(formats: Sequence[str]) -> None:
+    """Raise AllanError if a format is unknown, or figures are requested without matplotlib."""
+    for form in formats:
+        choose(FORMATS, plots=form)
+    if formats:
+        import_module('.plots', __package__)

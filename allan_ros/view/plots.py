@@ -1,0 +1,206 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of one sensor, drawn with matplotlib: its Allan deviation."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..core.errors import AllanError
+from ..core.fit import TERMS
+from ..core.imu import AXES, SENSORS
+from ..results.axis_result import AxisResult
+from .format import (
+    SENSOR_NAMES,
+    TERM_STYLES,
+    drawn_curve,
+    interval_text,
+    pretty_unit,
+    shown_unit,
+    value_text,
+)
+
+try:
+    from matplotlib import rc_context
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+except ImportError as error:
+    raise AllanError(
+        f'figures need matplotlib, which cannot be imported ({error}): install it with pip or apt, '
+        'or use the charts of report.html'
+    ) from None
+
+if TYPE_CHECKING:
+    from ..results.common_noise import CommonResult
+    from ..results.results import Results
+
+RC: dict[str, Any] = {
+    'font.size': 8.0,
+    'legend.fontsize': 7.0,
+    'legend.frameon': False,
+    'axes.grid': True,
+    'grid.color': '0.88',
+    'pdf.fonttype': 42,
+    'svg.fonttype': 'none',
+    'svg.hashsalt': 'allan_ros',
+}
+"""Settings of all figures. Fonts are embedded in a PDF as TrueType (42), as journals require."""
+
+WIDTH_IN, ROW_IN, HEAD_IN = 7.16, 1.9, 0.7
+"""Width of a page of IEEE journals, height of a panel, and height of title and labels (inches)."""
+
+BAND_ALPHA, LIMIT_ALPHA = 0.2, 0.1
+"""Opacity of the 68 % limits, and of the possible contribution of unresolved terms."""
+
+TAU_LABEL = 'averaging time τ [s]'
+
+
+class _ShownFigure(Figure):
+    """A figure that Jupyter displays, although it was not created by pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        return render_figure(self, 'png')
+
+
+def figure_files(
+    results: Results, formats: Sequence[str], units: str = 'deg/h'
+) -> dict[str, bytes]:
+    """Return the figures of all sensors as files: name -> content.
+
+    ``formats`` are 'png', 'svg' or 'pdf'; ``units`` is 'deg/h' or 'SI'.
+    """
+    return {
+        f'allan_{sensor}.{form}': render_figure(figure, form)
+        for sensor in SENSORS
+        if (figure := sensor_figure(results, sensor, units)) is not None
+        for form in formats
+    }
+
+
+def render_figure(figure: Figure, form: str) -> bytes:
+    """Return the figure as the bytes of a 'png', 'svg' or 'pdf' file."""
+    metadata: dict[str, dict[str, Any]] = {
+        'png': {'Software': 'allan_ros'},
+        'svg': {'Date': None},
+        'pdf': {'CreationDate': None, 'Producer': None, 'Creator': 'allan_ros'},
+    }
+    file = io.BytesIO()
+    with rc_context(RC):
+        figure.savefig(file, format=form, dpi=200, metadata=metadata[form])
+    return file.getvalue()
+
+
+def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure | None:
+    """Return the Allan deviation of one sensor with a panel for each axis; None without a curve.
+
+    ``units`` is 'deg/h' or 'SI'.
+    """
+    axes = {a: results.axes[a] for a in AXES[SENSORS[sensor]] if a in results.axes}
+    axes = {name: axis for name, axis in axes.items() if axis.curve is not None}
+    if not axes:
+        return None
+    of = f' of {results.identity.label}' if results.identity.label else ''
+    title = (
+        f'{SENSOR_NAMES[sensor]}{of}: Allan deviation, {results.samples:,} samples at '
+        f'{results.rate_hz:.4g} Hz, {results.duration_s / 3600.0:.3g} h'
+    )
+    with rc_context(RC):
+        figure, panels = _new_figure(len(axes), title)
+        for panel, (name, axis) in zip(panels, axes.items()):
+            _draw_axis(panel, name, axis, units)
+            if panel.lines:
+                panel.legend(loc='center left', bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def common_figure(common: CommonResult) -> Figure:
+    """Return the coherence of each axis with 95 % limits, in a panel for each axis."""
+    names = list(dict.fromkeys(row.axis for row in common.rows))
+    with rc_context(RC):
+        title = 'coherence: 0 for independent, 1 for common noise'
+        figure, panels = _new_figure(len(names), title)
+        for panel, name in zip(panels, names):
+            panel.set(xscale='log', ylim=(-1.05, 1.05), ylabel=name.replace('_', ' '))
+            panel.axhline(0.0, color='k', lw=0.8)
+            for row in (row for row in common.rows if row.axis == name):
+                tau, value, low, high = row.coherence
+                (line,) = panel.plot(tau, value, lw=1.0, label=row.label)
+                panel.fill_between(tau, low, high, color=line.get_color(), alpha=BAND_ALPHA, lw=0)
+        for text in panels[0].legend().get_texts():
+            text.set_parse_math(False)
+    return figure
+
+
+def draw_axes(panel: Axes, axes: Mapping[str, AxisResult], units: str = 'deg/h') -> None:
+    """Draw the curves and models of axes; for a single axis, also the parts of its model."""
+    for name, axis in axes.items():
+        unit = shown_unit(name, 'B', units)
+        curve = drawn_curve(axis, unit.factor)
+        if len(axes) == 1:
+            _draw_axis(panel, name, axis, units)
+        elif curve is not None:
+            (points,) = panel.loglog(curve.tau, curve.adev, 'o', ms=3, label=name)
+            color = points.get_color()
+            panel.fill_between(
+                curve.tau, curve.low, curve.high, color=color, alpha=BAND_ALPHA, lw=0
+            )
+            panel.loglog(curve.tau, curve.model, color=color, lw=1.0)
+            panel.set_ylabel(f'Allan deviation [{pretty_unit(unit.name)}]')
+    panel.set_xlabel(TAU_LABEL)
+    if panel.lines:
+        panel.legend()
+
+
+def _new_figure(rows: int, title: str) -> tuple[Figure, Any]:
+    """Return a figure and its panels, (rows,), which share the averaging times."""
+    size = (WIDTH_IN, HEAD_IN + ROW_IN * rows)
+    figure = _ShownFigure(figsize=size, layout='constrained')
+    panels = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
+    heading = figure.suptitle(title, fontsize='medium', fontweight='bold')
+    heading.set_parse_math(False)  # labels of users may contain dollar signs
+    panels[-1].set_xlabel(TAU_LABEL)
+    return figure, panels
+
+
+def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
+    unit = shown_unit(name, 'B', units)
+    panel.set_ylabel(f'{name.replace("_", " ")} [{pretty_unit(unit.name)}]')
+    curve = drawn_curve(axis, unit.factor)
+    if curve is None or not curve.any:
+        panel.text(0.5, 0.5, 'no noise', ha='center', transform=panel.transAxes)
+        return
+    panel.set(xscale='log', yscale='log')
+    style = {'marker': 'o', 'ls': '', 'ms': 2.6, 'mew': 0.6}
+    panel.plot(curve.tau, curve.adev, color='k', mfc='none', label='measured', **style)
+    some = curve.uncertain
+    panel.plot(curve.tau[some], curve.adev[some], color='0.7', label='uncertain', **style)
+    panel.fill_between(
+        curve.tau, curve.low, curve.high, color='k', alpha=BAND_ALPHA, lw=0, label='68 % limits'
+    )
+    panel.plot(curve.tau, curve.model, 'k-', lw=0.9, label='model')
+    for part, adev in (*curve.parts.items(), *curve.limits.items()):
+        color, dashes = TERM_STYLES.get(part, ('0.5', (0, (2, 1))))  # or a process, or a sinusoid
+        dashes = dashes if part in curve.parts else (0, (1, 3))
+        text = _part_text(part, name, axis, units)
+        panel.plot(curve.tau, adev, color=color, ls=dashes, lw=1.1, label=text)
+    label = 'unresolved terms,\nup to 95 % limits' if curve.limits else ''
+    panel.fill_between(
+        curve.tau, curve.model, curve.upper, color='k', alpha=LIMIT_ALPHA, lw=0, label=label
+    )
+    for term, (tau, value) in curve.read.items():  # as in IEEE Std 952: N at 1 s, K at 3 s
+        panel.plot([tau], [value], '+', color=TERM_STYLES[term][0], ms=7.0, mew=1.2)
+    panel.set_ylim(0.45 * np.nanmin(curve.adev), 1.8 * np.nanmax(curve.adev))
+
+
+def _part_text(part: str, name: str, axis: AxisResult, units: str) -> str:
+    text = part
+    if part in TERMS:
+        unit, coefficient = shown_unit(name, part, units), axis.fit.noise[part]
+        interval = interval_text(coefficient, unit)
+        text = f'{part} {value_text(coefficient, unit)} {pretty_unit(unit.name)}'
+        text += f' ({interval})' if interval else ''
+    return f'{text}, likely' if part in axis.fit.likely else text

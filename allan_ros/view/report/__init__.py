@@ -1,0 +1,319 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The HTML report of an analysis in one file: verdict, findings, interactive charts and tables.
+
+The page makes no network requests: its Content-Security-Policy forbids them. The policy permits
+only scripts with the listed hashes, so text of a recording cannot run as a script, and images that
+the page contains, which is how a chart is saved as PNG.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import platform
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy
+import scipy
+
+from ... import __version__
+from ...core.findings import Finding, duration_text
+from ...core.imu import AXES, SENSORS
+from ...core.settings import UNIT_SYSTEMS
+from ...core.stream.signal import SignalSummary
+from ...results.axis_result import AxisResult
+from ...results.verdict import (
+    WORDS,
+    Verdict,
+    findings_and_notes,
+    further_steps,
+    too_short,
+    used_samples,
+    verdict_of,
+    where,
+)
+from ..format import SENSOR_NAMES, pretty_unit, significant
+from .chart_data import sensor_charts, temperature_chart, times, to_script
+from .tables import (
+    baseline_table,
+    datasheet_table,
+    filter_table,
+    growth_table,
+    headline_table,
+    in_units,
+    model_table,
+)
+
+if TYPE_CHECKING:
+    from ...results.results import Results
+
+SCRIPTS = ('chart.js', 'charts.js', 'page.js')
+"""Script files in the order in which they run."""
+
+ICONS = {
+    'healthy': '<path d="M7 12.5l3.5 3.5L17 9"/>',
+    'attention': '<path d="M12 6.5v7M12 17v.5"/>',
+    'measured': '<path d="M7 12.5l3.5 3.5L17 9"/>',
+    'unknown': '<path d="M9 9.5a3 3 0 1 1 4.2 2.8c-.8.4-1.2.9-1.2 1.7v.4M12 17.3v.4"/>',
+    'failed': '<path d="M8 8l8 8M16 8l-8 8"/>',
+}
+"""Level of the verdict -> SVG path of its symbol."""
+
+
+def render_report(
+    results: Results,
+    units: str,
+    signal: SignalSummary | None = None,
+    method: Mapping[str, str] = {},
+    files: Sequence[str] = (),
+) -> str:
+    """Return the HTML of the report.
+
+    ``units`` selects the units that are shown at first, 'deg/h' or 'SI'; a switch in the page
+    changes them. Charts that need the ``signal`` are omitted without it. ``method`` has further
+    rows of the table of the method, and ``files`` the names of the files in the same folder.
+    """
+    name = results.identity.label or 'IMU'
+    sensors = {
+        sensor: axes
+        for sensor, where in SENSORS.items()
+        if (axes := {a: results.axes[a] for a in AXES[where] if a in results.axes})
+    }
+    charts = [sensor_charts(results, s, signal) for s in sensors]
+    data = {
+        'units': units,
+        'times': times(signal),
+        'temperature': temperature_chart(signal),
+        'sensors': charts,
+    }
+    verdict = verdict_of(results, units=units)
+    body = [
+        *_header(results, name, units),
+        '<main>',
+        _verdict_section(results, verdict),
+        '<div class="pair">',
+        *(_sensor_section(sensor, axes) for sensor, axes in sensors.items()),
+        '</div>',
+        '<noscript><p class="note">The charts of this page need JavaScript.</p></noscript>',
+        *_comparisons(results, sensors),
+        '<div class="pair">',
+        f'<section id="filter"><h2>Numbers for a filter: imu.yaml</h2>{filter_table(results)}'
+        '</section>',
+        *_next_steps(results, verdict),
+        '</div>',
+        *_findings_section(results),
+    ]
+    heat = '<div class="charts" data-kind="temperature"></div>' if data['temperature'] else ''
+    body += _fold('trends', 'Bias and noise over time', [*_hosts(charts, 'trends'), heat])
+    body += _fold('density', 'Noise density', _hosts(charts, 'density'))
+    body += _fold('signal', 'Raw signal', _hosts(charts, 'signal'))
+    for id, title, content in (
+        ('model', 'Other terms and parts of the model', model_table),
+        ('growth', 'Predicted error without correction', growth_table),
+    ):
+        parts = [[*content(s, axes)] for s, axes in sensors.items()]
+        if id != 'model' or not too_short(results):
+            body += _fold(id, title, _pair(sensors, parts))
+    links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in files)
+    files_line = f'<p class="files">Files in the same folder: {links}</p>' if links else ''
+    method = {**method, 'fit': f'method {results.method}'}
+    body += _fold('recording', 'Recording and method', [files_line, *_method(results, method)])
+    body.append(f'</main><footer>allan_ros {__version__}</footer>')
+    return _page(f'Noise of {name}', '\n'.join(body), to_script(data))
+
+
+def _fold(id: str, title: str, content: Sequence[str], shown: bool = False) -> Iterator[str]:
+    """Yield a section that its heading opens and closes; nothing if ``content`` is empty."""
+    if any(content):
+        yield f'<details id="{id}"{" open" if shown else ""}><summary><h2>{title}</h2></summary>'
+        yield from content
+        yield '</details>'
+
+
+def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
+    """Return the empty HTML elements in which a script draws the charts of one kind."""
+    html = '<div class="charts" data-kind="{}" data-sensor="{}"></div>'
+    names = [of['sensor'] for of in charts if of[kind]]
+    return _pair(names, [[html.format(kind, name)] for name in names])
+
+
+def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
+    """Return HTML of each sensor in two columns; nothing if there is none."""
+    content = [
+        f'<div><h3>{SENSOR_NAMES[sensor]}</h3>{"".join(part)}</div>'
+        for sensor, part in zip(sensors, parts)
+        if part
+    ]
+    return ['<div class="pair">', *content, '</div>'] if content else []
+
+
+def _page(title: str, body: str, data: str) -> str:
+    here = resources.files(__package__)
+    scripts = [here.joinpath(name).read_text('utf-8') for name in SCRIPTS]
+    style = here.joinpath('report.css').read_text('utf-8')
+    digests = (hashlib.sha256(script.encode()).digest() for script in scripts)
+    hashes = ' '.join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
+    policy = (
+        "default-src 'none'; base-uri 'none'; form-action 'none'; "
+        f"style-src 'unsafe-inline'; img-src data:; script-src {hashes}"
+    )
+    run = ''.join(f'<script>{script}</script>\n' for script in scripts)
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f'<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}\n'
+        f'<script type="application/json" id="data">{data}</script>\n{run}</body>\n</html>\n'
+    )
+
+
+def _header(results: Results, name: str, units: str) -> Iterator[str]:
+    start = results.provenance.start
+    inputs = [*dict.fromkeys(Path(source.path).name for source in results.provenance.sources)]
+    more = f' and {len(inputs) - 1} more' if len(inputs) > 1 else ''
+    facts = [
+        inputs[0] + more if inputs else '',
+        f'{used_samples(results)} at {significant(results.rate_hz, 4)} Hz',
+        f'{duration_text(results.duration_s, 3)} at rest in {_segments(results)}',
+        f'{start:%Y-%m-%d %H:%M} UTC' if start else '',
+    ]
+    switch = ''.join(
+        f'<label><input type="radio" name="units" value="{system}"'
+        f'{" checked" if system == units else ""}>{system}</label>'
+        for system in UNIT_SYSTEMS
+    )
+    yield (
+        f'<header><h1>Noise of {escape(name)}</h1>'
+        f'<ul class="plain">{_items(filter(None, facts))}</ul>'
+        f'<fieldset class="switch"><legend>Units</legend>{switch}</fieldset></header>'
+    )
+
+
+def _items(texts: Iterable[str]) -> str:
+    # an option such as --to stays on one line
+    option = partial(re.compile(r'--[a-z][a-z-]*').sub, r'<span class="nowrap">\g<0></span>')
+    return ''.join(f'<li>{option(escape(text))}</li>' for text in texts)
+
+
+def _verdict_section(results: Results, verdict: Verdict) -> str:
+    summary = in_units(lambda system: escape(verdict_of(results, units=system).summary))
+    found = findings_and_notes(results)
+    counts = [
+        f'{n} {word}{"" if n == 1 else "s"}'
+        for n, word in zip(map(len, found), ('finding', 'note'))
+        if n
+    ]
+    link = f'<a href="#findings">{" and ".join(counts)}</a>' if counts else ''
+    return (
+        f'<section id="verdict" class="{verdict.level}">'
+        f'<svg viewBox="0 0 24 24" aria-hidden="true">'
+        f'<circle cx="12" cy="12" r="11"/>{ICONS[verdict.level]}</svg>'
+        f'<strong>{WORDS[verdict.level]}</strong><span>{summary}</span>{link}'
+        '</section>'
+    )
+
+
+def _next_steps(results: Results, verdict: Verdict) -> Iterator[str]:
+    if steps := further_steps(results, verdict):
+        yield f'<section id="next"><h2>What to do next</h2><ol>{_items(steps)}</ol></section>'
+
+
+def _comparisons(
+    results: Results, sensors: Mapping[str, Mapping[str, AxisResult]]
+) -> Iterator[str]:
+    if results.datasheet:
+        name = escape(results.datasheet.datasheet.name)
+        parts = [[*datasheet_table(s, axes, results.datasheet)] for s, axes in sensors.items()]
+        title = f'Compared with the datasheet of {name}'
+        yield from _fold('datasheet', title, _pair(sensors, parts), shown=True)
+    for i, (run, baseline) in enumerate(results.baselines.items()):
+        compared = [c for c in results.comparisons if c.reference == run]
+        parts = [[*baseline_table(s, axes, baseline, compared)] for s, axes in sensors.items()]
+        yield from _fold(
+            f'baseline-{i}', f'Compared with {escape(run)}', _pair(sensors, parts), True
+        )
+
+
+def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
+    known, counts = results.provenance, results.provenance.counts
+    inputs: dict[str, str] = {}
+    for s in known.sources:
+        text = ', '.join(filter(None, (s.topic, s.type, s.storage)))
+        inputs[s.path] = '; '.join(filter(None, (inputs.get(s.path), text)))
+    samples = {
+        'used': f'{results.samples:,} samples at {significant(results.rate_hz, 5)} Hz, '
+        f'{duration_text(results.duration_s, 3)} in {_segments(results)}',
+        **{
+            name.replace('_', ' '): f'{number:,}'
+            for name, number in vars(counts).items()
+            if isinstance(number, int) and number and name != 'used'
+        },
+        'gaps': ', '.join(f'{n} × {reason}' for reason, n in counts.splits.items()) or 'none',
+    }
+    versions = {
+        'versions': f'allan_ros {__version__}, Python {platform.python_version()}, '
+        f'numpy {numpy.__version__}, scipy {scipy.__version__}',
+        'machine': f'{platform.system()} {platform.machine()}',
+    }
+    yield f'<h3>Inputs</h3>{_table(inputs)}<h3>Samples</h3>{_table(samples)}'
+    yield f'<h3>How to repeat it</h3>{_table({**method, **versions})}'
+    if known.settings:
+        rows = {key: _value(value) for key, value in known.settings.items()}
+        yield f'<details><summary>All settings ({len(rows)})</summary>{_table(rows)}</details>'
+
+
+def _segments(results: Results) -> str:
+    return f'{results.segments} segment{"" if results.segments == 1 else "s"}'
+
+
+def _value(value: object) -> str:
+    if isinstance(value, (list, tuple)):
+        value = ', '.join(map(str, value))
+    return f'{value:g}' if isinstance(value, float) else str(value) if value != '' else '–'
+
+
+def _table(rows: Mapping[str, str]) -> str:
+    cells = ''.join(
+        f'<tr><th scope="row">{escape(key)}</th><td>{escape(value)}</td></tr>'
+        for key, value in rows.items()
+    )
+    return f'<table class="facts"><tbody>{cells}</tbody></table>'
+
+
+def _findings_section(results: Results) -> Iterator[str]:
+    shown, notes = findings_and_notes(results)
+    if shown or notes:
+        yield '<section id="findings"><h2>Findings</h2>'
+        yield from (_block(finding, results) for finding in shown)
+        if notes:
+            yield f'<details><summary>{len(notes)} note{"" if len(notes) == 1 else "s"}</summary>'
+            yield from (_block(note, results) for note in notes)
+            yield '</details>'
+        yield '</section>'
+
+
+def _block(finding: Finding, results: Results) -> str:
+    message = in_units(lambda units: escape(finding.texts(units, pretty_unit).message))
+    remedy = in_units(lambda units: escape(finding.texts(units, pretty_unit).remedy))
+    return (
+        f'<div class="finding {finding.severity}">'
+        f'<span class="severity">{finding.severity}</span>'
+        f'<div><p><b>{escape(where(finding, results))}</b>{message}</p>'
+        f'<p class="remedy">{remedy}</p></div></div>'
+    )
+
+
+def _sensor_section(sensor: str, axes: Mapping[str, AxisResult]) -> str:
+    return (
+        f'<section id="{sensor}" class="sensor"><h2>{SENSOR_NAMES[sensor]}</h2>'
+        f'{headline_table(sensor, axes)}'
+        f'<div class="charts" data-kind="allan" data-sensor="{sensor}"></div></section>'
+    )

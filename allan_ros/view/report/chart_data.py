@@ -1,0 +1,326 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Data of the charts of the report as plain values in SI, with factors to the other units."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...core.allan.curve import noise_density
+from ...core.fit import TERMS
+from ...core.fit.temperature import TemperatureModel
+from ...core.imu import AXES, SENSORS
+from ...core.noise import NoiseTerms, term_avar
+from ...core.settings import UNIT_SYSTEMS
+from ...core.stream.signal import SignalSummary
+from ...results.axis_result import AxisResult
+from ..format import SENSOR_NAMES, drawn_curve, pretty_unit, shown_unit, temperature_text
+
+if TYPE_CHECKING:
+    from ...results.results import Results
+
+Floats = NDArray[np.float64]
+
+MEANS = 128
+"""Largest number of points in the charts of the bias and of the noise over time."""
+
+LEAST_POINTS = 4
+"""Smallest number of points of a chart over time."""
+
+
+def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) -> dict[str, Any]:
+    """Return the data of all charts of one sensor ('gyro' or 'accel') as a JSON object.
+
+    Without sums in the results, or without the ``summary`` of the raw signal, the charts that need
+    them are omitted.
+    """
+    axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
+    tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
+    return {
+        'sensor': sensor,
+        'title': f'{SENSOR_NAMES[sensor]} of {results.identity.label or "IMU"}',
+        'units': {units: _units(sensor, units) for units in UNIT_SYSTEMS},
+        'tau': rounded(tau),
+        'axes': [_axis(name, axis, tau) for name, axis in axes.items()],
+        'references': [*_references(axes, results, tau)],
+        'density': _density(axes, results),
+        'signal': None if summary is None else _signal(axes, summary),
+        'trends': trends(results, sensor, summary),
+    }
+
+
+def rounded(values: ArrayLike, digits: int = 5) -> list[float | None]:
+    """Return the values rounded to ``digits`` significant digits, None for NaN and infinity.
+
+    Five digits are better than a tenth of a pixel on any screen.
+    """
+    numbers = np.asarray(values, float).tolist()
+    return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
+
+
+def to_script(data: object) -> str:
+    """Return plain values as JSON that is safe inside a ``<script>`` element.
+
+    A ``<`` in a frame_id could end the element, and two Unicode separators end a line in older
+    JavaScript. These characters occur only in JSON strings, where they are escaped.
+    """
+    text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(',', ':'))
+    for character in '<>&\u2028\u2029':
+        text = text.replace(character, f'\\u{ord(character):04x}')
+    return text
+
+
+def _units(sensor: str, units: str) -> dict[str, Any]:
+    """Return quantity -> [name of its unit, factor from SI to this unit]."""
+    shown = {
+        'curve': shown_unit(sensor, 'B', units),
+        'signal': shown_unit(sensor, 'signal', units),
+        'density': shown_unit(sensor, 'density', units),
+        **{term: shown_unit(sensor, term, units) for term in TERMS},
+    }
+    return {what: [pretty_unit(unit.name), unit.factor] for what, unit in shown.items()}
+
+
+def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
+    shown: dict[str, Any] = {'name': name, 'label': name[-1]}
+    curve = drawn_curve(axis)
+    if curve is None or axis.curve is None:
+        return shown
+    at = np.searchsorted(tau, curve.tau)
+
+    def column(values: ArrayLike) -> list[float | None]:
+        spread = np.full(len(tau), np.nan)
+        spread[at] = values
+        return rounded(spread)
+
+    columns = {
+        'adev': curve.adev,
+        'low': curve.low,
+        'high': curve.high,
+        'n': axis.curve.n,
+        'fit': curve.model,
+        'most': curve.upper,
+    }
+    return {
+        **shown,
+        **{key: column(values) for key, values in columns.items()},
+        'parts': {part: column(adev) for part, adev in curve.parts.items()},
+        'upper': {term: column(adev) for term, adev in curve.limits.items()},
+        'read': {term: rounded(at) for term, at in curve.read.items()},
+        'unresolved': [
+            t for t, c in axis.fit.noise.items() if t in curve.parts and c.status != 'estimated'
+        ],
+    }
+
+
+def _references(
+    axes: Mapping[str, AxisResult], results: Results, tau: Sequence[float]
+) -> Iterator[dict[str, Any]]:
+    stated = results.datasheet.datasheet.values() if results.datasheet else {}
+    for name, axis in axes.items():
+        if results.datasheet and stated.get(name) and tau:
+            terms = NoiseTerms(**stated[name])
+            avar = term_avar(np.asarray(tau) / axis.tau0, axis.tau0, terms).sum(axis=1)
+            sheet = results.datasheet.datasheet.name
+            yield {'name': sheet, 'axis': name, 'adev': rounded(np.sqrt(avar))}
+    for run, former in results.baselines.items():
+        for name in axes:
+            curve = former.axes[name].curve if name in former.axes else None
+            if curve is None or not np.any(curve.adev > 0.0):
+                continue
+            some = curve.adev > 0.0
+            known = np.log(curve.tau[some]), np.log(curve.adev[some])
+            adev = np.exp(np.interp(np.log(tau), *known, np.nan, np.nan))
+            yield {'name': run, 'axis': name, 'adev': rounded(adev)}
+
+
+def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any] | None:
+    """Return measured and modeled noise density (SI/sqrt(Hz)) of all axes; None if unknown."""
+    known = () if results.recorded is None else results.recorded.sums
+    spectra = (noise_density(sums) for sums in known if set(axes) & set(sums.axes))
+    spectrum = next((found for found in spectra if found is not None), None)
+    if spectrum is None:
+        return None
+    shown = []
+    for i, name in enumerate(spectrum.axes):
+        if name in axes:
+            columns = {
+                'density': spectrum.psd[:, i],
+                'low': spectrum.low[:, i],
+                'high': spectrum.high[:, i],
+                'fit': model_density(axes[name], spectrum.frequency),
+            }
+            roots = {k: rounded(np.sqrt(np.where(v > 0, v, np.nan))) for k, v in columns.items()}
+            shown.append({'name': name, **roots})
+    return {'x': rounded(spectrum.frequency), 'axes': shown, 'lines': _lines(axes)}
+
+
+def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
+    groups: dict[str, list[tuple[float, str]]] = {}  # frequencies with equal shown digits
+    for name, axis in axes.items():
+        sines = [sine.frequency for sine in axis.processes.sinusoid]
+        for frequency in (*sines, *(r.frequency for r in axis.processes.resonance)):
+            groups.setdefault(f'{frequency:.2g}', []).append((frequency, name[-1]))
+    return sorted(
+        (float(f'{np.mean([f for f, _ in group]):.3g}'), ' '.join(sorted({a for _, a in group})))
+        for group in groups.values()
+    )
+
+
+def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> list[dict[str, Any]]:
+    shown = []
+    for name in axes:
+        i = AXES.index(name)
+        middle, reach = rounded([summary.middle[i], summary.reach[i]])
+        low, high = (rounded(v[:, i] - summary.middle[i], 3) for v in (summary.low, summary.high))
+        shown.append({'name': name, 'middle': middle, 'reach': reach, 'low': low, 'high': high})
+    return shown
+
+
+def times(summary: SignalSummary | None) -> dict[str, Any] | None:
+    """Return the time axis of the raw signal with the times to be marked; None without a signal.
+
+    Each of ``bands`` is (start in s, end in s, kind), where the kind is 'gap' or one of
+    `Excluded.why`.
+    """
+    if summary is None:
+        return None
+    bands = [[*rounded([out.start, out.end]), out.why or 'other'] for out in summary.excluded]
+    bands += [[*rounded(gap), 'gap'] for gap in summary.gaps]
+    return {'time': rounded(summary.time_s), 'bands': bands, 'starts': rounded(summary.starts[1:])}
+
+
+def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
+    """Return the temperature over the time of the raw signal; None if none was recorded."""
+    if summary is None or summary.temperature is None:
+        return None
+    temperature = summary.temperature
+    time, celsius = (rounded(values) for values in (temperature.time_s, temperature.celsius))
+    return {'source': temperature.source, 'time': time, 'celsius': celsius}
+
+
+def model_density(axis: AxisResult, frequency: Floats) -> Floats:
+    """Return the one-sided power spectral density of the model, SI unit^2/Hz.
+
+    It is twice the two-sided density of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C. For
+    samples of period tau0 and w = 2 pi f, this is 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w and
+    K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) for a Gauss-Markov process. A
+    resonance is such a process at half its power around w0 and around -w0. The ramp is omitted
+    because the mean of a block is subtracted, a sinusoid because its density is infinite at one
+    frequency and 0 elsewhere. It is NaN above the pass band of a filter.
+    """
+    terms = axis.fit.model.terms
+    omega = 2.0 * np.pi * frequency
+    step = 2.0 * np.sin(omega * axis.tau0 / 2.0)
+    density: Floats = (
+        (terms.Q * step) ** 2 / axis.tau0
+        + terms.N**2
+        + terms.B**2 / omega
+        + (terms.K * axis.tau0 / step) ** 2
+    )
+    processes = [(sigma, 0.0, time) for sigma, time in axis.fit.model.gauss_markov]
+    for sigma, center, time in (*processes, *axis.fit.model.resonances):
+        for offset in (omega - 2.0 * np.pi * center, omega + 2.0 * np.pi * center):
+            density = density + sigma**2 * time / (1.0 + (offset * time) ** 2)
+    # a model describes frequencies up to 4 / (its shortest averaging time)
+    band = 4.0 / (axis.fit.m_min * axis.tau0) if axis.fit.m_min > 1 else math.inf
+    return np.where(frequency <= band, 2.0 * density, np.nan)
+
+
+class Trend(NamedTuple):
+    """Values of all axes, in SI, over time (s) or over temperature (degC)."""
+
+    x: Floats  # time in s, or temperature in degC, (points,)
+    values: Floats  # SI, (points, axes)
+    tau: float  # averaging time of the values in s
+
+
+def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list[dict[str, Any]]:
+    """Return the charts of bias and noise over time, and of the bias against temperature.
+
+    They are computed from the ``summary`` of the raw signal; without it, there are none.
+    """
+    names = [name for name in AXES[SENSORS[sensor]] if name in results.axes]
+    if summary is None or not names:
+        return []
+    columns = [AXES.index(name) for name in names]
+    bias = _over_time(summary, summary.mean[:, columns])
+    noise = _over_time(summary, summary.noise[:, columns] ** 2)
+    if np.isfinite(bias.values).any(axis=1).sum() < LEAST_POINTS:
+        return []
+    bias = bias._replace(values=bias.values - np.nanmean(bias.values, axis=0))
+    terms = [results.axes[name].fit.noise['N'] for name in names]
+    known = [n.value if n.status == 'estimated' and n.value else math.nan for n in terms]
+    white = rounded([1.96 * density / math.sqrt(bias.tau) for density in known])
+    charts = [{**_document('bias', bias, names), 'white': white}]
+    against = _against_temperature(bias, summary)
+    if against is not None:
+        charts.append(
+            {
+                **_document('temperature', against, names),
+                **_fitted(against, results.temperature_models.get(sensor, {}), names),
+            }
+        )
+    return [*charts, _document('noise', noise._replace(values=np.sqrt(noise.values)), names)]
+
+
+def _over_time(summary: SignalSummary, values: Floats) -> Trend:
+    """Return the means of values, (bins, axes), over equal intervals; NaN separates recordings.
+
+    The mean is NaN unless more than half of the bins of the interval are used.
+    """
+    step = -(-len(summary.time_s) // MEANS)
+    steps = np.diff(summary.time_s)
+    bin_s = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.nan
+    first = np.searchsorted(summary.time_s, summary.starts).tolist()
+    x, rows = [], []
+    for begin, end in zip(first, [*first[1:], len(values)]):
+        for at in range(begin, end, step):
+            part = slice(at, min(at + step, end))
+            used = values[part][summary.used[part]]
+            known = np.isfinite(used)
+            number = np.where(2 * known.sum(axis=0) > step, known.sum(axis=0), np.nan)
+            x.append(float(summary.time_s[part].mean()) + 0.5 * bin_s)
+            rows.append(np.where(known, used, 0.0).sum(axis=0) / number)
+        x.append(x[-1])
+        rows.append(np.full(values.shape[1], np.nan))
+    return Trend(np.array(x[:-1]), np.array(rows[:-1]), step * bin_s)
+
+
+def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | None:
+    """Return the bias over the temperature; None if it is unknown or nearly constant."""
+    if summary is None or summary.temperature is None:
+        return None
+    trace = summary.temperature
+    some = np.isfinite(trace.celsius)
+    celsius = np.interp(bias.x, trace.time_s[some], trace.celsius[some], np.nan, np.nan)
+    known = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
+    if known.sum() < LEAST_POINTS or np.ptp(celsius[known]) <= 0.5:  # degC
+        return None
+    order = np.argsort(celsius[known], kind='stable')
+    return Trend(celsius[known][order], bias.values[known][order], bias.tau)
+
+
+def _fitted(
+    against: Trend, models: Mapping[str, TemperatureModel], names: Sequence[str]
+) -> dict[str, Any]:
+    """Return the lines of the models, with the mean of the points, and their numbers as text."""
+    if set(models) != set(names):
+        return {'fits': [], 'text': dict.fromkeys(UNIT_SYSTEMS, '')}
+    curves = [models[name].bias(against.x) for name in names]
+    middles = against.values.mean(axis=0)
+    return {
+        'fits': [rounded(curve - curve.mean() + m) for curve, m in zip(curves, middles)],
+        'text': {u: pretty_unit(temperature_text(models, u)) for u in UNIT_SYSTEMS},
+    }
+
+
+def _document(kind: str, trend: Trend, names: Sequence[str]) -> dict[str, Any]:
+    lines = [{'name': n, 'values': rounded(v)} for n, v in zip(names, trend.values.T)]
+    return {'kind': kind, 'x': rounded(trend.x), 'lines': lines, 'span': trend.tau}

@@ -1,0 +1,161 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Write the files of one analysis into a folder."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..core.errors import AllanError, one_line
+from ..core.fields import Fields
+from ..core.findings import finding
+from ..core.imu import SENSORS
+from ..core.stream.signal import summarize_signal
+from ..export import TARGETS, make_export, target_of
+from ..readers.files import PathLock, read_json, to_json, write_together
+from ..results.documents import (
+    RESULTS,
+    SUMS,
+    fingerprint,
+    results_to_document,
+    sums_file_to_document,
+)
+from .format import FORMATS
+from .report import render_report
+
+if TYPE_CHECKING:
+    from ..results.results import Results
+
+SIGNAL_BINS = 1000
+"""Number of bins of the raw signal in plots, about the width of a plot in pixels."""
+
+REPORT = 'report.html'
+
+LONGEST_WAIT_S = 60.0
+"""Longest time in s to wait for another process that writes into the same folder."""
+
+
+def write_result_files(
+    folder: str | os.PathLike[str],
+    results: Results,
+    *,
+    command: str = '',
+    units: str = 'deg/h',
+    targets: Sequence[str] = (),
+    plots: Sequence[str] = (),
+    overwrite: bool = False,
+) -> tuple[Results, list[Path]]:
+    """Write the files of `Results.save`; return the results, with a finding for each filter file
+    that cannot be written, and the paths.
+
+    ``command`` repeats the analysis; it is printed in the report. Raises AllanError when the
+    results have no sums, the folder has results of another recording, or a file cannot be written.
+    """
+    recorded = results.recorded
+    if recorded is None:
+        raise AllanError('these results were read from a file without their sums: analyze again')
+    folder = Path(folder)
+    _files_in(folder, results, overwrite)  # refused before the report is made
+    filters, results = _filter_files(results, targets)
+    known = results.provenance
+    summary = summarize_signal(
+        recorded.signals, known.segments, SIGNAL_BINS, recorded.events, recorded.temperatures
+    )
+    sums_document = sums_file_to_document(recorded.sums, results.provenance)
+    digest = fingerprint(sums_document)
+    drawn: dict[str, bytes] = {}
+    if plots:
+        from .plots import figure_files  # imports matplotlib
+
+        drawn = figure_files(results, plots, units)
+    method = {'command': command} if command else {}
+    method['fingerprint of the sums'] = f'{digest} (equal for equal samples)'
+    named = [*filters, *drawn, RESULTS, SUMS]
+    report = render_report(results, units, summary, method, named)
+    contents: dict[str, str | bytes] = {**drawn, REPORT: report, **filters}
+    files = sorted({*contents, RESULTS, SUMS})
+    document = {
+        **results_to_document(results, units=units),
+        'files': files,
+        'fingerprint': digest,
+    }
+    with _folder_locked(made_folder(folder)):
+        # All other files are removed first and written last, so none of an earlier analysis
+        # remains. The fingerprint connects the remaining two.
+        former = _files_in(folder, results, overwrite)
+        both = {SUMS: to_json(sums_document), RESULTS: to_json(document)}
+        write_together(folder, {**both, **contents}, former.union(contents))
+    return results, [folder / name for name in (*contents, *both)]
+
+
+@contextmanager
+def _folder_locked(folder: Path) -> Iterator[None]:
+    """Lock the folder; raise AllanError if another process writes into it for a minute."""
+    lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LONGEST_WAIT_S
+    while owner := lock.acquire():
+        if time.monotonic() > deadline:
+            raise AllanError(
+                f'{folder}: {owner} is writing to this folder: wait, or give another folder with -o'
+            )
+        time.sleep(0.1)
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
+    """Return the names of the files that an earlier analysis wrote, except its documents.
+
+    Raises AllanError if it was of another recording, unless ``overwrite`` is set.
+    """
+    try:
+        document = read_json(folder / RESULTS)
+        fields = Fields(document, str(folder / RESULTS))
+        named = fields.sequence('files')
+        known = [(each.text('path'), each.text('topic')) for each in fields.each('source')]
+    except AllanError:
+        return set()
+    sources = [(source.path, source.topic) for source in results.provenance.sources]
+    if _names(known) != _names(sources) and not overwrite:
+        raise AllanError(
+            f'{folder}: has the results of another recording, {", ".join(_names(known))}: give '
+            'another folder, or --overwrite (in Python overwrite=True)'
+        )
+    ours = {f'allan_{sensor}.{form}' for sensor in SENSORS for form in FORMATS}
+    ours |= {REPORT, *(target_of(name).file_name for name in TARGETS)}
+    return ours.intersection(name for name in named if isinstance(name, str))
+
+
+def _names(sources: Sequence[tuple[str, str]]) -> list[str]:
+    """Return file name and topic of each source, sorted."""
+    return sorted(one_line(f'{Path(path).name} {topic}'.strip()) for path, topic in sources)
+
+
+def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, str], Results]:
+    files = {}
+    for name in dict.fromkeys(('kalibr', *targets)):
+        target = target_of(name)
+        try:
+            files[target.file_name] = make_export(results, name).text
+        except AllanError as error:
+            omitted = finding('file_left_out', file=target.file_name, why=str(error))
+            results = replace(results, findings=(*results.findings, omitted))
+    return files, results
+
+
+def made_folder(folder: Path) -> Path:
+    """Create the folder if it is missing, and return it; raises AllanError if that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AllanError(
+            f'{folder}: cannot be created as a folder ({error.strerror}): give another one with -o'
+        ) from error
+    return folder

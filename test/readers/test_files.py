@@ -1,0 +1,49 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A file is complete or missing, and no temporary file is left."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from allan_ros.core.errors import AllanError
+from allan_ros.readers.files import write_atomic
+
+
+def test_content_replaces_content(tmp_path: Path) -> None:
+    path = tmp_path / 'sums.json'
+    write_atomic(path, 'gyroscope °/√h')
+    write_atomic(path, b'\x89PNG')
+    assert path.read_bytes() == b'\x89PNG'
+    assert os.listdir(tmp_path) == ['sums.json']
+
+
+def test_a_failed_write_keeps_the_old_file_and_leaves_no_temporary_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / 'sums.json'
+    write_atomic(path, 'old')
+
+    def full(_: int) -> None:
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(os, 'fsync', full)
+    with pytest.raises(AllanError, match='No space left on device'):
+        write_atomic(path, 'new')
+    assert path.read_text() == 'old'
+    assert os.listdir(tmp_path) == ['sums.json']
+
+
+def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(AllanError, match='cannot be written'):
+        write_atomic(tmp_path / 'no' / 'where.json', '')
+
+
+def test_others_may_read_what_the_umask_allows(tmp_path: Path) -> None:
+    reference, path = tmp_path / 'plain', tmp_path / 'atomic'
+    reference.write_text('')
+    write_atomic(path, '')
+    assert path.stat().st_mode == reference.stat().st_mode

@@ -1,0 +1,285 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables with many kinds of headers, units and time columns, and faulty tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from support.recordings import read, refused
+
+from allan_ros.core.imu import STANDARD_GRAVITY, ImuBatch
+from allan_ros.readers import tables, writing
+
+DEG = np.pi / 180
+ROW = '1,2,3,4,5,6'
+VALUES = np.arange(1.0, 7.0)
+
+
+def table(folder: Path, text: str) -> Path:
+    (folder / 'imu.csv').write_text(text, encoding='utf-8')
+    return folder / 'imu.csv'
+
+
+def echoed(name: str) -> str:
+    return f'field.{name}.x,field.{name}.y,field.{name}.z,field.{name}_covariance0'
+
+
+@pytest.mark.parametrize(
+    'header, row, stamp_ns',
+    [
+        ('t,gx,gy,gz,ax,ay,az', f'0.005,{ROW}', 5_000_000),
+        ('stamp_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z', f'5,{ROW}', 5),
+        ('time_ms;wx;wy;wz;ax;ay;az', f'7.5,{ROW}'.replace(',', ';'), 7_500_000),
+        ('Time [us]\tGyro X\tGyro Y\tGyro Z\tAcc X\tAcc Y\tAcc Z', '9\t1\t2\t3\t4\t5\t6', 9000),
+        ('t gx gy gz ax ay az', '  1   1 2  3 4 5  6', 10**9),
+        (
+            '#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],'
+            'a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]',
+            f'1403636579758555392,{ROW}',
+            1403636579758555392,
+        ),
+        (
+            '/imu/header/stamp/sec,/imu/header/stamp/nanosec,/imu/header/frame_id,'
+            '/imu/angular_velocity/x,/imu/angular_velocity/y,/imu/angular_velocity/z,'
+            '/imu/linear_acceleration/x,/imu/linear_acceleration/y,/imu/linear_acceleration/z',
+            f'1700000000,123456789,imu,{ROW}',
+            1_700_000_000_123_456_789,
+        ),
+        (
+            'time,stamp,temperature,mag_x,gx,gy,gz,ax,ay,az',
+            f'1,1700000000.123456789,20.5,0.1,{ROW}',
+            1_700_000_000_123_456_789,
+        ),
+        ('t,"gx","gy","gz",ax,ay,az', '"1","1",2,3,4,5,6', 10**9),
+        ('"t; s",gx,gy,gz,ax,ay,az', '"0,005","1,0", "2,0",3,4,5,6', 5_000_000),
+        ('t,gx,gy,gz,ax,ay,az', f'"2023-11-14 22:13:20,125",{ROW}', 1_700_000_000_125_000_000),
+        ('\ufefft,gx,gy,gz,ax,ay,az', f'1,{ROW}', 10**9),
+        ('t,gx,gy,gz,ax,ay,az\r', f'1,{ROW}\r', 10**9),
+        (
+            '%time,field.header.seq,field.header.stamp,field.header.frame_id,'
+            f'{echoed("angular_velocity")},{echoed("linear_acceleration")}',
+            '1700000000000000001,7,1700000000000000000,imu,1,2,3,0,4,5,6,0',
+            1_700_000_000_000_000_000,
+        ),
+        ('', ','.join(['1700000000', '5', 'imu', *'0' * 13, *'123', *'0' * 9, *'456', *'0' * 9]),
+         1_700_000_000_000_000_005),
+        ('"Time (s)";gx;gy;gz;ax;ay;az', '0,5;1,0;2,0;3,0;4,0;5,0;6,0', 500_000_000),
+        (
+            'time;gx_rads;gy_rads;gz_rads;ax_ms2;ay_ms2;az_ms2',
+            '2026-01-31T12:00:00,250+01:00;1;2;3;4;5;6',
+            1_769_857_200_250_000_000,
+        ),
+        (
+            'Timestamp,gx,gy,gz,ax,ay,az',
+            '2026-01-31 12:00:00.000000001,1,2,3,4,5,6',
+            1_769_860_800_000_000_001,
+        ),
+    ],
+)  # fmt: skip
+def test_headers_of_many_tools_are_understood(
+    header: str, row: str, stamp_ns: int, tmp_path: Path
+) -> None:
+    path = tmp_path / 'imu.csv'
+    path.write_bytes(f'{header}\n{row}\n{row}\n'.lstrip('\n').encode())
+    back = read(path)
+    np.testing.assert_array_equal(back.samples, [VALUES, VALUES])
+    assert back.stamps_ns.tolist() == [stamp_ns] * 2
+
+
+@pytest.mark.parametrize(
+    'header, options',
+    [
+        ('t,gx,gy,gz,ax,ay,az', {'gyro_unit': 'deg/s', 'accel_unit': 'g'}),
+        ('t,gx [deg/s],gy [°/s],gz (dps),ax [g],ay [G],az (g)', {}),
+        ('t,gyro_x_dps,gyro_y_dps,gyro_z_dps,ax_g,ay_g,az_g', {}),
+    ],
+)
+def test_units_are_scaled_to_si(header: str, options: Any, tmp_path: Path) -> None:
+    path = table(tmp_path, f'{header}\n1,{ROW}\n')
+    scale = np.repeat([DEG, STANDARD_GRAVITY], 3)
+    np.testing.assert_array_equal(read(path, **options).samples, [VALUES * scale])
+
+
+def test_columns_can_be_named_and_left_out(tmp_path: Path) -> None:
+    path = tmp_path / 'imu.txt'
+    path.write_text(f'x,0.5,{ROW}\ny,0.6,{ROW}\n')
+    back = read(path, columns=('-', 't', 'gx', 'gy', 'gz', 'ax', 'ay', 'az'))
+    assert back.stamps_ns.tolist() == [500_000_000, 600_000_000]
+    np.testing.assert_array_equal(back.samples, [VALUES, VALUES])
+
+
+def test_a_rate_replaces_missing_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tables, 'BATCH', 7)  # stamps must continue across batches
+    path = table(tmp_path, 'gx,gy,gz\n' + '1,2,3\n' * 20)
+    back = read(path, rate_hz=200.0)
+    np.testing.assert_array_equal(back.stamps_ns, np.arange(20) * 5_000_000)
+    assert len(back.frame_ids) == 3
+
+
+def test_missing_values_are_nan(tmp_path: Path) -> None:
+    path = table(tmp_path, 't;gx;gy;gz\n\n1;1;;3\n# a pause\n2;nan;2,5;inf\n')
+    expected = [[1, np.nan, 3], [np.nan, 2.5, np.inf]]
+    np.testing.assert_array_equal(read(path).samples[:, :3], expected)
+
+
+def test_each_date_has_its_own_time_zone(tmp_path: Path) -> None:
+    path = tmp_path / 'imu.csv'
+    dates = ['2026-03-29T00:59:59Z', '2026-03-29T03:00:00+02:00', '2026-03-28T20:00:01-0500']
+    text = 't,gx\n' + ''.join(f'{date},1\n' for date in dates)
+    path.write_text(text)
+    assert np.diff(read(path).stamps_ns).tolist() == [10**9, 10**9]
+    path.write_text(text + ',1\n')
+    assert "line 5, column 1 (t): '' is not a number" in refused(path)
+
+
+def test_a_column_can_have_record_times(tmp_path: Path) -> None:
+    back = read(table(tmp_path, 'stamp_ns,gx,record_time [ms]\n1,1,5\n2,1,6.5\n'))
+    assert back.record_ns is not None and back.record_ns.tolist() == [5_000_000, 6_500_000]
+    assert back.stamps_ns.tolist() == [1, 2]
+
+
+def test_a_comment_can_name_the_frame(tmp_path: Path) -> None:
+    path = table(tmp_path, '# frame_id: left\nt,gx\n1,1\n2,1\n# frame_id: right\n3,1\n')
+    assert read(path).frame_ids == ['left', 'right']
+
+
+@pytest.mark.parametrize('last', ['3,1,2', '3,1,2,1', '3,1,2,1.23', '3,1,2,"1'])
+def test_a_last_line_without_a_line_end_is_not_used(last: str, tmp_path: Path) -> None:
+    """A number may be truncated, such as 1.23e-05 to 1.23, and still be a number."""
+    path = table(tmp_path, f't,gx[rad/s],gy[rad/s],gz[rad/s]\n1,1,2,3\n2,1,2,3\n{last}')
+    back = read(path)
+    assert len(back.stamps_ns) == 2
+    assert [finding.id for finding in back.findings] == ['table_cut']
+    assert 'line 4' in str(back.findings[0])
+
+
+def test_a_quoted_cell_may_contain_line_breaks(tmp_path: Path) -> None:
+    header = 't,"gx\n[deg/s]",gy [deg/s],gz [deg/s],note'
+    back = read(table(tmp_path, f'{header}\n1,1,2,3,"first\n\nline"\n2,1,2,3,x\n'))
+    np.testing.assert_allclose(back.samples[:, :3], [[DEG, 2 * DEG, 3 * DEG]] * 2)
+    assert back.findings == ()
+
+
+def test_columns_can_be_picked_by_their_names(tmp_path: Path) -> None:
+    path = tmp_path / 'wide.csv'
+    path.write_text('id,Clock,rate_a [deg/s],rate_b,rate_c,x\n7,1,10,20,30,0\n7,2,10,20,30,0\n')
+    columns = ('t=clock', 'gx=rate_a', 'gy[deg/s]=rate_b', 'gz[rad/s]=rate_c')
+    back = read(path, columns=columns)
+    assert back.stamps_ns.tolist() == [10**9, 2 * 10**9]
+    np.testing.assert_allclose(back.samples[0, :3], [10 * DEG, 20 * DEG, 30.0])
+    assert back.findings == ()
+    assert '0 columns (' in refused(path, columns=('t=Clock', 'gx=rate_d'))
+
+
+@pytest.mark.parametrize(
+    'header, options, assumed, gyro_unit',
+    [
+        ('t,w_x,w_y,w_z', {}, ['gyro'], 'rad/s'),
+        ('t,w_x,w_y,w_z', {'gyro_unit': 'rad/s'}, [], 'rad/s'),
+        ('t,gx [deg/s],gy [deg/s],gz [deg/s]', {}, [], 'deg/s'),
+        ('t,gx [deg/s],gy [deg/s],gz [deg/s]', {'gyro_unit': 'rad/s'}, [], 'deg/s'),
+        ('stamp_ns,gyro_x,gyro_y,gyro_z', {}, [], 'rad/s'),
+        ('t,angular_velocity.x,angular_velocity.y,angular_velocity.z', {}, [], 'rad/s'),
+    ],
+)
+def test_an_unstated_unit_is_a_warning(
+    header: str, options: Any, assumed: list[str], gyro_unit: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path, f'{header}\n1,1,2,3\n2,1,2,3\n')
+    back = read(path, **options)
+    found = [f for f in back.findings if f.id == 'unit_assumed']
+    assert [f.severity for f in found] == ['warning'] * len(assumed)
+    assert all('--gyro-unit' in str(f) for f in found)
+    assert back.recording.options.gyro_unit == gyro_unit
+    assert back.recording.options.accel_unit == 'm/s^2'
+
+
+HEADER = 't,gx,gy,gz,ax,ay,az\n'
+
+
+@pytest.mark.parametrize(
+    'text, options, says',
+    [
+        (HEADER, {}, 'has no line after its header'),
+        ('\n\n# nothing\n', {}, 'has no line of data'),
+        (f'{HEADER}1,{ROW}\n2,1,2,oops,4,5,6\n', {}, "line 3, column 4 (gz): 'oops' is not"),
+        (f'{HEADER}1,{ROW}\nnoon,{ROW}\n', {}, "line 3, column 1 (t): 'noon' is not a number"),
+        (f'{HEADER}1,{ROW}\n' + '1' * (tables.MAX_LINE + 5), {}, 'line 3 has more than'),
+        ('t\0,\0g\0x\0', {}, 'is UTF-16 or not text: save the table as UTF-8'),
+        (f'{HEADER}1,{ROW}\n2,1,2,3\n3,{ROW}\n', {}, 'line 3 has 4 columns, 7 expected'),
+        (f'{HEADER}1,{ROW}\n2,{ROW},8\n', {}, 'line 3 has 8 columns, 7 expected'),
+        (f'{HEADER}1700000000000000000,{ROW}\n', {'stamp_unit': 's'}, 'state its unit with'),
+        (
+            'stamp_ns,gx\n' + ''.join(f'{17 * 10**14 + 5000 * i},1\n' for i in range(120)),
+            {},
+            'which are times since 1970 in us: use --stamp-unit us',
+        ),
+        ('time,z,y,x\n1,2,3,4\n', {}, 'or t=NAME,gx=NAME'),
+        (f'1,{ROW}\n', {}, 'has 7 columns of numbers and no header'),
+        (f'1,{ROW}\n', {'columns': ('t', 'gx')}, 'has 7 columns, 2 are named by --columns'),
+        ('gx,gy,gz\n1,2,3\n', {}, 'state the sample rate (--rate'),
+        ('t,a,b\n1,2,3\n', {}, 'no column (t, a, b) is a gyro or accel axis'),
+        ('t,gx [mph],gy,gz\n1,2,3,4\n', {}, "the unit of column 'gx [mph]' is unknown"),
+        ('t,gx,gy,gz\n1,"2,3,4\n', {}, 'line 2 is not a row of a table'),
+        (f'{HEADER}1,\0,2,3,4,5,6\n', {}, 'line 2'),
+    ],
+)
+def test_errors_are_reported_with_line_and_column(
+    text: str, options: Any, says: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path, text)
+    assert says in refused(path, **options)
+
+
+RATE_STEPS_S = (1 / 400, 1 / 100, 1 / 10)
+
+
+@pytest.mark.parametrize('unit', ['s', 'ms', 'us', 'ns'])
+@pytest.mark.parametrize('start_s', [0.0, 3.5, 1.7e9])
+@pytest.mark.parametrize('step_s', RATE_STEPS_S)
+def test_the_unit_of_times_is_recognized(
+    unit: str, start_s: float, step_s: float, tmp_path: Path
+) -> None:
+    path = tmp_path / 'imu.csv'
+    stamps_ns = int(start_s * 1e9) + np.arange(300) * round(step_s * 1e9)
+    scale = {'s': 9, 'ms': 6, 'us': 3, 'ns': 0}[unit]
+    times = [f'{stamp}e-{scale}' for stamp in stamps_ns.tolist()]
+    path.write_text('time,gx\n' + ''.join(f'{time},{i}\n' for i, time in enumerate(times)))
+    back = read(path)
+    np.testing.assert_array_equal(back.stamps_ns, stamps_ns)
+    assumed = unit != 's' and start_s < 1e9
+    expected = {'unit_assumed'} | ({'stamp_unit_assumed'} if assumed else set())
+    assert {f.id for f in back.findings} == expected
+    assert back.recording.axes == ('gyro_x',)
+    assert read(path, stamp_unit=unit).stamps_ns.tolist() == stamps_ns.tolist()
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(1, 9).flatmap(
+        lambda n: st.tuples(
+            arrays(np.int64, n),
+            arrays(np.float64, (n, 6), elements=st.floats(allow_nan=True)),
+        )
+    )
+)
+def test_any_batch_is_read_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, drawn: Any
+) -> None:
+    from allan_ros.readers import open_recordings
+
+    stamps, samples = drawn
+    path = tmp_path_factory.mktemp('table') / 'imu.csv'
+    writing.write_table(path, [ImuBatch(stamps, samples, None, 'imu')])
+    [batch] = open_recordings([path])[0].batches()
+    np.testing.assert_array_equal(batch.stamps_ns, stamps)
+    np.testing.assert_array_equal(batch.samples, samples)
+    assert (np.signbit(batch.samples) == np.signbit(samples)).all() or np.isnan(samples).any()
+    assert batch.record_ns is None

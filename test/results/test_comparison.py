@@ -1,0 +1,121 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Comparison of runs: what is compared, the order of statements, and the document."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from support.exports import scaled
+
+from allan_ros.core.errors import AllanError
+from allan_ros.core.fit import TERMS, Coefficient
+from allan_ros.readers.files import to_json
+from allan_ros.results.comparison import (
+    RunComparison,
+    Subject,
+    compare_runs,
+    comparison_document,
+)
+from allan_ros.results.datasheets import Datasheet, Limit, Source
+from allan_ros.results.documents import labels_of
+from allan_ros.results.results import Results
+
+HOSTILE = 'a\x1b[31m|\u202e<b>\r\n$x_{'
+
+
+def compared(*results: Results, sheets: tuple[Datasheet, ...] = ()) -> RunComparison:
+    return compare_runs([Subject(*run) for run in zip('abc', results)], sheets)
+
+
+def limited(name: str, **limits: Limit) -> Datasheet:
+    return Datasheet(name, '', {'s': Source('X')}, {'gyro_x': limits} if limits else {})
+
+
+def test_a_run_does_not_differ_from_itself(small_results: Results) -> None:
+    comparison = compared(small_results, small_results)
+    assert not comparison.differs
+    assert {d.verdict for d in comparison.pairs[0].differences} <= {'alike', 'undecided'}
+    assert repr(comparison).startswith('b and a do not differ significantly in ')
+
+
+@pytest.mark.parametrize('factor, ratio', [(1.5, '1.50 (1.4'), (1 / 1.5, '0.667 (0.6')])
+def test_the_sentence_names_what_differs_most(
+    small_results: Results, factor: float, ratio: str
+) -> None:
+    other = scaled(small_results, 1.3, axis='accel_x')
+    comparison = compared(small_results, other, scaled(other, factor))
+    assert [(p.first, p.second) for p in comparison.pairs] == [('a', 'b'), ('a', 'c')]
+    assert comparison.differs
+    found = [(d.axis, d.quantity) for d in comparison.pairs[1].significant]
+    assert found == [('gyro_z', 'N'), ('accel_x', 'N')]
+    said = repr(comparison).splitlines()[1]
+    assert said.startswith('c differs from a in 2 of ')
+    assert f' comparisons, most in gyro z N: {ratio}' in said
+
+
+def test_every_run_is_held_against_every_datasheet(small_results: Results) -> None:
+    n = small_results.axes['gyro_x'].fit.noise['N'].value
+    sheets = (limited('X', N=Limit(n / 2, '3')), limited('Y'))
+    comparison = compared(*[small_results] * 3, sheets=sheets)
+    exceeded = [one.label for one in comparison.checked if one.datasheet.verdict == 'exceeds']
+    assert exceeded == [*'abc'] and comparison.differs
+    assert 'c exceeds the datasheet of X in ' in repr(comparison)
+    alone = compared(small_results, sheets=sheets)
+    assert alone.pairs == ()
+    assert 'a cannot be judged by the datasheet of Y' in repr(alone)
+    short = replace(small_results, duration_s=5.0)
+    assert not compared(short, sheets=sheets).differs
+
+
+def test_runs_without_a_common_axis_are_rejected(small_results: Results) -> None:
+    gyro, accel = (
+        replace(small_results, axes={n: a for n, a in small_results.axes.items() if n[0] == first})
+        for first in 'ga'
+    )
+    with pytest.raises(AllanError, match=r'no common axis: b has accel_x, .*, a has gyro_x'):
+        compared(gyro, accel)
+
+
+def test_the_document_and_the_text_show_labels_safely(small_results: Results) -> None:
+    comparison = compare_runs(
+        [Subject(HOSTILE, small_results), Subject('b', scaled(small_results, 1.5))]
+    )
+    assert not set(repr(comparison)) & set('\x1b\u202e\r') and '\\x1b' in repr(comparison)
+    document = json.loads(to_json(comparison_document(comparison)))
+    [known] = [d for d in document['pairs'][0]['differences'] if d['verdict'] == 'higher']
+    assert (known['axis'], known['quantity']) == ('gyro_z', 'N')
+    assert known['ratio'] == pytest.approx(1.5)
+
+
+def test_runs_without_numbers(small_results: Results) -> None:
+    nothing = {term: Coefficient(None) for term in TERMS}
+    axes = {
+        name: replace(axis, fit=replace(axis.fit, noise=nothing), curve=None)
+        for name, axis in small_results.axes.items()
+    }
+    empty = replace(small_results, axes=axes)
+    assert repr(compared(empty, empty)) == 'b and a have nothing that can be compared'
+
+
+def test_labels_are_short_if_they_are_unique() -> None:
+    assert labels_of(['a/results.json', 'b/sums.json']) == ['a', 'b']
+    assert labels_of(['runs/one', 'two.mcap']) == ['one', 'two']
+    assert labels_of(['a/x.json', 'b/x.json']) == ['a/x.json', 'b/x.json']
+
+
+@pytest.mark.parametrize('value', [5e-324, 1e-150, 1e150])
+def test_huge_and_tiny_values_compare(value: float, small_results: Results) -> None:
+    axis = small_results.axes['gyro_x']
+    for c in (
+        Coefficient(value, (5e-324, 1e150)),
+        Coefficient(value, (value, value)),
+        Coefficient(1e-12, (1e-150, 1e-12)),
+        Coefficient(None, None, value, 'not_observable'),
+    ):
+        changed = replace(axis, fit=replace(axis.fit, noise={**axis.fit.noise, 'N': c}))
+        other = replace(small_results, axes={**small_results.axes, 'gyro_x': changed})
+        for runs in ((small_results, other), (other, small_results), (other, other)):
+            assert repr(compared(*runs)) and to_json(comparison_document(compared(*runs)))
