@@ -6,7 +6,8 @@ The values are rows of an export target. A wrong value can make a filter diverge
 so a value is set only if
 
 - its target is in `TARGETS`: the convention of its rows was verified in the code of a filter;
-- the input has no fault, and the value covers the bias at rest unless the filter estimates it;
+- it is a noise density of a filter that estimates the bias, not a gain (see `GAINS`);
+- the input has no fault;
 - its 95 % interval is narrow (`SETTLED_RATIO`);
 - it differs from the value that was found by at most ``push.max_factor``.
 
@@ -21,6 +22,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -37,7 +39,7 @@ from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.imu import AXES, SENSORS
 from ..core.stream.transport import faults_of
-from ..export import ExportOptions, target_rows
+from ..export import ExportOptions, Row, target_rows
 from ..readers.files import config_file, read_yaml
 from ..results.results import Results
 from .diagnostics import key_values, status_name
@@ -46,14 +48,21 @@ from .settings import SETTLED_RATIO, PushSettings
 
 SCHEMA = 'allan_ros/push/1'
 
-TARGETS = {
-    'imu_filter_madgwick': False,  # gain in rad/s, zeta in rad/s^2; no state for the gyro bias
-    'kalibr': True,  # continuous densities N and K
-    'fast_lio': True,  # variances N^2 f and K^2 f
-}
-"""Export targets that may be sent to a running node -> whether the filter must estimate the bias,
-because the rows do not cover it. The code that shows the convention is named in `docs/targets.md`.
-"""
+GAINS = ('imu_filter_madgwick',)  # gain in rad/s, zeta in rad/s^2
+"""Export targets whose rows are gains of a filter without a state for the bias. A gain has to cover
+the noise in motion. Computed from the noise and the bias at rest, it increases the tilt error in
+motion two to four times. So gains are shown in the status, but not set."""
+
+TARGETS = (*GAINS, 'kalibr', 'fast_lio')  # kalibr: densities N and K, fast_lio: N^2 f and K^2 f
+"""Export targets that ``push.filter`` may name. `docs/targets.md` names the code that shows the
+convention of each."""
+
+GAINS_NOT_SET = (
+    'nothing is set: the gain has to cover the noise in motion, which is not measured, and a gain '
+    'from the noise at rest makes the tilt worse in motion. Keep the gain that works while the '
+    'robot moves, and start without push.node and push.filter'
+)
+"""Message of the status for a plan of `GAINS`: what is missing, and what to do."""
 
 ANSWER_S = 5.0
 """Time in s to wait for an answer of the node; without one, the next update tries again."""
@@ -77,9 +86,9 @@ class PushPlan:
     options: ExportOptions
 
     @property
-    def covers_bias(self) -> bool:
-        """Whether the values contain the bias at rest."""
-        return not TARGETS[self.target]
+    def has_gains(self) -> bool:
+        """Whether the values are gains, which are not set."""
+        return self.target in GAINS
 
 
 def load_plan(name: str) -> PushPlan:
@@ -91,8 +100,9 @@ def load_plan(name: str) -> PushPlan:
     fields = Fields(read_yaml(path), str(path))
     fields.schema(SCHEMA)
     fields.only('schema', 'target', 'estimates_bias', 'horizon', 'parameters')
-    target = fields.choice('target', tuple(TARGETS))
-    if TARGETS[target] and ('estimates_bias' not in fields or not fields.value('estimates_bias')):
+    target = fields.choice('target', TARGETS)
+    estimates_bias = 'estimates_bias' in fields and fields.value('estimates_bias')
+    if target not in GAINS and not estimates_bias:
         raise AllanError(
             f'{path}: the numbers of {target} do not cover the gyro bias. If the node estimates '
             'the bias, state estimates_bias: true'
@@ -166,7 +176,7 @@ class ParameterPush(Part):
         self._plan = load_plan(self._settings.value.filter) if target else None
         self._results: Results | None = None
         self._bias: Mapping[str, float] = {}
-        self._covered: Mapping[str, float] = {}  # bias at the last update
+        self._gains: tuple[Row, ...] = ()  # that are shown, but not set
         self._invalid = 'there is no noise model'  # why no value may be set, or ''
         self._reason = ''  # the same at the last update
         self._held: dict[str, Held] = {}
@@ -174,6 +184,8 @@ class ParameterPush(Part):
         self._calls: list[Any] = []  # futures of the answers that `_on_answers` processes
         self._on_answers: Callable[[list[Any]], object] = list.clear
         self._called_at = self._due_at = 0.0
+        if self._plan is not None and self._plan.has_gains:
+            self._log.warning(GAINS_NOT_SET)
         if target:
             self._set = owner.create_client(SetParameters, f'{target}/set_parameters')
             # created last: a node that answers it has also discovered the other client
@@ -186,9 +198,6 @@ class ParameterPush(Part):
         """
         # without data, the model is still valid
         faults = [fault for fault in faults_of(results.findings) if fault.axes]
-        more = any(value > 1.1 * self._covered.get(axis, 0.0) for axis, value in bias.items())
-        if self._covered and more:
-            self._due_at = 0.0  # at once
         self._results, self._bias = results, bias
         self._invalid = '' if results.axes else 'the noise model was invalidated'
         if faults:
@@ -212,9 +221,14 @@ class ParameterPush(Part):
         settings, reason = self._settings.value, self._refusal
         if reason != self._reason:
             self._reason, self._due_at = reason, 0.0  # at once
-        if self._plan is None or now < self._due_at or (reason and not self._found()):
+        if self._plan is None or now < self._due_at:
             return
         self._due_at = now + RETRY_S
+        if self._plan.has_gains:
+            self._update_gains(self._plan, now)
+            return
+        if reason and not self._found():
+            return
         ready = []
         if self._results is not None and not reason:
             ready = self._proposals(self._plan, self._results, settings)
@@ -227,7 +241,7 @@ class ParameterPush(Part):
         if reason:
             self._call(self._set, [self._restoration()], partial(self._on_restored, reason))
             return
-        self._due_at, self._covered = now + settings.period, self._bias
+        self._due_at = now + settings.period
         # one by one: if one of several is not declared, a node returns no value at all
         requests = [GetParameters.Request(names=[proposal.name]) for proposal in ready]
         self._call(self._get, requests, partial(self._on_read, ready))
@@ -249,6 +263,11 @@ class ParameterPush(Part):
                     done.append(f'{name} = {_text(held.now)} (was {_text(held.found)})')
         said = f'set {", ".join(done)}' if done else 'nothing set yet'
         warned = any(warning for warning, _ in self._notes.values())
+        if self._plan.has_gains:
+            said, warned = GAINS_NOT_SET, True
+            for row in self._gains:
+                pairs[f'{row.name} at rest, not set [{row.unit}]'] = _text(row.values)
+                pairs[f'origin of {row.name}'] = row.words
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if warned and enabled else DiagnosticStatus.OK,
             name=status_name(self._owner, f'parameters of {self.node}'),
@@ -273,16 +292,23 @@ class ParameterPush(Part):
 
     # --- setting ----------------------------------------------------------------------------------
 
+    def _update_gains(self, plan: PushPlan, now: float) -> None:
+        """Compute the gains that cover the noise and, unless it is removed, the bias at rest."""
+        settings, results, self._gains = self._settings.value, self._results, ()
+        known = settings.debiased or all(axis in self._bias for axis in AXES[SENSORS['gyro']])
+        if results is None or self._refusal or not known:
+            return
+        self._due_at = now + settings.period
+        with suppress(AllanError):  # a coefficient is not known yet
+            bias = {} if settings.debiased else self._bias
+            self._gains = target_rows(results, plan.target, plan.options, bias)
+
     def _proposals(
         self, plan: PushPlan, results: Results, settings: PushSettings
     ) -> list[Proposal]:
         """Return the values that can be set; for each other value, store the reason as a note."""
-        needed = plan.covers_bias and not settings.debiased
-        if needed and not all(axis in self._bias for axis in AXES[SENSORS['gyro']]):
-            self._note('', 'waits for the gyro bias at rest', warning=False)
-            return []
         try:
-            rows = target_rows(results, plan.target, plan.options, self._bias if needed else {})
+            rows = target_rows(results, plan.target, plan.options)
         except AllanError as error:
             self._note('', str(error), warning=False)
             return []
@@ -406,7 +432,6 @@ class ParameterPush(Part):
         if not failed:
             self._held = {name: held for name, held in self._held.items() if held.left}
             self._notes = {name: self._notes[name] for name in self._held}
-            self._covered = {}
         self._note('', '; '.join(failed) or said)
 
 
