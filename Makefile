@@ -36,7 +36,8 @@ unexport PYTHONDONTWRITEBYTECODE
 # The matrices of a fit are small: more threads per process only cost time.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test unit test-pythons test-floor site lint format bench fuzz audit docs pictures clean
+.PHONY: help venv demo test unit golden golden-check test-pythons test-floor site lint format bench fuzz audit docs \
+	pictures clean
 
 help:  ## show this help
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -52,6 +53,12 @@ test: unit lint  ## run all tests, then check style and types
 unit: $(VENV)/.tested  ## run the tests alone (TESTS=test/core for some of them)
 	AMENT_PREFIX_PATH="$(abspath $(VENV)):$$AMENT_PREFIX_PATH" \
 		$(VENV)/bin/python -m pytest -q -n $(JOBS) --dist loadfile $(TESTS)
+
+golden: $(VENV)/.tested  ## store every number of several recordings, and list what changed
+	PYTHONPATH=.:test $(VENV)/bin/python -m golden.harness
+
+golden-check: $(VENV)/.tested  ## compare every number of several recordings with the stored ones
+	PYTHONPATH=.:test $(VENV)/bin/python -m golden.harness --check
 
 lint: $(LINT)/.ready  ## check style and types
 	$(LINT)/bin/ruff check .
