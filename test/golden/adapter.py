@@ -20,8 +20,8 @@ import allan_ros as ar
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.core.stream.transport import TransportStatistics
-from allan_ros.io.exporters import TARGETS
-from allan_ros.io.writing import write_recording
+from allan_ros.export import TARGETS
+from allan_ros.readers.writing import write_recording
 
 NUMBER = re.compile(r'(?<!\w)(?<!\w\.)[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?(?!\.?\w)')
 """Pattern of numbers in texts, also in ``1.5..2.5``, without those in names such as ``gyro_b0``."""
