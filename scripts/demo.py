@@ -22,12 +22,14 @@ from pathlib import Path
 from demo_online import play
 
 from allan_ros.cli.main import main as allan
+from allan_ros.core.coefficient_text import interval_text, value_text
 from allan_ros.core.fit import TERMS, Coefficient
+from allan_ros.core.imu import shown_unit
+from allan_ros.core.number_text import significant
 from allan_ros.readers.files import read_json
 from allan_ros.results.documents import results_from_document
 from allan_ros.results.results import Results
 from allan_ros.results.simulation import AxesNoise, read_noise, truth_path
-from allan_ros.view.format import interval_text, shown_unit, significant, value_text
 
 CONFIDENCE = 0.95
 """Expected fraction of intervals and limits that contain the truth."""

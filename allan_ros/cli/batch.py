@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from ..api import is_document
+from ..core.coefficient_text import known_numbers, value_text
 from ..core.errors import AllanError, one_line
 from ..core.fields import plain
 from ..core.findings import SEVERITIES, Finding, by_consequence, finding
 from ..core.fit.interpretation import ADVISED_TERMS
-from ..core.imu import SENSORS, sensor_of
+from ..core.imu import SENSORS, sensor_of, shown_unit
 from ..readers import topics_of
 from ..readers.files import write_atomic
 from ..readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
@@ -30,7 +31,6 @@ from ..results.analysis import ResultSettings, analyze_recorded
 from ..results.documents import load, load_sums, results_to_document
 from ..results.results import Results
 from ..results.verdict import WORDS, Verdict, finding_text, verdict_of
-from ..view.format import known_numbers, shown_unit, value_text
 from .console import Console, colored, painted
 from .options import settings_of
 from .tables import LEVEL_COLORS

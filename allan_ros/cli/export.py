@@ -20,12 +20,12 @@ from pathlib import Path
 
 from ..core.errors import AllanError
 from ..core.fields import plain
-from ..core.imu import UNITS, sensor_of
+from ..core.imu import UNITS, sensor_of, shown_unit
+from ..core.number_text import LIMIT_DIGITS, significant
 from ..export import TARGETS, ExportOptions
 from ..readers.files import MAX_BYTES, read_text
 from ..results.datasheets import DEFAULT_RATE_HZ, Datasheet, Limit, load_sensor, sensor_names
 from ..results.measured import measured_entry, measured_lines
-from ..view.format import LIMIT_DIGITS, shown_unit, significant
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
 

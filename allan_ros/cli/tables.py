@@ -8,11 +8,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from ..core.coefficient_text import NOTHING_KNOWN, interval_text, value_text
 from ..core.compare import Comparison, LimitVerdict
 from ..core.errors import AllanError
-from ..core.findings import prefixed
 from ..core.fit import TERMS, Coefficient
-from ..core.imu import AXES, SENSORS, sensor_of
+from ..core.imu import AXES, SENSORS, ShownUnit, sensor_of, shown_unit
+from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, prefixed, significant
 from ..export import RAISED, origin_text, target_rows
 from ..results.datasheets import DatasheetComparison
 from ..results.results import Results
@@ -26,18 +27,7 @@ from ..results.verdict import (
     headline,
     too_short,
 )
-from ..view.format import (
-    LIMIT_DIGITS,
-    NOTHING_KNOWN,
-    VALUE_DIGITS,
-    ShownUnit,
-    deviation_text,
-    interval_text,
-    shown_unit,
-    significant,
-    temperature_text,
-    value_text,
-)
+from ..view.format import deviation_text, temperature_text
 from .console import SEVERITY_COLORS, painted, wrapped
 
 if TYPE_CHECKING:

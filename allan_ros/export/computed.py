@@ -19,7 +19,7 @@ from ..core.filters.growth import drift_model, interval_models
 from ..core.filters.reductions import Level, StateSpace
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import ProcessModel
-from ..view.format import LIMIT_DIGITS, VALUE_DIGITS, significant
+from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from . import ANY_NODE, INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
 from .model import FilterNoise, Notation, clamped, rounded
 from .text import json_form, xml_form, yaml_form

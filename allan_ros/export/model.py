@@ -22,7 +22,7 @@ from ..core.filters.noise_parameters import axis_level, reduce_axis
 from ..core.filters.reductions import Level, Reduction, States, closest_process, horizon_text
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
-from ..view.format import LIMIT_DIGITS, VALUE_DIGITS, significant
+from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from . import FROM_DATASHEET, ExportOptions, Key, Row, Target
 
 if TYPE_CHECKING:

@@ -17,10 +17,9 @@ from .. import __version__
 from ..core.errors import AllanError, one_line
 from ..core.filters.growth import growth_table, predicted_growth
 from ..core.filters.reductions import horizon_text
-from ..core.findings import duration_text
 from ..core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
 from ..core.noise import NoiseTerms, ProcessModel
-from ..view.format import significant
+from ..core.number_text import duration_text, significant
 from . import FROM_DATASHEET, ExportOptions, Form, Key, Row, Target, Value, target_of
 from .model import REFUSED, FilterNoise, notation_of
 

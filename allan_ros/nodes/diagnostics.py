@@ -16,17 +16,18 @@ from rclpy.node import Node
 
 from ..core.allan.recent import NoiseStep
 from ..core.allan.sums import AllanSums
+from ..core.coefficient_text import value_text
 from ..core.compare import Comparison
 from ..core.errors import one_line
-from ..core.findings import Finding, Quantity, by_consequence, duration_text, finding
+from ..core.findings import Finding, Quantity, by_consequence, finding
 from ..core.fit.interpretation import recommended_duration
 from ..core.fit.model import TERMS, Coefficient
-from ..core.imu import sensor_of
+from ..core.imu import sensor_of, shown_unit
+from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
 from ..results.axis_result import AxisResult
 from ..results.datasheets import exceeds_limit
-from ..view.format import LIMIT_DIGITS, shown_unit, significant, value_text
 
 LEVELS: Mapping[str, bytes] = {
     'info': DiagnosticStatus.OK,

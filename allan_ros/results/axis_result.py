@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core.allan.curve import AxisCurve, allan_curve
 from ..core.allan.running import RunningSums
+from ..core.coefficient_text import interval_text, value_text
 from ..core.errors import AllanError
 from ..core.filters.bias import TurnOnBias
 from ..core.filters.growth import Growth, growth_table
@@ -24,10 +25,9 @@ from ..core.fit.interpretation import ModelLine, Region, model_line
 from ..core.fit.least_squares import fit_curve
 from ..core.fit.model import Status
 from ..core.fit.temperature import TemperatureModel
-from ..core.imu import AXES, SI_UNITS, UNITS, sensor_of, to_si
+from ..core.imu import AXES, SI_UNITS, UNITS, ShownUnit, sensor_of, to_si
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import choose, expect
-from ..view.format import ShownUnit, interval_text, value_text
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from ..core.allan.common_noise import CommonNoise, Samples, common_noise, common_of_axes
+from ..core.coefficient_text import interval_text, value_text
 from ..core.errors import AllanError
 from ..core.fields import plain
-from ..core.imu import AXES, SENSORS, sensor_of
+from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
 from ..core.settings import SegmenterSettings
 from ..core.stream.pipeline import ImuStream
 from ..readers import Recording
-from ..view.format import interval_text, shown_unit, value_text
 from .analysis import one_thread
 
 SHOWN_TAU_S = (0.1, 1.0, 10.0, 100.0)

@@ -15,7 +15,7 @@ from ..core.fields import plain
 from ..core.filters.noise_parameters import TermInflation
 from ..core.filters.reductions import horizon_text, shortest_horizon
 from ..core.imu import SI_UNITS, sensor_of
-from ..view.format import significant
+from ..core.number_text import significant
 from .datasheets import Datasheet, DatasheetComparison, comparison_to_document
 from .documents import results_to_document
 from .measured import AgainstMeasured, against_measured

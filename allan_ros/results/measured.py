@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from ..core.compare import Change
 from ..core.fields import Fields
 from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, SI_UNITS, UNITS
-from ..view.format import significant
+from ..core.number_text import significant
 
 if TYPE_CHECKING:
     from .datasheets import Datasheet

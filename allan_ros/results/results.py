@@ -16,12 +16,12 @@ from ..core.errors import AllanError
 from ..core.findings import Finding
 from ..core.fit import TERMS, Coefficient
 from ..core.fit.temperature import TemperatureModel
-from ..core.imu import ImuIdentity, sensor_of
+from ..core.imu import ImuIdentity, sensor_of, shown_unit
 from ..core.settings import LIST, UNIT_SYSTEMS, choose, expect, settings_from
 from ..export import ExportOptions, make_export, target_of
 from ..readers.files import PATH, public, write_atomic
 from ..readers.recorded import Provenance, RecordingSums
-from ..view.format import check_plots, shown_unit
+from ..view.format import check_plots
 from .axis_result import AxisResult
 from .datasheets import (
     Datasheet,

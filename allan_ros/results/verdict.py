@@ -8,11 +8,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from ..core.coefficient_text import value_text
 from ..core.compare import Comparison
-from ..core.findings import Finding, by_consequence, duration_text, grouped, is_note
+from ..core.findings import Finding, by_consequence, grouped, is_note
 from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
-from ..core.imu import AXES, SENSORS, sensor_of
-from ..view.format import shown_unit, significant, value_text
+from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
+from ..core.number_text import duration_text, significant
 
 if TYPE_CHECKING:
     from .results import Results

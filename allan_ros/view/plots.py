@@ -10,19 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..core.coefficient_text import interval_text, value_text
 from ..core.errors import AllanError
 from ..core.fit import TERMS
-from ..core.imu import AXES, SENSORS
+from ..core.imu import AXES, SENSORS, shown_unit
 from ..results.axis_result import AxisResult
-from .format import (
-    SENSOR_NAMES,
-    TERM_STYLES,
-    drawn_curve,
-    interval_text,
-    pretty_unit,
-    shown_unit,
-    value_text,
-)
+from .format import SENSOR_NAMES, TERM_STYLES, drawn_curve, pretty_unit
 
 try:
     from matplotlib import rc_context

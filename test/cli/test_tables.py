@@ -16,15 +16,16 @@ from allan_ros.cli.tables import (
     findings_lines,
     results_lines,
 )
+from allan_ros.core.coefficient_text import interval_text, value_text
 from allan_ros.core.filters.reductions import Level
 from allan_ros.core.findings import CATALOG, Finding, finding
 from allan_ros.core.fit import TERMS, Coefficient, Deviation
+from allan_ros.core.imu import shown_unit
 from allan_ros.export import origin_text, target_rows
 from allan_ros.results.comparison import Subject, compare_runs
 from allan_ros.results.datasheets import load_sensor
 from allan_ros.results.results import Results
 from allan_ros.results.verdict import headline, summary_lines, verdict_of
-from allan_ros.view.format import interval_text, shown_unit, value_text
 
 LONG = Finding('x', 'warning', 'word ' * 40 + 'end', 'do this', ('gyro_x',))
 

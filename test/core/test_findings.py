@@ -18,13 +18,12 @@ from allan_ros.core.findings import (
     Finding,
     Quantity,
     by_consequence,
-    duration_text,
     finding,
     grouped,
     is_note,
-    significant,
 )
 from allan_ros.core.imu import SI_UNITS, shown_unit
+from allan_ros.core.number_text import duration_text, significant
 from allan_ros.results.documents import finding_from_document
 
 

@@ -17,9 +17,10 @@ import numpy as np
 
 from ..allan.periods import BlockMeans
 from ..allan.sums import AllanSums
-from ..findings import Finding, duration_text, finding
+from ..findings import Finding, finding
 from ..imu import SENSORS, sensor_of
 from ..noise import unit_avar
+from ..number_text import duration_text
 from .likelihood import TERMS, AxisData, Columns, Fit, LowBand
 from .method import daily_cycle
 from .statistics import (

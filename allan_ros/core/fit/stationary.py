@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from ..allan.curve import pooled_spectra
 from ..allan.sums import AllanSums, part
-from ..findings import Finding, Quantity, duration_text, finding
+from ..findings import Finding, Quantity, finding
 from ..imu import sensor_of
+from ..number_text import duration_text
 from . import NoiseModel, fit_noise
 from .effects import WarmUp, step_findings, warm_ups
 from .model import Z_95

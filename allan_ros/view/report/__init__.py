@@ -24,8 +24,9 @@ import numpy
 import scipy
 
 from ... import __version__
-from ...core.findings import Finding, duration_text
+from ...core.findings import Finding
 from ...core.imu import AXES, SENSORS
+from ...core.number_text import duration_text, significant
 from ...core.settings import UNIT_SYSTEMS
 from ...core.stream.signal import SignalSummary
 from ...results.axis_result import AxisResult
@@ -39,7 +40,7 @@ from ...results.verdict import (
     verdict_of,
     where,
 )
-from ..format import SENSOR_NAMES, pretty_unit, significant
+from ..format import SENSOR_NAMES, pretty_unit
 from .chart_data import sensor_charts, temperature_chart, times, to_script
 from .tables import (
     baseline_table,

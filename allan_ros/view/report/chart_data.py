@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.allan.curve import noise_density
 from ...core.fit import TERMS
 from ...core.fit.temperature import TemperatureModel
-from ...core.imu import AXES, SENSORS
+from ...core.imu import AXES, SENSORS, shown_unit
 from ...core.noise import NoiseTerms, term_avar
 from ...core.settings import UNIT_SYSTEMS
 from ...core.stream.signal import SignalSummary
 from ...results.axis_result import AxisResult
-from ..format import SENSOR_NAMES, drawn_curve, pretty_unit, shown_unit, temperature_text
+from ..format import SENSOR_NAMES, drawn_curve, pretty_unit, temperature_text
 
 if TYPE_CHECKING:
     from ...results.results import Results

@@ -11,25 +11,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...core.coefficient_text import NOTHING_KNOWN, interval_text, value_text
 from ...core.compare import Comparison
 from ...core.errors import AllanError
 from ...core.fit import TERMS, Coefficient
 from ...core.fit.interpretation import ADVISED_TERMS
+from ...core.imu import ShownUnit, shown_unit
+from ...core.number_text import significant
 from ...core.settings import UNIT_SYSTEMS
 from ...export import RAISED, origin_text, target_of, target_rows
 from ...results.axis_result import AxisResult
 from ...results.datasheets import DatasheetComparison
-from ..format import (
-    NOTHING_KNOWN,
-    ShownUnit,
-    deviation_text,
-    interval_text,
-    part_text,
-    pretty_unit,
-    shown_unit,
-    significant,
-    value_text,
-)
+from ..format import deviation_text, part_text, pretty_unit
 
 if TYPE_CHECKING:
     from ...results.results import Results

@@ -13,9 +13,9 @@ import pytest
 from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.fit import AxisFit, Coefficient
 from allan_ros.core.fit.model import model_of_terms
+from allan_ros.core.number_text import significant
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.results.results import Results
-from allan_ros.view.format import significant
 from allan_ros.view.report.tables import growth_table, model_table
 
 DEG = 180.0 / math.pi

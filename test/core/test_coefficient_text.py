@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Formatting of numbers for people."""
+"""Numbers and coefficients as text."""
 
 from __future__ import annotations
 
@@ -8,13 +8,10 @@ import math
 
 import pytest
 
+from allan_ros.core.coefficient_text import interval_text, value_text
 from allan_ros.core.fit import Coefficient
-from allan_ros.view.format import (
-    ShownUnit,
-    interval_text,
-    significant,
-    value_text,
-)
+from allan_ros.core.imu import ShownUnit
+from allan_ros.core.number_text import significant
 
 PLAIN = ShownUnit('rad/s', 1.0)
 
