@@ -40,7 +40,9 @@ SCENARIOS = {
 """Number of shocks, or correlation time in samples of a Gauss-Markov process that is added."""
 
 TRUTH = {
-    axis: NoiseTerms(**{t: from_datasheet(t, sensor_of(axis), PRESETS['paper'][axis][t]) for t in 'NB'})
+    axis: NoiseTerms(
+        **{t: from_datasheet(t, sensor_of(axis), PRESETS['paper'][axis][t]) for t in 'NB'}
+    )
     for axis in AXES
 }
 
@@ -89,7 +91,12 @@ def run(scenario: str, axes: int) -> str:
     for term in inside:
         low, high = clopper_pearson(inside[term], number)
         cells.append(f'{100 * inside[term] / number:.0f} % ({100 * low:.0f}-{100 * high:.0f})')
-    cells += [f'{100 * np.mean(off):+.2f} %', f'{100 * np.std(off):.2f} %', str(filtered), str(lack)]
+    cells += [
+        f'{100 * np.mean(off):+.2f} %',
+        f'{100 * np.std(off):.2f} %',
+        str(filtered),
+        str(lack),
+    ]
     return '| ' + ' | '.join([*cells, *map(str, found.values())]) + ' |'
 
 

@@ -17,6 +17,7 @@ from .errors import AllanError, one_line
 Stamps = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Ints = NDArray[np.int32]
 
 AXES: tuple[str, ...] = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
 """The axes, in the order of the last dimension of every six-axis array."""
@@ -101,13 +102,14 @@ class Block:
 
     The blocks of `SampleClock` and of later stages are evenly spaced. ``cut`` is '' if the block
     directly follows the previous one, else the reason for the gap between them. ``filled``, (axes,
-    n), flags interpolated values; None if there are none.
+    n), is 0 for measured values, and the level of the stretch for replaced ones (see
+    `allan.replaced`); None if all are measured.
     """
 
     stamps: Stamps
     rows: Floats
     cut: str = ''
-    filled: Flags | None = None
+    filled: Ints | None = None
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -135,7 +137,9 @@ class Block:
             return parts[0]
         filled = None
         if any(part.filled is not None for part in parts):
-            none = [np.zeros(p.rows.shape, bool) if p.filled is None else p.filled for p in parts]
+            none = [
+                np.zeros(p.rows.shape, np.int32) if p.filled is None else p.filled for p in parts
+            ]
             filled = np.concatenate(none, axis=1)
         return cls(
             np.concatenate([part.stamps for part in parts]),

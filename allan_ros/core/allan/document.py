@@ -22,11 +22,11 @@ from ..fields import MAX_INTEGER, Fields
 from ..imu import AXES, LARGEST, MAX_NAME, ImuIdentity
 from .grid import FIRST_FACTORS, LEVEL_FACTORS, MAX_LEVELS, SAMPLE_OCTAVES, bins_up_to, octave
 from .periods import KEPT_SEGMENTS, MAX_MEANS, MAX_PERIODS, BlockMeans, Period, Recording, totals
-from .sums import LONGEST_FILLED, AllanSums, length_class
+from .sums import AllanSums, length_class
 
 Ints = NDArray[np.int64]
 
-SUMS_SCHEMA = 'allan_ros/sums/3'
+SUMS_SCHEMA = 'allan_ros/sums/4'
 """Name and version of the document format; the reader rejects any other."""
 
 MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
@@ -37,6 +37,9 @@ MAX_OCTAVES = SAMPLE_OCTAVES + MAX_LEVELS
 
 MAX_CLASSES = 500
 """Largest accepted number of length classes; class 500 has segments of 1.1^500 = 5e20 samples."""
+
+MAX_STRETCHES = 10_000
+"""Largest accepted number of different stretches of replaced samples."""
 
 MAX_SUM = 1e80
 """Largest accepted sum of squares. A fit uses its fourth power, which must not overflow."""
@@ -51,7 +54,7 @@ sums of periods are rounded to 21 significant bits at each addition."""
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
     """Return the sums as a JSON-compatible dict, from which `sums_from_document` restores them."""
-    tables = ('m', 'count', 'sum_sq', 'group_count', 'group_sum_sq', 'filled')
+    tables = ('m', 'count', 'sum_sq', 'group_count', 'group_sum_sq', 'replaced')
     return {
         'schema': SUMS_SCHEMA,
         'frame_id': sums.identity.frame_id,
@@ -150,7 +153,7 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
             f'{where}.axes is {axes!r:.80}: some of {", ".join(AXES)} are expected, in order'
         )
     n, width = len(top.sequence('count', MAX_FACTORS)), len(axes)
-    filled = _whole_table(top, 'filled', LONGEST_FILLED, width)
+    replaced = _whole_table(top, 'replaced', MAX_STRETCHES, 2 + width)
     sums = AllanSums(
         ImuIdentity(*(top.text(key, longest=MAX_NAME) for key in ('frame_id', 'hardware_id'))),
         axes,
@@ -162,7 +165,7 @@ def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
         top.integer('intervals', least=0),
         tuple(_recording(f, n, width) for f in top.each('recordings', MAX_PERIODS)),
         tuple((a, b) for a, b in _whole_table(top, 'lengths', MAX_CLASSES, 2).tolist()),
-        filled if len(filled) else np.zeros((0, 0), np.int64),
+        replaced,
     )
     if not np.array_equal(top.integers('m', n), sums.m):
         raise AllanError(f'{where}.m is not the grid of this version: accumulate the data again')
@@ -193,8 +196,11 @@ def _contradictions(sums: AllanSums) -> Iterator[str]:
         yield f'intervals is {sums.intervals}, which contradicts the lengths'
     if not sums.intervals <= sums.elapsed_ns <= sums.intervals * MAX_PERIOD_NS:
         yield f'elapsed_ns is {sums.elapsed_ns}, which contradicts {sums.intervals} intervals'
-    if np.any(np.arange(1.0, len(sums.filled) + 1) @ sums.filled > sums.samples):
-        yield 'filled has more samples than the segments: the file is damaged'
+    length, level, *numbers = sums.replaced.T.astype(float)
+    if np.any(np.minimum(length, level) < 1.0):
+        yield 'replaced has a stretch without length or level: the file is damaged'
+    if any(length @ each > 1.01 * sums.samples for each in numbers):
+        yield 'replaced has more samples than the segments: the file is damaged'
     most = sums.samples // sums.stride + sums.segment_count
     if np.any(sums.count > most) or np.any(sums.group_count > sums.count):
         yield 'count differs from the lengths: the file is damaged'

@@ -31,7 +31,13 @@ def add_stretches(a: Ints, b: Ints) -> Ints:
     keys, of_row = np.unique(rows[:, :2], axis=0, return_inverse=True)
     total = np.zeros((len(keys), rows.shape[1] - 2), np.int64)
     np.add.at(total, of_row.reshape(-1), rows[:, 2:])
-    return np.column_stack([keys, total])
+    return np.asarray(np.column_stack([keys, total]))
+
+
+def scaled_stretches(table: Ints, share: float) -> Ints:
+    """Return the table of a share of the samples, for which no table is stored."""
+    number = np.rint(table[:, 2:] * share).astype(np.int64)
+    return np.asarray(np.column_stack([table[:, :2], number])[number.any(axis=1)])
 
 
 class RunningStretches:
@@ -41,7 +47,7 @@ class RunningStretches:
         self.table = no_stretches(axes)
         self._open = np.zeros((2, axes), np.int64)  # length and level of the stretch at the end
 
-    def add(self, levels: Ints | None) -> None:
+    def add(self, levels: NDArray[np.int32] | None) -> None:
         """Count the stretches in the next samples.
 
         ``levels``, (axes, n), are 0 for measured samples, else the level of their stretch. None
@@ -49,22 +55,21 @@ class RunningStretches:
         """
         axes = self._open.shape[1]
         if levels is None:
-            if not self._open[0].any():
-                return
-            levels = np.zeros((axes, 1), np.int64)
+            levels = np.zeros((axes, 1), np.int32)
+        if not (self._open.any() or levels.any()):
+            return
         found = []
         for axis, (length, level) in enumerate(self._open.T.tolist()):
-            each = np.append(levels[axis].astype(np.int64), -1)  # -1 ends the last stretch
-            if not length and not each[:-1].any():
-                continue
-            first = np.flatnonzero(np.diff(each, prepend=level if length else 0))
-            starts = np.concatenate([[-length if length else 0], first])
-            lengths, kinds = np.diff(starts), np.concatenate([[level], each[first[:-1]]])
-            self._open[:, axis] = (lengths[-1], kinds[-1]) if kinds[-1] else (0, 0)
-            for n, kind in zip(lengths[:-1].tolist(), kinds[:-1].tolist()):
-                if n and kind:
-                    row = [_counted(n), kind, *(i == axis for i in range(axes))]
-                    found.append(np.array(row, np.int64))
+            changes = np.flatnonzero(np.diff(levels[axis], prepend=level))
+            starts = np.concatenate([[-length], changes])
+            kinds = np.concatenate([[level], levels[axis, changes]])
+            ended = np.column_stack([np.diff(starts), kinds[:-1]])[kinds[:-1] > 0]
+            for (n, kind), number in zip(*np.unique(ended, axis=0, return_counts=True)):
+                row = np.zeros(2 + axes, np.int64)
+                row[[0, 1, 2 + axis]] = _counted(int(n)), kind, number
+                found.append(row)
+            length = levels.shape[1] - int(starts[-1])
+            self._open[:, axis] = (length, kinds[-1]) if kinds[-1] else 0
         if found:
             self.table = add_stretches(self.table, np.array(found))
 

@@ -24,6 +24,7 @@ from .periods import (
     rounded,
     totals,
 )
+from .replaced import no_stretches
 from .sums import AllanSums, Lengths, add_lengths
 
 Floats = NDArray[np.float64]
@@ -222,6 +223,7 @@ class RunningSums:
             intervals,
             (Recording(periods, state.means, state.reference),),
             state.lengths,
+            no_stretches(len(self._axes)),
         )
 
     @property

@@ -30,12 +30,9 @@ from .periods import (
     bounded,
     nonzero_length,
 )
+from .replaced import add_stretches, no_stretches, scaled_stretches
 
 Floats = NDArray[np.float64]
-
-LONGEST_FILLED = 128
-"""Longest gap of interpolated samples that is counted by its length; longer gaps are counted as
-this length."""
 
 LENGTH_CLASS_RATIO = 1.1
 """Ratio of the longest to the shortest segment whose lengths are pooled."""
@@ -89,8 +86,9 @@ class AllanSums(ByValue):
         order of time.
     lengths : tuple of pairs of int
         Total samples and number of segments in each length class, shortest first.
-    filled : (lengths, axes) int64 array
-        Number of gaps of 1, 2, ... lost samples that were interpolated, in each axis; may be empty.
+    replaced : (stretches, 2 + axes) int64 array
+        Stretches of samples that were replaced by a line: length, level, and their number on each
+        axis, in the order of the first two columns.
     """
 
     identity: ImuIdentity
@@ -103,7 +101,7 @@ class AllanSums(ByValue):
     intervals: int = 0
     recordings: tuple[Recording, ...] = ()
     lengths: Lengths = ()
-    filled: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 0), np.int64))
+    replaced: NDArray[np.int64] = field(default_factory=lambda: no_stretches(0))
 
     @classmethod
     def empty(
@@ -111,7 +109,8 @@ class AllanSums(ByValue):
     ) -> AllanSums:
         """Return the sums of zero samples; adding them to other sums changes nothing."""
         none, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
-        return cls(identity, axes, none, no_sums, none, no_sums)
+        table = no_stretches(len(axes))
+        return cls(identity, axes, none, no_sums, none, no_sums, replaced=table)
 
     @property
     def m(self) -> NDArray[np.int64]:
@@ -184,7 +183,6 @@ class AllanSums(ByValue):
                 f'sums of axes {", ".join(self.axes)} and of {", ".join(other.axes)} cannot be '
                 'added: analyze them separately'
             )
-        filled = [one for one in (self.filled, other.filled) if len(one)]
         return replace(
             self,
             count=add_padded(self.count, other.count),
@@ -195,7 +193,7 @@ class AllanSums(ByValue):
             intervals=self.intervals + other.intervals,
             recordings=bounded(self.recordings + other.recordings),
             lengths=add_lengths(self.lengths, other.lengths),
-            filled=add_padded(*filled) if len(filled) == 2 else (filled or [self.filled])[0],
+            replaced=add_stretches(self.replaced, other.replaced),
         )
 
     def check_addable(self, other: AllanSums) -> None:
@@ -290,7 +288,7 @@ def part(sums: AllanSums, first: int) -> AllanSums:
         intervals=intervals,
         recordings=tuple(kept),
         lengths=lengths,
-        filled=np.rint(sums.filled * (samples / max(sums.samples, 1))).astype(np.int64),
+        replaced=scaled_stretches(sums.replaced, samples / max(sums.samples, 1)),
     )
 
 

@@ -166,7 +166,6 @@ def segment_statistics(known: Statistics, means: BlockMeans) -> tuple[Statistics
         dof_alone=known.dof_alone[on],
         step=step,
         groups=(group,),
-        white_gain=known.white_gain[np.append(on, True)],
     ), max(cut - NEAR_OCTAVES, 0)
 
 

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from ..allan.cascade import MAX_INTERPOLATED
 from ..allan.curve import pooled_spectra
 from ..allan.grid import LONGEST_BLOCK, SAMPLE_OCTAVES, bins_up_to, octave, tapers
-from ..allan.sums import LONGEST_FILLED, AllanSums
-from ..noise import gamma_of
+from ..allan.sums import AllanSums
+from ..noise import Gamma, gamma_of
+from .replaced import replaced_excess
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -66,11 +67,16 @@ def _kernels() -> tuple[Floats, Floats]:
 @lru_cache(maxsize=1024)
 def expected_power(component: Component, octaves: int) -> Floats:
     """Return the expected power of unit noise in the bins of the first octaves."""
+    return _power_of(gamma_of(*component), octaves)
+
+
+def _power_of(gamma: Gamma, octaves: int) -> Floats:
+    """Return the expected power in the bins of the first octaves."""
     means = max(octaves - SAMPLE_OCTAVES, 0)
     step = 1 << np.arange(means + 1)
-    gamma = gamma_of(*component)(step[:, None], np.arange(LONGEST_BLOCK))
+    values = gamma(step[:, None], np.arange(LONGEST_BLOCK))
     of_samples, of_means = _kernels()
-    power = np.append(of_samples @ gamma[0], gamma[1:] @ of_means.T)
+    power = np.append(of_samples @ values[0], values[1:] @ of_means.T)
     return np.asarray(power[: bins_up_to(octaves)])
 
 
@@ -101,8 +107,13 @@ def _transformed(points: int, high: int) -> Floats:
 @lru_cache(maxsize=192)
 def _low_covariance(component: Component, step: int, points: int, high: int) -> Floats:
     """Return the covariance of the contrasts of block means for unit noise."""
-    gamma = gamma_of(*component)(step, np.arange(points))
-    eigenvalues = np.fft.rfft(np.concatenate([gamma, gamma[-1:], gamma[:0:-1]])).real
+    return _covariance_of(gamma_of(*component), step, points, high)
+
+
+def _covariance_of(gamma: Gamma, step: int, points: int, high: int) -> Floats:
+    """Return the covariance of the contrasts of block means."""
+    values = gamma(step, np.arange(points))
+    eigenvalues = np.fft.rfft(np.concatenate([values, values[-1:], values[:0:-1]])).real
     v = _transformed(points, high)
     return np.asarray(v.T @ (np.tile(eigenvalues, 2)[:, None] * v))
 
@@ -144,9 +155,8 @@ class Statistics:
     step : int
         Samples per block mean.
     groups : tuple of Group
-    white_gain : (bins + 1, axes) array
-        Expected power of white noise relative to that without interpolated samples; the last row is
-        for the block means.
+    replaced : (stretches, 2 + axes) array
+        Stretches of replaced samples, as in `AllanSums`.
     """
 
     samples: int
@@ -159,7 +169,7 @@ class Statistics:
     correlation: float
     step: int
     groups: tuple[Group, ...]
-    white_gain: Floats
+    replaced: Ints
 
     @cached_property
     def octaves(self) -> int:
@@ -170,6 +180,35 @@ class Statistics:
     def crossover(self) -> float:
         """Frequency in cycles per sample below which the block means are used."""
         return lower_edge(self.octaves)
+
+    @cached_property
+    def white(self) -> list[Column]:
+        """Expectation for unit white noise of each axis, with its replaced samples.
+
+        Spectral blocks of which most is replaced are excluded from the sums. Of a stretch that is
+        longer than this share, only the ends are in blocks: on average, half a block of samples.
+        """
+        power = self.power_of(('N',))
+        low = [_low_covariance(('N',), self.step, g.points, g.high) for g in self.groups]
+        sizes = np.array([octave(o).length for o in range(self.octaves)])
+        length = self.replaced[:, 0]
+        whole = length[:, None] <= MAX_INTERPOLATED * sizes  # (stretches, octaves)
+        first = np.argmax(np.column_stack([whole, np.ones(len(length), bool)]), axis=1)
+        out = []
+        for number in self.replaced[:, 2:].T / max(self.samples, 1):
+            if not number.any():
+                out.append(Column(power, low))
+                continue
+            ends = number @ np.where(whole, 0.0, sizes / 2.0)
+            excluded = number @ np.where(whole, 0.0, length[:, None] - sizes / 2.0)
+            own = power * (1.0 - ends / (1.0 - excluded))[self.octave]
+            for o in np.unique(first).tolist():
+                gamma = replaced_excess(self.replaced, np.where(first == o, number, 0.0))
+                own = own + np.where(self.octave >= o, _power_of(gamma, self.octaves), 0.0)
+            gamma = replaced_excess(self.replaced, number)
+            more = [_covariance_of(gamma, self.step, g.points, g.high) for g in self.groups]
+            out.append(Column(own, [a + b for a, b in zip(low, more)]))
+        return out
 
     def power_of(self, component: Component) -> Floats:
         """Return the expected power of the bins for unit noise without interpolated samples."""
@@ -184,16 +223,15 @@ class Statistics:
         if component == ('Q2',):
             q = self.column(('Q',))
             return Column(q.power**2, [0.0 * low for low in q.low])
+        if component == ('N',):
+            return self.white[axis]
         if component[0] == 'sinusoid' and component[1] * self.step > 1.0:
             # Its alias in the block means depends on more digits of its frequency than are known:
             # there, the mean power of all aliases is taken as white noise.
             mean = 0.25 * self.step / (self.step * math.sin(math.pi * component[1])) ** 2
-            low = [mean * each for each in self.column(('N',), axis).low]
+            low = [mean * each for each in self.white[axis].low]
         else:
             low = [_low_covariance(component, self.step, g.points, g.high) for g in self.groups]
-        gain = self.white_gain[:, axis]
-        if component == ('N',) and np.any(gain != 1.0):
-            return Column(self.power_of(component) * gain[:-1], [gain[-1] * each for each in low])
         return Column(self.power_of(component), low)
 
 
@@ -228,30 +266,8 @@ def statistics(sums: AllanSums) -> Statistics:
         float(spectra.clump[used][-1]) if octaves else 1.0,
         step,
         groups,
-        _interpolation_gain(sums, spectra.f[used], spectra.octave[used]),
+        sums.replaced,
     )
-
-
-def _interpolation_gain(sums: AllanSums, f: Floats, octaves: Ints) -> Floats:
-    """Return the relative power of white noise due to interpolated gaps, (bins + 1, axes).
-
-    A gap of g samples gives the samples next to it the weights A = sum (1 - i/(g + 1)) exp(-2 pi i
-    f), i = 0 .. g, at the frequency f, instead of 1, and removes the noise of g samples. The last
-    row is for f = 0, that is, for block means. Blocks of which most is interpolated are excluded
-    from the spectra, so they contain no longer gaps. The longest gaps are shocks, which are
-    replaced by a mean level without noise; they have no effect outside of these blocks.
-    """
-    at = np.append(f, 0.0)
-    longest = np.append([MAX_INTERPOLATED * octave(o).length for o in octaves.tolist()], np.inf)
-    gain = np.ones((len(at), len(sums.axes)))
-    for g in range(1, min(len(sums.filled) + 1, LONGEST_FILLED)):
-        number = sums.filled[g - 1]
-        if np.any(number):
-            i = np.arange(g + 1)
-            weight = np.exp(-2j * np.pi * np.outer(at, i)) @ (1.0 - i / (g + 1))
-            excess = np.where(g <= longest, 2.0 * np.abs(weight) ** 2 - g - 2.0, 0.0)
-            gain += np.outer(excess, number / max(sums.samples, 1))
-    return gain
 
 
 def _groups(means: list[tuple[int, Floats]], edge: float) -> tuple[int, tuple[Group, ...]]:

@@ -282,7 +282,7 @@ class RepeatFilter:
         if end <= begin:
             return []
         rows, index = have.rows.copy(), np.arange(n)
-        filled = np.zeros(rows.shape, bool) if have.filled is None else have.filled.copy()
+        filled = np.zeros(rows.shape, np.int32) if have.filled is None else have.filled.copy()
         for group in self._groups:
             repeated = np.zeros(n, bool)
             repeated[1:] = (have.rows[group, 1:] == have.rows[group, :-1]).all(axis=0)
@@ -294,7 +294,7 @@ class RepeatFilter:
             for axis in group:
                 first = have.rows[axis, low]
                 rows[axis, at] = first + fraction * (have.rows[axis, high] - first)
-                filled[axis, at] = True
+                filled[axis, at] = 1
         done = Block(have.stamps, rows, filled=filled if filled.any() else None)
         # a run that begins earlier is too long to be interpolated
         old = max(0, end - LONGEST_REPEAT - 1)

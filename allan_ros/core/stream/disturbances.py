@@ -85,7 +85,8 @@ def without_spikes(
     some = without.reshape(len(rows), -1, size)[:, changed].reshape(len(rows), -1)
     windows.values[:, :, changed] = Windows.of(some, size).values
     found[floor.heavy] = False
-    filled = found if block.filled is None else block.filled | found
+    known = 0 if block.filled is None else block.filled
+    filled = np.where(found, 1, known).astype(np.int32)
     replaced = np.where(found, without, rows)
     return Block(block.stamps, replaced, block.cut, filled), windows, int(np.count_nonzero(found))
 
@@ -163,15 +164,17 @@ class Motion:
         """
         if self.level is None or self.change(floor).any():
             return []
-        first, last = self.before.mean(axis=0), np.mean(self._after, axis=0)
+        kept = list(self._after)[1 - self.quiet :]  # windows that are not replaced
+        level = min(len(self.before), len(kept))
+        first, last = (np.mean(w, axis=0) for w in (self.before[-level:], kept[:level]))
         turned = (self._total - self._samples * first)[floor.gyro] * period_s
         block = Block.joined(held[: 1 - self.quiet])
         n = len(block)
         allowed = REPLACED_SHARE * self.level.rest - self.level.replaced
         if np.linalg.norm(turned) > TURNED or n > allowed:
             return []
-        share = (np.arange(n) + 0.5) / n
+        share = np.arange(1, n + 1) / (n + 1)
         rows = first[:, None] + (last - first)[:, None] * share
         self.level.replaced += n
-        flagged = np.ones(rows.shape, bool)
-        return [Block(block.stamps, rows, block.cut, flagged), *held[1 - self.quiet :]]
+        levels = np.full(rows.shape, level * floor.size, np.int32)
+        return [Block(block.stamps, rows, block.cut, levels), *held[1 - self.quiet :]]

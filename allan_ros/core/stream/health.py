@@ -15,7 +15,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan.sums import LONGEST_FILLED, AllanSums
+from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..imu import AXES, NANOSECONDS, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, sensor_of
 from ..settings import SegmenterSettings
@@ -100,35 +100,6 @@ class Counts:
             if f.name != 'splits':
                 setattr(self, f.name, getattr(self, f.name) + getattr(other, f.name))
         self.splits.update(other.splits)
-
-
-class FilledGaps:
-    """Counts interpolated gaps by their length in samples; longer ones are shocks."""
-
-    def __init__(self, axes: int) -> None:
-        self._count = np.zeros((LONGEST_FILLED + 1, axes), np.int64)
-        self._open = [0] * axes  # length of the gap at the end of each axis
-
-    @property
-    def count(self) -> NDArray[np.int64]:
-        """Number of gaps of 1, 2, ... samples, (lengths, axes)."""
-        count = self._count[1:]
-        return count[: np.flatnonzero(count.any(axis=1)).max(initial=-1) + 1].copy()
-
-    def add(self, filled: NDArray[np.bool_] | None) -> None:
-        """Count the gaps in the next samples; ``filled``, (axes, n), flags interpolated values.
-
-        None means that no value is interpolated.
-        """
-        for axis, known in enumerate(self._open):
-            if filled is None and not known:
-                continue
-            flags = np.zeros(1, bool) if filled is None else filled[axis]
-            measured = np.flatnonzero(~np.concatenate([np.ones(known, bool), flags, [False]]))
-            lengths = np.diff(measured, prepend=-1) - 1
-            self._open[axis] = int(lengths[-1])
-            counted = lengths[:-1][lengths[:-1] <= LONGEST_FILLED]
-            self._count[:, axis] += np.bincount(counted, minlength=LONGEST_FILLED + 1)
 
 
 class Event(NamedTuple):

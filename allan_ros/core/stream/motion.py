@@ -401,6 +401,7 @@ def _usable(block: Block, size: int, chosen: Flags) -> Floats:
     samples = len(chosen) * size
     cube = block.rows[:, :samples].reshape(len(block.rows), -1, size)
     if block.filled is not None:
-        share = block.filled[:, :samples].reshape(cube.shape).mean(axis=2).max(axis=0)
+        filled = block.filled[:, :samples].reshape(cube.shape) > 0
+        share = filled.mean(axis=2).max(axis=0)
         chosen = chosen & (share <= MOST_FILLED)
     return cube[:, chosen].reshape(len(cube), -1)

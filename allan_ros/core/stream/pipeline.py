@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..allan.replaced import RunningStretches
 from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
 from ..errors import AllanError
@@ -29,7 +30,6 @@ from .health import (
     Accumulation,
     Counts,
     Event,
-    FilledGaps,
     Longest,
     Means,
     RunningMeans,
@@ -332,7 +332,7 @@ class SensorStream:
         axes = self._plan.axes
         self._engine = RunningSums(self._identity, axes)
         self._means = RunningMeans(axes)
-        self._filled = FilledGaps(len(axes))
+        self._replaced = RunningStretches(len(axes))
         self.kept: list[Block] = []
         self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
         self._start_ns = self._end_ns = 0
@@ -349,9 +349,8 @@ class SensorStream:
 
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at the present sample rate and at the earlier one with the most data."""
-        sums, filled, segments = self._engine.sums, self._filled.count, self._segments.items
-        if len(filled):
-            sums = replace(sums, filled=filled)
+        sums = replace(self._engine.sums, replaced=self._replaced.table)
+        segments = self._segments.items
         former = [] if self._former is None else [self._former]
         if not sums.samples:
             return former
@@ -431,7 +430,7 @@ class SensorStream:
             self._start_ns, self._cut = int(block.stamps[0]), block.cut
         self._end_ns = int(block.stamps[-1])
         self.counts.used += len(block)
-        self._filled.add(block.filled)
+        self._replaced.add(block.filled)
         interpolated = None if block.filled is None else np.asarray(block.filled.any(axis=0))
         self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns, interpolated)
         self._means.update(block.stamps, block.rows)
@@ -445,5 +444,5 @@ class SensorStream:
         length = (self._end_ns - self._start_ns) * 1e-9
         self._segments.add(samples, Segment(self._start_ns, samples, length, self._cut))
         self._engine.end_segment()
-        self._filled.add(None)
+        self._replaced.add(None)
         self._means.cut()

@@ -382,7 +382,7 @@ class SampleClock:
         stamps = first + np.rint(fraction * (last - first)).astype(np.int64)
         left, right = self._samples.rows[:, at - 1, None], self._samples.rows[:, at, None]
         rows = left + fraction * (right - left)
-        return Block(stamps, rows, filled=np.ones(rows.shape, bool))
+        return Block(stamps, rows, filled=np.ones(rows.shape, np.int32))
 
     def _track(self, stamps: Stamps, steps: Ints, clock: Clock) -> None:
         """Update the sample period after every `TRACK_BLOCKS` blocks unless the data were split."""

@@ -106,21 +106,31 @@ def test_an_offset_and_a_ramp_in_each_segment_change_nothing_but_the_line():
         np.testing.assert_allclose(a.gram[:, 1:, 1:], b.gram[:, 1:, 1:], rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize('length', [1, 2, 5])
-def test_the_white_noise_of_interpolated_gaps_is_expected(length):
-    """White noise of 24 axes with 5 % of its samples interpolated: each octave to 4 sigma."""
+@pytest.mark.parametrize(('length', 'level'), [(1, 1), (2, 1), (5, 1), (60, 1), (40, 30), (75, 75)])
+def test_the_white_noise_of_replaced_samples_is_expected(length, level):
+    """White noise of 24 axes with 5 % of its samples replaced: each octave to 4 sigma.
+
+    In octave 0, most blocks with a stretch of 60 or 75 samples are excluded.
+    """
     rng = np.random.default_rng(length)
-    y, spacing = rng.standard_normal((40_000, 24)), 20 * length
+    spacing = 20 * length + 2 * level
+    y = rng.standard_normal((200_000 if length > 9 else 40_000, 24))
     mask = np.zeros(len(y), bool)
-    for start in range(2, len(y) - spacing, spacing):
-        at = start + int(rng.integers(spacing - length - 2))
+    for start in range(level, len(y) - spacing, spacing):
+        at = start + int(rng.integers(spacing - length - 2 * level))
         t = np.arange(1, length + 1)[:, None] / (length + 1)
-        y[at : at + length] = y[at - 1] * (1.0 - t) + y[at + length] * t
+        before, after = y[at - level : at].mean(0), y[at + length : at + length + level].mean(0)
+        y[at : at + length] = before * (1.0 - t) + after * t
         mask[at : at + length] = True
-    filled = np.zeros((length, 24), np.int64)
-    filled[-1] = np.count_nonzero(mask) // length
-    found = statistics(replace(sums_of(y, interpolated=mask), filled=filled))
+    table = np.array([[length, level, *24 * [np.count_nonzero(mask) // length]]])
+    found = statistics(replace(sums_of(y, interpolated=mask), replaced=table))
     ratio = found.power / np.stack([found.column(('N',), a).power for a in range(24)], 1)
-    for o in range(min(found.octaves, 6)):
+    for o in range(min(found.octaves, 8)):
         each = ratio[found.octave == o].mean(axis=0)
         assert abs(each.mean() - 1.0) < 4.0 * each.std() / math.sqrt(24), o
+    (group,) = found.groups
+    each = [
+        np.linalg.solve(found.column(('N',), a).low[0][1:, 1:], group.gram[a, 1:, 1:]).trace()
+        for a in range(24)
+    ]
+    assert abs(np.mean(each) - group.high) < 4.0 * math.sqrt(2.0 * group.high / 24)

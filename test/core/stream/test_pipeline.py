@@ -246,20 +246,21 @@ def test_a_real_static_recording_is_used_completely_and_equals_a_reference(share
     assert compared == 6 * 17
 
 
-def test_filled_gaps_are_counted_by_length():
+def test_replaced_stretches_are_counted_by_length():
     t, x = still(9000)
     x[5000, 2] += 1.0  # an isolated spike in one axis
     moving = x.copy()
     moving[4500:] += np.random.default_rng(0).normal(size=(4500, 6))
     kept = ~np.isin(np.arange(9000), [2000, 3000, 3001, 4000, 4001, 4002])
-    expected = np.ones((3, 6), int)
-    expected[0, 2] += 1
+    numbers = np.ones((3, 6), int)
+    numbers[0, 2] += 1
+    expected = np.column_stack([[1, 2, 3], [1, 1, 1], numbers])  # length and level first
     for chunk in (1, 7, 9000):
         (sums,) = accumulate(t[kept], x[kept], (chunk,)).sums
-        assert np.array_equal(sums.filled, expected), chunk
-    assert np.array_equal((sums + sums).filled, 2 * expected)
+        assert np.array_equal(sums.replaced, expected), chunk
+    assert np.array_equal((sums + sums).replaced[:, 2:], 2 * numbers)
     (sums,) = accumulate(t[kept], moving[kept]).sums
-    assert np.array_equal(sums.filled[:, 0], [1, 1, 1]), 'those that are dropped do not count'
+    assert np.array_equal(sums.replaced[:, 2], [1, 1, 1]), 'dropped samples do not count'
 
 
 @pytest.mark.parametrize('places', [2, 8, 30])

@@ -38,9 +38,10 @@ def test_random_repeats_are_interpolated_and_n_is_corrected(share, together):
     (note,) = result.findings
     assert note.id == 'repeated' and note.axes == AXES
     assert sums.samples == len(t) and 1 / sums.tau0 == pytest.approx(200)
-    lengths = np.arange(1, len(sums.filled) + 1)
     # 5 sigma of the number of repeats is 12 % at 2 %: false alarm 6e-7
-    assert lengths @ sums.filled == pytest.approx([share * len(t)] * 6, rel=0.15)
+    length, level, *numbers = sums.replaced.T
+    assert (level == 1).all()
+    assert [length @ each for each in numbers] == pytest.approx([share * len(t)] * 6, rel=0.15)
     # sd of the mean N of six axes is at most 0.3 %, 5 sigma: false alarm 6e-7
     assert mean_n(sums) == pytest.approx(1e-3 * 200**-0.5, rel=0.015)
 
