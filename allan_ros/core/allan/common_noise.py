@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..fit import Coefficient
-from ..fit.least_squares import nonnegative_least_squares
 from ..fit.model import Z_95
 from ..imu import ImuIdentity
+from ..nonnegative import nonnegative_least_squares
 from .curve import allan_curve
 from .grid import allan_variance
 from .running import RunningSums

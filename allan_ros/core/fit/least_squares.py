@@ -18,16 +18,16 @@ freedom of an overlapping estimate. The intervals are therefore approximate.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..allan.curve import sample_period
 from ..allan.sums import AllanSums
 from ..errors import AllanError
 from ..findings import Finding, finding
 from ..noise import FLICKER_FLOOR
+from ..nonnegative import nonnegative_least_squares
 from .model import TERMS, Z_95, AxisFit, Coefficient, Floats, NoiseModel, Status, model_of_terms
 
 LONGEST_TAU = 1300.0
@@ -39,56 +39,6 @@ POWERS = (-2, -1, 0, 1, 2)
 PAPER_FACTORS = (3.0, 1.0, FLICKER_FLOOR, 1.0 / 3.0, 0.5)
 """A_p divided by the squared coefficient, in the order of `TERMS`: 3 Q^2, N^2, (2 ln2/pi) B^2,
 K^2/3, R^2/2 (the paper's eq. 3; IEEE Std 952-1997 annex C)."""
-
-
-def nonnegative_least_squares(
-    matrix: NDArray[Any], target: NDArray[Any], signed: ArrayLike = False
-) -> Floats:
-    """Return the x that minimizes |matrix x - target|, with x >= 0 except where ``signed``.
-
-    The active set method of Lawson and Hanson, *Solving Least Squares Problems*, 1974, chapter 23.
-    The function of scipy loads 20 MB of modules that nothing else needs.
-
-    Parameters
-    ----------
-    matrix : array, shape (rows, columns)
-    target : array, shape (rows,)
-    signed : array of bool, shape (columns,), optional
-
-    Returns
-    -------
-    array, shape (columns,)
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> nonnegative_least_squares(np.eye(2), np.array([3.0, -1.0])).tolist()
-    [3.0, 0.0]
-    """
-    columns = matrix.shape[1]
-    signed = np.broadcast_to(np.asarray(signed, bool), columns)
-
-    def solved(free: NDArray[np.bool_]) -> Floats:
-        x = np.zeros(columns)
-        x[free] = np.linalg.lstsq(matrix[:, free], target, rcond=None)[0]
-        return x
-
-    free = np.ones(columns, bool)
-    while np.any((x := solved(free))[~signed] < 0.0):  # begins near the solution
-        free &= (x > 0.0) | signed
-    rounding = 10.0 * max(matrix.shape) * np.finfo(float).eps
-    least = rounding * np.linalg.norm(matrix, axis=0) * np.linalg.norm(target)
-    for _ in range(3 * columns):
-        gain = np.where(free, -np.inf, matrix.T @ (target - matrix @ x) - least)
-        if not gain.max() > 0.0:
-            break
-        free[gain.argmax()] = True
-        while (below := free & ~signed & ((trial := solved(free)) <= 0.0)).any():
-            x += (x[below] / (x[below] - trial[below])).min() * (trial - x)
-            free &= (x > rounding * x.max()) | signed
-            x[~free] = 0.0
-        x = trial
-    return x
 
 
 def fit_paper(sums: AllanSums) -> NoiseModel:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..noise import PROCESS_TYPES
-from .least_squares import nonnegative_least_squares
+from ..nonnegative import nonnegative_least_squares
 from .statistics import Component, Floats, Statistics
 
 Flags = NDArray[np.bool_]

@@ -1,0 +1,55 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Random walk that a restoring force bounds: a slow Gauss-Markov process with the coefficient K."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..process import CORRELATION_TIME, Floats, Process, Search, States
+from .gauss_markov import GaussMarkov
+from .random_walk import RandomWalk
+
+
+@dataclass(frozen=True)
+class BoundedWalk(Process):
+    """Gauss-Markov process that grows like a random walk of unit steps before its correlation time.
+
+    It replaces the random walk, which it becomes at infinite correlation time T: 1/T > 0 is one
+    more coefficient.
+    """
+
+    name = 'bounded_walk'
+    letter = 'K'
+    label = 'GM {correlation_time} s'
+    meaning = 'Random walk that levels off after its correlation time.'
+    time_power = -0.5
+    parameters = (CORRELATION_TIME,)
+    finding = 'levels_off'
+    replaces = RandomWalk
+
+    correlation_time: float
+
+    def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
+        time = self.correlation_time
+        return np.asarray(time / 2.0 * GaussMarkov(time).gamma(M, j))
+
+    @property
+    def slowest_time(self) -> float:
+        return self.correlation_time
+
+    def states(self) -> States:
+        time, one = self.correlation_time, np.ones((1, 1))
+        return States(-one / time, one, np.ones(1), time / 2.0 * one)
+
+    @classmethod
+    def grid(cls, search: Search) -> Iterator[Process]:
+        return (cls(float(time)) for time in search.longest / 2.0 ** np.arange(0, 11, 2))
+
+    @classmethod
+    def threshold(cls, bins: int) -> float:
+        return 7.0  # at any correlation time: 1 %

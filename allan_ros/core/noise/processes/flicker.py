@@ -1,0 +1,45 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Flicker noise: bias instability, coefficient B."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..process import Floats, Process
+
+SERIES_FROM = 30
+"""Lag from which the autocovariance is computed by a series."""
+
+
+@dataclass(frozen=True)
+class Flicker(Process):
+    """Flicker noise with B = 1.
+
+    gamma is the second difference of -t^2 ln|t| / (2 pi) over M^2 with t in samples; at long lags,
+    of its series. The term ln(M) makes the omitted constant equal for all M.
+    """
+
+    name = 'flicker'
+    letter = 'B'
+    label = 'B'
+    meaning = 'Flicker noise (bias instability).'
+    no_states = 'its memory has no longest time: a sum of Gauss-Markov processes approximates it'
+
+    def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
+        M, j = np.asarray(M, float), np.asarray(j, float)
+        far = np.maximum(j, 1.0)
+        u = far**-2
+        series = -(2.0 * np.log(far) + 3.0 - u * (1.0 / 6.0 + u * (1.0 / 30.0 + u / 84.0)))
+        near = 2.0 * _square_log(j) - _square_log(j + 1.0) - _square_log(np.abs(j - 1.0))
+        value = np.where(j > SERIES_FROM, series, near) / (2.0 * math.pi)
+        return np.asarray(value - np.log(M) / math.pi)
+
+
+def _square_log(t: Floats) -> Floats:
+    """Return t^2 ln|t|, 0 at 0."""
+    return np.asarray(t * t * np.log(np.where(t > 0.0, t, 1.0)))

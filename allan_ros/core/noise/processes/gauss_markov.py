@@ -1,0 +1,60 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""First-order Gauss-Markov process: exponentially correlated noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..process import CORRELATION_TIME, Floats, Process, Search, States
+
+
+@dataclass(frozen=True)
+class GaussMarkov(Process):
+    """First-order Gauss-Markov process of unit variance.
+
+    gamma omits the variance, so that no digits are lost at long correlation times.
+    """
+
+    name = 'gauss_markov'
+    label = 'GM {correlation_time} s'
+    meaning = 'First-order Gauss-Markov process (exponentially correlated noise).'
+    parameters = (CORRELATION_TIME,)
+    finding = 'gauss_markov'
+
+    correlation_time: float
+
+    def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
+        M, j, time = np.asarray(M, float), np.asarray(j, float), self.correlation_time
+        x = M / time
+        # lag j >= 1: exp(-((j - 1) M + 1)/T) times the square of the mean of exp(-i/T), i < M
+        mean = np.expm1(-x) / math.expm1(-1.0 / time) / M
+        decay = np.expm1(-((np.maximum(j, 1.0) - 1.0) * x + 1.0 / time))
+        later = mean**2 * decay + (mean - 1.0) * (mean + 1.0)
+        # lag 0: the mean of exp(-|a - b|/T) - 1 over all pairs of samples
+        half = 0.5 / time
+        pairs = (
+            M / math.tanh(half) + np.expm1(-x) / (2.0 * math.sinh(min(half, 300.0)) ** 2)
+        ) / M**2
+        lag = (M - 1.0 / M) / (3.0 * time)  # mean of |a - b|/T, then of its square and cube
+        series = -lag + (M**2 - 1.0) / (12.0 * time**2) - x**3 / 60.0 * (1.0 - 1.0 / M**2)
+        return np.asarray(np.where(j >= 1, later, np.where(x < 1e-3, series, pairs - 1.0)))
+
+    @property
+    def slowest_time(self) -> float:
+        return self.correlation_time
+
+    def states(self) -> States:
+        rate = 1.0 / self.correlation_time
+        one = np.ones((1, 1))
+        return States(-rate * one, 2.0 * rate * one, np.ones(1), one)
+
+    @classmethod
+    def grid(cls, search: Search) -> Iterator[Process]:
+        most = math.log2(max(search.longest / search.shortest, 1.0))
+        return (cls(float(search.shortest * 2.0**k)) for k in np.arange(0.0, most + 0.01, 0.5))

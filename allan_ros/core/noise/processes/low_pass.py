@@ -1,0 +1,26 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a low-pass filter of the sensor removes from white noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .quantization import Quantization
+
+
+@dataclass(frozen=True)
+class LowPass(Quantization):
+    """Effect of a low-pass filter on averages that are long compared with its response.
+
+    A filter changes the spectrum of white noise by a series in f^2, whose first term has the
+    spectrum of quantization noise. Its coefficient may be negative, and mostly is.
+    """
+
+    name = 'low_pass'
+    letter = ''
+    label = 'filter'
+    meaning = 'What a low-pass filter of the sensor removes from white noise.'
+    coefficient = 'q'
+    is_regressor = True
+    no_states = 'it describes the samples, not the bias'

@@ -1,0 +1,79 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Resonance: a damped oscillation that noise excites, for example of a mounting."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..process import CORRELATION_TIME, FREQUENCY, Floats, Parameter, Process, Search, States
+from .sinusoid import Sinusoid
+
+BANDWIDTHS = (1.0, 3.0)
+"""Correlation times of the candidates, in periods times 1.5. Shorter ones than the first period are
+not allowed: they imitate a low-pass filter."""
+
+
+@dataclass(frozen=True)
+class Resonance(Process):
+    """Second-order process of unit variance: a damped oscillation of random phase.
+
+    Its autocovariance at a lag of t is exp(-t/T) cos(2 pi f t). It becomes a sinusoid when its
+    bandwidth is far below the resolution of the spectra.
+    """
+
+    name = 'resonance'
+    label = 'resonance {frequency} Hz'
+    meaning = 'Damped oscillation that noise excites, such as a resonance of a mounting.'
+    parameters = (FREQUENCY, CORRELATION_TIME)
+    finding = 'resonance'
+    low_band = 'none'
+
+    frequency: float
+    correlation_time: float
+
+    def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
+        frequency, time = self.frequency, self.correlation_time
+        z = cmath.exp(complex(-1.0 / time, 2.0 * math.pi * frequency))
+        M, j = np.asarray(M, float), np.asarray(j, float)
+        sums = (1.0 - np.exp(M * cmath.log(z))) / (1.0 - z)
+        zero = (M * (1.0 + z) / (1.0 - z) - 2.0 * z * sums / (1.0 - z)).real
+        k = (np.maximum(j, 1.0) - 1.0) * M + 1.0
+        wave = np.cos(2.0 * math.pi * frequency * k + 2.0 * np.angle(sums))
+        later = np.abs(sums) ** 2 * np.exp(-k / time) * wave
+        return np.asarray(np.where(j >= 1, later, zero) / M**2)
+
+    @property
+    def is_drift(self) -> bool:
+        return False
+
+    @property
+    def slowest_time(self) -> float:
+        return 0.0  # it is always fast
+
+    def states(self) -> States:
+        rate, turn = 1.0 / self.correlation_time, 2.0 * math.pi * self.frequency
+        dynamics = np.array([[-rate, -turn], [turn, -rate]])
+        return States(dynamics, 2.0 * rate * np.eye(2), np.array([1.0, 0.0]), np.eye(2))
+
+    @classmethod
+    def grid(cls, search: Search) -> Iterator[Process]:
+        """Yield resonances at the frequencies of the bins well above the block means."""
+        f = search.f[search.f > 2.0 * search.crossover]
+        return (cls(float(x), float(1.5 * c / x)) for x in f for c in BANDWIDTHS)
+
+    def bounds(self, parameter: Parameter, search: Search) -> tuple[float, float]:
+        if parameter is FREQUENCY:
+            return super().bounds(parameter, search)
+        low = BANDWIDTHS[0] / self.frequency
+        return low, max(search.narrowest(self.frequency), low)
+
+    def limit(self, search: Search) -> Process:
+        narrow = self.correlation_time >= 0.99 * search.narrowest(self.frequency)
+        return Sinusoid(self.frequency) if narrow else self

@@ -1,0 +1,69 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sinusoid of random phase, such as a vibration or a temperature cycle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..process import FREQUENCY, Floats, Process, Search
+
+SLOW_SINUSOID_HZ = 0.1
+"""Sinusoids up to this frequency are treated as drift of the sensor (temperature cycles); faster
+ones as motion."""
+
+
+@dataclass(frozen=True)
+class Sinusoid(Process):
+    """Sinusoid of unit amplitude and random phase."""
+
+    name = 'sinusoid'
+    label = 'sine {frequency} Hz'
+    meaning = 'Sinusoid of random phase, such as a vibration.'
+    coefficient = 'amplitude'
+    parameters = (FREQUENCY,)
+    finding = 'vibration'
+    is_line = True
+    low_band = 'rank two'
+    no_states = 'it is no noise: a filter that models it needs its phase'
+
+    frequency: float
+
+    def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
+        M, turn = np.asarray(M, float), math.pi * self.frequency
+        gain = np.sin(turn * M) / (M * math.sin(turn))
+        return np.asarray(0.5 * gain**2 * np.cos(2.0 * turn * M * np.asarray(j, float)))
+
+    @property
+    def is_drift(self) -> bool:
+        return self.frequency <= SLOW_SINUSOID_HZ
+
+    @property
+    def slowest_time(self) -> float:
+        return 0.5 / self.frequency
+
+    def sample(self, n: int, rng: np.random.Generator) -> Floats:
+        phase = rng.uniform(0.0, 2.0 * np.pi)
+        return np.asarray(np.sin(2.0 * np.pi * self.frequency * np.arange(n) + phase))
+
+    def alias_variance(self, step: int) -> float:
+        if self.frequency * step <= 1.0:
+            return 0.0
+        # of all aliases at random frequencies
+        return 0.5 / (step * math.sin(math.pi * self.frequency)) ** 2
+
+    @classmethod
+    def grid(cls, search: Search) -> Iterator[Process]:
+        """Yield sinusoids at the frequencies of the bins and between them."""
+        f, highest = search.f, min(search.crossover, 0.5 / search.step)
+        low = np.arange(1.0, search.longest * highest, 0.5) / search.longest
+        width = np.diff(f, append=f[-1:] if len(f) else [])
+        same = np.append(np.diff(search.block) == 0.0, False) if len(f) else width > 0.0
+        between = (f + width / 2.0)[same]
+        every = np.unique(np.concatenate([low, f, between]))
+        return (cls(float(each)) for each in every if 0.0 < each < 0.49)

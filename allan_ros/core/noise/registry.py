@@ -1,0 +1,52 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All noise processes, found in the modules of `allan_ros.core.noise.processes`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pkgutil import iter_modules
+
+from . import processes
+from .process import Process
+
+LETTERS = 'QNBKR'
+"""Letters of the five terms of IEEE Std 952-1997, in the order of all tables."""
+
+
+def _classes() -> Iterator[type[Process]]:
+    for module in iter_modules(processes.__path__):
+        found = import_module(f'{processes.__name__}.{module.name}')
+        for one in vars(found).values():
+            if isinstance(one, type) and one.__module__ == found.__name__:
+                yield one
+
+
+def _place(one: type[Process]) -> tuple[int, int, str]:
+    """Return the place of a process in the registry: the five terms first."""
+    letter = LETTERS.find(one.letter) if one.letter else len(LETTERS)
+    return len(one.parameters) and len(LETTERS), letter, one.name
+
+
+PROCESSES: Mapping[str, type[Process]] = {one.name: one for one in sorted(_classes(), key=_place)}
+"""Name -> class."""
+
+TERMS: tuple[Process, ...] = tuple(
+    one()
+    for one in PROCESSES.values()
+    if one.letter and not one.parameters and not one.is_regressor
+)
+"""The random terms Q, N, B and K, which every model contains."""
+
+SEARCHED: tuple[type[Process], ...] = tuple(
+    one
+    for one in PROCESSES.values()
+    if one.parameters and one.replaces is None and not one.is_regressor
+)
+"""The processes that a fit may add."""
+
+REPLACEMENTS: Mapping[type[Process], type[Process]] = {
+    one.replaces: one for one in PROCESSES.values() if one.replaces is not None
+}
+"""Term -> process that replaces it if the data show its shape."""

@@ -1,0 +1,160 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The contract of every registered noise process: each place that must handle it does."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from allan_ros.core.findings import CATALOG
+from allan_ros.core.noise.derived import (
+    avar,
+    bank,
+    contrast_variance,
+    covariance_of_means,
+    growth_variance,
+    simulate,
+)
+from allan_ros.core.noise.process import Process, Search
+from allan_ros.core.noise.registry import PROCESSES, REPLACEMENTS, SEARCHED, TERMS
+
+N = 4096
+"""Samples of a simulated record."""
+
+SEARCH = Search(N, 16, 0.01, np.arange(8, 32) / 64.0, np.full(24, 64.0), 8.0)
+
+
+def example(one: type[Process]) -> Process:
+    """Return a process with a shape in the middle of its grid."""
+    candidates = list(one.grid(SEARCH)) or [one()]
+    return candidates[len(candidates) // 2]
+
+
+EVERY = pytest.mark.parametrize(
+    'process', [example(one) for one in PROCESSES.values()], ids=[*PROCESSES]
+)
+
+
+def tapers(n: int) -> NDArray[np.complex128]:
+    """Return two tapers without a constant, (2, n)."""
+    t = (np.arange(n) + 0.5) / n
+    a = np.sin(np.pi * t) ** 2 * np.exp(-2j * np.pi * np.array([[3.0], [9.0]]) * t)
+    return np.asarray(a - a.mean(axis=1, keepdims=True))
+
+
+@EVERY
+def test_gamma_predicts_all_statistics_of_simulated_samples(process: Process) -> None:
+    """False alarms: 5 standard errors of the mean of 300 records; 13 numbers, below 1e-4."""
+    rng = np.random.default_rng(3)
+    m, horizon, window, n = np.array([1, 2, 7, 40, 200]), 60, 25, 64
+    records = []
+    for _ in range(300):
+        y = simulate([(1.0, process)], N, rng)
+        assert y.shape == (N,) and y[0] == 0.0
+        theta = np.concatenate([[0.0], np.cumsum(y)])
+        second = (theta[2 * k :] - 2.0 * theta[k:-k] + theta[: -2 * k] for k in m.tolist())
+        found = [np.mean(d**2) / (2.0 * k**2) for d, k in zip(second, m)]
+        start = np.arange(window, N - horizon, horizon + window)
+        before, after = theta[start] - theta[start - window], theta[start + horizon] - theta[start]
+        found.append(np.mean((after - horizon / window * before) ** 2))
+        blocks = y.reshape(-1, n)
+        found += np.mean(np.abs(tapers(n) @ blocks.T) ** 2, axis=1).tolist()
+        means = y.reshape(-1, 16).mean(axis=1)
+        found += [np.mean((means[j:] - means[:-j]) ** 2) / 2.0 for j in (1, 3, 10)]
+        records.append(found)
+    gamma = covariance_of_means(process, 16, np.array([0, 1, 3, 10]))
+    expected = np.concatenate(
+        [
+            avar(process, m),
+            [growth_variance(process, horizon, window)],
+            contrast_variance(process, tapers(n)),
+            gamma[0] - gamma[1:],
+        ]
+    )
+    mean, error = np.mean(records, axis=0), np.std(records, axis=0) / math.sqrt(len(records))
+    assert np.all(np.abs(mean - expected) < 5.0 * error + 1e-6 * expected)
+
+
+@EVERY
+def test_the_constant_of_gamma_is_equal_for_all_averaging_times(process: Process) -> None:
+    """A mean over 6 samples is the mean of two means over 3 samples, and of three over 2."""
+    whole = process.gamma(6, 0)
+    for number in (2, 3, 6):
+        distance = np.abs(np.subtract.outer(np.arange(number), np.arange(number)))
+        parts = process.gamma(6 // number, distance)
+        scale = np.ptp(process.gamma(1, np.arange(7)))
+        assert np.mean(parts) == pytest.approx(float(whole), abs=1e-9 * scale)
+
+
+@EVERY
+@pytest.mark.parametrize('m', [1e5, 1e7])
+def test_no_digits_are_lost_at_long_times(process: Process, m: float) -> None:
+    """Allan variance and growth are positive for shapes far above and below the averaging time."""
+    for unit in (1e-4, 1.0, 1e4):
+        scaled = process.in_unit(unit)
+        if any(p.unit == 'Hz' and x > 0.49 for p, x in zip(scaled.parameters, scaled.shape)):
+            continue
+        least = -1e-9 * np.abs(scaled.gamma(m, 0))
+        assert avar(scaled, m) >= least and np.isfinite(avar(scaled, m))
+        assert growth_variance(scaled, m, m / 100.0) >= least * m**2
+
+
+@EVERY
+def test_the_states_have_the_variances_of_gamma_or_there_is_a_reason(process: Process) -> None:
+    states = process.states()
+    assert (states is None) == bool(process.no_states)
+    if states is None:
+        return
+    n = len(states.output)
+    block = np.block([[-states.dynamics, states.noise], [np.zeros((n, n)), states.dynamics.T]])
+    power = expm(block)
+    phi = power[n:, n:].T
+    noise = phi @ power[:n, n:]
+    for weights in (np.repeat([1.0, -1.0], 20) / 20.0, np.cos(np.pi * (np.arange(30) + 0.5) / 15)):
+        adjoint, variance = np.zeros(n), 0.0
+        for k in reversed(range(len(weights))):
+            adjoint = weights[k] * states.output + phi.T @ adjoint
+            variance += adjoint @ (noise if k else states.initial) @ adjoint
+        assert variance == pytest.approx(float(contrast_variance(process, weights)), rel=1e-6)
+
+
+@EVERY
+def test_a_bank_of_gauss_markov_processes_replaces_missing_states(process: Process) -> None:
+    """Except for differences of white noise and sinusoids, which no sum of them resembles."""
+    m = np.round(np.geomspace(8.0, 300.0, 20))
+    members = bank(process, np.geomspace(4.0, 12000.0, 9), m)
+    total = sum((v * avar(one, m) for v, one in members), np.zeros(len(m)))
+    if process.is_drift and not (process.is_line or process.is_regressor or process.letter == 'N'):
+        np.testing.assert_allclose(total, avar(process, m), rtol=0.06)
+
+
+@EVERY
+def test_the_description_is_complete(process: Process) -> None:
+    assert [p.name for p in process.parameters] == [f.name for f in fields(process)]
+    assert hash(process) == hash(process.with_shape({})) and process.title and process.meaning
+    assert process.meaning.endswith('.') and len(process.label) < 40
+    assert process.in_unit(0.01).in_unit(100.0).shape == pytest.approx(process.shape)
+    value = process.coefficient_of(process.variance_of(3.0, 0.01), 0.01)
+    assert value == pytest.approx(3.0)
+    assert not process.finding or process.finding in CATALOG
+    assert type(process).__module__.endswith(f'processes.{process.name}')
+
+
+def test_every_process_with_a_shape_is_found_by_the_fit() -> None:
+    shaped = {one for one in PROCESSES.values() if one.parameters}
+    assert {*SEARCHED, *REPLACEMENTS.values()} == shaped
+    for one in shaped:
+        candidates = list(one.grid(SEARCH))
+        assert len(set(candidates)) == len(candidates) > 2
+        assert one.threshold(100) > 0.0 and one.finding
+        for each in candidates:
+            for parameter, value in zip(each.parameters, each.shape):
+                low, high = each.bounds(parameter, SEARCH)
+                assert 0.0 < low <= high and value < 2.0 * high
+    assert [one.letter for one in TERMS] == ['Q', 'N', 'B', 'K']
