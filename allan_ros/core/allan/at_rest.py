@@ -1,0 +1,159 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the samples of an axis at rest show beside their noise: mean, drift and bandwidth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .curve import pooled_spectra
+from .grid import octave
+from .sums import AllanSums
+
+Floats = NDArray[np.float64]
+
+DRIFT_BLOCKS = 16
+"""Number of means of equal length, over all recordings, from which the drift is computed."""
+
+LEAST_RANGE_K = 3.0
+"""Range of the temperature in K below which no slope over temperature is computed."""
+
+HALF_POWER = 0.5
+"""Power relative to the white noise at the end of the bandwidth (-3 dB)."""
+
+SMOOTHED_BINS, LEAST_DOF = 5, 40.0
+"""Number of neighboring bins of which the median is taken, and fewest degrees of freedom of a bin.
+The median of white noise is then below `HALF_POWER` with a probability of 1e-6."""
+
+Z_95 = 1.96
+"""Normal quantile of 97.5 %."""
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """Mean, drift and bandwidth of the samples of one axis at rest, in SI.
+
+    Attributes
+    ----------
+    mean : float
+        Mean of all used samples: the bias, with gravity for an accelerometer.
+    drift : float or None
+        Difference between the largest and the smallest of up to 16 means of equal length. It
+        includes the noise of the means. None for less than two blocks.
+    temperature : float or None
+        Mean temperature in degC; None if it was not recorded.
+    slope, slope_ci95 : float and (low, high), or None
+        Change of the means per K, by least squares, and its 95 % interval. A drift with time is
+        included. None if the temperature was not recorded or varied by less than 3 K.
+    bandwidth : float or None
+        Frequency in Hz up to which the noise density is at least 0.71 N: half of the sample rate
+        without a low-pass filter. None if N or the spectrum is unknown.
+    """
+
+    mean: float
+    drift: float | None = None
+    temperature: float | None = None
+    slope: float | None = None
+    slope_ci95: tuple[float, float] | None = None
+    bandwidth: float | None = None
+
+
+def at_rest(
+    sums: AllanSums, time_ns: NDArray[np.int64], celsius: Floats, white: Mapping[str, float | None]
+) -> dict[str, AtRest]:
+    """Return axis -> mean, drift and bandwidth of its samples.
+
+    Parameters
+    ----------
+    sums : AllanSums
+        Sums with at least one recording.
+    time_ns, celsius : (readings,) arrays
+        Times of temperature readings on the clock of the sums, ascending, and degC; may be empty.
+    white : mapping of axis to float or None
+        Coefficient N of each axis in SI.
+    """
+    weights = np.array([one.samples for one in sums.recordings], float)
+    mean = weights @ np.array([one.mean for one in sums.recordings]) / weights.sum()
+    begin_ns, length_ns, means = _block_means(sums)
+    heat = np.full(len(means), np.nan)
+    if len(celsius) > 1 and len(means):
+        inside = begin_ns[:, None] + length_ns * (np.arange(8) + 0.5) / 8.0
+        heat = np.interp(inside, time_ns, celsius, np.nan, np.nan).mean(axis=1)
+    known = np.isfinite(heat)
+    temperature = float(heat[known].mean()) if known.any() else None
+    found = {}
+    for i, axis in enumerate(sums.axes):
+        drift = float(np.ptp(means[:, i])) if len(means) > 1 else None
+        slope, ends = _slope(heat[known], means[known, i])
+        bandwidth = _bandwidth(sums, i, white.get(axis))
+        found[axis] = AtRest(float(mean[i]), drift, temperature, slope, ends, bandwidth)
+    return found
+
+
+def _block_means(sums: AllanSums) -> tuple[Floats, float, Floats]:
+    """Return the beginnings of blocks in ns, their length in ns, and their means, (blocks, axes).
+
+    The length is a power of two times the sample period, and gives at most `DRIFT_BLOCKS` blocks.
+    """
+    kept = [(one, m) for one in sums.recordings for m in one.means]
+    step = max((m.step for _, m in kept), default=1)
+    while sum(m.samples // step for _, m in kept) > DRIFT_BLOCKS:
+        step *= 2
+    length_ns = step * (sums.tau0 or 0.0) * 1e9
+    begins, means = [np.zeros(0)], [np.zeros((0, len(sums.axes)))]
+    for one, m in kept:
+        values = m.coarser(step).values + one.reference
+        begins.append(m.start_ns + length_ns * np.arange(len(values)))
+        means.append(values)
+    return np.concatenate(begins), length_ns, np.concatenate(means)
+
+
+def _slope(heat: Floats, values: Floats) -> tuple[float | None, tuple[float, float] | None]:
+    """Return the change of the values per K and its 95 % interval, by least squares.
+
+    The scatter about the line is correlated in time; the interval assumes a first-order
+    autoregressive process with the correlation of neighboring residuals.
+    """
+    n = len(heat)
+    if n < 4 or float(np.ptp(heat)) < LEAST_RANGE_K:
+        return None, None
+    x, y = heat - heat.mean(), values - values.mean()
+    slope = float(x @ y / (x @ x))
+    rest = y - slope * x
+    power = float(rest @ rest)
+    alike = min(max(float(rest[1:] @ rest[:-1]) / power, 0.0), 0.9) if power else 0.0
+    error = math.sqrt(power / (n - 2) / float(x @ x) * (1.0 + alike) / (1.0 - alike))
+    return slope, (slope - Z_95 * error, slope + Z_95 * error)
+
+
+def _bandwidth(sums: AllanSums, i: int, white: float | None) -> float | None:
+    """Return the frequency in Hz up to which the power is at least half of that of white noise."""
+    tau0 = sums.tau0
+    if not white or not tau0:
+        return None
+    spectra = pooled_spectra(sums)
+    steps = np.array([octave(o).step for o in range(spectra.octaves)], float)
+    some = spectra.dof >= LEAST_DOF
+    order = np.argsort(spectra.f[some], kind='stable')
+    f = spectra.f[some][order]
+    # the power of means over `step` samples is that of the samples divided by `step`
+    power = (spectra.power[some, i] * steps[spectra.octave[some]])[order]
+    if len(f) < SMOOTHED_BINS:
+        return None
+    windows = np.lib.stride_tricks.sliding_window_view(power, SMOOTHED_BINS)
+    relative = np.median(windows, axis=1) / (white**2 / tau0)
+    middle = f[SMOOTHED_BINS // 2 : len(f) - SMOOTHED_BINS // 2]
+    (lost,) = np.nonzero(relative < HALF_POWER)
+    if not len(lost):
+        return 0.5 / tau0
+    if lost[0] == 0:
+        return None
+    last = int(lost[0]) - 1
+    low, high = (math.log(max(r, 1e-30)) for r in relative[last : last + 2])
+    share = (low - math.log(HALF_POWER)) / (low - high)
+    return float(middle[last] * (middle[last + 1] / middle[last]) ** share) / tau0
