@@ -71,4 +71,5 @@ def test_a_vibration_above_a_filter_is_no_bandwidth() -> None:
 def test_without_a_filter_it_is_half_of_the_rate() -> None:
     # false alarm: 60 medians of 1e-6 each
     assert measured(white()).bandwidth == RATE / 2.0
-    assert at_rest(sums_of(white()[:, None], axes=('gyro_x',)), *NONE, {})['gyro_x'].bandwidth is None
+    sums = sums_of(white()[:, None], axes=('gyro_x',))
+    assert at_rest(sums, *NONE, {})['gyro_x'].bandwidth is None  # N is unknown
