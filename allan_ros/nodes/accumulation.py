@@ -100,8 +100,7 @@ class ImuWatch(Part):
         return f'{self._input.topic}{name} ({self._input.qos}; checkpoint {checkpoint})'
 
     def tick(self, now: float) -> None:
-        """Fetch the queued messages, and run the tasks that are due."""
-        self._input.drain()
+        """Run the tasks that are due."""
         self._monitor.set_received(now, self._input.received)
         if self._update_due.due(now):
             self._update()
@@ -148,7 +147,7 @@ class ImuWatch(Part):
             ('message age [s]', self._monitor.silence_s(now) if statistics.received else None),
             ('stamp age [s]', stamp_age),
             ('publishers', ', '.join(publishers) or 'none'),
-            ('messages taken by', 'a timer' if self._input.polled else 'a callback'),
+            ('messages taken by', 'a thread' if self._input.polled else 'a callback'),
             ('checkpoint', self._checkpoint.path or 'none'),
             ('checkpoint age [s]', self._checkpoint.age_s(now)),
         ]

@@ -1,18 +1,19 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Receives Imu messages without a callback per message: a timer empties the queue.
+"""Receives Imu messages without a callback per message: a thread empties the queue.
 
 One Python callback per message costs more than all other processing. Therefore the executor does
-not wait for the subscription, and `ImuInput.drain` empties its queue a few times a second with
+not wait for the subscription, and a thread empties its queue several times a second with
 ``take_message``, an undocumented method that the executors of rclpy call. If a version of rclpy
 does not have it, a callback receives the same bytes.
 """
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import compress
 from typing import Any
 
@@ -53,11 +54,17 @@ except ImportError:  # Humble
 
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 
-QUEUE_DEPTH = 4000
-"""Queue depth of the subscription, in messages; ``qos_overrides`` change it."""
+QUEUE_DEPTH = 5000
+"""Queue depth of the subscription in messages, which ``qos_overrides`` change. Fast DDS keeps no
+more in a queue: 0.25 s at 20 kHz, about 2.5 MB."""
 
-DRAIN_LIMIT = 50_000
-"""Largest number of messages fetched at once: a fast publisher must not block the node."""
+FETCH_S, FETCH_SHARE = 0.1, 0.25
+"""Longest time in s between two fetches, and share of the queue that may fill in between."""
+
+BUFFER_BYTES, MESSAGE_BYTES = 2**26, 120
+"""Largest memory for fetched messages that are not decoded yet, and what Python adds to the payload
+of each. This is 7 s of messages at 20 kHz, and 12 min at 200 Hz. If the node computes for longer,
+messages stay in the queue, where they are lost and counted."""
 
 NAMELESS = '_NODE_NAME_UNKNOWN_'
 """Node name that the ROS graph returns for an endpoint of an unknown node."""
@@ -154,18 +161,32 @@ def subscribe_raw(
     return subscription, True
 
 
+@dataclass
+class _Buffer:
+    """Messages that are fetched but not decoded, and how many are missing before and among them."""
+
+    payloads: list[bytes] = field(default_factory=list)
+    received_ns: list[int] = field(default_factory=list)
+    arrived_s: list[float] = field(default_factory=list)  # on a steady clock
+    size: int = 0  # bytes
+    sent_before: int = 0
+    skipped_numbers: int = 0
+
+
 class ImuInput:
     """Subscribes to the Imu messages of one topic (which may be remapped), and decodes them.
 
-    ``polled`` is True if `drain` must be called to fetch messages, False if a callback does it.
+    ``polled`` is True if a thread fetches the messages until `close`, False if a callback receives
+    them.
     """
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
         self._statistics = TransportStatistics()
         self._node = node
-        self._payloads: list[bytes] = []
-        self._received_ns: list[int] = []
-        self._arrived_s: list[float] = []  # on a steady clock
+        self._buffer = _Buffer()
+        self._lock = threading.Lock()  # of the buffer and the queue
+        self._error: Exception | None = None  # of the thread; the next `batches` raises it
+        self._closed = threading.Event()
         self._drained_s = steady_s()
         self._arrivals = Arrivals(self._statistics)
         self.constant = ConstantAxes()
@@ -177,39 +198,71 @@ class ImuInput:
         )
         self.topic = self._subscription.topic_name
         self._loss = _loss_event(self._subscription)
+        self._thread = threading.Thread(target=self._fetch, daemon=True)
+        if self.polled:
+            self._thread.start()
 
     def drain(self) -> None:
-        """Fetch the queued messages; do nothing unless the input is ``polled``."""
-        if not self.polled:
-            return
+        """Fetch the messages that are in the queue; do nothing unless the input is ``polled``."""
+        if self.polled:
+            with self._lock:
+                self._take_all()
+
+    def _fetch(self) -> None:
+        """Fetch messages until the input is closed, often enough for the queue never to be full."""
+        wait_s = FETCH_S
+        while not self._closed.wait(wait_s):
+            before, count = self._drained_s, self.received
+            try:
+                self.drain()
+            except rclpy_implementation.InvalidHandle:  # the node was destroyed
+                return
+            except Exception as error:
+                self._error = error
+            rate = (self.received - count) / max(self._drained_s - before, 1e-3)
+            wait_s = min(FETCH_S, FETCH_SHARE * QUEUE_DEPTH / max(rate, 1.0))
+
+    def _take_all(self) -> None:
+        """Move the messages of the queue to the buffer, unless the buffer is full."""
         # The queue may still contain messages of a publisher that has left since the last call.
         count = self._node.count_publishers(self.topic)
         self._alone = max(count, self._publisher_count) <= 1
         self._publisher_count = count
         if not self._alone and b'' in self._last_number:
             self._last_number[b''] = None
-        handle, before = self._subscription.handle, len(self._received_ns)
+        handle, buffer = self._subscription.handle, self._buffer
+        before = len(buffer.received_ns)
         with handle:
-            for _ in range(DRAIN_LIMIT):
+            for _ in range(QUEUE_DEPTH):  # a fast publisher must not block the node
+                if buffer.size >= BUFFER_BYTES:
+                    break
                 message = handle.take_message(Imu, True)
                 if message is None:
                     break
                 self._collect(*message)
         # the system clock of the times of reception may have been set since the last call
         now_s = steady_s()
-        received_s = np.array(self._received_ns[before:], np.int64) / NANOSECONDS
+        received_s = np.array(buffer.received_ns[before:], np.int64) / NANOSECONDS
         arrived_s = np.clip(received_s - (time.time() - now_s), self._drained_s, now_s)
-        self._arrived_s += arrived_s.tolist()
+        buffer.arrived_s += arrived_s.tolist()
         self._drained_s = now_s
 
     def batches(self) -> Iterator[ImuBatch]:
         """Decode the messages received since the last call, in SI units, and yield them in order.
 
         All samples of a batch have the same frame_id. Malformed messages are counted and dropped.
+        If the thread that fetches messages has failed since the last call, its exception is raised.
         """
-        payloads, received = self._payloads, np.array(self._received_ns, np.int64)
-        arrived_s = np.array(self._arrived_s)
-        self._payloads, self._received_ns, self._arrived_s = [], [], []
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+        with self._lock:
+            buffer, self._buffer = self._buffer, _Buffer()
+            self._statistics.received += len(buffer.payloads)
+        self._statistics.sent_before += buffer.sent_before
+        self._statistics.skipped_numbers += buffer.skipped_numbers
+        payloads, received = buffer.payloads, np.array(buffer.received_ns, np.int64)
+        arrived_s = np.array(buffer.arrived_s)
         try:
             decoded = decode_imus(payloads, 'cdr')
         except MalformedMessage:
@@ -262,10 +315,11 @@ class ImuInput:
     @property
     def received(self) -> int:
         """Number of messages received so far."""
-        return self._statistics.received
+        with self._lock:
+            return self._statistics.received + len(self._buffer.payloads)
 
     def statistics(self) -> TransportStatistics:
-        """Return the counts of received, lost and malformed messages so far."""
+        """Return the counts of received, lost and malformed messages up to the last `batches`."""
         if self._loss is not None:
             with self._loss:
                 data = self._loss.take_event()
@@ -274,30 +328,34 @@ class ImuInput:
         return self._statistics
 
     def close(self) -> None:
-        """Release the event, which would keep the subscription alive."""
+        """Stop the thread, and release the event, which would keep the subscription alive."""
+        self._closed.set()
+        if self.polled:
+            self._thread.join()
         self._loss = None
 
     def _collect(self, payload: bytes, info: dict[str, Any] | None = None) -> None:
         """Store one message, and count the messages that were lost before it."""
-        self._statistics.received += 1
-        self._payloads.append(payload)
+        buffer = self._buffer
+        buffer.payloads.append(payload)
+        buffer.size += len(payload) + MESSAGE_BYTES
         if info is None:  # called by the executor
-            self._received_ns.append(time.time_ns())
-            self._arrived_s.append(steady_s())
+            buffer.received_ns.append(time.time_ns())
+            buffer.arrived_s.append(steady_s())
             return
-        self._received_ns.append(info['received_timestamp'])
+        buffer.received_ns.append(info['received_timestamp'])
         number = info.get('publication_sequence_number')
         if number is None:  # Humble
             return
         gid = info.get('publisher_gid')
         publisher = b'' if gid is None else gid['data']
         if publisher not in self._last_number:
-            self._statistics.sent_before += number - FIRST_NUMBER
+            buffer.sent_before += number - FIRST_NUMBER
         before = self._last_number.get(publisher)
         self._last_number[publisher] = number
         # Before Kilted, messages of two publishers cannot be distinguished.
         if before is not None and (gid is not None or self._alone):
-            self._statistics.skipped_numbers += max(0, number - before - 1)
+            buffer.skipped_numbers += max(0, number - before - 1)
 
 
 def steady_s() -> float:

@@ -33,13 +33,10 @@ from ..readers.files import parse_json
 from ..results.documents import results_from_document
 from ..results.results import Results
 from .diagnostics import status_name, status_of
-from .imu_input import full_name, qos_text, subscribe_raw
+from .imu_input import QUEUE_DEPTH, full_name, qos_text, subscribe_raw
 from .node import AllanNode, Part
 from .settings import SETTLED_RATIO, RelaySettings, WatchedImu
 from .shell import LATCHED
-
-QUEUE_DEPTH = 1000
-"""Queue depth of the subscription and the publisher, in messages."""
 
 WAIT_NS = 100_000_000
 """Time in ns after which the waiting thread checks whether it should end."""

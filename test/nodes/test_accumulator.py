@@ -105,7 +105,7 @@ def test_it_publishes_its_sums_and_health(graph, still_imu):
     assert status.hardware_id == 'imu'
     assert status.message.startswith('at rest, 200 Hz')
     assert graph.value('input', 'rate') == '200'
-    assert graph.value('input', 'messages taken by') == 'a timer'
+    assert graph.value('input', 'messages taken by') == 'a thread'
     text = (ROOT / 'docs' / 'diagnostics.md').read_text()
     keys = [v.key for v in status.values if not v.key.startswith('finding: ')]
     assert [key for key in keys if f'| `{key}`' not in text and f', `{key}` |' not in text] == []

@@ -119,6 +119,40 @@ def test_only_the_covariances_change_and_no_burst_is_lost(
     model.destroy()
 
 
+def test_no_message_is_lost_while_the_thread_is_delayed_by_a_fifth_of_a_second_at_20_khz(
+    graph, still_imu, monkeypatch
+):
+    from rclpy.qos import HistoryPolicy, QoSProfile
+
+    from allan_ros.nodes.relaying import ImuRelay
+
+    started, wake, relayed = threading.Event(), threading.Event(), ImuRelay._relay
+
+    def delayed(self: ImuRelay, payload: bytes, *info: Any) -> None:
+        started.set()
+        wake.wait()
+        relayed(self, payload, *info)
+
+    monkeypatch.setattr(ImuRelay, '_relay', delayed)
+    topic = 'qos_overrides./imu/data.subscription.'
+    graph.run('relay', **{f'{topic}history': 'keep_last', f'{topic}reliability': 'reliable'})
+    received: list[bytes] = []
+    from sensor_msgs.msg import Imu
+
+    everything = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+    graph.node.create_subscription(Imu, OUT, received.append, everything, raw=True)
+    publisher = graph.publisher()
+    sent = payloads(still_imu(4001, rate=20_000.0))
+    publisher.publish(sent[0])
+    graph.until(started.is_set)
+    for payload in sent[1:]:
+        publisher.publish(payload)
+    graph.spin(0.5)
+    wake.set()
+    graph.until(lambda: len(received) == len(sent))
+    assert received == sent
+
+
 def test_it_passes_on_until_there_is_a_model(graph, still_imu, results: Results):
     graph.run('relay')
     received = raw(graph)
