@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.allan.at_rest import at_rest
 from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN
@@ -154,6 +155,10 @@ def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Res
     fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]
     axes = dict(_axis_results(zip(recorded.sums, curves, fits)))
     time_ns, celsius = recorded.temperature_readings()
+    for complete in recorded.sums:
+        white = {axis: axes[axis].fit.noise['N'].value for axis in complete.axes}
+        rests = at_rest(complete, time_ns, celsius, white)
+        axes |= {axis: replace(axes[axis], at_rest=rest) for axis, rest in rests.items()}
     warmed: list[Finding] = []
     if len(celsius) > 1:
         for complete, fit in zip(recorded.sums, fits):

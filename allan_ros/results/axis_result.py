@@ -12,6 +12,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.allan.at_rest import AtRest
 from ..core.allan.curve import AxisCurve, allan_curve
 from ..core.allan.running import RunningSums
 from ..core.coefficient_text import interval_text, value_text
@@ -120,6 +121,8 @@ class AxisResult:
     temperature : TemperatureModel or None
         Bias as a function of temperature; None if no temperature was recorded, or it varied too
         little or in one direction only.
+    at_rest : AtRest or None
+        Mean (the bias), drift and bandwidth of the samples; None if only a curve is known.
 
     Examples
     --------
@@ -141,6 +144,7 @@ class AxisResult:
     rounding: float | None = None
     turn_on: TurnOnBias | None = None
     temperature: TemperatureModel | None = None
+    at_rest: AtRest | None = None
 
     @property
     def Q(self) -> Quantity:

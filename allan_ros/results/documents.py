@@ -62,11 +62,12 @@ LISTED_SEGMENTS = 1000
 SIGNED = (
     *('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'mean', 'R', 'low_pass'),
     *('reference', 'lowest', 'highest', 'b0', 'b1', 'b2', 'hysteresis'),
+    *('slope', 'slope_ci95', 'temperature'),
 )
 """Keys of numbers that may be negative."""
 
 FIT = ('model', 'm_min', 'filtered', 'gof_z', 'lack_of_fit')
-AXIS = ('rounding', 'turn_on', 'temperature', 'growth')
+AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
 """Fields of a fit and of an axis that have the same name in results.json."""
 
 NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}

@@ -101,6 +101,13 @@ def _axis(axis: Any) -> dict[str, Any]:
         'rounding': axis.rounding,
         'turn_on': _turn_on(axis.turn_on),
         'temperature': _temperature(axis.temperature),
+        'at_rest': {
+            'mean': axis.at_rest.mean,
+            'drift': axis.at_rest.drift,
+            'temperature': axis.at_rest.temperature,
+            'slope': [axis.at_rest.slope, *(axis.at_rest.slope_ci95 or ())],
+            'bandwidth': axis.at_rest.bandwidth,
+        },
     }
 
 

@@ -117,6 +117,17 @@ def two_rates() -> dict[str, Any]:
     return analyzed(Samples(samples.t, values))
 
 
+def warm() -> dict[str, Any]:
+    """Analyze a table with the temperature."""
+    samples = stored('warm')
+    with tempfile.TemporaryDirectory() as folder:
+        path, columns = Path(folder) / 'warm.csv', samples.columns
+        table = np.column_stack(list(columns.values()))
+        np.savetxt(path, table, '%.12g', ',', header=','.join(columns), comments='')
+        results = ar.analyze(path)
+    return {**numbers(results), **nodes(results, samples)}
+
+
 def faulty() -> dict[str, Any]:
     """Analyze a bag with lost, repeated and damaged messages, beside the faults of the samples."""
     t, values, _ = stored('faulty')
@@ -181,7 +192,7 @@ RECORDINGS: Mapping[str, Recording] = {
     'correlated': Recording(simulated('correlated')),
     'vibration': Recording(simulated('vibration', motion_gate=False)),
     'filtered': Recording(simulated('filtered')),
-    'warm': Recording(simulated('warm')),
+    'warm': Recording(warm),
     'two_rates': Recording(two_rates),
     'faulty': Recording(faulty),
     'three_days': Recording(three_days),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .curve import pooled_spectra
+from .curve import Spectra, pooled_spectra
 from .grid import octave
 from .sums import AllanSums
 
@@ -84,13 +84,13 @@ def at_rest(
     if len(celsius) > 1 and len(means):
         inside = begin_ns[:, None] + length_ns * (np.arange(8) + 0.5) / 8.0
         heat = np.interp(inside, time_ns, celsius, np.nan, np.nan).mean(axis=1)
-    known = np.isfinite(heat)
+    known, spectra = np.isfinite(heat), pooled_spectra(sums)
     temperature = float(heat[known].mean()) if known.any() else None
     found = {}
     for i, axis in enumerate(sums.axes):
         drift = float(np.ptp(means[:, i])) if len(means) > 1 else None
         slope, ends = _slope(heat[known], means[known, i])
-        bandwidth = _bandwidth(sums, i, white.get(axis))
+        bandwidth = _bandwidth(spectra, i, white.get(axis), sums.tau0)
         found[axis] = AtRest(float(mean[i]), drift, temperature, slope, ends, bandwidth)
     return found
 
@@ -105,10 +105,11 @@ def _block_means(sums: AllanSums) -> tuple[Floats, float, Floats]:
     while sum(m.samples // step for _, m in kept) > DRIFT_BLOCKS:
         step *= 2
     length_ns = step * (sums.tau0 or 0.0) * 1e9
-    begins, means = [np.zeros(0)], [np.zeros((0, len(sums.axes)))]
+    begins: list[Floats] = [np.zeros(0)]
+    means: list[Floats] = [np.zeros((0, len(sums.axes)))]
     for one, m in kept:
         values = m.coarser(step).values + one.reference
-        begins.append(m.start_ns + length_ns * np.arange(len(values)))
+        begins.append(m.start_ns + length_ns * np.arange(len(values), dtype=float))
         means.append(values)
     return np.concatenate(begins), length_ns, np.concatenate(means)
 
@@ -131,12 +132,10 @@ def _slope(heat: Floats, values: Floats) -> tuple[float | None, tuple[float, flo
     return slope, (slope - Z_95 * error, slope + Z_95 * error)
 
 
-def _bandwidth(sums: AllanSums, i: int, white: float | None) -> float | None:
+def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None) -> float | None:
     """Return the frequency in Hz up to which the power is at least half of that of white noise."""
-    tau0 = sums.tau0
     if not white or not tau0:
         return None
-    spectra = pooled_spectra(sums)
     steps = np.array([octave(o).step for o in range(spectra.octaves)], float)
     some = spectra.dof >= LEAST_DOF
     order = np.argsort(spectra.f[some], kind='stable')

@@ -1,0 +1,445 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Test plans: limits for a production test of an IMU at rest, read from a YAML file.
+
+    schema: allan_ros/plan/1
+    name: line 4
+    gyro:
+      N: {lower: 0.1, upper: 0.36, unit: deg/sqrt(h)}
+      bias: {lower: -0.5, upper: 0.5, unit: deg/s, at: 25}
+      bandwidth: {lower: 40, unit: Hz}
+    accel_z: {N: {upper: 25, unit: ug/sqrt(Hz)}}
+    gravity: {lower: 9.75, upper: 9.86, unit: m/s^2}
+    orientation: {up: [0, 0, 1], upper: 2, unit: deg}
+    rate: {lower: 99, upper: 101, unit: Hz}
+    duration: {lower: 600, unit: s}
+
+``gyro`` and ``accel`` apply to three axes; a single axis takes precedence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from ..core.allan.at_rest import AtRest
+from ..core.compare import MARGIN
+from ..core.errors import AllanError
+from ..core.fields import Fields, located
+from ..core.imu import (
+    AXES,
+    DATASHEET_UNITS,
+    SENSORS,
+    SI_UNITS,
+    STANDARD_GRAVITY,
+    UNITS,
+    sensor_of,
+    to_si,
+)
+from ..readers.files import read_yaml
+
+if TYPE_CHECKING:
+    from .datasheets import Datasheet
+    from .results import Results
+
+SCHEMA = 'allan_ros/plan/1'
+
+PER_KELVIN = '/K'
+
+AXIS_UNITS: Mapping[str, Mapping[str, str]] = {
+    sensor: {
+        **units,
+        'bias': units['B'],
+        'drift': units['B'],
+        'temperature_drift': units['B'] + PER_KELVIN,
+        'bandwidth': 'Hz',
+    }
+    for sensor, units in SI_UNITS.items()
+}
+"""Sensor -> quantity of an axis that a plan can limit -> its SI unit."""
+
+UNIT_UNITS: Mapping[str, str] = {
+    'gravity': 'm/s^2',
+    'orientation': 'deg',
+    'rate': 'Hz',
+    'duration': 's',
+    'used': '',
+    'temperature': 'degC',
+}
+"""Quantity of the whole IMU that a plan can limit -> its unit."""
+
+SCALES: Mapping[str, Mapping[str, float]] = {
+    's': {'s': 1.0, 'min': 60.0, 'h': 3600.0},
+    'Hz': {'Hz': 1.0, 'kHz': 1e3},
+    'deg': {'deg': 1.0},
+    'degC': {'degC': 1.0},
+    '': {'': 1.0, '%': 0.01},
+}
+"""Unit of a quantity that is not in `UNITS` -> stated unit -> factor."""
+
+ABOUT_THE_DATA = ('duration', 'used', 'temperature')
+"""Quantities of the recording and not of the IMU: outside of their limits, the IMU is not judged.
+"""
+
+SIGNED = ('bias', 'temperature_drift')
+"""Quantities with a sign, which need both limits."""
+
+BELOW = 3.0
+"""Measured noise below the typical figure of a datasheet by this factor is implausible."""
+
+NEAR_K = 3.0
+"""Largest difference in K between the temperature of a limit and that of the recording, if there is
+no model of the bias over temperature."""
+
+CheckVerdict = Literal['within', 'exceeds', 'undecided']
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of one quantity, in SI (or degC, deg); None for no limit.
+
+    ``unit`` is the unit in which the plan states them, and ``scale`` the factor from it to SI.
+    ``at`` is the temperature in degC at which a bias is judged; None for that of the recording.
+    """
+
+    lower: float | None
+    upper: float | None
+    unit: str
+    scale: float = 1.0
+    at: float | None = None
+
+    def verdict(self, interval: tuple[float, float] | None) -> CheckVerdict:
+        """Return whether an interval lies within the limits.
+
+        'within' if the complete interval lies within, 'exceeds' if the complete interval lies
+        beyond one of them; otherwise, and without an interval (None), 'undecided'.
+
+        Examples
+        --------
+        >>> limits = Limits(1.0, 2.0, 'deg/h')
+        >>> [limits.verdict(each) for each in ((1.2, 1.8), (1.8, 2.2), (2.1, 2.4), (0.0, 0.9))]
+        ['within', 'undecided', 'exceeds', 'exceeds']
+        """
+        if interval is None or math.isnan(interval[0]):
+            return 'undecided'
+        low, high = interval
+        lower = -math.inf if self.lower is None else self.lower
+        upper = math.inf if self.upper is None else self.upper
+        if low > upper or high < lower:
+            return 'exceeds'
+        return 'within' if lower <= low and high <= upper else 'undecided'
+
+
+class Measured(NamedTuple):
+    """A measured quantity: value and interval, each None if unknown, and why it is unknown."""
+
+    value: float | None
+    interval: tuple[float, float] | None
+    why: str = ''
+
+
+UNKNOWN = Measured(None, None)
+
+
+@dataclass(frozen=True)
+class PlanCheck:
+    """One quantity, compared with the limits of a plan.
+
+    Attributes
+    ----------
+    axis : str
+        Name of the axis; '' for a quantity of the whole IMU.
+    quantity : str
+        A key of `AXIS_UNITS` or `UNIT_UNITS`, such as 'N', 'bias' or 'rate'.
+    limits : Limits
+    measured : Measured
+        In the unit of the limits after conversion to SI.
+    verdict : 'within', 'exceeds' or 'undecided'
+    """
+
+    axis: str
+    quantity: str
+    limits: Limits
+    measured: Measured
+    verdict: CheckVerdict
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The limits of a production test.
+
+    Attributes
+    ----------
+    name : str
+        Name of the plan in texts.
+    axes : mapping of axis to quantity to Limits
+    whole : mapping of quantity to Limits
+        Limits of the whole IMU and of the recording.
+    up : (3,) or None
+        Direction of the measured acceleration at rest in the frame of the IMU, of length 1; None if
+        the plan does not state the orientation.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> plan = plan_from_document({
+    ...     'schema': 'allan_ros/plan/1', 'name': 'demo',
+    ...     'gyro': {'N': {'upper': 0.3, 'unit': 'deg/sqrt(h)'}},
+    ...     'rate': {'lower': 60, 'unit': 'Hz'},
+    ... }, 'demo.yaml')
+    >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+    >>> [(c.axis, c.quantity, c.verdict) for c in plan.checks(results)][-2:]
+    [('gyro_z', 'N', 'within'), ('', 'rate', 'exceeds')]
+    >>> plan.unchecked(results)[:2]
+    ['gyro Q', 'gyro B']
+    """
+
+    name: str
+    axes: Mapping[str, Mapping[str, Limits]]
+    whole: Mapping[str, Limits] = field(default_factory=dict)
+    up: tuple[float, float, float] | None = None
+
+    def checks(self, results: Results) -> tuple[PlanCheck, ...]:
+        """Return each limited quantity of the results, compared with its limits.
+
+        A quantity that the results do not contain is undecided.
+        """
+        found = []
+        for axis, quantities in self.axes.items():
+            for quantity, limits in quantities.items():
+                known = self._of_axis(results, axis, quantity, limits)
+                found.append(_check(axis, quantity, limits, known))
+        for quantity, limits in self.whole.items():
+            found.append(_check('', quantity, limits, self._of_unit(results, quantity)))
+        return tuple(found)
+
+    def unchecked(self, results: Results) -> list[str]:
+        """Return the measured quantities that the plan does not limit: 'gyro B', 'rate' ..."""
+        names = []
+        for sensor, where in SENSORS.items():
+            measured = [axis for axis in AXES[where] if axis in results.axes]
+            for quantity in AXIS_UNITS[sensor] if measured else ():
+                free = [axis for axis in measured if quantity not in self.axes.get(axis, {})]
+                whole = len(free) == len(measured)
+                names += [f'{sensor} {quantity}'] if whole else [f'{a} {quantity}' for a in free]
+        return names + [quantity for quantity in UNIT_UNITS if quantity not in self.whole]
+
+    def _of_axis(self, results: Results, axis: str, quantity: str, limits: Limits) -> Measured:
+        if axis not in results.axes:
+            return Measured(None, None, 'this axis was not measured')
+        result = results.axes[axis]
+        if quantity in SI_UNITS[sensor_of(axis)]:
+            return _coefficient(results, axis, quantity)
+        rest: AtRest | None = result.at_rest
+        if rest is None:
+            return UNKNOWN
+        if quantity == 'temperature_drift':
+            known = Measured(rest.slope, rest.slope_ci95)
+            return known if known.interval else Measured(None, None, 'the temperature is constant')
+        if quantity != 'bias':
+            return _exact(getattr(rest, quantity))
+        expected = self._gravity_on(axis)
+        if limits.at is None:
+            return _exact(rest.mean - expected)
+        model = result.temperature
+        if model is not None and model.lowest <= limits.at <= model.highest:
+            return _exact(float(model.bias(np.array(limits.at))) - expected)
+        if rest.temperature is None:
+            return Measured(None, None, 'the temperature was not recorded')
+        if abs(rest.temperature - limits.at) > NEAR_K:
+            return Measured(None, None, f'the temperature was {rest.temperature:.1f} degC')
+        return _exact(rest.mean - expected)
+
+    def _gravity_on(self, axis: str) -> float:
+        """Return the acceleration in m/s^2 that an axis without bias measures at rest."""
+        if sensor_of(axis) == 'gyro' or self.up is None:
+            return 0.0
+        known = self.whole.get('gravity')
+        size = STANDARD_GRAVITY
+        if known is not None and known.lower is not None and known.upper is not None:
+            size = 0.5 * (known.lower + known.upper)
+        return size * self.up['xyz'.index(axis[-1])]
+
+    def _of_unit(self, results: Results, quantity: str) -> Measured:
+        if quantity == 'rate':
+            return _exact(results.rate_hz)
+        if quantity == 'duration':
+            return _exact(results.duration_s)
+        if quantity == 'used':
+            return _exact(used_share(results))
+        rests = {name: axis.at_rest for name, axis in results.axes.items() if axis.at_rest}
+        if quantity == 'temperature':
+            known = [rest.temperature for rest in rests.values() if rest.temperature is not None]
+            return _exact(known[0]) if known else Measured(None, None, 'it was not recorded')
+        accel = [rests[axis].mean for axis in AXES[SENSORS['accel']] if axis in rests]
+        if len(accel) < 3:
+            return Measured(None, None, 'the accelerometer was not measured')
+        size = math.hypot(*accel)
+        if quantity == 'gravity':
+            return _exact(size)
+        along = sum(a * u for a, u in zip(accel, self.up or (0.0, 0.0, 0.0)))
+        return _exact(math.degrees(math.acos(max(-1.0, min(1.0, along / size)))) if size else None)
+
+
+def _check(axis: str, quantity: str, limits: Limits, measured: Measured) -> PlanCheck:
+    verdict = limits.verdict(measured.interval)
+    if verdict == 'exceeds' and quantity in ABOUT_THE_DATA:
+        verdict = 'undecided'
+    return PlanCheck(axis, quantity, limits, measured, verdict)
+
+
+def _exact(value: float | None) -> Measured:
+    return UNKNOWN if value is None else Measured(value, (value, value))
+
+
+def _coefficient(results: Results, axis: str, term: str) -> Measured:
+    known = results.axes[axis].fit.noise[term]
+    if known.status == 'estimated' and known.value is not None:
+        ends = known.ci95 or (known.value, known.value)
+        return Measured(known.value, (float(ends[0]), float(ends[1])))
+    if known.upper95 is None:
+        return UNKNOWN
+    return Measured(None, (0.0, known.upper95), 'it is not resolved')
+
+
+def used_share(results: Results) -> float | None:
+    """Return the share of the samples that were used, of those that were received or lost."""
+    c = results.provenance.counts
+    excluded = c.skipped + c.other_frame + c.not_finite + c.duplicate + c.backward + c.untimed
+    excluded += c.moving + c.stuck + c.noise_increased + max(c.lost - c.interpolated, 0)
+    total = c.used + excluded
+    return c.used / total if total else None
+
+
+def load_plan(path: str | Path) -> Plan:
+    """Read a test plan from a YAML or JSON file.
+
+    Raises AllanError with the position of an invalid entry.
+    """
+    return plan_from_document(read_yaml(Path(path).expanduser()), str(path))
+
+
+def plan_from_document(document: object, where: str) -> Plan:
+    """Return the test plan in a document; ``where`` names it in messages."""
+    fields = Fields(document, where)
+    fields.schema(SCHEMA)
+    fields.only('schema', 'name', 'remark', *SENSORS, *AXES, *UNIT_UNITS)
+    axes: dict[str, dict[str, Limits]] = {}
+    for axis in AXES:
+        for name in (sensor_of(axis), axis):
+            stated = fields.optional_fields(name)
+            if stated is not None:
+                units = AXIS_UNITS[sensor_of(axis)]
+                stated.only(*units)
+                known = {key: _limits(stated.fields(key), key, units[key]) for key in stated}
+                axes[axis] = axes.get(axis, {}) | known
+    whole, up = {}, None
+    for quantity, unit in UNIT_UNITS.items():
+        stated = fields.optional_fields(quantity)
+        if stated is not None:
+            whole[quantity] = _limits(stated, quantity, unit)
+            if quantity == 'orientation':
+                up = _direction(stated)
+    if not axes and not whole:
+        raise AllanError(f'{where} has no limits: state some, such as "rate: {{lower: 99 ...}}"')
+    for axis, limits in axes.items():
+        if sensor_of(axis) == 'accel' and 'bias' in limits and up is None:
+            raise AllanError(
+                f'{where}: the bias of an accelerometer needs orientation.up, the direction of '
+                'the measured acceleration at rest: state it, such as [0, 0, 1] with z up'
+            )
+    return Plan(fields.text('name', '') or Path(where).stem, axes, whole, up)
+
+
+def _limits(fields: Fields, quantity: str, unit: str) -> Limits:
+    """Read an object ``{lower, upper, unit}``, in which one of the limits may be missing."""
+    more = {'bias': ('at',), 'orientation': ('up',)}.get(quantity, ())
+    fields.only('lower', 'upper', 'unit', *more)
+    name = fields.text('unit', '' if unit == '' else unit)
+    scale = _scale(name, unit, fields.where)
+    lower, upper = (fields.number(k) * scale if k in fields else None for k in ('lower', 'upper'))
+    if lower is None and upper is None:
+        raise AllanError(f'{fields.where} has no limit: state lower, upper or both')
+    if quantity in SIGNED and (lower is None or upper is None):
+        raise AllanError(f'{fields.where}: a {quantity} has a sign: state lower and upper')
+    if lower is not None and upper is not None and lower > upper:
+        raise AllanError(f'{fields.where}: lower is above upper: exchange them')
+    return Limits(lower, upper, name, scale, fields.number('at') if 'at' in fields else None)
+
+
+def _scale(stated: str, unit: str, where: str) -> float:
+    """Return the factor from a stated unit to the unit of a quantity."""
+    if unit in SCALES:
+        if stated in SCALES[unit]:
+            return SCALES[unit][stated]
+        fitting = ', '.join(repr(name) for name in SCALES[unit])
+        raise AllanError(f'{where}: unit {stated!r:.40} cannot be used here: use one of {fitting}')
+    with located(where):
+        if not unit.endswith(PER_KELVIN):
+            return to_si(1.0, stated, unit)
+        plain = stated.removesuffix(PER_KELVIN)
+        if plain == stated:
+            fitting = ', '.join(f'{n}{PER_KELVIN}' for n, u in UNITS.items() if u.si == unit[:-2])
+            raise AllanError(f'unit {stated!r:.40} cannot be used here: use one of {fitting}')
+        return to_si(1.0, plain, unit.removesuffix(PER_KELVIN))
+
+
+def _direction(fields: Fields) -> tuple[float, float, float]:
+    known = fields.numbers('up')
+    size = float(np.linalg.norm(known))
+    if known.shape != (3,) or not 0.0 < size < math.inf:
+        raise AllanError(f'{fields.where}.up is no direction: give three numbers, as in [0, 0, 1]')
+    x, y, z = (known / size).tolist()
+    return x, y, z
+
+
+def plan_text(sheet: Datasheet) -> str:
+    """Return a test plan as YAML that limits N and B to the figures of a datasheet.
+
+    What a datasheet does not state, such as the rate of the recording, is in comments.
+    """
+    lines = [
+        f'# Test plan from the datasheet of {sheet.name}: typical figures plus {MARGIN:.0%}, and a',
+        '# third of the typical N, below which a unit of measurement or a filter is wrong.',
+        f'schema: {SCHEMA}',
+        f'name: {sheet.name}',
+    ]
+    for sensor, where in SENSORS.items():
+        stated = [axis for axis in AXES[where] if axis in sheet.limits]
+        same = len({str(_values(sheet, axis)) for axis in stated}) == 1 and len(stated) == 3
+        for name, axis in [(sensor, stated[0])] if same else [(a, a) for a in stated]:
+            lines.append(f'{name}:')
+            for term, limit in sheet.limits[axis].items():
+                unit = DATASHEET_UNITS[sensor][term]
+                typical = limit.value / UNITS[unit].factor
+                lower = f'lower: {typical / BELOW:.3g}, ' if term == 'N' else ''
+                upper = f'upper: {typical * (1.0 + MARGIN):.3g}'
+                lines.append(f'  {term}: {{{lower}{upper}, unit: {unit}}}')
+    return '\n'.join([*lines, *TO_COMPLETE, ''])
+
+
+TO_COMPLETE = (
+    'gravity: {lower: 9.7, upper: 9.9, unit: m/s^2}',
+    'used: {lower: 95, unit: "%"}  # share of the samples',
+    '# State the following, too:',
+    '# rate: {lower: 99, upper: 101, unit: Hz}',
+    '# duration: {lower: 10, unit: min}',
+    '# orientation: {up: [0, 0, 1], upper: 2, unit: deg}  # up in the frame of the IMU',
+    '# temperature: {lower: 20, upper: 30, unit: degC}',
+    '# and for gyro, accel or an axis:',
+    '#   K: {upper: 60, unit: deg/h^1.5}',
+    '#   bias: {lower: -0.5, upper: 0.5, unit: deg/s, at: 25}',
+    '#   drift: {upper: 0.05, unit: deg/s}  # range of the means of 1/16 of the recording',
+    '#   temperature_drift: {lower: -0.01, upper: 0.01, unit: deg/s/K}',
+    '#   bandwidth: {lower: 40, unit: Hz}',
+)
+"""Lines of a plan for what a datasheet does not state."""
+
+
+def _values(sheet: Datasheet, axis: str) -> dict[str, float]:
+    return {term: limit.value for term, limit in sheet.limits[axis].items()}
