@@ -20,7 +20,7 @@ NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf|infinity)(?!\w)', re.IGNORECASE)
 
 SIGNED = {
     *('reference', 'total', 'sign', 'gof_z', 'start_ns', 'begin_ns'),
-    *('relative', 'matrix'),
+    *('relative', 'matrix', 'mean', 'slope', 'slope_ci95', 'temperature'),
 }
 """Fields whose numbers may be negative."""
 
