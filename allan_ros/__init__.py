@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from .api import analyze, common, compare, inflate
     from .core.allan.curve import AxisCurve
     from .core.errors import AllanError
-    from .results.axis_result import AxisResult, Quantity, adev, fit
+    from .core.estimate import Estimate
+    from .results.axis_result import AxisResult, adev, fit
     from .results.documents import load
     from .results.results import Results
     from .results.simulation import simulate
@@ -30,7 +31,7 @@ __all__ = [
     'AllanError',
     'AxisCurve',
     'AxisResult',
-    'Quantity',
+    'Estimate',
     'Results',
     'adev',
     'analyze',
@@ -46,7 +47,8 @@ __all__ = [
 _HOME = {
     'AllanError': 'core.errors',
     'AxisCurve': 'core.allan.curve',
-    **dict.fromkeys(('AxisResult', 'Quantity', 'adev', 'fit'), 'results.axis_result'),
+    'Estimate': 'core.estimate',
+    **dict.fromkeys(('AxisResult', 'adev', 'fit'), 'results.axis_result'),
     'load': 'results.documents',
     'Results': 'results.results',
     'sensor': 'results.datasheets',

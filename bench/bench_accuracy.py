@@ -29,7 +29,8 @@ import numpy as np
 import allan_ros as ar
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit import TERMS, AxisFit, Coefficient, fit_noise
+from allan_ros.core.estimate import Estimate
+from allan_ros.core.fit import TERMS, AxisFit, fit_noise
 from allan_ros.core.imu import from_datasheet, shown_unit
 from allan_ros.core.noise import NoiseTerms, gamma_of, gauss_markov_avar, term_avar
 from allan_ros.core.simulate import simulate_axis
@@ -180,7 +181,7 @@ class Outcome:
     seen: bool
 
     @classmethod
-    def of(cls, c: Coefficient) -> Outcome:
+    def of(cls, c: Estimate) -> Outcome:
         """Return the outcome of a coefficient; an upper limit becomes an interval that begins at
         zero.
         """

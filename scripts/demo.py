@@ -22,8 +22,8 @@ from pathlib import Path
 from demo_online import play
 
 from allan_ros.cli.main import main as allan
-from allan_ros.core.coefficient_text import interval_text, value_text
-from allan_ros.core.fit import TERMS, Coefficient
+from allan_ros.core.estimate import Estimate, interval_text, value_text
+from allan_ros.core.fit import TERMS
 from allan_ros.core.imu import shown_unit
 from allan_ros.core.number_text import significant
 from allan_ros.readers.files import read_json
@@ -84,7 +84,7 @@ def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
     )
 
 
-def holds(coefficient: Coefficient, true: float) -> bool:
+def holds(coefficient: Estimate, true: float) -> bool:
     """Return whether the true value is in the interval, or below the limit of an unresolved
     term.
     """

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from ..api import is_document
-from ..core.coefficient_text import known_numbers, value_text
 from ..core.errors import AllanError, one_line
+from ..core.estimate import known_numbers, value_text
 from ..core.fields import plain
 from ..core.findings import SEVERITIES, Finding, by_consequence, finding
 from ..core.fit.interpretation import ADVISED_TERMS

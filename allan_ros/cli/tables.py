@@ -8,10 +8,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from ..core.coefficient_text import NOTHING_KNOWN, interval_text, value_text
 from ..core.compare import Comparison, LimitVerdict
 from ..core.errors import AllanError
-from ..core.fit import TERMS, Coefficient
+from ..core.estimate import NOTHING_KNOWN, Estimate, interval_text, value_text
+from ..core.fit import TERMS
 from ..core.imu import AXES, SENSORS, ShownUnit, sensor_of, shown_unit
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, prefixed, significant
 from ..export import RAISED, origin_text, target_rows
@@ -203,7 +203,7 @@ def _legend(results: Results) -> str:
 
 
 def coefficient_rows(
-    sensor: str, axes: Mapping[str, Mapping[str, Coefficient]], units: str
+    sensor: str, axes: Mapping[str, Mapping[str, Estimate]], units: str
 ) -> Iterator[tuple[str, list[Cell]]]:
     """Yield the heading and the rows of a table: a label, and a cell for each axis.
 
@@ -217,10 +217,10 @@ def coefficient_rows(
         yield f'{term} {unit.name}', [(value_text(c, unit), interval_text(c, unit)) for c in known]
 
 
-def row_unit(sensor: str, term: str, units: str, known: Sequence[Coefficient]) -> ShownUnit:
+def row_unit(sensor: str, term: str, units: str, known: Sequence[Estimate]) -> ShownUnit:
     """Return the unit of the coefficients of several axes, with the prefix for the largest."""
     sizes = [c.value if c.status == 'estimated' else c.upper95 for c in known]
-    size = max((s for s in sizes if s is not None and math.isfinite(s)), default=0.0)
+    size = max((abs(s) for s in sizes if s is not None and math.isfinite(s)), default=0.0)
     return prefixed(shown_unit(sensor, term, units), size)
 
 
@@ -313,8 +313,8 @@ def _comparison_rows(
         yield f'{DEVIATION} {pair.second}', counts
 
 
-def _coefficient(results: Results, axis: str, term: str) -> Coefficient:
+def _coefficient(results: Results, axis: str, term: str) -> Estimate:
     """Return a coefficient; one without a value if the axis is absent."""
     if axis in results.axes:
         return results.axes[axis].fit.noise[term]
-    return Coefficient(None, status='not_observable')
+    return Estimate(None, status='not_observable')

@@ -30,7 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .allan.curve import CI_LEVEL, AxisCurve
-from .fit.model import TERMS, Z_95, Coefficient
+from .estimate import Estimate
+from .fit.model import TERMS, Z_95
 
 MARGIN = 0.2
 """Fraction by which a coefficient may exceed a limit: typical figures of a datasheet
@@ -71,8 +72,8 @@ Z_90 = 1.6449
 
 Floats = NDArray[np.float64]
 
-Estimate = tuple[float, float, float]
-"""(value, low, high): an estimate and the ends of its 95 % interval."""
+Known = tuple[float, float, float]
+"""(value, low, high): a positive value and the ends of its 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class Comparison:
     tau: float | None = None
 
 
-def verdict(coefficient: Coefficient, limit: float, margin: float) -> LimitVerdict:
+def verdict(coefficient: Estimate, limit: float, margin: float) -> LimitVerdict:
     """Compare a coefficient with an upper limit, and return the verdict.
 
     It is 'exceeds' if the complete 95 % interval lies above limit * (1 + margin), 'within' if the
@@ -209,7 +210,7 @@ class Difference:
 class Measured(NamedTuple):
     """The coefficients of one axis by term, and its Allan deviation curve; each None if unknown."""
 
-    noise: Mapping[str, Coefficient] | None
+    noise: Mapping[str, Estimate] | None
     curve: AxisCurve | None
 
 
@@ -234,7 +235,8 @@ def _run_differences(first: Run, second: Run) -> Iterator[Difference]:
         a, b = first[axis], second[axis]
         if a.noise is not None and b.noise is not None:
             for term in TERMS:
-                yield _term_difference(axis, term, a.noise[term], b.noise[term])
+                one, other = a.noise[term].magnitude, b.noise[term].magnitude
+                yield _term_difference(axis, term, one, other)
         if a.curve is not None and b.curve is not None:
             yield from _curve_differences(axis, a.curve, b.curve)
 
@@ -288,8 +290,8 @@ def _change(difference: Difference, beyond: bool) -> Change:
     return 'higher' if difference.ci95[0] > 1.0 else 'lower'
 
 
-def _term_difference(axis: str, term: str, first: Coefficient, second: Coefficient) -> Difference:
-    a, b = _estimate(first), _estimate(second)
+def _term_difference(axis: str, term: str, first: Estimate, second: Estimate) -> Difference:
+    a, b = _known(first), _known(second)
     before = _limit(first) if a is None else a[0]
     unknown = Difference(axis, term, None, before, None, None, None)
     if a is not None and b is not None:
@@ -302,7 +304,7 @@ def _term_difference(axis: str, term: str, first: Coefficient, second: Coefficie
     return unknown
 
 
-def _estimate(c: Coefficient) -> Estimate | None:
+def _known(c: Estimate) -> Known | None:
     """Return the value and interval; None if not resolved or if the interval reaches 0."""
     if c.status != 'estimated' or not c.value or c.ci95 is None:
         return None
@@ -312,13 +314,13 @@ def _estimate(c: Coefficient) -> Estimate | None:
     return min(max(c.value, low), high), low, high
 
 
-def _limit(c: Coefficient) -> float | None:
+def _limit(c: Estimate) -> float | None:
     """Return the 95 % upper limit of a coefficient that is not resolved."""
     known = c.status == 'not_observable' and c.upper95 is not None and 0.0 < c.upper95 < math.inf
     return c.upper95 if known else None
 
 
-def _ratio_of_estimates(a: Estimate, b: Estimate) -> tuple[float, tuple[float, float], float]:
+def _ratio_of_estimates(a: Known, b: Known) -> tuple[float, tuple[float, float], float]:
     """Return the ratio b / a, its 95 % interval, and the p value of equal coefficients.
 
     The p value uses the upper half of the interval of the smaller estimate and the lower half of
@@ -339,13 +341,13 @@ def _exp(x: float) -> float:
     return math.exp(x) if x < LARGEST_EXPONENT else math.inf
 
 
-def _width(upper: float, lower: float, x: Estimate) -> float:
+def _width(upper: float, lower: float, x: Known) -> float:
     """Return ln(upper / lower), but at least half the width of the logarithmic interval of x."""
     # The value can lie at an end of its interval; the distance to that end is then too small.
     return max(math.log(upper) - math.log(lower), (math.log(x[2]) - math.log(x[1])) / 2.0)
 
 
-def _p_value_of_limit(a: Estimate, limit: float) -> float:
+def _p_value_of_limit(a: Known, limit: float) -> float:
     """Return the p value of equality if one recording has an estimate and the other only a limit.
 
     It follows from the confidence at which the lower limit of the estimate equals the upper limit.

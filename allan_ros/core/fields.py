@@ -40,9 +40,12 @@ _REQUIRED = object()
 def plain(value: Any, names: Mapping[str, str] = {}) -> Any:
     """Convert dataclasses, named tuples, mappings, sequences and arrays to JSON values.
 
-    NaN and infinity become None. ``names`` maps the name of a field to its key in the document,
-    where these differ.
+    An object with a method ``document`` becomes the value that this method returns. NaN and
+    infinity become None. ``names`` maps the name of a field to its key in the document, where these
+    differ.
     """
+    if hasattr(value, 'document'):
+        value = value.document()
     if dataclasses.is_dataclass(value):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
     if hasattr(value, '_asdict'):

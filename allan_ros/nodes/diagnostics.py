@@ -16,12 +16,12 @@ from rclpy.node import Node
 
 from ..core.allan.recent import NoiseStep
 from ..core.allan.sums import AllanSums
-from ..core.coefficient_text import value_text
 from ..core.compare import Comparison
 from ..core.errors import one_line
+from ..core.estimate import Estimate, value_text
 from ..core.findings import Finding, Quantity, by_consequence, finding
 from ..core.fit.interpretation import recommended_duration
-from ..core.fit.model import TERMS, Coefficient
+from ..core.fit.model import TERMS
 from ..core.imu import sensor_of, shown_unit
 from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..core.stream.health import StreamHealth
@@ -215,7 +215,7 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
     return status_of(name, findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
 
-def _term_pairs(axis: str, term: str, c: Coefficient) -> list[tuple[str, object]]:
+def _term_pairs(axis: str, term: str, c: Estimate) -> list[tuple[str, object]]:
     """Return the value of a term in both units, the ends of its 95 % interval, and its verdict."""
     si, shown = shown_unit(axis, term, 'SI'), shown_unit(axis, term, 'deg/h')
     pairs: list[tuple[str, object]] = [

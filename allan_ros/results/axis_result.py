@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Results of one axis (`AxisResult`, `Quantity`), and the functions `adev` and `fit`."""
+"""Results of one axis (`AxisResult`), and the functions `adev` and `fit`."""
 
 from __future__ import annotations
 
@@ -15,91 +15,26 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.allan.at_rest import AtRest
 from ..core.allan.curve import AxisCurve, allan_curve
 from ..core.allan.running import RunningSums
-from ..core.coefficient_text import interval_text, value_text
 from ..core.errors import AllanError
+from ..core.estimate import Estimate
 from ..core.filters.bias import TurnOnBias
 from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis
 from ..core.filters.reductions import Reduction, States, StateSpace, state_space
-from ..core.fit import TERMS, AxisFit, Coefficient, Processes
+from ..core.fit import TERMS, AxisFit, Processes
 from ..core.fit.interpretation import ModelLine, Region, model_line
 from ..core.fit.least_squares import fit_curve
-from ..core.fit.model import Status
 from ..core.fit.temperature import TemperatureModel
-from ..core.imu import AXES, SI_UNITS, UNITS, ShownUnit, sensor_of, to_si
+from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.settings import choose, expect
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One noise coefficient of one axis, with its confidence interval and unit.
-
-    Attributes
-    ----------
-    value : float or None
-        The estimate; None if the recording does not resolve the coefficient. For the ramp R, the
-        magnitude.
-    ci95 : (low, high) or None
-        95 % confidence interval of the estimate; None if unknown.
-    upper95 : float or None
-        95 % upper limit of a coefficient that is not resolved; None if unknown.
-    unit : str
-        Unit of the numbers.
-    sign : int
-        Sign of the ramp R, 1 or -1; 0 for other coefficients.
-
-    Examples
-    --------
-    >>> Quantity(1e-4, (9e-5, 1.1e-4), None, 'rad/s/sqrt(Hz)').to('deg/sqrt(h)')
-    0.3438 (0.309..0.378) deg/sqrt(h)
-    >>> Quantity(None, None, 2e-5, 'rad/s').to('deg/h')
-    < 4.13 deg/h
-    """
-
-    value: float | None
-    ci95: tuple[float, float] | None
-    upper95: float | None
-    unit: str
-    sign: int = 0
-
-    def to(self, unit: str) -> Quantity:
-        """Return the coefficient converted to another unit.
-
-        Parameters
-        ----------
-        unit : str
-            A unit of the same kind, such as 'deg/sqrt(h)' for N of a gyro.
-
-        Raises
-        ------
-        AllanError
-            When the unit is unknown or of another kind; the message lists the possible units.
-        """
-        si = UNITS[self.unit].si
-        expect(str, unit=unit)
-        factor = to_si(1.0, self.unit, si) / to_si(1.0, unit, si)
-        return replace(
-            self,
-            value=None if self.value is None else self.value * factor,
-            ci95=self.ci95 and (self.ci95[0] * factor, self.ci95[1] * factor),
-            upper95=None if self.upper95 is None else self.upper95 * factor,
-            unit=unit,
-        )
-
-    def __repr__(self) -> str:
-        status: Status = 'not_observable' if self.value is None else 'estimated'
-        known = Coefficient(self.value, self.ci95, self.upper95, status, self.sign)
-        unit = ShownUnit(self.unit, 1.0)
-        interval = interval_text(known, unit)
-        return f'{value_text(known, unit)}{f" ({interval})" if interval else ""} {self.unit}'
 
 
 @dataclass(frozen=True)
 class AxisResult:
     """The results of one axis: coefficients, Allan deviation and fitted noise model.
 
-    The coefficients are the attributes ``Q``, ``N``, ``B``, ``K`` and ``R``, each a `Quantity`.
+    The coefficients are the attributes ``Q``, ``N``, ``B``, ``K`` and ``R``, each an `Estimate`.
 
     Attributes
     ----------
@@ -147,29 +82,29 @@ class AxisResult:
     at_rest: AtRest | None = None
 
     @property
-    def Q(self) -> Quantity:
+    def Q(self) -> Estimate:
         """Quantization noise in rad or m/s."""
         return self.quantity('Q')
 
     @property
-    def N(self) -> Quantity:
+    def N(self) -> Estimate:
         """Angle or velocity random walk in rad/s/sqrt(Hz) or m/s^2/sqrt(Hz): the density of the
         white noise."""
         return self.quantity('N')
 
     @property
-    def B(self) -> Quantity:
+    def B(self) -> Estimate:
         """Bias instability in rad/s or m/s^2: the coefficient B, which is the flat part of the
         curve divided by 0.664."""
         return self.quantity('B')
 
     @property
-    def K(self) -> Quantity:
+    def K(self) -> Estimate:
         """Rate or acceleration random walk, in rad/s^2/sqrt(Hz) or m/s^3/sqrt(Hz)."""
         return self.quantity('K')
 
     @property
-    def R(self) -> Quantity:
+    def R(self) -> Estimate:
         """Rate or acceleration ramp, in rad/s^2 or m/s^3."""
         return self.quantity('R')
 
@@ -222,15 +157,14 @@ class AxisResult:
         intervals, for several durations of integration without a correction."""
         return growth_table(self.fit)
 
-    def quantity(self, term: str) -> Quantity:
+    def quantity(self, term: str) -> Estimate:
         """Return the coefficient of a term ('Q', 'N', 'B', 'K' or 'R') in SI.
 
         Raises AllanError for any other term.
         """
         choose(TERMS, term=term)
-        c = self.fit.noise[term]
-        value = c.value if c.status == 'estimated' else None
-        return Quantity(value, c.ci95, c.upper95, SI_UNITS[sensor_of(self.name)][term], c.sign)
+        unit = SI_UNITS[sensor_of(self.name)][term]
+        return replace(self.fit.noise[term].shown, name=term, unit=unit, axis=self.name)
 
     def _tau(self, m: ArrayLike) -> NDArray[np.float64]:
         try:

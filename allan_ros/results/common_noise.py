@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..core.allan.common_noise import CommonNoise, Samples, common_noise, common_of_axes
-from ..core.coefficient_text import interval_text, value_text
 from ..core.errors import AllanError
+from ..core.estimate import interval_text, value_text
 from ..core.fields import plain
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
 from ..core.settings import SegmenterSettings

@@ -22,9 +22,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ..core.compare import Comparison, LimitVerdict, verdict
 from ..core.errors import AllanError
+from ..core.estimate import Estimate
 from ..core.fields import Fields, located, plain
 from ..core.findings import Finding, Quantity, finding
-from ..core.fit import TERMS, AxisFit, Coefficient
+from ..core.fit import TERMS, AxisFit
 from ..core.fit.model import model_of_terms
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.noise import FLICKER_FLOOR
@@ -167,7 +168,7 @@ class Datasheet:
         """
         from .results import Results
 
-        unknown = Coefficient(None, status='not_observable')
+        unknown = Estimate(None, status='not_observable')
         axes, assumed = {}, []
         for axis, terms in self.values().items():
             if 'N' not in terms:
@@ -178,7 +179,7 @@ class Datasheet:
             if 'B' not in terms:
                 assumed.append(axis)
             flicker = terms['N'] / math.sqrt(FLICKER_FLOOR * CROSSING_S)
-            known = {'N': Coefficient(terms['N']), 'B': Coefficient(terms.get('B', flicker))}
+            known = {'N': Estimate(terms['N']), 'B': Estimate(terms.get('B', flicker))}
             noise = {term: known.get(term, unknown) for term in TERMS}
             fit = AxisFit(noise, model_of_terms(noise))
             axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
@@ -243,7 +244,7 @@ class DatasheetComparison:
 
 
 def against_datasheet(
-    noise: Mapping[str, Mapping[str, Coefficient]], datasheet: Datasheet, margin: float
+    noise: Mapping[str, Mapping[str, Estimate]], datasheet: Datasheet, margin: float
 ) -> DatasheetComparison:
     """Compare the coefficients (axis -> term -> coefficient) with the limits of a datasheet.
 
@@ -261,7 +262,7 @@ def against_datasheet(
 
 
 def exceeds_limit(
-    comparison: Comparison, coefficient: Coefficient | None, margin: float, axes: tuple[str, ...]
+    comparison: Comparison, coefficient: Estimate | None, margin: float, axes: tuple[str, ...]
 ) -> Finding:
     """Return the finding that a coefficient or an Allan deviation exceeds a limit.
 
@@ -311,7 +312,7 @@ def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
 
 
 def comparison_from_document(
-    fields: Fields, noise: Mapping[str, Mapping[str, Coefficient]]
+    fields: Fields, noise: Mapping[str, Mapping[str, Estimate]]
 ) -> DatasheetComparison:
     """Read the object ``datasheet`` of results.json, and compare the coefficients with its limits.
 

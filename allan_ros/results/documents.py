@@ -25,9 +25,10 @@ from ..core.allan.document import sums_from_document, sums_to_document
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN
 from ..core.errors import AllanError, one_line
-from ..core.fields import Fields, plain
+from ..core.estimate import Ends, Estimate, Status
+from ..core.fields import MAX_FLOAT, Fields, plain
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, Quantity, required
-from ..core.fit import TERMS, AxisFit, Coefficient, Processes
+from ..core.fit import TERMS, AxisFit, Processes
 from ..core.fit.model import Covariance
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.settings import expect
@@ -41,7 +42,7 @@ from .datasheets import comparison_from_document, comparison_to_document
 from .results import Results
 from .verdict import verdict_of
 
-RESULTS_SCHEMA = 'allan_ros/results/2'
+RESULTS_SCHEMA = 'allan_ros/results/3'
 SUMS_SCHEMA = 'allan_ros/sums_file/2'
 
 RESULTS, SUMS = 'results.json', 'sums.json'
@@ -60,7 +61,7 @@ LISTED_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
 
 SIGNED = (
-    *('last_stamp_ns', 'start_ns', 'sign', 'gof_z', 'relative', 'mean', 'R', 'low_pass'),
+    *('last_stamp_ns', 'start_ns', 'gof_z', 'relative', 'mean', 'R', 'low_pass'),
     *('reference', 'lowest', 'highest', 'b0', 'b1', 'b2', 'hysteresis'),
     *('slope', 'slope_ci95', 'temperature'),
 )
@@ -77,7 +78,7 @@ NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'region
 def results_to_document(
     results: Results, curves: bool = True, units: str = 'deg/h'
 ) -> dict[str, Any]:
-    """Return the results as the document ``allan_ros/results/2`` (results.json).
+    """Return the results as the document ``allan_ros/results/3`` (results.json).
 
     Without ``curves``, the curves and the verdict are left out, which gives a short document.
     ``units`` ('deg/h' or 'SI') are the units in the texts of the verdict; numbers are in SI.
@@ -105,7 +106,7 @@ def results_to_document(
 
 
 def results_from_document(document: object, where: str = 'results') -> Results:
-    """Return the results in a document ``allan_ros/results/2``.
+    """Return the results in a document ``allan_ros/results/3``.
 
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
@@ -367,7 +368,7 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         covariance = Covariance(names, stated.table('matrix', len(names), len(names)))
     fit = fields.record(
         AxisFit,
-        noise={term: noise.fields(term).record(Coefficient) for term in TERMS},
+        noise={t: _estimate_from_document(noise.fields(t), signed=t == 'R') for t in TERMS},
         m_min=fields.integer('m_min', least=1),
         processes=fields.fields('processes').record(Processes),
         covariance=covariance,
@@ -381,7 +382,24 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
     )
 
 
-def _scaled(coefficient: Coefficient, factor: float) -> float | None:
+def _estimate_from_document(fields: Fields, signed: bool = False) -> Estimate:
+    """Read an estimate; with ``signed``, its value may be negative."""
+
+    def number(key: str, least: float = 0.0) -> float | None:
+        known = key in fields and fields.value(key) is not None
+        return fields.number(key, least) if known else None
+
+    return Estimate(
+        number('value', -MAX_FLOAT if signed else 0.0),
+        fields.typed('recording_ci95' if 'recording_ci95' in fields else 'ci95', Ends | None),
+        number('upper95'),
+        fields.typed('status', Status),
+        number('lower95'),
+        fields.typed('ci95', Ends) if 'recording_ci95' in fields else None,
+    )
+
+
+def _scaled(coefficient: Estimate, factor: float) -> float | None:
     if coefficient.value is None or coefficient.status != 'estimated':
         return None
     found: float | None = plain(coefficient.value * factor)

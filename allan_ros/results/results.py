@@ -13,8 +13,9 @@ from typing import Any
 
 from ..core.compare import MARGIN, Comparison, Measured, Run, differences
 from ..core.errors import AllanError
+from ..core.estimate import Estimate
 from ..core.findings import Finding
-from ..core.fit import TERMS, Coefficient
+from ..core.fit import TERMS
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of, shown_unit
 from ..core.settings import LIST, UNIT_SYSTEMS, choose, expect, settings_from
@@ -123,8 +124,8 @@ class Results:
         return verdict_of(self)
 
     @property
-    def noise(self) -> dict[str, Mapping[str, Coefficient]]:
-        """The coefficients in SI: axis -> term -> Coefficient."""
+    def noise(self) -> dict[str, Mapping[str, Estimate]]:
+        """The coefficients in SI: axis -> term -> Estimate."""
         return {name: axis.fit.noise for name, axis in self.axes.items()}
 
     @property

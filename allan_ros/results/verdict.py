@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from ..core.coefficient_text import value_text
 from ..core.compare import Comparison
+from ..core.estimate import value_text
 from ..core.findings import Finding, by_consequence, grouped, is_note
 from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit

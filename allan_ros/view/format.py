@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.coefficient_text import value_text
+from ..core.estimate import value_text
 from ..core.fit import Deviation
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ShownUnit, shown_unit

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.coefficient_text import interval_text, value_text
 from ..core.errors import AllanError
+from ..core.estimate import interval_text, value_text
 from ..core.fit import TERMS
 from ..core.imu import AXES, SENSORS, shown_unit
 from ..results.axis_result import AxisResult

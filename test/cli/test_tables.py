@@ -16,10 +16,10 @@ from allan_ros.cli.tables import (
     findings_lines,
     results_lines,
 )
-from allan_ros.core.coefficient_text import interval_text, value_text
+from allan_ros.core.estimate import Estimate, interval_text, value_text
 from allan_ros.core.filters.reductions import Level
 from allan_ros.core.findings import CATALOG, Finding, finding
-from allan_ros.core.fit import TERMS, Coefficient, Deviation
+from allan_ros.core.fit import TERMS, Deviation
 from allan_ros.core.imu import shown_unit
 from allan_ros.export import origin_text, target_rows
 from allan_ros.results.comparison import Subject, compare_runs
@@ -56,13 +56,13 @@ def test_no_finding_is_cut_or_wider_than_80_columns(
 
 
 def test_the_prefix_of_a_row_fits_its_largest_value() -> None:
-    large = Coefficient(0.0274, (0.026, 0.029))
+    large = Estimate(0.0274, (0.026, 0.029))
     rows = dict(coefficient_rows('accel', {'accel_x': {**dict.fromkeys(TERMS, large)}}, 'deg/h'))
     assert rows['B mg'] == [('2.794', '2.65..2.96')]
 
 
 def test_constant_data_have_one_line(small_results: Results) -> None:
-    nothing = {term: Coefficient(None, status='not_observable') for term in TERMS}
+    nothing = {term: Estimate(None, status='not_observable') for term in TERMS}
     axes = {
         name: replace(axis, fit=replace(axis.fit, noise=nothing, deviation=None))
         for name, axis in small_results.axes.items()
@@ -120,7 +120,7 @@ def test_a_short_record_is_not_judged_and_the_verdict_comes_before_the_tables(
 
 def test_a_method_without_intervals_is_reported(small_results: Results) -> None:
     axes = {
-        name: replace(axis, fit=replace(axis.fit, noise={term: Coefficient(1.0) for term in TERMS}))
+        name: replace(axis, fit=replace(axis.fit, noise={term: Estimate(1.0) for term in TERMS}))
         for name, axis in small_results.axes.items()
     }
     results = replace(small_results, axes=axes, method='paper')

@@ -18,16 +18,17 @@ from allan_ros.core.compare import (
     differences,
     verdict,
 )
-from allan_ros.core.fit.model import TERMS, Coefficient
+from allan_ros.core.estimate import Estimate
+from allan_ros.core.fit.model import TERMS
 
-UNSEEN = Coefficient(None, None, 0.5, 'not_observable')
+UNSEEN = Estimate(None, None, 0.5, 'not_observable')
 
 
-def compare(first: Coefficient, second: Coefficient) -> Difference:
+def compare(first: Estimate, second: Estimate) -> Difference:
     """Return the difference of N as the only comparison, so without correction for several
     tests.
     """
-    others = {term: Coefficient(None) for term in TERMS}
+    others = {term: Estimate(None) for term in TERMS}
     runs = ({'gyro_x': Measured(others | {'N': c}, None)} for c in (first, second))
     [found] = differences([tuple(runs)])
     return next(d for d in found if d.quantity == 'N')
@@ -46,15 +47,15 @@ def curve(adev: np.ndarray, edf: np.ndarray, tau: np.ndarray) -> AxisCurve:
 @pytest.mark.parametrize(
     'first, second, expected',
     [
-        (Coefficient(1.0, (0.99, 1.01)), Coefficient(1.5, (1.48, 1.52)), 'higher'),
-        (Coefficient(1.5, (1.48, 1.52)), Coefficient(1.0, (0.99, 1.01)), 'lower'),
-        (Coefficient(1.0, (0.9, 1.1)), Coefficient(1.12, (1.0, 1.25)), 'alike'),
-        (Coefficient(3.0, (2.7, 3.3)), UNSEEN, 'lower'),
-        (UNSEEN, Coefficient(3.0, (2.7, 3.3)), 'higher'),
-        (UNSEEN, Coefficient(0.6, (0.3, 0.9)), 'undecided'),
+        (Estimate(1.0, (0.99, 1.01)), Estimate(1.5, (1.48, 1.52)), 'higher'),
+        (Estimate(1.5, (1.48, 1.52)), Estimate(1.0, (0.99, 1.01)), 'lower'),
+        (Estimate(1.0, (0.9, 1.1)), Estimate(1.12, (1.0, 1.25)), 'alike'),
+        (Estimate(3.0, (2.7, 3.3)), UNSEEN, 'lower'),
+        (UNSEEN, Estimate(3.0, (2.7, 3.3)), 'higher'),
+        (UNSEEN, Estimate(0.6, (0.3, 0.9)), 'undecided'),
         (UNSEEN, UNSEEN, 'undecided'),
-        (Coefficient(1.0), Coefficient(9.0), 'undecided'),
-        (Coefficient(1.0, (0.0, 2.0)), Coefficient(9.0, (8.9, 9.1)), 'undecided'),
+        (Estimate(1.0), Estimate(9.0), 'undecided'),
+        (Estimate(1.0, (0.0, 2.0)), Estimate(9.0, (8.9, 9.1)), 'undecided'),
     ],
 )
 def test_verdicts(first, second, expected):
@@ -63,7 +64,7 @@ def test_verdicts(first, second, expected):
 
 def test_the_ratio_has_the_widths_that_face():
     """Zou & Donner: the lower limit has the lower width of one and the upper width of the other."""
-    d = compare(Coefficient(1.0, (0.8, 1.1)), Coefficient(2.0, (1.6, 3.0)))
+    d = compare(Estimate(1.0, (0.8, 1.1)), Estimate(2.0, (1.6, 3.0)))
     low, high = d.ci95
     assert d.ratio == pytest.approx(2.0)
     whole = math.log(3.0 / 1.6) / 2, math.log(1.1 / 0.8) / 2
@@ -72,13 +73,13 @@ def test_the_ratio_has_the_widths_that_face():
 
 
 def test_an_estimate_at_the_end_of_its_interval_is_not_known_the_better():
-    d = compare(Coefficient(1.0, (0.98, 1.0001)), Coefficient(1.005, (1.0, 1.01)))
+    d = compare(Estimate(1.0, (0.98, 1.0001)), Estimate(1.005, (1.0, 1.01)))
     assert d.verdict == 'alike'
     assert d.p > 0.3
 
 
 def test_the_comparison_is_symmetric():
-    a, b = Coefficient(1.0, (0.8, 1.1)), Coefficient(2.0, (1.6, 3.0))
+    a, b = Estimate(1.0, (0.8, 1.1)), Estimate(2.0, (1.6, 3.0))
     there, back = compare(a, b), compare(b, a)
     assert there.ratio == pytest.approx(1 / back.ratio)
     assert there.ci95 == pytest.approx([1 / end for end in reversed(back.ci95)])
@@ -87,8 +88,8 @@ def test_the_comparison_is_symmetric():
 
 
 def test_a_limit_leaves_the_ratio_open_at_one_end():
-    assert compare(Coefficient(1.0, (0.8, 1.1)), UNSEEN).ci95 == pytest.approx((0.0, 0.5 / 0.8))
-    d = compare(UNSEEN, Coefficient(1.0, (0.8, 1.1)))
+    assert compare(Estimate(1.0, (0.8, 1.1)), UNSEEN).ci95 == pytest.approx((0.0, 0.5 / 0.8))
+    d = compare(UNSEEN, Estimate(1.0, (0.8, 1.1)))
     assert d.ratio is None and d.ci95 == (pytest.approx(1.6), math.inf)
 
 
@@ -145,18 +146,18 @@ def test_all_pairs_are_one_family():
 @pytest.mark.parametrize(
     'second, expected',
     [
-        (Coefficient(1.0, (0.95, 1.05)), 'within'),
-        (Coefficient(1.15, (1.13, 1.17)), 'within'),  # significant, within the margin
-        (Coefficient(1.5, (1.45, 1.55)), 'exceeds'),
-        (Coefficient(0.5, (0.45, 0.55)), 'within'),
-        (Coefficient(1.5, (0.8, 2.2)), 'within'),  # not significant
-        (Coefficient(None, None, 0.9, 'not_observable'), 'within'),
-        (Coefficient(None, None, 5.0, 'not_observable'), 'undecided'),
-        (Coefficient(None), None),
+        (Estimate(1.0, (0.95, 1.05)), 'within'),
+        (Estimate(1.15, (1.13, 1.17)), 'within'),  # significant, within the margin
+        (Estimate(1.5, (1.45, 1.55)), 'exceeds'),
+        (Estimate(0.5, (0.45, 0.55)), 'within'),
+        (Estimate(1.5, (0.8, 2.2)), 'within'),  # not significant
+        (Estimate(None, None, 0.9, 'not_observable'), 'within'),
+        (Estimate(None, None, 5.0, 'not_observable'), 'undecided'),
+        (Estimate(None), None),
     ],
 )
 def test_an_earlier_run_is_exceeded_only_significantly_and_by_the_margin(second, expected):
-    found = compare(Coefficient(1.0, (0.98, 1.02)), second).against('May', 0.2)
+    found = compare(Estimate(1.0, (0.98, 1.02)), second).against('May', 0.2)
     known = found and (found.reference, found.term, found.verdict)
     assert known == (expected and ('May', 'N', expected))
 
@@ -164,15 +165,15 @@ def test_an_earlier_run_is_exceeded_only_significantly_and_by_the_margin(second,
 @pytest.mark.parametrize(
     'coefficient, expected',
     [
-        (Coefficient(0.9, (0.8, 1.0)), 'within'),
-        (Coefficient(1.1, (1.0, 1.2)), 'within'),  # by the margin
-        (Coefficient(1.2, (1.1, 1.3)), 'undecided'),
-        (Coefficient(1.3, (1.25, 1.35)), 'exceeds'),
-        (Coefficient(2.0, (0.5, 3.5)), 'undecided'),
+        (Estimate(0.9, (0.8, 1.0)), 'within'),
+        (Estimate(1.1, (1.0, 1.2)), 'within'),  # by the margin
+        (Estimate(1.2, (1.1, 1.3)), 'undecided'),
+        (Estimate(1.3, (1.25, 1.35)), 'exceeds'),
+        (Estimate(2.0, (0.5, 3.5)), 'undecided'),
         (UNSEEN, 'within'),
-        (Coefficient(None, None, 5.0, 'not_observable'), 'undecided'),
-        (Coefficient(9.0, (8.0, 10.0), 10.0, 'not_observable'), 'undecided'),
-        (Coefficient(9.0), 'undecided'),
+        (Estimate(None, None, 5.0, 'not_observable'), 'undecided'),
+        (Estimate(9.0, (8.0, 10.0), 10.0, 'not_observable'), 'undecided'),
+        (Estimate(9.0), 'undecided'),
     ],
 )
 def test_verdicts_at_a_limit_of_one_and_a_margin_of_a_fifth(coefficient, expected):

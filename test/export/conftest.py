@@ -9,7 +9,8 @@ import json
 import pytest
 from support.exports import warmed
 
-from allan_ros.core.fit import AxisFit, Coefficient
+from allan_ros.core.estimate import Estimate
+from allan_ros.core.fit import AxisFit
 from allan_ros.core.fit.model import model_of_terms
 from allan_ros.core.imu import AXES, ImuIdentity
 from allan_ros.core.stream.health import Segment
@@ -31,12 +32,12 @@ START_NS = 1_700_000_000 * 10**9
 """2023-11-14 22:13:20 UTC."""
 
 
-def measured(value: float) -> Coefficient:
-    return Coefficient(value, (0.9 * value, 1.1 * value), 1.08 * value)
+def measured(value: float) -> Estimate:
+    return Estimate(value, (0.9 * value, 1.1 * value), 1.08 * value)
 
 
-def hidden(limit: float) -> Coefficient:
-    return Coefficient(None, None, limit, 'not_observable')
+def hidden(limit: float) -> Estimate:
+    return Estimate(None, None, limit, 'not_observable')
 
 
 def axis_fit(axis: str) -> AxisFit:

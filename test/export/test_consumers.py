@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from support.exports import EXPECTED, refitted
 
-from allan_ros.core.fit import Coefficient
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.export import ExportOptions, make_export
@@ -75,7 +75,7 @@ def runs_of(terms: NoiseTerms, runs: int, steps: int, seed: int) -> NDArray[np.f
 
 def of_levels(results: Results, n: float, k: float) -> Results:
     """Return results with these levels on every axis."""
-    noise = {'N': Coefficient(n), 'K': Coefficient(k)}
+    noise = {'N': Estimate(n), 'K': Estimate(k)}
     axes = {axis: refitted(result, noise) for axis, result in results.axes.items()}
     return replace(results, axes=axes)
 

@@ -12,9 +12,8 @@ import yaml
 from support.exports import with_coefficient
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.estimate import Estimate, Status
 from allan_ros.core.findings import finding
-from allan_ros.core.fit import Coefficient
-from allan_ros.core.fit.model import Status
 from allan_ros.export import (
     TARGETS,
     ExportOptions,
@@ -46,9 +45,9 @@ def test_a_value_without_interval_is_stated(results: Results, target: str, statu
     for axis in results.axes:  # K is the only drift; it is likely, or its method gives no interval
         for term in ('B', 'R'):
             unsure = with_coefficient(
-                unsure, axis, term, Coefficient(None, None, 1e-12, 'not_observable')
+                unsure, axis, term, Estimate(None, None, 1e-12, 'not_observable')
             )
-        unsure = with_coefficient(unsure, axis, 'K', Coefficient(4e-6, None, 5e-6, status))
+        unsure = with_coefficient(unsure, axis, 'K', Estimate(4e-6, None, 5e-6, status))
     made = make_export(unsure, target)
     assert 'values without a 95 % interval: ' in made.text
     assert 'export_no_interval' in [found.id for found in made.findings]
@@ -104,7 +103,7 @@ def test_rows_have_names_units_and_intervals(results: Results) -> None:
 def test_a_gain_without_an_interval_has_none(results: Results) -> None:
     unsure = results
     for axis in results.axes:
-        unsure = with_coefficient(unsure, axis, 'N', Coefficient(1e-4))
+        unsure = with_coefficient(unsure, axis, 'N', Estimate(1e-4))
     gain, _ = target_rows(unsure, 'imu_filter_madgwick')
     assert gain.ratio == math.inf and gain.value > 0.0
 

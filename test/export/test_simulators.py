@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from support.exports import near, numbers, refitted, run_python, with_process
 
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.filters.reductions import StateSpace
-from allan_ros.core.fit import Coefficient, Processes, Sinusoid
+from allan_ros.core.fit import Processes, Sinusoid
 from allan_ros.export import TARGETS, ExportOptions, make_export
 from allan_ros.results.results import Results
 
@@ -24,7 +25,7 @@ from allan_ros.results.results import Results
 def with_one_process(results: Results) -> Results:
     """Return results whose only drift is a Gauss-Markov process of 180 s on each axis."""
     for axis, result in results.axes.items():
-        noise = dict.fromkeys('BK', Coefficient(None, None, 1e-5, 'not_observable'))
+        noise = dict.fromkeys('BK', Estimate(None, None, 1e-5, 'not_observable'))
         results = replace(results, axes={**results.axes, axis: refitted(result, noise)})
         results = with_process(results, axis, 5e-4 if axis < 'b' else 1e-4, 0.05)
     return results
@@ -79,7 +80,7 @@ def with_drift(results: Results, processes: Processes) -> Results:
     """Return results in which no term but N is resolved, with these processes on each axis."""
     axes = {}
     for axis, result in results.axes.items():
-        limit = Coefficient(None, None, 1e-5, 'not_observable')
+        limit = Estimate(None, None, 1e-5, 'not_observable')
         noise = {**dict.fromkeys(result.fit.noise, limit), 'N': result.fit.noise['N']}
         axes[axis] = refitted(result, noise, processes)
     return replace(results, axes=axes)

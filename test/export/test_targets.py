@@ -25,8 +25,8 @@ from support.exports import (
 )
 
 import allan_ros
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.growth import predicted_growth
-from allan_ros.core.fit import Coefficient
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.export import TARGETS, ExportOptions, make_export, target_of
 from allan_ros.results.results import Results
@@ -134,7 +134,7 @@ def test_the_filter_rate_replaces_the_rate_of_the_recording(known_results: Resul
 def test_numbers_are_clamped_to_the_ranges_of_the_autopilot(
     known_results: Results, name: str
 ) -> None:
-    low = {'N': Coefficient(1e-7, (9e-8, 1.1e-7))}
+    low = {'N': Estimate(1e-7, (9e-8, 1.1e-7))}
     quiet = {axis: refitted(result, low) for axis, result in known_results.axes.items()}
     made = make_export(replace(known_results, axes=quiet), name)
     found = read_lines(made.text)
@@ -148,7 +148,7 @@ def test_numbers_are_clamped_to_the_ranges_of_the_autopilot(
 
 
 def test_the_madgwick_gain_includes_a_ramp_of_all_axes(known_results: Results) -> None:
-    ramp = Coefficient(4e-7, (3e-7, 5e-7), sign=-1)
+    ramp = Estimate(-4e-7, (-5e-7, -3e-7))
     known = replace(
         known_results,
         axes={axis: refitted(r, {'R': ramp}) for axis, r in known_results.axes.items()},

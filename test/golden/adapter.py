@@ -67,13 +67,14 @@ def _interval(interval: Sequence[float] | None) -> list[float] | None:
 def _axis(axis: Any) -> dict[str, Any]:
     coefficients = {}
     for term in TERMS:
-        found = axis.fit.noise[term]
+        signed = axis.fit.noise[term]
+        found = signed.magnitude
         coefficients[term] = {
             'value': found.value,
             'ci95': _interval(found.ci95),
             'upper95': found.upper95,
             'status': found.status,
-            'sign': found.sign,
+            'sign': int(np.sign(signed.value or 0.0)) if term == 'R' else 0,
         }
     curve, fit = axis.curve, axis.fit
     return {

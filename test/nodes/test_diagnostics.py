@@ -19,8 +19,9 @@ from support.numbers import NO_NUMBER, noiseless_sums, noisy_sums
 from allan_ros.core.allan.recent import NoiseStep, noise_steps
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.compare import Comparison
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.findings import finding
-from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient
+from allan_ros.core.fit.model import TERMS, AxisFit
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.stream.health import Counts, StreamHealth
@@ -34,7 +35,7 @@ from allan_ros.results.axis_result import AxisResult
 
 DEG_PER_SQRT_H = np.pi / 180.0 / 60.0
 N = 0.2 * DEG_PER_SQRT_H
-NOT_SEEN = Coefficient(None, None, 1e-6, 'not_observable')
+NOT_SEEN = Estimate(None, None, 1e-6, 'not_observable')
 
 
 @pytest.fixture(scope='module')
@@ -45,9 +46,9 @@ def sums():
     return accumulator.result().sums[0]
 
 
-def fit(**noise: Coefficient) -> AxisResult:
+def fit(**noise: Estimate) -> AxisResult:
     found = {term: noise.get(term, NOT_SEEN) for term in TERMS}
-    found['N'] = noise.get('N', Coefficient(N, (0.95 * N, 1.05 * N)))
+    found['N'] = noise.get('N', Estimate(N, (0.95 * N, 1.05 * N)))
     terms = {term: c.value or 0.0 for term, c in found.items()}
     return AxisResult(0.005, AxisFit(found, ProcessModel(NoiseTerms(**terms))))
 
@@ -89,7 +90,7 @@ def test_a_failed_fit_is_an_error_with_its_reason(sums):
 
 
 def test_only_relevant_terms_are_recommended(sums):
-    large, small = (Coefficient(2e-5, None, size, 'not_observable') for size in (1e-3, 1e-9))
+    large, small = (Estimate(2e-5, None, size, 'not_observable') for size in (1e-3, 1e-9))
     status = status_of(sums, result=fit(B=large, K=small))
     assert 'B needs 4 h at rest' in status.message
     assert values(status)['next coefficient'] in status.message
@@ -120,7 +121,7 @@ def test_a_change_is_reported_in_the_dominant_coefficient(sums):
         'N rose from 0.200 deg/sqrt(h) to 0.300 deg/sqrt(h) 40 min ago '
         '(95 % interval of the ratio: 1.48 to 1.52)'
     )
-    flicker = fit(B=Coefficient(1.0, (0.9, 1.1)))
+    flicker = fit(B=Estimate(1.0, (0.9, 1.1)))
     message = status_of(sums, step=step, result=flicker).message
     assert 'the Allan deviation at 0.04 s rose from' in message
     quiet = replace(step, ci95=(1.1, 1.9))

@@ -35,7 +35,7 @@ def test_two_nodes_make_a_noise_model(graph, still_imu):
     # the first models have too few samples to determine N
     model = graph.until(lambda: models and models[-1]['samples'] >= 5000 and models[-1])
     graph.statuses.clear()
-    assert model['schema'] == 'allan_ros/results/2' and model['samples'] <= 6000
+    assert model['schema'] == 'allan_ros/results/3' and model['samples'] <= 6000
     gyro = model['axes']['gyro_x']
     low, high = gyro['noise']['N']['ci95']
     assert low * 0.9 < N < high * 1.1

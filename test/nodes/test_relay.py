@@ -263,7 +263,7 @@ def test_a_model_that_is_invalidated_or_cannot_be_read_is_reported(
     publisher = publish_model(graph, results)
     filled(graph)
     rateless = json.dumps({**results_to_document(results), 'tau0_s': 0.0})
-    for text in ('nonsense', '[' * 100_000, '{"schema": "allan_ros/results/2"}', rateless):
+    for text in ('nonsense', '[' * 100_000, '{"schema": "allan_ros/results/3"}', rateless):
         publisher.publish(String(data=text))
         status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
         assert 'cannot be read' in status.message

@@ -11,7 +11,8 @@ import pytest
 from support.exports import scaled
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit import TERMS, Coefficient
+from allan_ros.core.estimate import Estimate
+from allan_ros.core.fit import TERMS
 from allan_ros.readers.files import to_json
 from allan_ros.results.comparison import (
     RunComparison,
@@ -91,7 +92,7 @@ def test_the_document_and_the_text_show_labels_safely(small_results: Results) ->
 
 
 def test_runs_without_numbers(small_results: Results) -> None:
-    nothing = {term: Coefficient(None) for term in TERMS}
+    nothing = {term: Estimate(None) for term in TERMS}
     axes = {
         name: replace(axis, fit=replace(axis.fit, noise=nothing), curve=None)
         for name, axis in small_results.axes.items()
@@ -110,10 +111,10 @@ def test_labels_are_short_if_they_are_unique() -> None:
 def test_huge_and_tiny_values_compare(value: float, small_results: Results) -> None:
     axis = small_results.axes['gyro_x']
     for c in (
-        Coefficient(value, (5e-324, 1e150)),
-        Coefficient(value, (value, value)),
-        Coefficient(1e-12, (1e-150, 1e-12)),
-        Coefficient(None, None, value, 'not_observable'),
+        Estimate(value, (5e-324, 1e150)),
+        Estimate(value, (value, value)),
+        Estimate(1e-12, (1e-150, 1e-12)),
+        Estimate(None, None, value, 'not_observable'),
     ):
         changed = replace(axis, fit=replace(axis.fit, noise={**axis.fit.noise, 'N': c}))
         other = replace(small_results, axes={**small_results.axes, 'gyro_x': changed})

@@ -16,9 +16,10 @@ import pytest
 
 from allan_ros.core.allan.document import sums_to_document
 from allan_ros.core.errors import AllanError
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.fields import Fields
 from allan_ros.core.findings import Finding
-from allan_ros.core.fit import Coefficient, Deviation, GaussMarkov, Processes, Sinusoid
+from allan_ros.core.fit import Deviation, GaussMarkov, Processes, Sinusoid
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.readers.files import MAX_BYTES, read_json, to_json
 from allan_ros.readers.recorded import Provenance
@@ -55,7 +56,7 @@ def test_the_round_trip_of_results_is_complete(small_results: Results) -> None:
 
 def test_the_fields_that_others_rely_on_are_there(small_results: Results) -> None:
     document = through_text(results_to_document(small_results))
-    known = {'schema': 'allan_ros/results/2', 'samples': 60_000, 'segment_count': 1}
+    known = {'schema': 'allan_ros/results/3', 'samples': 60_000, 'segment_count': 1}
     assert known.items() <= document.items()
     (source,) = document['source']
     assert {'runs/one.mcap', '/imu/data', 'sensor_msgs/msg/Imu', 'mcap'} == {*source.values()}
@@ -77,7 +78,7 @@ def test_the_fields_that_others_rely_on_are_there(small_results: Results) -> Non
 
 def test_unknown_values_are_null(small_results: Results) -> None:
     axis = small_results.axes['gyro_x']
-    noise = {**axis.fit.noise, 'K': Coefficient(None, None, math.inf, 'not_observable')}
+    noise = {**axis.fit.noise, 'K': Estimate(None, None, math.inf, 'not_observable')}
     curve = replace(axis.curve, ci_high=np.full(len(axis.curve.m), math.nan))
     unknown = replace(axis, fit=replace(axis.fit, noise=noise, gof_z=math.nan), curve=curve)
     results = replace(small_results, axes={'gyro_x': unknown})
@@ -165,7 +166,7 @@ def test_a_wrong_field_is_named(
         results_from_document(spoiled(document, path, value))
 
 
-@pytest.mark.parametrize('document', [None, [], 3, 'x', {}, {'schema': 'allan_ros/results/2'}])
+@pytest.mark.parametrize('document', [None, [], 3, 'x', {}, {'schema': 'allan_ros/results/3'}])
 def test_a_file_that_is_not_a_sums_file_is_rejected(document: object) -> None:
     with pytest.raises(AllanError):
         sums_file_from_document(document)

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from support.exports import scaled
 
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.findings import Finding
-from allan_ros.core.fit import AxisFit, Coefficient
+from allan_ros.core.fit import AxisFit
 from allan_ros.core.imu import AXES
 from allan_ros.results.comparison import Subject, compare_runs
 from allan_ros.results.datasheets import Datasheet, Limit, against_datasheet
@@ -97,7 +98,7 @@ def test_an_error_gives_no_verdict_and_a_dead_sensor_fails(small_results: Result
     assert verdict_of(replace(within, findings=(error,))).level == 'unknown'
     verdict = verdict_of(replace(within, findings=(dead,)))
     assert (verdict.level, verdict.summary) == ('failed', 'gyro x: No noise.')
-    nothing = AxisFit({t: Coefficient(None, status='not_observable') for t in 'QNBKR'})
+    nothing = AxisFit({t: Estimate(None, status='not_observable') for t in 'QNBKR'})
     axes = {name: replace(a, fit=nothing) for name, a in small_results.axes.items()}
     verdict = verdict_of(replace(small_results, axes=axes, findings=()))
     assert verdict.level == 'unknown'
@@ -127,7 +128,7 @@ def test_no_file_calls_a_record_that_is_too_short_beyond_a_limit(small_results: 
 
 
 def test_a_method_without_intervals_is_named(small_results: Results) -> None:
-    plain = {t: Coefficient(1e-5) for t in 'QNBKR'}
+    plain = {t: Estimate(1e-5) for t in 'QNBKR'}
     axes = {n: replace(a, fit=replace(a.fit, noise=plain)) for n, a in small_results.axes.items()}
     verdict = verdict_of(replace(small_results, axes=axes, method='paper'))
     assert verdict.summary == 'Method paper gives no intervals.'

@@ -17,7 +17,8 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from allan_ros.core.fit import Coefficient, GaussMarkov, Processes
+from allan_ros.core.estimate import Estimate
+from allan_ros.core.fit import GaussMarkov, Processes
 from allan_ros.core.fit.model import model_of_terms
 from allan_ros.core.fit.temperature import SlowNoise, TemperatureModel
 from allan_ros.export import ExportOptions, make_export
@@ -143,7 +144,7 @@ FIXED = {'update_rate', 'imu_update_rate', 'IMU.Frequency', *EXPECTED['temperatu
 
 def warmed(results: Results, shares: Sequence[float] = (0.6, 0.8, 1.0)) -> Results:
     """Return the results with a known bias over temperature of each axis."""
-    hidden = Coefficient(None, None, 1e-5, 'not_observable')
+    hidden = Estimate(None, None, 1e-5, 'not_observable')
     slow = SlowNoise(hidden, hidden)
     axes = {}
     for i, (name, axis) in enumerate(results.axes.items()):
@@ -169,7 +170,7 @@ def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:
 
 
 def refitted(
-    result: AxisResult, noise: Mapping[str, Coefficient], processes: Processes | None = None
+    result: AxisResult, noise: Mapping[str, Estimate], processes: Processes | None = None
 ) -> AxisResult:
     """Return the result of an axis with these coefficients replaced, and with these processes."""
     noise = {**result.fit.noise, **noise}
@@ -183,7 +184,7 @@ def refitted(
     return replace(result, fit=fit)
 
 
-def with_coefficient(results: Results, axis: str, term: str, coefficient: Coefficient) -> Results:
+def with_coefficient(results: Results, axis: str, term: str, coefficient: Estimate) -> Results:
     changed = refitted(results.axes[axis], {term: coefficient})
     return replace(results, axes={**results.axes, axis: changed})
 
@@ -192,7 +193,7 @@ def scaled(results: Results, factor: float, axis: str = 'gyro_z') -> Results:
     """Return the results with N of one axis changed by a factor."""
     n = results.axes[axis].fit.noise['N']
     low, high = n.ci95
-    changed = Coefficient(n.value * factor, (low * factor, high * factor))
+    changed = Estimate(n.value * factor, (low * factor, high * factor))
     return with_coefficient(results, axis, 'N', changed)
 
 

@@ -19,8 +19,8 @@ NO_NUMBER = re.compile(r'(?<![\w-])-?(nan|inf|infinity)(?!\w)', re.IGNORECASE)
 """Pattern of texts that must not appear in any output."""
 
 SIGNED = {
-    *('reference', 'total', 'sign', 'gof_z', 'start_ns', 'begin_ns'),
-    *('relative', 'matrix', 'mean', 'slope', 'slope_ci95', 'temperature'),
+    *('reference', 'total', 'gof_z', 'start_ns', 'begin_ns'),
+    *('relative', 'matrix', 'mean', 'slope', 'slope_ci95', 'temperature', 'R'),
 }
 """Fields whose numbers may be negative."""
 
@@ -31,7 +31,7 @@ def check_numbers(value: Any, key: str = '') -> None:
     """
     if isinstance(value, dict):
         for name, inner in value.items():
-            check_numbers(inner, name)
+            check_numbers(inner, key if name in ('value', 'ci95') else name)
     elif isinstance(value, (list, tuple)):
         for inner in value:
             check_numbers(inner, key)

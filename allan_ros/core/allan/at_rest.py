@@ -75,7 +75,7 @@ def at_rest(
     time_ns, celsius : (readings,) arrays
         Times of temperature readings on the clock of the sums, ascending, and degC; may be empty.
     white : mapping of axis to float or None
-        Coefficient N of each axis in SI.
+        Estimate N of each axis in SI.
     """
     weights = np.array([one.samples for one in sums.recordings], float)
     mean = weights @ np.array([one.mean for one in sums.recordings]) / weights.sum()

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
-from ..fit import Coefficient
+from ..estimate import Estimate
 from ..fit.model import Z_95
 from ..imu import ImuIdentity
 from ..nonnegative import nonnegative_least_squares
@@ -68,7 +68,7 @@ class CommonNoise:
     coherence : Coherence
         Correlation of the Allan differences with the mean of the other IMUs, or of two axes: 0 for
         independent noise, 1 for common noise.
-    measured, own : Coefficient or None
+    measured, own : Estimate or None
         N in SI of all noise, and without the noise that all IMUs measure equally. With two IMUs,
         ``own`` is the root mean square of both. None if two axes are compared.
     """
@@ -76,8 +76,8 @@ class CommonNoise:
     axis: str
     label: str
     coherence: Coherence
-    measured: Coefficient | None = None
-    own: Coefficient | None = None
+    measured: Estimate | None = None
+    own: Estimate | None = None
 
 
 class Samples(NamedTuple):
@@ -186,7 +186,7 @@ def _coherence(tau: Floats, covariance: Floats, degrees: Floats, a: Floats, b: F
     return Coherence(tau, value, np.tanh(z - half), np.tanh(z + half))
 
 
-def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Coefficient | None]:
+def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | None]:
     """Return N of each sensor, then the own N of each one, in SI with 95 % intervals.
 
     N is fitted together with Q, B and K to the Allan variances by weighted least squares; the
@@ -214,7 +214,7 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Coefficient | 
     # N^2 and Q^2 can be negative, Q^2 because the stamps differ: their terms occur with both signs
     signed = white, -white, quantization, -quantization
     terms = np.stack([*signed, np.ones(factors), tau / 3.0], axis=1)
-    found: list[Coefficient | None] = []
+    found: list[Estimate | None] = []
     for column, error in enumerate(np.sqrt(scatter.T)):
         if not error.all():
             found.append(None)
@@ -224,9 +224,9 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Coefficient | 
         high = float(np.sqrt(max(n[0], 0.0) + half))
         if n[0] > half:
             ci95 = float(np.sqrt(n[0] - half)), high
-            found.append(Coefficient(float(np.sqrt(n[0])), ci95))
+            found.append(Estimate(float(np.sqrt(n[0])), ci95))
         else:
-            found.append(Coefficient(None, upper95=high, status='not_observable'))
+            found.append(Estimate(None, upper95=high, status='not_observable'))
     return found
 
 

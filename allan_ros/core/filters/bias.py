@@ -117,8 +117,8 @@ class BiasModel(NamedTuple):
         even if R is not resolved. Without a slope, the 95 % interval of the bias 10 min ahead
         contains only 89 to 93 % of the values of simulated sensors.
         """
-        ramp = fit.noise['R']
-        value, limit = abs(ramp.value or 0.0), ramp.upper95 or 0.0
+        ramp = fit.noise['R'].magnitude
+        value, limit = ramp.value or 0.0, ramp.upper95 or 0.0
         if ramp.status == 'estimated':
             low, high = ramp.ci95 or (0.0, 2e3 * Z_95 * value)  # no interval: a vague prior
             error = (high - low) / (2.0 * Z_95)

@@ -169,7 +169,7 @@ def interval_models(fit: AxisFit) -> tuple[ProcessModel, ProcessModel] | None:
     """
     intervals: dict[str, tuple[float, float]] = {}
     for term in 'NBKR':
-        ci95, limit = fit.noise[term].ci95, _limit(fit, term)
+        ci95, limit = fit.noise[term].magnitude.ci95, _limit(fit, term)
         if not getattr(fit.model.terms, term):
             intervals[term] = 0.0, 0.0
         elif ci95 is not None:

@@ -21,7 +21,6 @@ from ..errors import AllanError
 from .model import (
     TERMS,
     AxisFit,
-    Coefficient,
     Deviation,
     GaussMarkov,
     LackOfFit,
@@ -34,7 +33,6 @@ __all__ = [
     'METHODS',
     'TERMS',
     'AxisFit',
-    'Coefficient',
     'Deviation',
     'GaussMarkov',
     'LackOfFit',

@@ -46,7 +46,7 @@ TOPS = tuple(0.5 / 2**i for i in range(8))
 FILTER = ('Q2',)
 
 
-class Estimate(NamedTuple):
+class SelectedModel(NamedTuple):
     """Selected model of one axis.
 
     Attributes
@@ -123,7 +123,9 @@ class _Trial(NamedTuple):
     verdict: _Verdict
 
 
-def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...] = ()) -> Estimate:
+def estimate(
+    data: AxisData, candidates: Candidates, known: tuple[Component, ...] = ()
+) -> SelectedModel:
     """Return the estimate for one axis.
 
     ``known`` are components that are always in the model, such as a daily cycle.
@@ -131,7 +133,7 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
     rules = Selection(data, candidates, (*TERMS, *known))
     if len(data.power) < LEAST_BINS:
         rules, fit = rules.selected()
-        return Estimate(rules, rules.bounded(fit), 0.5, {})
+        return SelectedModel(rules, rules.bounded(fit), 0.5, {})
     best = _highest(rules)
     fit, rules = best.fit, best.rules
     lack: dict[int, float] = {}
@@ -142,7 +144,7 @@ def estimate(data: AxisData, candidates: Candidates, known: tuple[Component, ...
             (*fit.components, FILTER), None, np.append(fit.p, 0.0), signed=(Q, len(fit.p))
         )
         rules = replace(rules, signed=(Q, len(fit.p) - 1))
-    return Estimate(rules, rules.bounded(fit), best.top, lack)
+    return SelectedModel(rules, rules.bounded(fit), best.top, lack)
 
 
 def _down_weighted(rules: Selection, fit: Fit) -> tuple[Selection, Fit, dict[int, float]]:

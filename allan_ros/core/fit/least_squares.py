@@ -25,10 +25,11 @@ from numpy.typing import ArrayLike
 from ..allan.curve import sample_period
 from ..allan.sums import AllanSums
 from ..errors import AllanError
+from ..estimate import Estimate, Status
 from ..findings import Finding, finding
 from ..noise import FLICKER_FLOOR
 from ..nonnegative import nonnegative_least_squares
-from .model import TERMS, Z_95, AxisFit, Coefficient, Floats, NoiseModel, Status, model_of_terms
+from .model import TERMS, Z_95, AxisFit, Floats, NoiseModel, model_of_terms
 
 LONGEST_TAU = 1300.0
 """Longest averaging time of method 'paper' in s."""
@@ -78,10 +79,10 @@ def _signs_of_ramps(sums: AllanSums) -> list[int]:
 
 def _axis_fit(squares: Floats, sign: int) -> AxisFit:
     """Return the fit of an axis; squared coefficients <= 0 give no value."""
-    noise = {term: Coefficient(None, status='not_observable') for term in TERMS}
+    noise = {term: Estimate(None, status='not_observable') for term in TERMS}
     for term, square in zip(TERMS, squares.tolist()):
         if square > 0.0:
-            noise[term] = Coefficient(math.sqrt(square), sign=sign if term == 'R' else 0)
+            noise[term] = Estimate(math.copysign(math.sqrt(square), sign if term == 'R' else 1))
     return AxisFit(noise, model_of_terms(noise))
 
 
@@ -158,7 +159,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
         term: _coefficient(float(square), float(error))
         for term, square, error in zip('QNBK', squares, errors)
     }
-    noise['R'] = Coefficient(None, status='not_observable')
+    noise['R'] = Estimate(None, status='not_observable')
     return AxisFit(noise, model_of_terms(noise))
 
 
@@ -176,10 +177,10 @@ def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
     return tau, avar
 
 
-def _coefficient(square: float, error: float) -> Coefficient:
+def _coefficient(square: float, error: float) -> Estimate:
     """Return a coefficient from its square, with its interval or its upper limit."""
     value, high = math.sqrt(square), math.sqrt(square + Z_95 * error)
     if square < RESOLVED * error or not square:
         status: Status = 'likely' if square > error else 'not_observable'
-        return Coefficient(value or None, None, high, status)
-    return Coefficient(value, (math.sqrt(max(square - Z_95 * error, 0.0)), high))
+        return Estimate(value or None, None, high, status)
+    return Estimate(value, (math.sqrt(max(square - Z_95 * error, 0.0)), high))

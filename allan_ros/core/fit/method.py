@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from ..allan.sums import AllanSums
+from ..estimate import Estimate, Status
 from ..findings import Finding, finding
 from ..noise import PROCESS_TYPES, NoiseTerms, ProcessModel
-from .estimate import Estimate, estimate
+from .estimate import SelectedModel, estimate
 from .findings import axis_findings, merge_equal
 from .likelihood import (
     AxisData,
@@ -30,7 +31,6 @@ from .model import (
     TERMS,
     Z_95,
     AxisFit,
-    Coefficient,
     Covariance,
     Floats,
     GaussMarkov,
@@ -41,7 +41,6 @@ from .model import (
     Q,
     Resonance,
     Sinusoid,
-    Status,
     coefficient_to_si,
 )
 from .selection import GAIN_RESOLVED, Candidates
@@ -107,10 +106,10 @@ def _is_constant(sums: AllanSums, axis: int) -> bool:
 
 def without_estimates() -> AxisFit:
     """Return the result for an axis that cannot be fitted."""
-    return AxisFit({term: Coefficient(None, status='not_observable') for term in TERMS})
+    return AxisFit({term: Estimate(None, status='not_observable') for term in TERMS})
 
 
-def axis_fit(result: Estimate, tau0: float, brief: bool = False) -> AxisFit:
+def axis_fit(result: SelectedModel, tau0: float, brief: bool = False) -> AxisFit:
     """Return an estimate with its intervals in SI.
 
     A ``brief`` recording is too short for drift: only N and Q get values.
@@ -146,9 +145,9 @@ def axis_fit(result: Estimate, tau0: float, brief: bool = False) -> AxisFit:
         ramp = ramp._replace(value=ramp.value * root, error=ramp.error * root)
     noise['R'] = _ramp(ramp, tau0)
     if rules.signed:
-        noise['Q'] = Coefficient(None, status='not_observable')
+        noise['Q'] = Estimate(None, status='not_observable')
     if brief:
-        noise |= {t: Coefficient(None, status='not_observable') for t in 'BKR'}
+        noise |= {t: Estimate(None, status='not_observable') for t in 'BKR'}
     errors = {
         key: math.sqrt(max(every[n + i, n + i], 0.0)) / float(fit.p[key[0]])
         for i, key in enumerate(shaped)
@@ -189,30 +188,30 @@ def axis_fit(result: Estimate, tau0: float, brief: bool = False) -> AxisFit:
 
 def random_coefficient(
     name: str, variance: float, scatter: float, interval: Interval, scale: float, tau0: float
-) -> Coefficient:
+) -> Estimate:
     """Return a random term in SI, with its interval (divided by ``scale``) or its upper limit."""
     value, low, high = (
         coefficient_to_si(name, v, tau0)
         for v in (variance, interval.low * scale, interval.high * scale)
     )
     if interval.gain > GAIN_RESOLVED and math.isfinite(high):
-        return Coefficient(value, (min(low, value), max(high, value)))
+        return Estimate(value, (min(low, value), max(high, value)))
     status: Status = 'likely' if variance > math.sqrt(scatter) > 0.0 else 'not_observable'
     limit = max(high, value) if math.isfinite(high) else None
-    return Coefficient(value or None, None, limit, status)
+    return Estimate(value or None, None, limit, status)
 
 
-def _ramp(ramp: RampEstimate | None, tau0: float) -> Coefficient:
-    """Return the ramp in SI: its magnitude and its sign."""
+def _ramp(ramp: RampEstimate | None, tau0: float) -> Estimate:
+    """Return the ramp in SI, with its sign."""
     if ramp is None:
-        return Coefficient(None, status='not_observable')
-    size, half, sign = abs(ramp.value), ramp.half_width, int(np.sign(ramp.value))
+        return Estimate(None, status='not_observable')
+    size, half = abs(ramp.value), ramp.half_width
     if size > RAMP_RESOLVED * half:
-        return Coefficient(
-            size / tau0, (max(size - half, 0.0) / tau0, (size + half) / tau0), sign=sign
-        )
-    limit = (size + half) / tau0 if math.isfinite(half) else None
-    return Coefficient(size / tau0 or None, None, limit, 'not_observable', sign)
+        found = Estimate(size / tau0, (max(size - half, 0.0) / tau0, (size + half) / tau0))
+    else:
+        limit = (size + half) / tau0 if math.isfinite(half) else None
+        found = Estimate(size / tau0 or None, None, limit, 'not_observable')
+    return found.times(-1.0) if ramp.value < 0.0 else found
 
 
 def _drift_of_model(ramp: RampEstimate | None, resolved: bool, tau0: float) -> float:

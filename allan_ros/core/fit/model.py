@@ -7,11 +7,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..estimate import Estimate
 from ..findings import Finding
 from ..noise import NoiseTerms, ProcessModel
 
@@ -49,36 +50,6 @@ unified intervals of Feldman & Cousins (Phys. Rev. D 57, 1998) for nonnegative e
 
 TERMS = ('Q', 'N', 'B', 'K', 'R')
 """Quantization, angle/velocity random walk, bias instability, rate random walk, rate ramp."""
-
-
-Status = Literal['estimated', 'likely', 'not_observable']
-"""Whether a term is resolved; a likely one is not, but its estimate exceeds its standard error."""
-
-
-@dataclass(frozen=True)
-class Coefficient:
-    """One of the five terms on one axis, in SI units.
-
-    Attributes
-    ----------
-    value : float or None
-        Estimate (|R| for the ramp), also of a term that is not resolved; None if there is none.
-    ci95 : (low, high) or None
-        95 % interval; None for a term that is not resolved, or if the method gives none.
-    upper95 : float or None
-        95 % upper limit of a term that is not resolved; None if there is no limit.
-    status : 'estimated', 'likely' or 'not_observable'
-        'estimated' if the data show that the term is not 0. A 'likely' term is not resolved, but
-        its square exceeds 0 by more than its standard error.
-    sign : int
-        Sign of the ramp; 0 for the other terms.
-    """
-
-    value: float | None
-    ci95: tuple[float, float] | None = None
-    upper95: float | None = None
-    status: Status = 'estimated'
-    sign: int = 0
 
 
 @dataclass(frozen=True)
@@ -228,7 +199,7 @@ class AxisFit:
 
     Attributes
     ----------
-    noise : mapping of term to Coefficient
+    noise : mapping of term to Estimate
         All five of `TERMS`.
     model : ProcessModel
         The fitted model, complete: it is what is tested, drawn and exported. Terms that are not
@@ -251,7 +222,7 @@ class AxisFit:
         Covariance of the coefficients; None if the method gives none.
     """
 
-    noise: Mapping[str, Coefficient]
+    noise: Mapping[str, Estimate]
     model: ProcessModel = field(default_factory=ProcessModel)
     processes: Processes = Processes()
     m_min: int = 1
@@ -277,9 +248,9 @@ class AxisFit:
         return replace(self.model, terms=replace(self.model.terms, **limits))
 
 
-def model_of_terms(noise: Mapping[str, Coefficient]) -> ProcessModel:
+def model_of_terms(noise: Mapping[str, Estimate]) -> ProcessModel:
     """Return the model that contains the estimates of the terms only."""
-    values = {t: (c.sign or 1) * c.value for t, c in noise.items() if c.value}
+    values = {t: c.value for t, c in noise.items() if c.value}
     return ProcessModel(NoiseTerms(**values))
 
 

@@ -378,7 +378,7 @@ def _widened(model: NoiseModel, axis: str, scatter: float) -> NoiseModel:
             else 0.0
             for sign, end in zip((-1.0, 1.0), n.ci95)
         )
-        n = replace(n, ci95=(low, high))
+        n = replace(n, recording_ci95=(low, high))
     if n.upper95 is not None:
         n = replace(n, upper95=n.upper95 * math.exp(Z_95 * scatter))
     return replace(model, axes={**model.axes, axis: replace(fit, noise={**fit.noise, 'N': n})})

@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..allan.sums import AllanSums
+from ..estimate import Estimate
 from ..findings import Finding, finding
 from ..noise import gamma_of
 from .likelihood import AxisData, Columns, Fit, LowBand, inverse, profile_interval
 from .method import random_coefficient
-from .model import AxisFit, Coefficient, NoiseModel
+from .model import AxisFit, NoiseModel
 from .statistics import Component, Floats, Ints, statistics
 
 TEMPERATURE_RESOLVED = 0.01
@@ -55,8 +56,8 @@ HELD_DOF = 1e4
 class SlowNoise:
     """Bias instability and rate random walk, fitted to the block means."""
 
-    B: Coefficient
-    K: Coefficient
+    B: Estimate
+    K: Estimate
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.coefficient_text import NOTHING_KNOWN, interval_text, value_text
 from ...core.compare import Comparison
 from ...core.errors import AllanError
-from ...core.fit import TERMS, Coefficient
+from ...core.estimate import NOTHING_KNOWN, Estimate, interval_text, value_text
+from ...core.fit import TERMS
 from ...core.fit.interpretation import ADVISED_TERMS
 from ...core.imu import ShownUnit, shown_unit
 from ...core.number_text import significant
@@ -229,10 +229,10 @@ def _checks_table(
         yield from map(_note, notes)
 
 
-def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results | None) -> str:
+def _check_cell(coefficient: Estimate, check: Comparison, baseline: Results | None) -> str:
     axis, term = check.axis, check.term
 
-    def shown(c: Coefficient) -> str:
+    def shown(c: Estimate) -> str:
         return in_units(lambda units: escape(value_text(c, shown_unit(axis, term, units))))
 
     resolved = coefficient.status == 'estimated'
@@ -251,7 +251,7 @@ def _check_cell(coefficient: Coefficient, check: Comparison, baseline: Results |
 
 
 def _coefficient_rows(sensor: str, axes: Axes, terms: Sequence[str]) -> list[Row]:
-    def cell(axis: str, term: str, c: Coefficient) -> str:
+    def cell(axis: str, term: str, c: Estimate) -> str:
         def shown(units: str) -> str:
             unit = shown_unit(axis, term, units)
             value = value_text(c, unit)

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.bias import (
     BiasFilter,
     BiasModel,
     BiasTracker,
     turn_on_bias,
 )
-from allan_ros.core.fit.model import AxisFit, Coefficient
+from allan_ros.core.fit.model import AxisFit
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.core.simulate import simulate_axis
 
@@ -55,13 +56,13 @@ def test_the_interval_covers_the_present_and_the_future_bias():
         assert 0.88 < np.mean(hit) < 0.99
 
 
-def fit_with_ramp(ramp: Coefficient) -> AxisFit:
-    return AxisFit({**{t: Coefficient(getattr(TERMS, t)) for t in 'QNBK'}, 'R': ramp})
+def fit_with_ramp(ramp: Estimate) -> AxisFit:
+    return AxisFit({**{t: Estimate(getattr(TERMS, t)) for t in 'QNBK'}, 'R': ramp})
 
 
 def test_a_ramp_that_is_not_resolved_widens_the_interval():
     # an estimate of 1e-8 and a limit of 1e-8 + 1.96 * 3e-8
-    hidden = Coefficient(1e-8, None, 1e-8 + 1.96 * 3e-8, 'not_observable')
+    hidden = Estimate(1e-8, None, 1e-8 + 1.96 * 3e-8, 'not_observable')
     model = BiasModel.of_fit(fit_with_ramp(hidden))
     assert model.slope_std == pytest.approx(math.hypot(1e-8, 3e-8), rel=1e-6)
     assert model.processes.terms.R == 0.0
@@ -77,11 +78,11 @@ def test_a_ramp_that_is_not_resolved_widens_the_interval():
 
 
 def test_the_slope_prior_follows_from_the_interval_of_the_ramp():
-    resolved = Coefficient(1e-7, (1e-7 - 1.96 * 2e-8, 1e-7 + 1.96 * 2e-8), None, 'estimated', 1)
+    resolved = Estimate(1e-7, (1e-7 - 1.96 * 2e-8, 1e-7 + 1.96 * 2e-8), None, 'estimated', 1)
     assert BiasModel.of_fit(fit_with_ramp(resolved)).slope_std == pytest.approx(1.02e-7, rel=1e-3)
-    vague = BiasModel.of_fit(fit_with_ramp(Coefficient(1e-7, None, None, 'estimated', 1)))
+    vague = BiasModel.of_fit(fit_with_ramp(Estimate(1e-7, None, None, 'estimated', 1)))
     assert vague.slope_std > 100.0 * 1e-7
-    for nothing in (Coefficient(None, None, None, 'not_observable'), Coefficient(0.0)):
+    for nothing in (Estimate(None, None, None, 'not_observable'), Estimate(0.0)):
         assert BiasModel.of_fit(fit_with_ramp(nothing)).slope_std == 0.0
 
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import pytest
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.growth import growth_table, predicted_growth
 from allan_ros.core.filters.noise_parameters import (
     axis_level,
@@ -18,12 +19,12 @@ from allan_ros.core.filters.noise_parameters import (
     white_variances,
 )
 from allan_ros.core.filters.reductions import Level
-from allan_ros.core.fit import AxisFit, Coefficient, GaussMarkov, Processes
+from allan_ros.core.fit import AxisFit, GaussMarkov, Processes
 from allan_ros.core.fit.model import model_of_terms
 
 
-def fit_with(**noise: Coefficient) -> AxisFit:
-    known = {term: noise.get(term, Coefficient(None)) for term in 'QNBKR'}
+def fit_with(**noise: Estimate) -> AxisFit:
+    known = {term: noise.get(term, Estimate(None)) for term in 'QNBKR'}
     return AxisFit(known, model_of_terms(known))
 
 
@@ -33,9 +34,9 @@ def with_process(fit: AxisFit, process: GaussMarkov) -> AxisFit:
 
 
 def test_a_term_has_its_estimate_or_its_upper_limit() -> None:
-    fit = fit_with(K=Coefficient(0.0, (0.0, 2e-6), 2e-6, 'not_observable'))
+    fit = fit_with(K=Estimate(0.0, (0.0, 2e-6), 2e-6, 'not_observable'))
     assert axis_level('gyro_x', fit, 'K') == Level('gyro_x', 'K', 2e-6, None, True)
-    fit = fit_with(K=Coefficient(1e-6, (8e-7, 2e-6), 1.9e-6))
+    fit = fit_with(K=Estimate(1e-6, (8e-7, 2e-6), 1.9e-6))
     known = Level('gyro_x', 'K', 1e-6, (8e-7, 2e-6), False)
     assert axis_level('gyro_x', fit, 'K') == known
 
@@ -46,17 +47,17 @@ def test_a_term_has_its_estimate_or_its_upper_limit() -> None:
 def test_no_level_is_ever_zero_negative_or_infinite(
     value: float | None, limit: float | None, status: str
 ) -> None:
-    fit = AxisFit({'N': Coefficient(value, None, limit, status)})  # type: ignore[arg-type]
+    fit = AxisFit({'N': Estimate(value, None, limit, status)})  # type: ignore[arg-type]
     with pytest.raises(AllanError, match='neither a value nor a limit'):
         axis_level('accel_y', fit, 'N')
 
 
-def resolved(value: float) -> Coefficient:
-    return Coefficient(value, (0.9 * value, 1.2 * value), 1.1 * value)
+def resolved(value: float) -> Estimate:
+    return Estimate(value, (0.9 * value, 1.2 * value), 1.1 * value)
 
 
-def hidden(limit: float) -> Coefficient:
-    return Coefficient(None, None, limit, 'not_observable')
+def hidden(limit: float) -> Estimate:
+    return Estimate(None, None, limit, 'not_observable')
 
 
 def test_the_limit_of_k_is_used_if_no_drift_is_resolved() -> None:
@@ -76,7 +77,7 @@ def test_limits_are_not_used_if_other_drift_is_resolved() -> None:
 
 
 def test_a_k_of_the_model_that_is_not_resolved_is_not_stated_as_measured() -> None:
-    unsure = Coefficient(1e-6, None, 1e-3, 'not_observable')
+    unsure = Estimate(1e-6, None, 1e-3, 'not_observable')
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=resolved(1e-6))
     fit, same = replace(fit, noise={**fit.noise, 'K': unsure}), fit
     one, other = (reduce_axis('gyro_x', each).levels['K'] for each in (fit, same))
@@ -109,11 +110,11 @@ def test_the_predicted_growth_has_an_interval() -> None:
         assert low < growth.std < high
     # of white noise, B and K alone, after 100 s: only the limit of K widens it to one side
     assert high / growth.std > growth.std / low
-    assert growth_table(fit_with(N=resolved(1e-3), B=Coefficient(1e-4)))[0].ci95 is None
+    assert growth_table(fit_with(N=resolved(1e-3), B=Estimate(1e-4)))[0].ci95 is None
 
 
 def test_a_term_that_is_not_resolved_is_included_with_its_estimate() -> None:
-    likely = Coefficient(1e-5, None, 3e-5, 'not_observable')
+    likely = Estimate(1e-5, None, 3e-5, 'not_observable')
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=likely)
     last = growth_table(fit)[-1]
     assert last.std == pytest.approx(float(predicted_growth(fit.model, last.horizon, last.window)))
@@ -126,7 +127,7 @@ def test_the_interval_of_the_reduction_contains_it() -> None:
     assert levels['N'].interval == pytest.approx((0.9e-3, 1.2e-3))
     low, high = levels['K'].interval
     assert (low, high) == pytest.approx((0.9 * levels['K'].value, 1.2 * levels['K'].value))
-    blind = fit_with(N=resolved(1e-3), B=Coefficient(1e-4))
+    blind = fit_with(N=resolved(1e-3), B=Estimate(1e-4))
     assert reduce_axis('gyro_x', blind).levels['K'].interval == (0.0, math.inf)
 
 
@@ -142,7 +143,7 @@ def test_white_noise_alone_can_bound_the_growth() -> None:
 
 def test_the_larger_value_is_used_and_divided_by_the_value_at_rest() -> None:
     def fit(n: float, k: float) -> AxisFit:
-        return fit_with(N=Coefficient(n), K=Coefficient(k))
+        return fit_with(N=Estimate(n), K=Estimate(k))
 
     rest = {'gyro_x': fit(1e-3, 2e-5), 'gyro_y': fit(1e-3, 1e-5)}
     ((axis, one),) = measure_inflation(rest, {'gyro_x': fit(3e-3, 1e-5)}).items()
@@ -156,11 +157,11 @@ def test_the_larger_value_is_used_and_divided_by_the_value_at_rest() -> None:
 
 def test_white_variances_by_hand() -> None:
     axes = {
-        'gyro_x': fit_with(N=Coefficient(1e-3)),
-        'gyro_y': fit_with(N=Coefficient(2e-3)),
+        'gyro_x': fit_with(N=Estimate(1e-3)),
+        'gyro_y': fit_with(N=Estimate(2e-3)),
         'gyro_z': fit_with(N=hidden(3e-3)),  # the upper limit is used
-        'accel_x': fit_with(N=Coefficient(1e-2)),
-        'accel_y': fit_with(N=Coefficient(1e-2)),
+        'accel_x': fit_with(N=Estimate(1e-2)),
+        'accel_y': fit_with(N=Estimate(1e-2)),
     }
     found = white_variances(axes, 200.0)
     assert set(found) == {'gyro'}  # an axis of the accelerometer is missing

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.allan.running import RunningSums
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.interpretation import (
     LENGTHS_S,
@@ -11,18 +12,18 @@ from allan_ros.core.fit.interpretation import (
     longest_recommended,
     recommended_duration,
 )
-from allan_ros.core.fit.model import AxisFit, Coefficient
+from allan_ros.core.fit.model import AxisFit
 
 HOUR = 3600.0
 N = 1e-4
 
 
 def seen(value):
-    return Coefficient(value, (0.9 * value, 1.1 * value))
+    return Estimate(value, (0.9 * value, 1.1 * value))
 
 
 def unseen(upper, value=None):
-    return Coefficient(value, None, upper, 'not_observable')
+    return Estimate(value, None, upper, 'not_observable')
 
 
 def fit_of(**noise):

@@ -8,8 +8,9 @@ import pytest
 from support.allan_table import grid_for
 
 from allan_ros.core.allan.curve import AllanCurve, chi_squared_limits
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.fit.interpretation import dominant_regions, largest_deviation, model_line
-from allan_ros.core.fit.model import TERMS, AxisFit, Coefficient, model_of_terms
+from allan_ros.core.fit.model import TERMS, AxisFit, model_of_terms
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import NoiseTerms, ProcessModel, term_avar
 
@@ -38,7 +39,7 @@ def exact(longest_tau=1300.0, **axes):
     curve = AllanCurve(m, m * TAU0, m, adev, adev, adev, tuple(axes), edf, types)
     noise = {
         axis: {
-            k: Coefficient(v or None, status='estimated' if v else 'not_observable')
+            k: Estimate(v or None, status='estimated' if v else 'not_observable')
             for k, v in t.items()
         }
         for axis, t in terms.items()
@@ -102,7 +103,7 @@ def test_pure_noise_is_one_region(term):
 
 def test_unknown_terms_dominate_nowhere():
     curve, _ = exact(**PAPER)
-    unknown = AxisFit({t: Coefficient(None, status='not_observable') for t in TERMS})
+    unknown = AxisFit({t: Estimate(None, status='not_observable') for t in TERMS})
     assert dominant_regions(curve, unknown) == []
 
 
@@ -122,10 +123,10 @@ def test_only_points_that_are_certain_are_compared_with_the_model():
 
 def test_limits_replace_only_terms_that_are_not_resolved():
     noise = {
-        'N': Coefficient(1e-3, (0.9e-3, 1.1e-3)),
-        'B': Coefficient(1e-4, None, 2e-4, 'likely'),
-        'K': Coefficient(None, None, 3e-5, 'not_observable'),
-        'R': Coefficient(None, status='not_observable'),
+        'N': Estimate(1e-3, (0.9e-3, 1.1e-3)),
+        'B': Estimate(1e-4, None, 2e-4, 'likely'),
+        'K': Estimate(None, None, 3e-5, 'not_observable'),
+        'R': Estimate(None, status='not_observable'),
     }
     model = ProcessModel(NoiseTerms(N=1e-3, B=1e-4, R=2e-9), ((2e-4, 300.0),))
     fit = AxisFit(noise, model)
@@ -136,5 +137,5 @@ def test_limits_replace_only_terms_that_are_not_resolved():
 
 
 def test_a_model_of_terms_has_the_sign_of_the_ramp():
-    noise = {'N': Coefficient(1e-3), 'B': Coefficient(None), 'R': Coefficient(1e-8, sign=-1)}
+    noise = {'N': Estimate(1e-3), 'B': Estimate(None), 'R': Estimate(-1e-8)}
     assert model_of_terms(noise).terms == NoiseTerms(N=1e-3, R=-1e-8)

@@ -14,7 +14,7 @@ import pytest
 from support.chromium import Chromium
 
 import allan_ros as ar
-from allan_ros.core.fit import Coefficient
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.core.stream.signal import SignalEnvelope, TemperatureTrace, summarize_signal
@@ -65,7 +65,7 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     stamps = 10**18 + np.arange(n, dtype=np.int64) * period
     envelope = SignalEnvelope()
     envelope.update(ImuBatch(stamps, np.random.default_rng(1).normal(size=(n, 6))))
-    long = Coefficient(2e-6, (1.234e-6, 3.456e-6))  # the longest name of a term is next to it
+    long = Estimate(2e-6, (1.234e-6, 3.456e-6))  # the longest name of a term is next to it
     axes = {
         name: replace(axis, fit=replace(axis.fit, noise={**axis.fit.noise, 'K': long}))
         for name, axis in small_results.axes.items()

@@ -10,8 +10,9 @@ from dataclasses import replace
 
 import pytest
 
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.bias import TurnOnBias
-from allan_ros.core.fit import AxisFit, Coefficient
+from allan_ros.core.fit import AxisFit
 from allan_ros.core.fit.model import model_of_terms
 from allan_ros.core.number_text import significant
 from allan_ros.results.axis_result import AxisResult
@@ -29,8 +30,8 @@ def cells(html: str, units: str) -> list[str]:
     return [' '.join(re.sub('<[^>]*>', ' ', cell).split()) for cell in found]
 
 
-def axis_of(**noise: Coefficient) -> AxisResult:
-    unknown = {term: Coefficient(None, status='not_observable') for term in 'QNBKR'}
+def axis_of(**noise: Estimate) -> AxisResult:
+    unknown = {term: Estimate(None, status='not_observable') for term in 'QNBKR'}
     terms = {**unknown, **noise}
     return AxisResult(0.01, AxisFit(terms, model_of_terms(terms)), name='gyro_x')
 
@@ -50,7 +51,7 @@ def test_the_growth_is_that_of_the_axis(small_results: Results, units: str, fact
 
 
 def test_of_terms_that_are_not_resolved_only_a_limit_is_given() -> None:
-    limits = {term: Coefficient(None, None, 1e-3, 'not_observable') for term in 'NBK'}
+    limits = {term: Estimate(None, None, 1e-3, 'not_observable') for term in 'NBK'}
     axis = axis_of(**limits)
     assert all(growth.ci95[0] == 0.0 for growth in axis.growth)
     shown = cells(''.join(growth_table('gyro', {'gyro_x': axis})), 'SI')
@@ -69,8 +70,8 @@ def test_the_scatter_of_the_bias_is_named(small_results: Results) -> None:
 
 
 def test_a_part_that_is_only_likely_is_marked() -> None:
-    likely = Coefficient(1e-4, None, 1.2e-4, 'likely')
-    axis = axis_of(N=Coefficient(1e-3, (9e-4, 1.1e-3)), B=likely)
+    likely = Estimate(1e-4, None, 1.2e-4, 'likely')
+    axis = axis_of(N=Estimate(1e-3, (9e-4, 1.1e-3)), B=likely)
     assert axis.fit.likely == ('B',)
     html = ''.join(model_table('gyro', {'gyro_x': axis}))
     assert '>B, likely but not resolved (?)</td>' in html

@@ -1,0 +1,188 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`Estimate`: a measured number with its 95 % interval or its limits, and its text."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from .imu import UNITS, ShownUnit, to_si
+from .number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
+from .settings import expect
+
+Ends = tuple[float, float]
+"""Ends of an interval: (low, high)."""
+
+Status = Literal['estimated', 'likely', 'not_observable']
+"""Whether a number is resolved; a likely number is not, but exceeds its standard error."""
+
+NOTHING_KNOWN = '-'
+"""Text for a number with neither a value nor a limit."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A measured number: a noise coefficient, a parameter of a process, a bias, a predicted error.
+
+    Attributes
+    ----------
+    value : float or None
+        The estimate with its sign, also of a number that is not resolved; None if there is none.
+    recording_ci95 : (low, high) or None
+        95 % interval of the value for this recording; None for a number that is not resolved, or
+        if the method gives none.
+    upper95 : float or None
+        95 % upper limit of a number that is not resolved; None if there is no limit. If the number
+        can be negative, it is the limit of its magnitude.
+    status : 'estimated', 'likely' or 'not_observable'
+        'estimated' if the data show that the number is not 0. A 'likely' number is not resolved,
+        but its square exceeds 0 by more than its standard error.
+    lower95 : float or None
+        95 % lower limit of a number without an upper end; None if there is none.
+    predictive_ci95 : (low, high) or None
+        95 % interval of the value in another hour of the same sensor; None if the scatter between
+        hours is unknown.
+    name : str
+        Name of the number, such as 'N' or 'frequency'; '' if unknown.
+    unit : str
+        Unit of the numbers; '' for a ratio, or if unknown.
+    axis : str
+        Axis of the IMU, such as 'gyro_z'; '' for none.
+
+    Examples
+    --------
+    >>> Estimate(1e-4, (9e-5, 1.1e-4), unit='rad/s/sqrt(Hz)').to('deg/sqrt(h)')
+    0.3438 (0.309..0.378) deg/sqrt(h)
+    >>> Estimate(None, upper95=2e-5, status='not_observable', unit='rad/s').to('deg/h')
+    < 4.13 deg/h
+    """
+
+    value: float | None
+    recording_ci95: Ends | None = None
+    upper95: float | None = None
+    status: Status = 'estimated'
+    lower95: float | None = None
+    predictive_ci95: Ends | None = None
+    name: str = ''
+    unit: str = ''
+    axis: str = ''
+
+    @property
+    def ci95(self) -> Ends | None:
+        """The 95 % interval that is shown and exported: the predictive one, if it is known."""
+        return self.predictive_ci95 or self.recording_ci95
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the data show that the number is not 0, and its value is known."""
+        return self.status == 'estimated' and self.value is not None
+
+    @property
+    def shown(self) -> Estimate:
+        """The estimate without the value of a number that is not resolved."""
+        return self if self.resolved else replace(self, value=None)
+
+    @property
+    def magnitude(self) -> Estimate:
+        """The estimate of the magnitude: without the sign of its value."""
+        return self.times(-1.0) if (self.value or 0.0) < 0.0 else self
+
+    def times(self, factor: float) -> Estimate:
+        """Return the estimate times a factor; limits are multiplied by its magnitude.
+
+        >>> Estimate(2.0, (1.5, 2.5)).times(-2.0).ci95
+        (-5.0, -3.0)
+        """
+
+        def ends(interval: Ends | None) -> Ends | None:
+            if interval is None:
+                return None
+            low, high = sorted(factor * end for end in interval)
+            return low, high
+
+        def limit(of: float | None) -> float | None:
+            return None if of is None else abs(factor) * of
+
+        return replace(
+            self,
+            value=None if self.value is None else factor * self.value,
+            recording_ci95=ends(self.recording_ci95),
+            predictive_ci95=ends(self.predictive_ci95),
+            lower95=limit(self.lower95),
+            upper95=limit(self.upper95),
+        )
+
+    def to(self, unit: str) -> Estimate:
+        """Return the estimate converted to another unit.
+
+        Parameters
+        ----------
+        unit : str
+            A unit of the same kind, such as 'deg/sqrt(h)' for N of a gyro.
+
+        Raises
+        ------
+        AllanError
+            When the unit is unknown or of another kind; the message lists the possible units.
+        """
+        expect(str, unit=unit)
+        known = UNITS[self.unit]
+        return replace(self.times(known.factor / to_si(1.0, unit, known.si)), unit=unit)
+
+    def document(self) -> dict[str, Any]:
+        """Return the estimate as a JSON object; unknown numbers are None."""
+        known: dict[str, Any] = {'value': self.value, 'ci95': self.ci95}
+        if self.predictive_ci95 is not None:
+            known['recording_ci95'] = self.recording_ci95
+        if self.lower95 is not None:
+            known['lower95'] = self.lower95
+        return {**known, 'upper95': self.upper95, 'status': self.status}
+
+    def __repr__(self) -> str:
+        plain = ShownUnit(self.unit, 1.0)
+        interval = interval_text(self, plain)
+        value = f'{value_text(self, plain)}{f" ({interval})" if interval else ""}'
+        return f'{value} {self.unit}'.rstrip()
+
+
+def value_text(estimate: Estimate, unit: ShownUnit) -> str:
+    """Return an estimate as text: its value, ``< limit`` if it has only a limit, or '-'.
+
+    >>> value_text(Estimate(None, upper95=0.5), ShownUnit('', 1.0))
+    '< 0.500'
+    """
+    if estimate.resolved and estimate.value is not None:
+        return significant(estimate.value * unit.factor, VALUE_DIGITS)
+    if estimate.upper95 is not None and math.isfinite(estimate.upper95):
+        return f'< {significant(estimate.upper95 * unit.factor, LIMIT_DIGITS)}'
+    return NOTHING_KNOWN
+
+
+def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
+    """Return the 95 % interval of a resolved estimate as ``low..high``, else ''.
+
+    >>> interval_text(Estimate(-2.0, (-2.5, -1.5)), ShownUnit('', 1.0))
+    '-2.50..-1.50'
+    """
+    if estimate.status != 'estimated' or estimate.ci95 is None:
+        return ''
+    low, high = estimate.ci95
+    narrow = high - low < 0.02 * max(abs(low), abs(high))
+    digits = VALUE_DIGITS if narrow else LIMIT_DIGITS
+    return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))
+
+
+def known_numbers(estimate: Estimate, unit: ShownUnit) -> tuple[float | None, ...]:
+    """Return the value, the two ends of its interval, and the upper limit.
+
+    All are in ``unit`` with six digits, and None if unknown. A number that is not resolved has
+    only a limit, and one that is resolved has no limit.
+    """
+    known = estimate.resolved
+    low, high = estimate.ci95 if known and estimate.ci95 is not None else (None, None)
+    value = estimate.value if known else None
+    limit = None if estimate.status == 'estimated' else estimate.upper95
+    numbers = (value, low, high, limit)
+    return tuple(None if n is None else float(f'{n * unit.factor:.6g}') for n in numbers)
