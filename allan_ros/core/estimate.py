@@ -57,6 +57,14 @@ class Estimate:
     0.3438 (0.309..0.378) deg/sqrt(h)
     >>> Estimate(None, upper95=2e-5, status='not_observable', unit='rad/s').to('deg/h')
     < 4.13 deg/h
+    >>> ramp = Estimate(-2.0, (-2.5, -1.5))
+    >>> ramp.resolved, ramp.ci95, ramp.magnitude.ci95
+    (True, (-2.5, -1.5), (1.5, 2.5))
+    >>> likely = Estimate(0.5, upper95=2.0, status='likely')
+    >>> likely.shown.value is None
+    True
+    >>> likely.document()
+    {'value': 0.5, 'ci95': None, 'upper95': 2.0, 'status': 'likely'}
     """
 
     value: float | None
