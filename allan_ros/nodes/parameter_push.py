@@ -9,60 +9,40 @@ so a value is set only if
 - it is a noise density of a filter that estimates the bias, not a gain (see `GAINS`);
 - the input has no fault;
 - its 95 % interval is narrow (`SETTLED_RATIO`);
-- it differs from the value that was found by at most ``push.max_factor``.
+- it differs from the value that was found by at most ``push.max_factor``;
+- the value that was found is on the disk (`FormerValues`).
 
-When the noise model is invalidated, the input has a fault, ``push.enabled`` becomes false, or this
-node ends, the values that were found are set again. The node uses the parameter services of the
-other node. Before each update it reads the present values, also to notice a restart of the node. A
-value that the node refuses is not sent again. A parameter that an operator or another node has
-changed is left as it is.
+When the noise model is invalidated, the input has a fault, ``push.enabled`` becomes false, this
+node ends, or it starts after it was killed, the values that were found are set again. The present
+values are read before each change, so that a parameter that an operator or another node has changed
+is left as it is. A value that the node refuses is not sent again.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
-from ..core.errors import AllanError
-from ..core.fields import Fields
+from ..core.errors import AllanError, one_line
 from ..core.imu import AXES, SENSORS
 from ..core.stream.transport import faults_of
-from ..export import ExportOptions, Row, target_rows
-from ..readers.files import config_file, read_yaml
+from ..export import Row, target_rows
 from ..results.results import Results
 from .diagnostics import key_values, status_name
+from .former_values import Former, FormerValues
 from .node import AllanNode, Part
+from .push_plan import GAINS_NOT_SET, Numbers, Proposal, PushPlan, load_plan, text_of
 from .settings import SETTLED_RATIO, PushSettings
-
-SCHEMA = 'allan_ros/push/1'
-
-GAINS = ('imu_filter_madgwick',)  # gain in rad/s, zeta in rad/s^2
-"""Export targets whose rows are gains of a filter without a state for the bias. A gain has to cover
-the noise in motion. Computed from the noise and the bias at rest, it increases the tilt error in
-motion two to four times. So gains are shown in the status, but not set."""
-
-TARGETS = (*GAINS, 'kalibr', 'fast_lio')  # kalibr: densities N and K, fast_lio: N^2 f and K^2 f
-"""Export targets that ``push.filter`` may name. `docs/targets.md` names the code that shows the
-convention of each."""
-
-GAINS_NOT_SET = (
-    'nothing is set: the gain has to cover the noise in motion, which is not measured, and a gain '
-    'from the noise at rest makes the tilt worse in motion. Keep the gain that works while the '
-    'robot moves, and start without push.node and push.filter'
-)
-"""Message of the status for a plan of `GAINS`: what is missing, and what to do."""
 
 ANSWER_S = 5.0
 """Time in s to wait for an answer of the node; without one, the next update tries again."""
@@ -70,84 +50,17 @@ ANSWER_S = 5.0
 RETRY_S = 1.0
 """Period in s at which an update is retried until values and node are available."""
 
-CHANGE = 0.1
-"""A value is set again when it has changed by more than this fraction."""
+CLOSING_S = 0.5
+"""Time in s to wait for all answers to a request while this node ends."""
 
-Numbers = tuple[float, ...]
-"""Value of a parameter: one number for a double, several for an array of doubles."""
+LONGEST_REASON = 200
+"""Number of characters after which the reason of another node is cut."""
 
+KILLED = 'the program that had set it was killed'
+"""Reason to restore the values that `FormerValues` has at the start."""
 
-@dataclass(frozen=True)
-class PushPlan:
-    """Which rows of which export target are set, and as which parameters."""
-
-    target: str
-    names: Mapping[str, str]  # name of a row -> name of the parameter; empty for all rows
-    options: ExportOptions
-
-    @property
-    def has_gains(self) -> bool:
-        """Whether the values are gains, which are not set."""
-        return self.target in GAINS
-
-
-def load_plan(name: str) -> PushPlan:
-    """Read a plan, given its name in ``config/filters`` or the path of its .yaml file.
-
-    Raises AllanError if the name is unknown or the file is invalid.
-    """
-    path = config_file('filters', name, 'plan for push.filter')
-    fields = Fields(read_yaml(path), str(path))
-    fields.schema(SCHEMA)
-    fields.only('schema', 'target', 'estimates_bias', 'horizon', 'parameters')
-    target = fields.choice('target', TARGETS)
-    estimates_bias = 'estimates_bias' in fields and fields.value('estimates_bias')
-    if target not in GAINS and not estimates_bias:
-        raise AllanError(
-            f'{path}: the numbers of {target} do not cover the gyro bias. If the node estimates '
-            'the bias, state estimates_bias: true'
-        )
-    names = fields.fields('parameters') if 'parameters' in fields else None
-    horizon = fields.number('horizon') if 'horizon' in fields else None
-    return PushPlan(
-        target,
-        {} if names is None else {row: names.text(row) for row in names},
-        ExportOptions() if horizon is None else ExportOptions(horizon=horizon),
-    )
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """A proposed value of a parameter: one number, or three."""
-
-    name: str
-    values: Numbers
-    interval: tuple[float, float]
-    origin: str
-
-    def differs(self, other: Numbers) -> bool:
-        """Return whether any number differs from the other one by more than `CHANGE`."""
-        if len(other) != len(self.values):
-            return True
-        return not all(abs(v - c) <= CHANGE * abs(c) for v, c in zip(self.values, other))
-
-    def refusal(self, found: Numbers, factor: float) -> str:
-        """Return why the value must not replace the one that was found; '' if it may."""
-        if len(found) != len(self.values):
-            return f'has {len(found)} numbers in the node, the model gives {len(self.values)}'
-        for value, before in zip(self.values, found):
-            if not before or not value > 0.0:
-                return f'is {before:.4g} in the node and stays so; the model gives {value:.4g}'
-            ratio = value / before
-            if not 1.0 / factor <= ratio <= factor:
-                how = (
-                    f'{1.0 / ratio:.3g} times below' if ratio < 1.0 else f'{ratio:.3g} times above'
-                )
-                return (
-                    f'{value:.4g} is {how} the {before:.4g} that was found, so it is not set: '
-                    'check the filter, or raise push.max_factor'
-                )
-        return ''
+Requests = Generator[list[Any], list[Any], None]
+"""Yields the futures of requests to the node; it is resumed with all their answers."""
 
 
 @dataclass
@@ -156,7 +69,7 @@ class Held:
 
     now: Numbers  # when it was last read or set
     found: Numbers = ()  # before this node set it
-    sent: Numbers = ()  # sent last, perhaps without an answer
+    sent: tuple[Numbers, ...] = ()  # values of this node that may be in the other node
     refused: Numbers = ()  # refused last by the node
     origin: str = ''  # how the present value was computed
     left: bool = False  # whether someone else has changed it
@@ -181,9 +94,11 @@ class ParameterPush(Part):
         self._reason = ''  # the same at the last update
         self._held: dict[str, Held] = {}
         self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> warning, text
-        self._calls: list[Any] = []  # futures of the answers that `_on_answers` processes
-        self._on_answers: Callable[[list[Any]], object] = list.clear
-        self._called_at = self._due_at = 0.0
+        self._requests: Requests | None = None  # that wait for `_answers`
+        self._answers: list[Any] = []  # futures
+        self._asked_at = self._due_at = 0.0
+        self._former: FormerValues | None = None  # the file, once it is open
+        self._was_killed = False  # whether values of an earlier program must be restored
         if self._plan is not None and self._plan.has_gains:
             self._log.warning(GAINS_NOT_SET)
         if target:
@@ -206,45 +121,37 @@ class ParameterPush(Part):
     @property
     def _refusal(self) -> str:
         """Why no value may be set, and values that were set are restored; '' if they may."""
+        if self._was_killed:
+            return KILLED
         return self._invalid if self._settings.value.enabled else 'push.enabled is false'
 
     def tick(self, now: float) -> None:
         """Process answers of the node, and start an update if it is due."""
-        if self._calls:
-            if all(future.done() for future in self._calls):
-                calls, self._calls = self._calls, []
-                self._on_answers([future.result() for future in calls])
-            elif now - self._called_at > ANSWER_S:
-                self._cancel_calls()
+        if self._requests is not None:
+            if all(future.done() for future in self._answers):
+                self._resume(self._requests, [future.result() for future in self._answers])
+            elif now - self._asked_at > ANSWER_S:
+                self._cancel()
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
             return
-        settings, reason = self._settings.value, self._refusal
-        if reason != self._reason:
-            self._reason, self._due_at = reason, 0.0  # at once
+        if self._refusal != self._reason:
+            self._reason, self._due_at = self._refusal, 0.0  # at once
         if self._plan is None or now < self._due_at:
             return
         self._due_at = now + RETRY_S
-        if self._plan.has_gains:
+        if self._former is None:
+            self._open(now)
+            return
+        if self._reason and self._found():
+            if self._is_running():
+                self._resume(self._restoring(self._reason))
+        elif self._plan.has_gains:
             self._update_gains(self._plan, now)
-            return
-        if reason and not self._found():
-            return
-        ready = []
-        if self._results is not None and not reason:
-            ready = self._proposals(self._plan, self._results, settings)
-        if not (ready or reason):
-            return
-        if not (self._get.service_is_ready() and self._set.service_is_ready()):
-            self._note('', f'{self.node} is not running: start it, or correct push.node')
-            return
-        self._notes.pop('', None)
-        if reason:
-            self._call(self._set, [self._restoration()], partial(self._on_restored, reason))
-            return
-        self._due_at = now + settings.period
-        # one by one: if one of several is not declared, a node returns no value at all
-        requests = [GetParameters.Request(names=[proposal.name]) for proposal in ready]
-        self._call(self._get, requests, partial(self._on_read, ready))
+        elif not self._reason and self._results is not None:
+            ready = self._proposals(self._plan, self._results)
+            if ready and self._is_running():
+                self._due_at = now + self._settings.value.period
+                self._resume(self._setting(ready))
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the status of the parameters; no status without ``push.node``."""
@@ -256,17 +163,18 @@ class ParameterPush(Part):
         problems = [f'{name}: {note}' if name else note for name, note in notes.items()]
         done, pairs = [], {}
         for name, held in self._held.items():
-            pairs[name] = _text(held.now)
+            pairs[name] = text_of(held.now)
             if held.found:
-                pairs[f'former {name}'], pairs[f'origin of {name}'] = _text(held.found), held.origin
+                pairs[f'former {name}'] = text_of(held.found)
+                pairs[f'origin of {name}'] = held.origin
                 if held.now != held.found:
-                    done.append(f'{name} = {_text(held.now)} (was {_text(held.found)})')
+                    done.append(f'{name} = {text_of(held.now)} (was {text_of(held.found)})')
         said = f'set {", ".join(done)}' if done else 'nothing set yet'
         warned = any(warning for warning, _ in self._notes.values())
         if self._plan.has_gains:
             said, warned = GAINS_NOT_SET, True
             for row in self._gains:
-                pairs[f'{row.name} at rest, not set [{row.unit}]'] = _text(row.values)
+                pairs[f'{row.name} at rest, not set [{row.unit}]'] = text_of(row.values)
                 pairs[f'origin of {row.name}'] = row.words
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if warned and enabled else DiagnosticStatus.OK,
@@ -277,18 +185,72 @@ class ParameterPush(Part):
         return [status]
 
     def close(self) -> None:
-        """Restore the values that were found: nothing would undo the others after this node."""
-        self._cancel_calls()
+        """Restore the values that were found: nothing would undo the others after this node.
+
+        If the other node does not answer, the values are sent without reading the present ones, and
+        the next start restores them if they have not arrived.
+        """
+        self._cancel()
         self._plan = None
-        if not (self._found() and self._set.service_is_ready()):
-            return
-        answer = self._set.call_async(self._restoration())
-        executor = SingleThreadedExecutor(context=self._owner.context)
-        executor.add_node(self._owner)
-        executor.spin_until_future_complete(answer, RETRY_S)
-        executor.remove_node(self._owner)
-        if answer.done():
-            self._on_restored('this node ends', [answer.result()])
+        if self._found() and self._set.service_is_ready():
+            executor = SingleThreadedExecutor(context=self._owner.context)
+            executor.add_node(self._owner)
+            self._resume(self._restoring('this node ends'))
+            self._finish(executor)
+            if found := self._found():
+                self._answers = self._write(found)
+                self._finish(executor)
+            executor.remove_node(self._owner)
+        if self._former is not None:
+            self._former.close()
+
+    def _finish(self, executor: SingleThreadedExecutor) -> None:
+        """Wait for answers, at most for `CLOSING_S`, and continue the requests up to their end."""
+        deadline = time.monotonic() + CLOSING_S
+        while not all(future.done() for future in self._answers):
+            if (left := deadline - time.monotonic()) <= 0.0:
+                self._cancel()
+                break
+            executor.spin_once(timeout_sec=left)
+            if self._requests is not None and all(future.done() for future in self._answers):
+                self._resume(self._requests, [future.result() for future in self._answers])
+
+    # --- requests ---------------------------------------------------------------------------------
+
+    def _resume(self, requests: Requests, answers: list[Any] | None = None) -> None:
+        """Continue the requests with the answers, up to the next ones or the end."""
+        self._requests, self._answers = None, []  # also if an exception ends them
+        with suppress(StopIteration):
+            self._answers = next(requests) if answers is None else requests.send(answers)
+            self._requests, self._asked_at = requests, time.monotonic()
+
+    def _cancel(self) -> None:
+        for future in self._answers:
+            future.cancel()
+        self._requests, self._answers = None, []
+
+    def _is_running(self) -> bool:
+        """Return whether the node has its services; if not, store a note."""
+        if self._get.service_is_ready() and self._set.service_is_ready():
+            self._notes.pop('', None)
+            return True
+        waiting = ', '.join(f'{n} = {text_of(values)}' for n, values in self._found().items())
+        then = f'; {waiting} will be restored' if waiting else ''
+        self._note('', f'{self.node} is not running: start it, or correct push.node{then}')
+        return False
+
+    def _read(self, names: Sequence[str]) -> list[Any]:
+        """Ask for the present values of parameters, one by one.
+
+        If one of several parameters is not declared, a node returns no value at all.
+        """
+        requests = (GetParameters.Request(names=[name]) for name in names)
+        return [self._get.call_async(request) for request in requests]
+
+    def _write(self, values: Mapping[str, Numbers]) -> list[Any]:
+        """Ask to set parameters."""
+        messages = [_message(name, numbers) for name, numbers in values.items()]
+        return [self._set.call_async(SetParameters.Request(parameters=messages))]
 
     # --- setting ----------------------------------------------------------------------------------
 
@@ -303,9 +265,7 @@ class ParameterPush(Part):
             bias = {} if settings.debiased else self._bias
             self._gains = target_rows(results, plan.target, plan.options, bias)
 
-    def _proposals(
-        self, plan: PushPlan, results: Results, settings: PushSettings
-    ) -> list[Proposal]:
+    def _proposals(self, plan: PushPlan, results: Results) -> list[Proposal]:
         """Return the values that can be set; for each other value, store the reason as a note."""
         try:
             rows = target_rows(results, plan.target, plan.options)
@@ -331,76 +291,64 @@ class ParameterPush(Part):
                     ready.append(proposal)
         return ready
 
-    def _call(
-        self, client: Client, requests: list[Any], then: Callable[[list[Any]], object]
-    ) -> None:
-        """Send the requests; `tick` passes all answers to ``then``, or stops after `ANSWER_S`."""
-        self._calls = [client.call_async(request) for request in requests]
-        self._on_answers, self._called_at = then, time.monotonic()
-
-    def _cancel_calls(self) -> None:
-        for future in self._calls:
-            future.cancel()
-        self._calls = []
-
-    def _on_read(self, proposals: list[Proposal], answers: list[Any]) -> None:
-        """Store the present values of the node, and set those that differ from the proposals."""
+    def _setting(self, proposals: list[Proposal]) -> Requests:
+        """Read the present values of the node, and set those that differ from the proposals."""
+        answers = yield self._read([proposal.name for proposal in proposals])
         if self._refusal:  # since the question was asked
             return
-        wanted, settings = [], self._settings.value
+        wanted: list[Proposal] = []
         for proposal, answer in zip(proposals, answers):
-            name, values = proposal.name, self._numbers_of(proposal, answer.values)
+            name, values = proposal.name, self._numbers_of(proposal.name, answer.values)
             if values is None:
                 continue
             held = self._held.setdefault(name, Held(values))
-            if held.found and values not in (held.now, held.found, held.sent):
-                self._held[name] = Held(values, left=True)
-                self._note(name, f'was changed to {_text(values)}, and is left so')
+            if held.found and values not in (held.found, *held.sent):
+                self._leave(name, values)
                 continue
             held.now = values
             found = held.found or values
-            if refusal := proposal.refusal(found, settings.max_factor):
+            refusal = proposal.refusal(found, self._settings.value.max_factor)
+            if refusal:
                 self._note(name, refusal, warning=any(found))
                 continue
             self._notes.pop(name, None)
             if proposal.differs(values):
-                held.found, held.sent = found, proposal.values  # the answer may be lost
+                held.sent = (proposal.values,) if values == found else (values, proposal.values)
+                held.found = found
                 wanted.append(proposal)
-        if wanted:
-            messages = [_message(p.name, p.values) for p in wanted]
-            request = SetParameters.Request(parameters=messages)
-            self._call(self._set, [request], partial(self._on_set, wanted))
-
-    def _numbers_of(self, proposal: Proposal, values: Sequence[ParameterValue]) -> Numbers | None:
-        """Return the value in an answer; None, with a note, if it has not the proposal's type."""
-        several = len(proposal.values) > 1
-        kind, wanted = 'a double', ParameterType.PARAMETER_DOUBLE
-        if several:
-            kind, wanted = 'an array of doubles', ParameterType.PARAMETER_DOUBLE_ARRAY
-        value = values[0] if values else ParameterValue()
-        if value.type == wanted:
-            return tuple(value.double_array_value) if several else (value.double_value,)
-        unset = value.type == ParameterType.PARAMETER_NOT_SET
-        what = 'not declared' if unset else 'of another type'
-        self._note(proposal.name, f'is {what} in {self.node}: {kind} would be set')
-        return None
-
-    def _on_set(self, wanted: list[Proposal], answers: list[Any]) -> None:
-        """Store and log which values the node has accepted or refused."""
-        for proposal, result in zip(wanted, answers[0].results):
-            name, value, held = proposal.name, _text(proposal.values), self._held[proposal.name]
+        if not wanted:
+            return
+        if not self._store():
+            self._forget_unsent()
+            return
+        (answer,) = yield self._write({p.name: p.values for p in wanted})
+        for proposal, result in zip(wanted, answer.results):
+            name, value, held = proposal.name, text_of(proposal.values), self._held[proposal.name]
             if not result.successful:
                 held.refused = proposal.values
-                if held.now == held.found:
-                    held.found = ()
-                self._note(name, f'{self.node} refused {value}: {result.reason or "no reason"}')
+                self._note(name, f'{self.node} refused {value}: {_reason_of(result)}')
                 continue
             low, high = proposal.interval
             self._log.info(
-                f'{name} of {self.node}: {_text(held.now)} -> {value} '
+                f'{name} of {self.node}: {text_of(held.now)} -> {value} '
                 f'(95 %: {low:.3g} to {high:.3g}; {proposal.origin})'
             )
             held.now, held.refused, held.origin = proposal.values, (), proposal.origin
+            held.sent = (proposal.values,)
+        self._forget_unsent()
+        self._store()
+
+    def _numbers_of(self, name: str, values: Sequence[ParameterValue]) -> Numbers | None:
+        """Return the value in an answer; None, with a note, if it is no double and no array."""
+        value = values[0] if values else ParameterValue()
+        if value.type == ParameterType.PARAMETER_DOUBLE:
+            return (value.double_value,)
+        if value.type == ParameterType.PARAMETER_DOUBLE_ARRAY:
+            return tuple(value.double_array_value)
+        unset = value.type == ParameterType.PARAMETER_NOT_SET
+        what = 'not declared' if unset else 'of another type'
+        self._note(name, f'is {what} in {self.node}: doubles would be set')
+        return None
 
     def _note(self, name: str, note: str, warning: bool = True) -> None:
         """Store a message about a parameter ('' for the node), and log the first of its kind."""
@@ -410,29 +358,75 @@ class ParameterPush(Part):
 
     # --- restoring --------------------------------------------------------------------------------
 
+    def _open(self, now: float) -> None:
+        """Open the file with former values; if this fails, `tick` tries again."""
+        former = FormerValues(self.node)
+        try:
+            left = former.open()
+        except AllanError as error:
+            former.close()
+            self._note('', str(error))
+            return
+        self._notes.pop('', None)
+        self._former, self._due_at = former, now
+        self._held = {n: Held(f.sent[-1], f.found, f.sent) for n, f in left.items() if f.sent}
+        self._was_killed = bool(self._held)
+
+    def _store(self) -> bool:
+        """Write the values that were found to the file; return whether this was possible."""
+        values = {n: Former(h.found, h.sent) for n, h in self._held.items() if h.found}
+        try:
+            if self._former is not None:
+                self._former.store(values)
+        except AllanError as error:
+            self._note('', f'nothing is set, because the former values cannot be kept: {error}')
+            return False
+        return True
+
+    def _forget_unsent(self) -> None:
+        """Forget the former value of each parameter that still has it."""
+        for held in self._held.values():
+            if held.now == held.found:
+                held.found = ()
+
     def _found(self) -> dict[str, Numbers]:
         """Return the value that was found of each parameter that has been set."""
         return {name: held.found for name, held in self._held.items() if held.found}
 
-    def _restoration(self) -> Any:
-        """Return a request that sets all values that were found."""
-        parameters = [_message(name, values) for name, values in self._found().items()]
-        return SetParameters.Request(parameters=parameters)
+    def _restoring(self, reason: str) -> Requests:
+        """Set the values that were found, except where someone else has changed them since."""
+        found, back = self._found(), {}
+        answers = yield self._read([*found])
+        for name, answer in zip(found, answers):
+            values = self._numbers_of(name, answer.values)
+            held = self._held[name]
+            if values in held.sent:
+                back[name] = found[name]
+            elif values in (None, held.found) or self._was_killed:  # it has been started again
+                del self._held[name]
+            else:
+                self._leave(name, values)
+        failed = {}
+        if back:
+            (answer,) = yield self._write(back)
+            results = zip(back, answer.results)
+            failed = {n: _reason_of(result) for n, result in results if not result.successful}
+            done = {n: text_of(values) for n, values in back.items() if n not in failed}
+            said = ', '.join(f'{name} = {value}' for name, value in done.items())
+            if done:
+                self._note('', f'restored {said}, because {reason}')
+            for name in done:
+                del self._held[name]
+        for name, why in failed.items():
+            self._note(name, f'{self.node} refused the former {text_of(back[name])}: {why}')
+        self._notes = {n: note for n, note in self._notes.items() if not n or n in self._held}
+        self._was_killed = self._was_killed and bool(failed)
+        self._store()
 
-    def _on_restored(self, reason: str, answers: list[Any]) -> None:
-        """Forget the parameters if all were restored; else store a note."""
-        found = self._found()
-        failed = [
-            f'{name}: {result.reason or "refused"}'
-            for name, result in zip(found, answers[0].results)
-            if not result.successful
-        ]
-        values = (f'{name} = {_text(values)}' for name, values in found.items())
-        said = f'restored {", ".join(values)}, because {reason}'
-        if not failed:
-            self._held = {name: held for name, held in self._held.items() if held.left}
-            self._notes = {name: self._notes[name] for name in self._held}
-        self._note('', '; '.join(failed) or said)
+    def _leave(self, name: str, values: Numbers) -> None:
+        """Note that someone else has changed a parameter, which is not set any more."""
+        self._held[name] = Held(values, left=True)
+        self._note(name, f'was changed to {text_of(values)}, and is left so')
 
 
 def _message(name: str, values: Numbers) -> ParameterMessage:
@@ -440,5 +434,8 @@ def _message(name: str, values: Numbers) -> ParameterMessage:
     return Parameter(name, value=value).to_parameter_msg()
 
 
-def _text(values: Numbers) -> str:
-    return ' '.join(f'{value:.4g}' for value in values)
+def _reason_of(result: Any) -> str:
+    """Return the reason of another node for a refusal, cut and without control characters."""
+    reason = one_line(result.reason)
+    cut = f'{reason[:LONGEST_REASON]} ...' if len(reason) > LONGEST_REASON else reason
+    return cut or 'no reason'

@@ -71,7 +71,7 @@ def _domains_in_use() -> set[int]:
 
 
 @pytest.fixture
-def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
     """Reserve a ROS domain that no other process uses, restricted to the loopback interface."""
     taken = _domains_in_use()
     for domain in (d for d in itertools.islice(_ROUND, len(DOMAINS)) if d not in taken):
@@ -88,6 +88,7 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     else:
         raise RuntimeError('no free ROS domain')
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.setenv('ROS_HOME', str(tmp_path / 'ros_home'))
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SYSTEM_DEFAULT')  # as in the profile
     for variable in ('FASTDDS_DEFAULT_PROFILES_FILE', 'FASTRTPS_DEFAULT_PROFILES_FILE'):
         monkeypatch.setenv(variable, str(ROOT / 'config' / 'fastdds' / 'loopback_udp.xml'))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ import pytest
 pytest.importorskip('rclpy')
 
 from allan_ros.core.errors import AllanError
-from allan_ros.nodes.parameter_push import TARGETS, Proposal, load_plan
+from allan_ros.nodes.former_values import Former, FormerValues
+from allan_ros.nodes.push_plan import TARGETS, Proposal, load_plan
 from allan_ros.readers.files import config_names
 
 OK, WARN = b'\x00', b'\x01'
@@ -130,7 +132,8 @@ class SlowFilter:
         from rclpy.callback_groups import ReentrantCallbackGroup
         from rclpy.task import Future
 
-        self.density, self.held, self.holds = density, [], ''
+        self.density, self.held, self.holds, self.reason = density, [], '', ''
+        self.all_sent: list[float] = []
 
         async def respond(what: str, response: Any) -> Any:
             if what == self.holds:
@@ -143,8 +146,10 @@ class SlowFilter:
             return await respond('get', response)
 
         async def on_set(request: Any, response: Any) -> Any:
-            (self.density,) = (p.value.double_value for p in request.parameters)
-            response.results = [SetParametersResult(successful=True)]
+            if not self.reason:
+                (self.density,) = (p.value.double_value for p in request.parameters)
+                self.all_sent.append(self.density)
+            response.results = [SetParametersResult(successful=not self.reason, reason=self.reason)]
             return await respond('set', response)
 
         for kind, name, answer in (
@@ -206,6 +211,105 @@ def test_nothing_stays_set_when_the_node_ends(graph, pushing):
     graph.until(lambda: slow.density == 0.1)
 
 
+@pytest.mark.parametrize('end', [signal.SIGINT, signal.SIGKILL])
+def test_the_former_value_survives_the_end_of_the_monitor(graph, still_imu, tmp_path, end):
+    """A killed monitor cannot restore the value: the next one does, and it does not take the value
+    that it finds for a value of the operator.
+    """
+    from rclpy.parameter import Parameter
+
+    slow, plan = SlowFilter(graph), tmp_path / 'plan.yaml'
+    plan.write_text(PLAN.partition('  accelerometer')[0])
+    push = {'push.node': '/slow', 'push.filter': str(plan), 'push.max_factor': 1e5}
+    state = {'checkpoint.path': str(tmp_path / 'sums.json')}
+    monitor = graph.start('monitor', **QUICK, **push, **state)
+    graph.send(graph.publisher(), still_imu(6000))
+    graph.model_of(6000)
+    graph.until(lambda: slow.density == pytest.approx(N, rel=0.15))
+    assert FormerValues('/slow').path.is_file()
+    monitor.send_signal(end)
+    graph.until(lambda: monitor.poll() is not None)
+    assert (slow.density == 0.1) == (end == signal.SIGINT)
+    graph.statuses.clear()
+    sent = slow.all_sent = []
+    again = graph.run('monitor', **QUICK, **push, **state)
+    graph.until(lambda: slow.density == pytest.approx(N, rel=0.15) and sent)
+    assert sent[0] == 0.1 or end == signal.SIGINT
+    graph.until(lambda: graph.value('/slow', 'former density') == '0.1')
+    again.set_parameters([Parameter('push.enabled', value=False)])
+    graph.until(lambda: slow.density == 0.1)
+    graph.until(lambda: not FormerValues('/slow').path.exists())
+
+
+def test_a_killed_value_is_restored_also_if_nothing_is_set_now(graph, tmp_path):
+    slow, former = SlowFilter(graph, 2.0), FormerValues('/slow')
+    former.open()
+    former.store({'density': Former((0.1,), ((1.0,), (2.0,)))})
+    former.close()
+    push = {'push.node': '/slow', 'push.filter': 'imu_filter_madgwick', 'push.enabled': False}
+    graph.run('monitor', **QUICK, **push)
+    said(graph, 'restored density = 0.1, because the program that had set it was killed')
+    assert slow.density == 0.1 and not former.path.exists()
+
+
+def test_a_filter_that_was_started_again_keeps_its_value(graph, tmp_path):
+    slow, former = SlowFilter(graph, 0.3), FormerValues('/slow')
+    former.open()
+    former.store({'density': Former((0.1,), ((2.0,),))})
+    former.close()
+    graph.run('monitor', **QUICK, **{'push.node': '/slow', 'push.filter': 'noise_densities'})
+    graph.until(lambda: not former.path.exists())
+    assert slow.density == 0.3
+
+
+def test_former_values_are_kept_before_anything_is_set(graph, still_imu, tmp_path, monkeypatch):
+    (tmp_path / 'file').touch()
+    monkeypatch.setenv('ROS_HOME', str(tmp_path / 'file'))
+    slow, plan = SlowFilter(graph), tmp_path / 'plan.yaml'
+    plan.write_text(PLAN.partition('  accelerometer')[0])
+    push = {'push.node': '/slow', 'push.filter': str(plan), 'push.max_factor': 1e5}
+    graph.run('monitor', **QUICK, **push)
+    graph.send(graph.publisher(), still_imu(6000))
+    graph.model_of(6000)
+    assert said(graph, 'set ROS_HOME to a writable folder').level == WARN
+    graph.spin(1.5)
+    assert slow.density == 0.1
+
+
+def test_former_values_are_locked_and_read_back(tmp_path, monkeypatch):
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
+    first, second = FormerValues('/a/b'), FormerValues('/a/b')
+    values = {'noise': Former((0.1,), ((0.2,), (0.3,))), 'cov': Former((1.0, 2.0), ((3.0, 4.0),))}
+    assert first.open() == {}
+    first.store(values)
+    with pytest.raises(AllanError, match='sets parameters of /a/b'):
+        second.open()
+    first.close()
+    assert second.open() == values
+    second.store({})
+    second.close()
+    assert not first.path.exists()
+
+
+@pytest.mark.parametrize('text', ['', '{}', 'null', '{"schema": "allan_ros/former_values/1"}'])
+def test_a_damaged_file_of_former_values_is_named(tmp_path, monkeypatch, text):
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
+    former = FormerValues('/x')
+    former.path.parent.mkdir(parents=True)
+    former.path.write_text(text)
+    with pytest.raises(AllanError, match='former_values'):
+        former.open()
+
+
+def test_a_reason_of_another_node_is_cut_and_safe_to_print(graph, pushing):
+    slow, _ = pushing
+    slow.reason = 'no\x1b[31m\n' + 500 * 'x'
+    graph.model_of(6000)
+    message = said(graph, 'refused').message
+    assert message.isprintable() and r'no\x1b[31m\n' in message
+    assert len(message) < 400 and message.endswith(' ...')
+
+
 def test_why_a_value_is_not_set_is_said_only_while_values_are_set(graph, pushing):
     from rclpy.parameter import Parameter
 
@@ -224,7 +328,9 @@ def test_a_value_far_from_the_one_that_was_found_is_refused():
     assert refusal(0.011, 0.1) == refusal(0.9, 0.1) == ''
     assert '11.1 times below the 0.1' in refusal(0.009, 0.1)
     assert '20 times above the 0.1' in refusal(2.0, 0.1)
-    assert 'is 0 in the node and stays so' in refusal(1e-5, 0.0)
+    for strange in (0.0, -1.0, float('inf'), float('nan')):
+        assert f'is {strange:.4g} in the node and stays so' in refusal(1e-5, strange)
+        assert 'stays so' in refusal(strange, 1e-5)
     three = Proposal('density', (0.1, 0.1, 0.1), (0.1, 0.1), '')
     assert 'has 0 numbers in the node' in three.refusal((), 10.0)
 

@@ -1,0 +1,108 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A file with the former values of parameters that were set, from which a restart restores them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import AllanError
+from ..core.fields import Fields
+from ..readers.files import PathLock, read_json, to_json, write_atomic
+from .push_plan import Numbers
+
+SCHEMA = 'allan_ros/former_values/1'
+
+
+@dataclass(frozen=True)
+class Former:
+    """The value that a parameter had before it was set, and the values it was set to since.
+
+    ``sent`` has two values while an answer is missing, because either may be in the node.
+    """
+
+    found: Numbers
+    sent: tuple[Numbers, ...] = ()
+
+
+def former_values_file(node: str) -> Path:
+    """Return the path of the file for the node with this full name, in this ROS domain.
+
+    It is in the folder ``allan_ros`` of ``ROS_HOME``, which is ``~/.ros`` by default.
+    """
+    home = Path(os.environ.get('ROS_HOME') or '~/.ros').expanduser()
+    domain = os.environ.get('ROS_DOMAIN_ID') or '0'
+    return home / 'allan_ros' / f'former_values_{domain}_{node.strip("/").replace("/", ".")}.json'
+
+
+class FormerValues:
+    """The former values of the parameters of one node, by parameter.
+
+    They are on the disk before a parameter is set, so that they survive a kill. While the file is
+    open it is locked: two programs that set parameters of one node would each take the value of the
+    other as the value of the operator.
+    """
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+        self.path = former_values_file(node)
+        self._lock = PathLock(self.path)
+        self._stored: Mapping[str, Former] = {}
+
+    def open(self) -> Mapping[str, Former]:
+        """Lock the file, and return the values in it: those that a killed program has left.
+
+        Raises AllanError if another program has locked the file, or if it cannot be read.
+        """
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise AllanError(
+                f'{self.path.parent}: cannot be created ({error.strerror}), so former values '
+                'cannot be kept and nothing is set: set ROS_HOME to a writable folder'
+            ) from error
+        if owner := self._lock.acquire():
+            raise AllanError(
+                f'{owner} sets parameters of {self._node}, so this node sets none: stop one of them'
+            )
+        if self.path.exists():
+            self._stored = self._read()
+        return self._stored
+
+    def store(self, values: Mapping[str, Former]) -> None:
+        """Replace the content of the file; remove the file if there are no values.
+
+        Raises AllanError if this fails.
+        """
+        if values == self._stored:
+            return
+        if values:
+            parameters = {name: vars(former) for name, former in values.items()}
+            document = {'schema': SCHEMA, 'node': self._node, 'parameters': parameters}
+            write_atomic(self.path, to_json(document))
+        else:
+            self.path.unlink(missing_ok=True)
+        self._stored = dict(values)
+
+    def close(self) -> None:
+        """Unlock the file; it stays if it has values."""
+        self._lock.release()
+
+    def _read(self) -> dict[str, Former]:
+        fields = Fields(read_json(self.path), str(self.path))
+        fields.schema(SCHEMA)
+        parameters = fields.fields('parameters')
+        return {name: _former(parameters.fields(name)) for name in parameters}
+
+
+def _former(fields: Fields) -> Former:
+    found, count = fields.numbers('found'), len(fields.sequence('sent'))
+    if not np.isfinite(found).all():
+        raise AllanError(f'{fields.where}.found: finite numbers are expected')
+    sent = fields.table('sent', count, len(found))
+    return Former(tuple(found.tolist()), tuple(map(tuple, sent.tolist())))

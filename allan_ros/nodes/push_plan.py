@@ -1,0 +1,114 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which parameters of another node are set to which numbers of an export target, and the limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ..core.errors import AllanError
+from ..core.fields import Fields
+from ..export import ExportOptions
+from ..readers.files import config_file, read_yaml
+
+SCHEMA = 'allan_ros/push/1'
+
+GAINS = ('imu_filter_madgwick',)  # gain in rad/s, zeta in rad/s^2
+"""Export targets whose rows are gains of a filter without a state for the bias. A gain has to cover
+the noise in motion. Computed from the noise and the bias at rest, it increases the tilt error in
+motion two to four times. So gains are shown in the status, but not set."""
+
+TARGETS = (*GAINS, 'kalibr', 'fast_lio')  # kalibr: densities N and K, fast_lio: N^2 f and K^2 f
+"""Export targets that ``push.filter`` may name. `docs/targets.md` names the code that shows the
+convention of each."""
+
+GAINS_NOT_SET = (
+    'nothing is set: the gain has to cover the noise in motion, which is not measured, and a gain '
+    'from the noise at rest makes the tilt worse in motion. Keep the gain that works while the '
+    'robot moves, and start without push.node and push.filter'
+)
+"""Message of the status for a plan of `GAINS`: what is missing, and what to do."""
+
+CHANGE = 0.1
+"""A value is set again when it has changed by more than this fraction."""
+
+Numbers = tuple[float, ...]
+"""Value of a parameter: one number for a double, several for an array of doubles."""
+
+
+@dataclass(frozen=True)
+class PushPlan:
+    """Which rows of which export target are set, and as which parameters."""
+
+    target: str
+    names: Mapping[str, str]  # name of a row -> name of the parameter; empty for all rows
+    options: ExportOptions
+
+    @property
+    def has_gains(self) -> bool:
+        """Whether the values are gains, which are not set."""
+        return self.target in GAINS
+
+
+def load_plan(name: str) -> PushPlan:
+    """Read a plan, given its name in ``config/filters`` or the path of its .yaml file.
+
+    Raises AllanError if the name is unknown or the file is invalid.
+    """
+    path = config_file('filters', name, 'plan for push.filter')
+    fields = Fields(read_yaml(path), str(path))
+    fields.schema(SCHEMA)
+    fields.only('schema', 'target', 'estimates_bias', 'horizon', 'parameters')
+    target = fields.choice('target', TARGETS)
+    estimates_bias = 'estimates_bias' in fields and fields.value('estimates_bias')
+    if target not in GAINS and not estimates_bias:
+        raise AllanError(
+            f'{path}: the numbers of {target} do not cover the gyro bias. If the node estimates '
+            'the bias, state estimates_bias: true'
+        )
+    names = fields.fields('parameters') if 'parameters' in fields else None
+    horizon = fields.number('horizon') if 'horizon' in fields else None
+    return PushPlan(
+        target,
+        {} if names is None else {row: names.text(row) for row in names},
+        ExportOptions() if horizon is None else ExportOptions(horizon=horizon),
+    )
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A proposed value of a parameter: one number, or three."""
+
+    name: str
+    values: Numbers
+    interval: tuple[float, float]
+    origin: str
+
+    def differs(self, other: Numbers) -> bool:
+        """Return whether any number differs from the other one by more than `CHANGE`."""
+        if len(other) != len(self.values):
+            return True
+        return not all(abs(v - c) <= CHANGE * abs(c) for v, c in zip(self.values, other))
+
+    def refusal(self, found: Numbers, factor: float) -> str:
+        """Return why the value must not replace the one that was found; '' if it may."""
+        if len(found) != len(self.values):
+            return f'has {len(found)} numbers in the node, the model gives {len(self.values)}'
+        for value, before in zip(self.values, found):
+            if not (0.0 < before < math.inf and 0.0 < value < math.inf):
+                return f'is {before:.4g} in the node and stays so; the model gives {value:.4g}'
+            if not 1.0 / factor <= value / before <= factor:
+                large, small = max(value, before), min(value, before)
+                return (
+                    f'{value:.4g} is {large / small:.3g} times '
+                    f'{"above" if value > before else "below"} the {before:.4g} that was found, so '
+                    'it is not set: check the filter, or raise push.max_factor'
+                )
+        return ''
+
+
+def text_of(values: Numbers) -> str:
+    """Return the value of a parameter as text."""
+    return ' '.join(f'{value:.4g}' for value in values)
