@@ -8,8 +8,6 @@ Recordings are read in this process, in several processes, or on a Dask cluster.
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +17,7 @@ from typing import Any
 
 from ..api import is_document
 from ..core.errors import AllanError, one_line
-from ..core.estimate import known_numbers, value_text
+from ..core.estimate import value_text
 from ..core.fields import plain
 from ..core.findings import SEVERITIES, Finding, by_consequence, finding
 from ..core.fit.interpretation import ADVISED_TERMS
@@ -31,6 +29,8 @@ from ..results.analysis import ResultSettings, analyze_recorded
 from ..results.documents import load, load_sums, results_to_document
 from ..results.results import Results
 from ..results.verdict import WORDS, Verdict, finding_text, verdict_of
+from ..view.coefficient_table import NUMBERS, coefficient_list
+from ..view.table import Record, csv_text, records
 from .console import Console, colored, painted
 from .options import settings_of
 from .tables import LEVEL_COLORS
@@ -342,31 +342,30 @@ SUMMARY = 'summary.csv'
 
 COLUMNS = (
     *('recording', 'serial', 'verdict', 'reason', 'hours'),
-    *('axis', 'term', 'value', 'low95', 'high95', 'upper95', 'unit'),
+    *('axis', 'term', *NUMBERS, 'unit'),
 )
 """Columns of the summary."""
 
 
 def _csv(outcomes: Sequence[Outcome], units: str) -> str:
     """Return a CSV table with one row for each coefficient of each recording."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator='\n')
-    writer.writerow(COLUMNS)
+    rows: list[Record] = []
     for outcome in outcomes:
         name, results = one_line(outcome.unit.name), outcome.results
         if results is None:
-            row = [name, '', 'error', one_line(outcome.error)]
-            writer.writerow(row + [''] * (len(COLUMNS) - len(row)))
+            error = one_line(outcome.error)
+            rows.append({'recording': name, 'verdict': 'error', 'reason': error})
             continue
         verdict = verdict_of(results, units=units)
-        first = [name, results.identity.hardware_id, verdict.level, one_line(verdict.summary)]
-        for axis, result in results.axes.items():
-            for term, c in result.fit.noise.items():
-                unit = shown_unit(axis, term, units)
-                numbers = ('' if n is None else f'{n:g}' for n in known_numbers(c, unit))
-                hours = f'{results.duration_s / 3600.0:.4g}'
-                writer.writerow([*first, hours, axis, term, *numbers, unit.name])
-    return file.getvalue()
+        known: Record = {
+            'recording': name,
+            'serial': results.identity.hardware_id,
+            'verdict': verdict.level,
+            'reason': one_line(verdict.summary),
+            'hours': f'{results.duration_s / 3600.0:.4g}',
+        }
+        rows += [{**known, **row} for row in records(coefficient_list(results.noise, units))]
+    return csv_text(rows, COLUMNS)
 
 
 def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:

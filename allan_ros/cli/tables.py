@@ -4,17 +4,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ..core.compare import Comparison, LimitVerdict
 from ..core.errors import AllanError
-from ..core.estimate import NOTHING_KNOWN, Estimate, interval_text, value_text
-from ..core.fit import TERMS
+from ..core.estimate import NOTHING_KNOWN
 from ..core.imu import AXES, SENSORS, ShownUnit, sensor_of, shown_unit
-from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, prefixed, significant
-from ..export import RAISED, origin_text, target_rows
+from ..core.number_text import LIMIT_DIGITS, significant
+from ..export import RAISED
 from ..results.datasheets import DatasheetComparison
 from ..results.results import Results
 from ..results.verdict import (
@@ -27,7 +26,11 @@ from ..results.verdict import (
     headline,
     too_short,
 )
+from ..view.coefficient_table import coefficient_cell, coefficient_table
+from ..view.comparison_table import runs_table
 from ..view.format import deviation_text, temperature_text
+from ..view.model_table import filter_table, has_raised_numbers
+from ..view.table import Cell, Heading, Table, terminal_lines
 from .console import SEVERITY_COLORS, painted, wrapped
 
 if TYPE_CHECKING:
@@ -82,17 +85,11 @@ def _line(group: list[Comparison], stated: str, units: str) -> str:
     return f'{sensor:5} {first.term}  {verdicts}: limit {limit} (stated {stated})'
 
 
-LABEL, GAP = 16, 2
-"""Width of the first column, and space between the columns of two axes, in characters."""
-
 DEVIATION = 'deviation'
 """Label of the last row."""
 
 MOST_FINDINGS, MOST_STEPS = 5, 4
 """Largest number of findings without ``--verbose``, and of next steps."""
-
-Cell = tuple[str, str]
-"""A value and its interval; '' for no interval."""
 
 
 def results_lines(
@@ -113,10 +110,12 @@ def results_lines(
     for sensor, where in SENSORS.items():
         axes = [axis for axis in AXES[where] if axis in results.axes]
         known = [axis for axis in axes if _has_numbers(results, axis)]
-        fitted = {axis: results.axes[axis].fit.noise for axis in known}
-        rows = [*coefficient_rows(sensor, fitted, units)]
-        deviations = [(_deviation(results, axis), '') for axis in known]
-        yield from table_lines([*rows, (DEVIATION, deviations)] if known else [], columns)
+        if known:
+            fitted = {axis: results.axes[axis].fit.noise for axis in known}
+            table = coefficient_table(fitted, units, prefixes=True)
+            deviations = [Cell(_deviation(results, axis)) for axis in known]
+            table = table.with_rows((Heading(DEVIATION), deviations))
+            yield from ('', *terminal_lines(_known_rows(table), columns))
         if len(known) < len(axes):
             absent = ', '.join(axis[-1] for axis in axes if axis not in known)
             yield from ('' * (not known), f'{sensor} {absent}: no coefficients')
@@ -141,7 +140,7 @@ def _temperature_lines(results: Results, units: str, columns: int) -> Iterator[s
 
 def _has_numbers(results: Results, axis: str) -> bool:
     noise = results.axes[axis].fit.noise.values()
-    return any(value_text(c, ShownUnit('', 1.0)) != NOTHING_KNOWN for c in noise)
+    return any(coefficient_cell(c, ShownUnit('', 1.0)).text != NOTHING_KNOWN for c in noise)
 
 
 def verdict_lines(verdict: Verdict, columns: int, colors: bool = False) -> list[str]:
@@ -179,17 +178,12 @@ def _step_lines(results: Results, verdict: Verdict, columns: int) -> Iterator[st
 def _filter_lines(results: Results, columns: int) -> Iterator[str]:
     """Yield the numbers of the file for Kalibr; nothing if it cannot be made."""
     try:
-        rows = target_rows(results, 'kalibr')
+        table = filter_table(results)
     except AllanError:
         return
-    yield ''
-    yield 'numbers for a filter (imu.yaml): SI, noisiest axis'
-    name = max(len(row.key) for row in rows)
-    for row in rows:
-        text = f'{row.key:{name}}  {significant(row.value, VALUE_DIGITS):9}'
-        (level,) = row.levels
-        yield from wrapped(f'{text} {origin_text(level)}', columns, ' ' * (name + 12))
-    if any(level.raised_from is not None for row in rows for level in row.levels):
+    yield from ('', 'numbers for a filter (imu.yaml): SI, noisiest axis')
+    yield from terminal_lines(table, columns)
+    if has_raised_numbers(results):
         yield from wrapped(RAISED, columns)
 
 
@@ -202,26 +196,10 @@ def _legend(results: Results) -> str:
     return text + f'; {DEVIATION}: largest difference of the curve from the model' * deviates
 
 
-def coefficient_rows(
-    sensor: str, axes: Mapping[str, Mapping[str, Estimate]], units: str
-) -> Iterator[tuple[str, list[Cell]]]:
-    """Yield the heading and the rows of a table: a label, and a cell for each axis.
-
-    ``axes`` maps the axes of the sensor to their coefficients. The prefix of the unit of each row
-    depends on its values.
-    """
-    yield sensor, [(axis[-1], '') for axis in axes]
-    for term in TERMS:
-        known = [noise[term] for noise in axes.values()]
-        unit = row_unit(sensor, term, units, known)
-        yield f'{term} {unit.name}', [(value_text(c, unit), interval_text(c, unit)) for c in known]
-
-
-def row_unit(sensor: str, term: str, units: str, known: Sequence[Estimate]) -> ShownUnit:
-    """Return the unit of the coefficients of several axes, with the prefix for the largest."""
-    sizes = [c.value if c.status == 'estimated' else c.upper95 for c in known]
-    size = max((abs(s) for s in sizes if s is not None and math.isfinite(s)), default=0.0)
-    return prefixed(shown_unit(sensor, term, units), size)
+def _known_rows(table: Table) -> Table:
+    """Return a table without the rows in which nothing is known."""
+    known = (row for row in table.rows if any(cell.text != NOTHING_KNOWN for cell in row[1]))
+    return replace(table, rows=[*known])
 
 
 SMALL_DEVIATION = 0.05
@@ -234,39 +212,14 @@ def _deviation(results: Results, axis: str) -> str:
     return deviation_text(deviation) if large and not too_short(results) else NOTHING_KNOWN
 
 
-def table_lines(rows: Sequence[tuple[str, Sequence[Cell]]], width: int) -> Iterator[str]:
-    """Yield a table with a first column of labels; rows without a number are left out.
-
-    If the table is too wide, intervals are printed below their values; if it is still too wide, it
-    is split into blocks of at most ``width`` characters.
-    """
-    rows = [row for row in rows if any(cell != (NOTHING_KNOWN, '') for cell in row[1])]
-    if not rows:
-        return
-    label = max(LABEL, *(len(text) + GAP for text, _ in rows))
-    cells = [cell for _, row in rows for cell in row]
-    value, interval = (max(len(cell[part]) for cell in cells) for part in (0, 1))
-    count = len(rows[0][1])
-    is_flat = label + count * (value + 1 + interval + GAP) - GAP <= width
-    column = (value + 1 + interval if is_flat else max(value, interval)) + GAP
-    across = count if is_flat else max(1, (width - label + GAP) // column)
-    for at in range(0, count, across):
-        yield ''
-        for text, row in rows:
-            part = row[at : at + across]
-            upper = [f'{v:{value}} {i}' if is_flat and i else v for v, i in part]
-            yield (f'{text:{label}}' + ''.join(f'{each:{column}}' for each in upper)).rstrip()
-            if not is_flat and any(i for _, i in part):
-                yield (' ' * label + ''.join(f'{i:{column}}' for _, i in part)).rstrip()
-
-
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
     """Yield the lines of a comparison: sentences, a table per sensor, and limits of datasheets."""
     for sentence in str(comparison).splitlines():
         yield from wrapped(sentence, columns, '  ')
-    for sensor, where in SENSORS.items():
+    for where in SENSORS.values():
         axes = [a for a in AXES[where] if any(a in r.results.axes for r in comparison.runs)]
-        yield from table_lines([*_comparison_rows(comparison, sensor, axes, units)], columns)
+        if axes:
+            yield from ('', *terminal_lines(runs_table(comparison, axes, units), columns))
     if comparison.pairs:
         yield ''
         yield from wrapped(
@@ -279,42 +232,3 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
         if one.measured:
             yield f'compared with measured units of {one.datasheet.datasheet.name}:'
             yield from (f'         {known}' for known in one.measured)
-
-
-def _comparison_rows(
-    comparison: RunComparison, sensor: str, axes: Sequence[str], units: str
-) -> Iterator[tuple[str, list[Cell]]]:
-    """Yield the rows of one sensor: values and ratios, then counts of significant deviations."""
-    from ..results.comparison import ratio_text, verdict_text
-
-    yield sensor, [(axis[-1], '') for axis in axes]
-    for term in TERMS:
-        fitted = {
-            subject.label: [_coefficient(subject.results, axis, term) for axis in axes]
-            for subject in comparison.runs
-        }
-        unit = row_unit(sensor, term, units, known := [c for row in fitted.values() for c in row])
-        if all(value_text(c, unit) == NOTHING_KNOWN for c in known):
-            continue
-        for i, (run, row) in enumerate(fitted.items()):
-            label = '' if i else f'{term} {unit.name}'
-            cells = [(value_text(c, unit), interval_text(c, unit)) for c in row]
-            yield f'{label:{LABEL}}{run}', cells
-        for pair in comparison.pairs:
-            ratios = [pair.of(axis, term) for axis in axes]
-            texts = [f'{ratio_text(d)} {verdict_text(d)}'.strip() if d else '' for d in ratios]
-            yield f'{"":{LABEL}}{pair.second} ratio', [(text, '') for text in texts]
-    for pair in comparison.pairs:
-        counts = []
-        for axis in axes:
-            tested = [d for d in pair.differences if d.axis == axis and d.tau is not None]
-            differ = sum(d.significant for d in tested)
-            counts.append((f'{differ} of {len(tested)} differ' if tested else '', ''))
-        yield f'{DEVIATION} {pair.second}', counts
-
-
-def _coefficient(results: Results, axis: str, term: str) -> Estimate:
-    """Return a coefficient; one without a value if the axis is absent."""
-    if axis in results.axes:
-        return results.axes[axis].fit.noise[term]
-    return Estimate(None, status='not_observable')

@@ -185,12 +185,9 @@ def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
 def known_numbers(estimate: Estimate, unit: ShownUnit) -> tuple[float | None, ...]:
     """Return the value, the two ends of its interval, and the upper limit.
 
-    All are in ``unit`` with six digits, and None if unknown. A number that is not resolved has
-    only a limit, and one that is resolved has no limit.
+    All are in ``unit``, and None if unknown. A number that is not resolved has only a limit, and
+    one that is resolved has no limit.
     """
-    known = estimate.resolved
-    low, high = estimate.ci95 if known and estimate.ci95 is not None else (None, None)
-    value = estimate.value if known else None
-    limit = None if estimate.status == 'estimated' else estimate.upper95
-    numbers = (value, low, high, limit)
-    return tuple(None if n is None else float(f'{n * unit.factor:.6g}') for n in numbers)
+    known = estimate.shown.times(unit.factor)
+    low, high = known.ci95 if known.resolved and known.ci95 is not None else (None, None)
+    return known.value, low, high, None if known.resolved else known.upper95

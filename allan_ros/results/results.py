@@ -15,9 +15,8 @@ from ..core.compare import MARGIN, Comparison, Measured, Run, differences
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.findings import Finding
-from ..core.fit import TERMS
 from ..core.fit.temperature import TemperatureModel
-from ..core.imu import ImuIdentity, sensor_of, shown_unit
+from ..core.imu import ImuIdentity, sensor_of
 from ..core.settings import LIST, UNIT_SYSTEMS, choose, expect, settings_from
 from ..export import ExportOptions, make_export, target_of
 from ..readers.files import PATH, public, write_atomic
@@ -32,9 +31,6 @@ from .datasheets import (
     load_sensor,
 )
 from .verdict import TOO_SHORT_S, Verdict, summary_lines, verdict_of
-
-COLUMNS = ('axis', 'term', 'value', 'ci95_low', 'ci95_high', 'upper95', 'unit')
-"""Columns of the table of all coefficients."""
 
 
 @dataclass(frozen=True)
@@ -191,13 +187,10 @@ class Results:
             pandas is installed. Unknown numbers are None, or NaN in a DataFrame.
         """
         choose(UNIT_SYSTEMS, units=units)
-        rows = []
-        for name, axis in self.axes.items():
-            for term in TERMS:
-                unit = shown_unit(name, term, units).name
-                found = axis.quantity(term).to(unit)
-                numbers = (found.value, *(found.ci95 or (None, None)), found.upper95)
-                rows.append(dict(zip(COLUMNS, (name, term, *numbers, unit))))
+        from ..view.coefficient_table import coefficient_list
+        from ..view.table import records
+
+        rows = records(coefficient_list(self.noise, units))
         try:
             import pandas
         except ImportError:

@@ -40,6 +40,9 @@ PRETTY = (
 )
 """Part of a unit in plain text -> its spelling in reports and plots."""
 
+NO_BREAK = '\N{NO-BREAK SPACE}'
+"""A space at which a line of HTML does not end."""
+
 READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
 """Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
 

@@ -11,7 +11,6 @@ import pytest
 from support.findings import example
 
 from allan_ros.cli.tables import (
-    coefficient_rows,
     comparison_lines,
     findings_lines,
     results_lines,
@@ -26,6 +25,7 @@ from allan_ros.results.comparison import Subject, compare_runs
 from allan_ros.results.datasheets import load_sensor
 from allan_ros.results.results import Results
 from allan_ros.results.verdict import headline, summary_lines, verdict_of
+from allan_ros.view.coefficient_table import coefficient_table
 
 LONG = Finding('x', 'warning', 'word ' * 40 + 'end', 'do this', ('gyro_x',))
 
@@ -57,8 +57,10 @@ def test_no_finding_is_cut_or_wider_than_80_columns(
 
 def test_the_prefix_of_a_row_fits_its_largest_value() -> None:
     large = Estimate(0.0274, (0.026, 0.029))
-    rows = dict(coefficient_rows('accel', {'accel_x': {**dict.fromkeys(TERMS, large)}}, 'deg/h'))
-    assert rows['B mg'] == [('2.794', '2.65..2.96')]
+    table = coefficient_table({'accel_x': dict.fromkeys(TERMS, large)}, 'deg/h', prefixes=True)
+    cells = {(heading.name, heading.unit): cells for heading, cells in table.rows}
+    ((cell,),) = (cells['B', 'mg'],)
+    assert (cell.text, cell.detail) == ('2.794', '2.65..2.96')
 
 
 def test_constant_data_have_one_line(small_results: Results) -> None:

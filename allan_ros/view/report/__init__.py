@@ -41,15 +41,16 @@ from ...results.verdict import (
     where,
 )
 from ..format import SENSOR_NAMES, pretty_unit
+from ..table import in_units
 from .chart_data import sensor_charts, temperature_chart, times, to_script
-from .tables import (
-    baseline_table,
-    datasheet_table,
-    filter_table,
-    growth_table,
-    headline_table,
-    in_units,
-    model_table,
+from .sensor_tables import (
+    baseline_html,
+    datasheet_html,
+    facts_html,
+    filter_html,
+    growth_html,
+    headline_html,
+    model_html,
 )
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def render_report(
         '<noscript><p class="note">The charts of this page need JavaScript.</p></noscript>',
         *_comparisons(results, sensors),
         '<div class="pair">',
-        f'<section id="filter"><h2>Numbers for a filter: imu.yaml</h2>{filter_table(results)}'
+        f'<section id="filter"><h2>Numbers for a filter: imu.yaml</h2>{filter_html(results)}'
         '</section>',
         *_next_steps(results, verdict),
         '</div>',
@@ -116,10 +117,10 @@ def render_report(
     body += _fold('density', 'Noise density', _hosts(charts, 'density'))
     body += _fold('signal', 'Raw signal', _hosts(charts, 'signal'))
     for id, title, content in (
-        ('model', 'Other terms and parts of the model', model_table),
-        ('growth', 'Predicted error without correction', growth_table),
+        ('model', 'Other terms and parts of the model', model_html),
+        ('growth', 'Predicted error without correction', growth_html),
     ):
-        parts = [[*content(s, axes)] for s, axes in sensors.items()]
+        parts = [[*content(axes)] for axes in sensors.values()]
         if id != 'model' or not too_short(results):
             body += _fold(id, title, _pair(sensors, parts))
     links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in files)
@@ -232,12 +233,12 @@ def _comparisons(
 ) -> Iterator[str]:
     if results.datasheet:
         name = escape(results.datasheet.datasheet.name)
-        parts = [[*datasheet_table(s, axes, results.datasheet)] for s, axes in sensors.items()]
+        parts = [[*datasheet_html(axes, results.datasheet)] for axes in sensors.values()]
         title = f'Compared with the datasheet of {name}'
         yield from _fold('datasheet', title, _pair(sensors, parts), shown=True)
     for i, (run, baseline) in enumerate(results.baselines.items()):
         compared = [c for c in results.comparisons if c.reference == run]
-        parts = [[*baseline_table(s, axes, baseline, compared)] for s, axes in sensors.items()]
+        parts = [[*baseline_html(axes, baseline, compared)] for axes in sensors.values()]
         yield from _fold(
             f'baseline-{i}', f'Compared with {escape(run)}', _pair(sensors, parts), True
         )
@@ -264,11 +265,11 @@ def _method(results: Results, method: Mapping[str, str]) -> Iterator[str]:
         f'numpy {numpy.__version__}, scipy {scipy.__version__}',
         'machine': f'{platform.system()} {platform.machine()}',
     }
-    yield f'<h3>Inputs</h3>{_table(inputs)}<h3>Samples</h3>{_table(samples)}'
-    yield f'<h3>How to repeat it</h3>{_table({**method, **versions})}'
+    yield f'<h3>Inputs</h3>{facts_html(inputs)}<h3>Samples</h3>{facts_html(samples)}'
+    yield f'<h3>How to repeat it</h3>{facts_html({**method, **versions})}'
     if known.settings:
         rows = {key: _value(value) for key, value in known.settings.items()}
-        yield f'<details><summary>All settings ({len(rows)})</summary>{_table(rows)}</details>'
+        yield f'<details><summary>All settings ({len(rows)})</summary>{facts_html(rows)}</details>'
 
 
 def _segments(results: Results) -> str:
@@ -279,14 +280,6 @@ def _value(value: object) -> str:
     if isinstance(value, (list, tuple)):
         value = ', '.join(map(str, value))
     return f'{value:g}' if isinstance(value, float) else str(value) if value != '' else '–'
-
-
-def _table(rows: Mapping[str, str]) -> str:
-    cells = ''.join(
-        f'<tr><th scope="row">{escape(key)}</th><td>{escape(value)}</td></tr>'
-        for key, value in rows.items()
-    )
-    return f'<table class="facts"><tbody>{cells}</tbody></table>'
 
 
 def _findings_section(results: Results) -> Iterator[str]:
@@ -315,6 +308,6 @@ def _block(finding: Finding, results: Results) -> str:
 def _sensor_section(sensor: str, axes: Mapping[str, AxisResult]) -> str:
     return (
         f'<section id="{sensor}" class="sensor"><h2>{SENSOR_NAMES[sensor]}</h2>'
-        f'{headline_table(sensor, axes)}'
+        f'{headline_html(axes)}'
         f'<div class="charts" data-kind="allan" data-sensor="{sensor}"></div></section>'
     )

@@ -15,7 +15,7 @@ import allan_ros as ar
 from allan_ros.core.fit.interpretation import SIGNIFICANT
 from allan_ros.view.format import deviation_text
 from allan_ros.view.report.chart_data import rounded, sensor_charts
-from allan_ros.view.report.tables import model_table
+from allan_ros.view.report.sensor_tables import model_html
 
 ADIS_LSB = np.repeat([0.05 * np.pi / 180.0, 0.00333 * 9.80665], 3)
 GYRO = {'N': 0.2, 'B': 5.0, 'K': 20.0}
@@ -47,7 +47,7 @@ def check(results: ar.Results) -> list[tuple[float, float] | None]:
     for sensor in sorted({name.split('_')[0] for name in results}):
         chart = sensor_charts(results, sensor, None)
         axes = {a['name']: a for a in chart['axes'] if 'adev' in a}
-        page = ''.join(model_table(sensor, {name: results.axes[name] for name in axes}))
+        page = ''.join(model_html({name: results.axes[name] for name in axes}))
         for name, axis in axes.items():
             deviation = results.axes[name].fit.deviation
             curve = results.axes[name].curve
@@ -56,7 +56,7 @@ def check(results: ar.Results) -> list[tuple[float, float] | None]:
             if deviation is not None and expected is not None:
                 assert deviation.relative == pytest.approx(expected[0], abs=2e-4), name
                 assert deviation.tau == pytest.approx(expected[1], rel=1e-4), name
-                assert f'<td>{deviation_text(deviation)}</td>' in page
+                assert f'>{deviation_text(deviation)}</td>' in page
             stated.append(expected)
     return stated
 

@@ -18,13 +18,14 @@ import yaml
 
 from allan_ros.core.findings import Finding
 from allan_ros.core.imu import ImuBatch, ImuIdentity
+from allan_ros.core.number_text import significant
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.core.stream.signal import SignalEnvelope, TemperatureTrace, summarize_signal
 from allan_ros.readers import SourceInfo
 from allan_ros.results.results import Results
 from allan_ros.view.report import render_report
 from allan_ros.view.report.chart_data import sensor_charts, to_script
-from allan_ros.view.report.tables import filter_table
+from allan_ros.view.report.sensor_tables import filter_html
 
 VOID = ('meta', 'br', 'wbr', 'input')
 HOSTILE = '</script><script>alert(1)</script><img src=x onerror=alert(2)>&"\'\u2028'
@@ -165,18 +166,18 @@ def test_charts_contain_si_values_and_factors(small_results: Results) -> None:
 
 
 def test_the_numbers_for_a_filter_are_those_of_its_file(small_results: Results) -> None:
-    table = filter_table(small_results)
+    table = filter_html(small_results)
     written = yaml.safe_load(small_results.export('kalibr'))
     keys = [key for key in written if key.endswith(('density', 'walk'))]
     assert len(keys) == 4
     for key in keys:
-        row = table.partition(f'<code>{key}</code>')[2].partition('</tr>')[0]
-        assert f'<b>{written[key]:.4g}</b>' in row
+        row = table.partition(f'>{key}<')[2].partition('</tr>')[0]
+        assert f'<td>{significant(written[key], 4)}<' in row
         raised = re.search(r'raised ([\d.]+) times from ([-\d.e]+) as measured', row)
         if raised:  # the factor and the coefficient as measured give the number
             assert float(raised[1]) * float(raised[2]) == pytest.approx(written[key], rel=0.05)
     gyro = {name: axis for name, axis in small_results.axes.items() if name.startswith('gyro')}
-    assert 'imu.yaml is not written' in filter_table(replace(small_results, axes=gyro))
+    assert 'imu.yaml is not written' in filter_html(replace(small_results, axes=gyro))
 
 
 def test_excluded_and_missing_times_are_marked_in_the_plot() -> None:

@@ -17,7 +17,8 @@ from allan_ros.core.fit.model import model_of_terms
 from allan_ros.core.number_text import significant
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.results.results import Results
-from allan_ros.view.report.tables import growth_table, model_table
+from allan_ros.view.format import NO_BREAK
+from allan_ros.view.report.sensor_tables import growth_html, model_html
 
 DEG = 180.0 / math.pi
 
@@ -39,11 +40,11 @@ def axis_of(**noise: Estimate) -> AxisResult:
 @pytest.mark.parametrize(('units', 'factor'), [('deg/h', DEG), ('SI', 1.0)])
 def test_the_growth_is_that_of_the_axis(small_results: Results, units: str, factor: float) -> None:
     axes = {name: small_results.axes[name] for name in ('gyro_x', 'gyro_y')}
-    html = ''.join(growth_table('gyro', axes))
-    assert f'angle error [{"°" if units == "deg/h" else "rad"}]' in html
+    html = ''.join(growth_html(axes))
+    assert f'angle error <em>{"°" if units == "deg/h" else "rad"}</em>' in html
     expected = []
     for row in zip(*(axis.growth for axis in axes.values())):
-        assert f'after {row[0].horizon:g}&nbsp;s' in html
+        assert f'after {row[0].horizon:g}{NO_BREAK}s' in html
         for growth in row:
             low, high = (significant(end * factor, 2) for end in growth.ci95)
             expected.append(f'{significant(growth.std * factor, 2)} {low} ..{high}')
@@ -54,7 +55,7 @@ def test_of_terms_that_are_not_resolved_only_a_limit_is_given() -> None:
     limits = {term: Estimate(None, None, 1e-3, 'not_observable') for term in 'NBK'}
     axis = axis_of(**limits)
     assert all(growth.ci95[0] == 0.0 for growth in axis.growth)
-    shown = cells(''.join(growth_table('gyro', {'gyro_x': axis})), 'SI')
+    shown = cells(''.join(growth_html({'gyro_x': axis})), 'SI')
     highs = [significant(growth.ci95[1], 2) for growth in axis.growth]
     assert shown == [f'&lt; {high}' for high in highs]
 
@@ -62,10 +63,10 @@ def test_of_terms_that_are_not_resolved_only_a_limit_is_given() -> None:
 def test_the_scatter_of_the_bias_is_named(small_results: Results) -> None:
     turn_on = TurnOnBias(3, 0.0, 0.01 / DEG, (0.005 / DEG, 0.06 / DEG))
     axes = {'gyro_x': replace(small_results.axes['gyro_x'], turn_on=turn_on)}
-    html = ''.join(growth_table('gyro', axes))
+    html = ''.join(growth_html(axes))
     assert 'Bias of x between 3 recordings: standard deviation' in html
     assert '36 °/h (18..220)' in html
-    without = ''.join(growth_table('gyro', {'gyro_x': small_results.axes['gyro_x']}))
+    without = ''.join(growth_html({'gyro_x': small_results.axes['gyro_x']}))
     assert 'between' not in without
 
 
@@ -73,5 +74,5 @@ def test_a_part_that_is_only_likely_is_marked() -> None:
     likely = Estimate(1e-4, None, 1.2e-4, 'likely')
     axis = axis_of(N=Estimate(1e-3, (9e-4, 1.1e-3)), B=likely)
     assert axis.fit.likely == ('B',)
-    html = ''.join(model_table('gyro', {'gyro_x': axis}))
+    html = ''.join(model_html({'gyro_x': axis}))
     assert '>B, likely but not resolved (?)</td>' in html

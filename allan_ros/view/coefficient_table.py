@@ -1,0 +1,95 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Coefficients as tables: of one sensor for readers, and a list of all for programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from ..core.estimate import Estimate, interval_text, known_numbers, value_text
+from ..core.fit import TERMS
+from ..core.imu import ShownUnit, sensor_of, shown_unit
+from ..core.number_text import prefixed
+from .table import Cell, Heading, Table
+
+Coefficients = Mapping[str, Mapping[str, Estimate]]
+"""Axis -> term -> coefficient in SI."""
+
+WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
+"""Sensor -> quantities whose random walks are N and K (IEEE Std 952 and 1293)."""
+
+
+def coefficient_cell(coefficient: Estimate, unit: ShownUnit) -> Cell:
+    """Return the value of a coefficient, or its limit, with its interval as the detail."""
+    value, *_ = known_numbers(coefficient, unit)
+    text, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
+    return Cell(text, interval, value, coefficient.status)
+
+
+def coefficient_table(
+    axes: Coefficients, units: str, terms: Sequence[str] = TERMS, prefixes: bool = False
+) -> Table:
+    """Return the coefficients of one sensor: a row for each term, a column for each axis.
+
+    Parameters
+    ----------
+    axes : mapping of axis to coefficients
+        The axes of one sensor.
+    units : 'deg/h' or 'SI'
+    terms : sequence of str
+    prefixes : bool
+        Whether the unit of a row has the prefix that suits its largest value.
+    """
+    sensor = sensor_of(next(iter(axes)))
+    rows = []
+    for term in terms:
+        known = [noise[term] for noise in axes.values()]
+        unit = shown_unit(sensor, term, units)
+        if prefixes:
+            unit = prefixed(unit, largest(known))
+        heading = Heading(term, unit.name, term_name(sensor, term))
+        rows.append((heading, [coefficient_cell(one, unit) for one in known]))
+    return Table(Heading(sensor), axis_headings(axes), rows)
+
+
+def axis_headings(axes: Mapping[str, object]) -> list[Heading]:
+    """Return the headings 'x', 'y' and 'z' of the axes of one sensor."""
+    return [Heading(axis[-1]) for axis in axes]
+
+
+def term_name(sensor: str, term: str) -> str:
+    """Return the name of a term for a sensor, such as 'angle random walk'."""
+    angle, rate = WALKS[sensor]
+    return {
+        'Q': 'quantization',
+        'N': f'{angle} random walk',
+        'B': 'bias instability',
+        'K': f'{rate} random walk',
+        'R': f'{rate} ramp',
+    }[term]
+
+
+def largest(known: Sequence[Estimate]) -> float:
+    """Return the largest value or limit of several coefficients in SI; 0 if none is known."""
+    sizes = [c.value if c.resolved else c.upper95 for c in known]
+    return max((abs(s) for s in sizes if s is not None and math.isfinite(s)), default=0.0)
+
+
+NUMBERS = ('value', 'ci95_low', 'ci95_high', 'upper95')
+"""Columns of the numbers of a coefficient, in the order of `known_numbers`."""
+
+
+def coefficient_list(axes: Coefficients, units: str) -> Table:
+    """Return all coefficients for programs, with one row for each axis and term.
+
+    The columns are axis, term, `NUMBERS` and unit; only the cells have values.
+    """
+    rows = []
+    for axis, noise in axes.items():
+        for term, coefficient in noise.items():
+            unit = shown_unit(axis, term, units)
+            values = (term, *known_numbers(coefficient, unit), unit.name)
+            rows.append((Heading(axis), [Cell(value=value) for value in values]))
+    columns = [Heading(name) for name in ('term', *NUMBERS, 'unit')]
+    return Table(Heading('axis'), columns, rows)

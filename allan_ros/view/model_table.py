@@ -1,0 +1,129 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What follows from the fitted models of a sensor, as tables: filter numbers, parts, growth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..core.estimate import NOTHING_KNOWN
+from ..core.fit import TERMS
+from ..core.imu import ShownUnit, sensor_of
+from ..core.number_text import VALUE_DIGITS, significant
+from ..core.settings import UNIT_SYSTEMS
+from ..export import origin_text, target_rows
+from ..results.axis_result import AxisResult
+from ..results.results import Results
+from .coefficient_table import WALKS, axis_headings
+from .format import NO_BREAK, deviation_text, part_text
+from .table import Cell, Heading, Table
+
+Axes = Mapping[str, AxisResult]
+"""The axes of one sensor."""
+
+ERRORS = {
+    'gyro': {'deg/h': ShownUnit('°', 180.0 / math.pi), 'SI': ShownUnit('rad', 1.0)},
+    'accel': dict.fromkeys(UNIT_SYSTEMS, ShownUnit('m/s', 1.0)),
+}
+"""Sensor -> system of units -> unit of the integrated error (an angle or a velocity)."""
+
+PLAIN = 'plain'
+"""Status of a cell whose text is less important than a coefficient."""
+
+
+def filter_table(results: Results) -> Table:
+    """Return the numbers of imu.yaml in SI: a row for each key, with the origin as the detail.
+
+    Raises AllanError if a key needs an axis that was not measured.
+    """
+    rows = [
+        (
+            Heading(row.key),
+            [
+                Cell(
+                    significant(row.value, VALUE_DIGITS),
+                    ', '.join(map(origin_text, row.levels)),
+                    row.value,
+                )
+            ],
+        )
+        for row in target_rows(results, 'kalibr')
+        if row.levels
+    ]
+    return Table(Heading(''), [Heading('', wraps=True)], rows)
+
+
+def has_raised_numbers(results: Results) -> bool:
+    """Return whether any number of imu.yaml is larger than the coefficient as measured."""
+    levels = (level for row in target_rows(results, 'kalibr') for level in row.levels)
+    return any(level.raised_from is not None for level in levels)
+
+
+def parts_table(axes: Axes) -> Table:
+    """Return what the models of a sensor contain: a column for each axis.
+
+    The rows are the largest deviation of the curve, the dominant noise, and the parts that are not
+    terms; a row without content is left out.
+    """
+
+    def lines(parts: list[str]) -> Cell:
+        return Cell('\n'.join(parts) or NOTHING_KNOWN, status=PLAIN)
+
+    regions = [
+        [
+            f'{significant(r.tau_low, 2)}..{significant(r.tau_high, 2)}{NO_BREAK}s '
+            + part_text(r.term, axis.fit.likely)
+            for r in axis.regions
+        ]
+        for axis in axes.values()
+    ]
+    others = [
+        [
+            f'{part}, likely but not resolved (?)' if part in TERMS else part
+            for part in axis.part_adev(np.ones(1, int))
+            if part not in TERMS or part in axis.fit.likely
+        ]
+        for axis in axes.values()
+    ]
+    deviations = [
+        [text] if (text := deviation_text(axis.fit.deviation)) else [] for axis in axes.values()
+    ]
+    known = (
+        (Heading('largest deviation', note='of the curve from the model'), deviations),
+        (Heading('dominant noise', note='by averaging time'), regions),
+        (Heading('other parts', note='of the model'), others),
+    )
+    rows = [(heading, [*map(lines, parts)]) for heading, parts in known if any(parts)]
+    return Table(Heading(''), axis_headings(axes), rows)
+
+
+def growth_table(axes: Axes, units: str) -> Table:
+    """Return the predicted angle or velocity error of one sensor without a correction.
+
+    One standard deviation with its 95 % interval: a row for each duration, a column for each axis.
+    """
+    sensor = sensor_of(next(iter(axes)))
+    unit = ERRORS[sensor][units]
+    rows = [
+        (
+            Heading(f'after {growth[0].horizon:g}{NO_BREAK}s'),
+            [size_cell(g.std, g.ci95, unit.factor) for g in growth],
+        )
+        for growth in zip(*(axis.growth for axis in axes.values()))
+    ]
+    return Table(Heading(f'{WALKS[sensor][0]} error', unit.name), axis_headings(axes), rows)
+
+
+def size_cell(size: float, interval: tuple[float, float] | None, factor: float) -> Cell:
+    """Return a standard deviation (SI) with its 95 % interval, times ``factor``.
+
+    If the interval begins at 0, no term is resolved, and only its upper end is stated.
+    """
+    low, high = interval or (size, size)
+    if not low > 0.0:
+        return Cell(f'< {significant(high * factor, 2)}' if high > 0.0 else NOTHING_KNOWN)
+    ends = '..'.join(significant(end * factor, 2) for end in interval or ())
+    return Cell(significant(size * factor, 2), ends, size * factor)

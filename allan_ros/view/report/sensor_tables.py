@@ -1,0 +1,153 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The tables of the report with their notes, as HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from html import escape
+from typing import TYPE_CHECKING
+
+from ...core.compare import Comparison
+from ...core.errors import AllanError
+from ...core.fit import TERMS
+from ...core.fit.interpretation import ADVISED_TERMS
+from ...core.imu import shown_unit
+from ...export import RAISED, target_of
+from ...results.axis_result import AxisResult
+from ...results.datasheets import DatasheetComparison
+from ..coefficient_table import Coefficients, coefficient_table
+from ..comparison_table import baseline_table, limit_table, stated_limits
+from ..format import pretty_unit
+from ..model_table import filter_table, growth_table, has_raised_numbers, parts_table, size_cell
+from ..table import Cell, Heading, Table, html_table, in_units
+
+if TYPE_CHECKING:
+    from ...results.results import Results
+
+Axes = Mapping[str, AxisResult]
+
+
+def headline_html(axes: Axes) -> str:
+    """Return an HTML table of N, B and K with one column per axis."""
+    return html_table('coefficients', lambda units: _coefficients(axes, units, ADVISED_TERMS))
+
+
+def model_html(axes: Axes) -> Iterator[str]:
+    """Yield an HTML table of the other terms and of what the model contains.
+
+    If there is neither a value nor a limit of any term, only a note says so.
+    """
+    noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
+    if all(c.value is None and c.upper95 is None for c in noise):
+        yield _note('Nothing could be measured: neither a value nor a limit.')
+        return
+    others = [term for term in TERMS if term not in ADVISED_TERMS]
+    parts = parts_table(axes).rows
+    yield _scrolled(
+        'coefficients', lambda units: _coefficients(axes, units, others).with_rows(*parts)
+    )
+
+
+def filter_html(results: Results) -> str:
+    """Return an HTML table of the numbers in imu.yaml: key, value, and their origin.
+
+    If a key needs an axis that was not measured, a note says so instead.
+    """
+    try:
+        table = filter_table(results)
+    except AllanError as error:
+        return _note(f'imu.yaml is not written: {error}.')
+    note = f'{RAISED} ' if has_raised_numbers(results) else ''
+    return html_table('filter', lambda _: table) + _note(
+        f'{note}In SI, the worst axis of each sensor, for integration up to '
+        f'{target_of("kalibr").horizon_s:g} s without a correction.'
+    )
+
+
+def growth_html(axes: Axes) -> Iterator[str]:
+    """Yield an HTML table of the predicted angle or velocity error without correction.
+
+    The scatter of the bias between recordings follows if it is known.
+    """
+    if all(axis.growth for axis in axes.values()):
+        yield _scrolled('comparison', partial(growth_table, axes))
+        window = next(iter(axes.values())).growth[0].window
+        yield _note(
+            'One standard deviation without correction, with the 95 % interval, after the bias was '
+            f'averaged over {window:g} s.'
+        )
+    for name, axis in axes.items():
+        if axis.turn_on:
+            yield (
+                f'<p class="note">Bias of {name[-1]} between {axis.turn_on.recordings} recordings: '
+                f'standard deviation {in_units(partial(_scatter, name, axis))}</p>'
+            )
+
+
+def _scatter(name: str, axis: AxisResult, units: str) -> str:
+    known = axis.turn_on
+    if known is None or not known.std:
+        return 'not resolved'
+    unit = shown_unit(name, 'B', units)
+    cell = size_cell(known.std, known.ci95, unit.factor)
+    ends = f' ({cell.detail})' if cell.detail else ''
+    return escape(f'{cell.text} {pretty_unit(unit.name)}{ends}')
+
+
+def datasheet_html(axes: Axes, comparison: DatasheetComparison) -> Iterator[str]:
+    """Yield an HTML table of the limits of a datasheet; nothing if it has none for this sensor."""
+    stated: dict[str, list[str]] = {}
+    notes = []
+    for term in TERMS:
+        checks = [c for axis in axes if (c := comparison.of(axis, term)) is not None]
+        limits = [comparison.limit(c) for c in checks]
+        if limits:
+            stated[term] = [limit.stated for limit in limits]
+        texts = dict.fromkeys(n for limit in limits for n in (limit.note, limit.condition) if n)
+        notes += [f'{term}: {note}' for note in texts]
+    notes.append('; '.join(str(source) for source in comparison.datasheet.sources.values()))
+    if stated:
+        known, limits_of = _noise(axes), stated_limits(stated)
+        yield _scrolled(
+            'comparison',
+            lambda units: limit_table(known, comparison.comparisons, units, limits_of),
+        )
+        yield from map(_note, notes)
+
+
+def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Comparison]) -> Iterator[str]:
+    """Yield an HTML table of the comparison with an earlier run; nothing without comparisons."""
+    if any(c.axis in axes and c.term in TERMS for c in comparisons):
+        yield _scrolled(
+            'comparison', lambda units: baseline_table(_noise(axes), comparisons, units, before)
+        )
+        yield _note(
+            '"within": not significantly above the earlier run. "exceeds": significantly above it, '
+            'by more than the margin.'
+        )
+
+
+def facts_html(facts: Mapping[str, str]) -> str:
+    """Return an HTML table of names and texts."""
+    rows = [(Heading(name), [Cell(text)]) for name, text in facts.items()]
+    return html_table('facts', lambda _: Table(Heading(''), [Heading('')], rows))
+
+
+def _noise(axes: Axes) -> Coefficients:
+    return {name: axis.fit.noise for name, axis in axes.items()}
+
+
+def _coefficients(axes: Axes, units: str, terms: Sequence[str]) -> Table:
+    # the section has the name of the sensor
+    return replace(coefficient_table(_noise(axes), units, terms), corner=Heading(''))
+
+
+def _scrolled(kind: str, table_of: Callable[[str], Table]) -> str:
+    return f'<div class="scroll">{html_table(kind, table_of)}</div>'
+
+
+def _note(text: str) -> str:
+    return f'<p class="note">{escape(text, quote=False).replace(" %", "&nbsp;%")}</p>'

@@ -1,0 +1,289 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One `Table` of cells for all outputs: terminal text, HTML, CSV, and records for JSON.
+
+A table says what is shown; each function below renders it for one output. A cell has a text for
+readers and a value for programs.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from ..core.estimate import NOTHING_KNOWN
+from ..core.settings import UNIT_SYSTEMS
+from .format import pretty_unit
+
+if TYPE_CHECKING:
+    from rich.table import Table as Grid
+
+DASH = '–'
+"""What HTML shows for `NOTHING_KNOWN`."""
+
+MARKS = {'within': '✓', 'undecided': '≈', 'exceeds': '✕'}
+"""Status of a cell that is compared with a limit -> symbol beside the status in HTML."""
+
+GAP, HEADINGS = 2, 14
+"""Space between two columns of terminal text, and least width of the headings of the rows, by which
+the tables of several sensors are aligned; in characters."""
+
+
+class Heading(NamedTuple):
+    """Heading of a column or of a row: name, unit of its cells, and an explanation.
+
+    The rest is for terminal text: ``align`` is the alignment of a column. A column that ``wraps``
+    is as wide as the terminal allows; the other columns are as wide as their content. A column that
+    ``repeats`` is part of each table into which a table that is too wide is split.
+    """
+
+    name: str
+    unit: str = ''
+    note: str = ''
+    align: Literal['left', 'right'] = 'left'
+    wraps: bool = False
+    repeats: bool = False
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a table.
+
+    Attributes
+    ----------
+    text : str
+        The content for readers, in several lines if it has line breaks; '' for nothing.
+    detail : str
+        Second content, such as an interval: beside the text or below it.
+    value : float, int, str or None
+        The content for programs; None if it is unknown.
+    status : str
+        Status of a coefficient, such as 'not_observable', or the result of a comparison, such as
+        'exceeds'. HTML uses it as a class.
+    link : str
+        Address to which the text is linked in HTML.
+    """
+
+    text: str = ''
+    detail: str = ''
+    value: float | int | str | None = None
+    status: str = ''
+    link: str = ''
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells below the headings of their columns.
+
+    Attributes
+    ----------
+    corner : Heading
+        Heading of the column that contains the headings of the rows.
+    columns : sequence of Heading
+    rows : sequence of (Heading, sequence of Cell)
+        Each row has one cell for each column.
+    """
+
+    corner: Heading
+    columns: Sequence[Heading]
+    rows: Sequence[tuple[Heading, Sequence[Cell]]]
+
+    def __post_init__(self) -> None:
+        if any(len(cells) != len(self.columns) for _, cells in self.rows):
+            raise ValueError('each row needs one cell for each column')
+
+    @property
+    def has_headings(self) -> bool:
+        """Whether any column has a heading."""
+        return any(heading.name for heading in (self.corner, *self.columns))
+
+    def with_rows(self, *rows: tuple[Heading, Sequence[Cell]]) -> Table:
+        """Return the table with more rows."""
+        return replace(self, rows=(*self.rows, *rows))
+
+
+# --- terminal text --------------------------------------------------------------------------------
+
+
+def terminal_lines(table: Table, width: int) -> Iterator[str]:
+    """Yield the lines of a table with at most ``width`` characters.
+
+    If the table is too wide, details are printed below the texts; if it is still too wide, it is
+    split into several tables with fewer columns, which are separated by empty lines. The texts of a
+    single column that is too wide have several lines.
+
+    Examples
+    --------
+    >>> angle = Table(Heading('gyro'), [Heading('x')], [(Heading('N', 'deg'), [Cell('1', '0..2')])])
+    >>> print(*terminal_lines(angle, 80), sep='\\n')
+    gyro            x
+    N deg           1 0..2
+    >>> print(*terminal_lines(angle, 20), sep='\\n')
+    gyro            x
+    N deg           1
+                    0..2
+    """
+    from rich.console import Console
+
+    sink = io.StringIO()
+    console = Console(
+        file=sink, width=width, color_system=None, markup=False, emoji=False, highlight=False
+    )
+
+    def fits(grid: Grid) -> bool:
+        wraps = any(column.wraps for column in table.columns)
+        unlimited = console.options.update(width=2 * width)
+        return wraps or console.measure(grid, options=unlimited).maximum <= width
+
+    every = range(len(table.columns))
+    first = [i for i in every if table.columns[i].repeats]
+    others = [i for i in every if i not in first]
+    blocks = [_grid(table, every, beside=True)]
+    if not fits(blocks[0]):
+        counts = range(len(others), 0, -1)
+        across = next((n for n in counts if fits(_grid(table, [*first, *others[:n]]))), 1)
+        parts = [[*first, *others[i : i + across]] for i in range(0, len(others), across)]
+        blocks = [
+            grid if fits(grid := _grid(table, part)) else _grid(table, part, folds=True)
+            for part in parts
+        ]
+    for i, block in enumerate(blocks):
+        console.print(*([''] * bool(i)), block, sep='\n')
+    yield from (line.rstrip() for line in sink.getvalue().splitlines())
+
+
+def _grid(table: Table, columns: Sequence[int], beside: bool = False, folds: bool = False) -> Grid:
+    """Return some columns of a table for rich, with details beside or below the texts.
+
+    ``folds`` permits line breaks in all columns.
+    """
+    from rich.table import Table as Grid
+    from rich.text import Text
+
+    grid = Grid.grid(padding=(0, GAP, 0, 0), pad_edge=False)
+    grid.add_column(no_wrap=not folds, overflow='fold', min_width=HEADINGS)
+    for i in columns:
+        heading = table.columns[i]
+        wraps = folds or heading.wraps
+        grid.add_column(no_wrap=not wraps, overflow='fold', justify=heading.align)
+    wide = {i: max((len(cells[i].text) for _, cells in table.rows), default=0) for i in columns}
+
+    def text_of(cell: Cell, i: int) -> Text:
+        if not beside or not cell.detail:
+            return Text('\n'.join(filter(None, (cell.text, cell.detail))))
+        return Text(f'{cell.text:{wide[i]}} {cell.detail}')
+
+    if table.has_headings:
+        grid.add_row(Text(_plain(table.corner)), *(Text(_plain(table.columns[i])) for i in columns))
+    for heading, cells in table.rows:
+        grid.add_row(Text(_plain(heading)), *(text_of(cells[i], i) for i in columns))
+    return grid
+
+
+def _plain(heading: Heading) -> str:
+    return f'{heading.name} {heading.unit}'.rstrip()
+
+
+# --- HTML -----------------------------------------------------------------------------------------
+
+
+def in_units(html_of: Callable[[str], str]) -> str:
+    """Return HTML with a text in datasheet units and in SI; the page shows one of them.
+
+    ``html_of`` returns the text for 'deg/h' or 'SI'. Equal texts are written once.
+    """
+    texts = {units: html_of(units) for units in UNIT_SYSTEMS}
+    if len({*texts.values()}) == 1:
+        return texts[UNIT_SYSTEMS[0]]
+    return ''.join(f'<span data-units="{units}">{text}</span>' for units, text in texts.items())
+
+
+def html_table(kind: str, table_of: Callable[[str], Table]) -> str:
+    """Return a table as HTML, with its texts in datasheet units and in SI.
+
+    ``table_of`` returns the table for 'deg/h' or 'SI'; both have equal rows and columns. ``kind``
+    is the class of the table in the style sheet.
+    """
+    tables = {units: table_of(units) for units in UNIT_SYSTEMS}
+    one = tables[UNIT_SYSTEMS[0]]
+
+    def heading(of: Callable[[Table], Heading]) -> str:
+        return in_units(lambda units: heading_html(of(tables[units])))
+
+    corner = heading(lambda table: table.corner)
+    head = f'<th scope="col">{corner}</th>' if corner else '<td></td>'
+    for i, column in enumerate(one.columns):
+        kinds = f' class="{escape(column.name)}"' if column.name.isalpha() else ''
+        head += f'<th scope="col"{kinds}>{heading(lambda t, i=i: t.columns[i])}</th>'  # type: ignore[misc]
+    body = ''
+    for r, (_, cells) in enumerate(one.rows):
+        body += f'<tr><th scope="row">{heading(lambda t, r=r: t.rows[r][0])}</th>'  # type: ignore[misc]
+        for i, cell in enumerate(cells):
+            inner = in_units(lambda units, r=r, i=i: _cell_html(tables[units].rows[r][1][i]))  # type: ignore[misc]
+            kinds = f' class="{cell.status}"' if cell.status and cell.status not in MARKS else ''
+            body += f'<td{kinds}>{inner}{_mark_html(cell.status)}</td>'
+        body += '</tr>'
+    top = f'<thead><tr>{head}</tr></thead>' if one.has_headings else ''
+    return f'<table class="{kind}">{top}<tbody>{body}</tbody></table>'
+
+
+def heading_html(heading: Heading) -> str:
+    """Return a heading as HTML: name, unit, and the explanation below."""
+    unit = f' <em>{escape(pretty_unit(heading.unit))}</em>' if heading.unit else ''
+    note = f'<small>{escape(heading.note)}</small>' if heading.note else ''
+    return f'{escape(heading.name)}{unit}{note}'
+
+
+def _cell_html(cell: Cell) -> str:
+    text = DASH if cell.text == NOTHING_KNOWN else escape(cell.text).replace('\n', '<br>')
+    if cell.link:
+        text = f'<a href="{escape(cell.link)}">{text}</a>'
+    # an interval can break only before the two dots
+    detail = escape(cell.detail).replace('..', '<wbr>..')
+    return f'{text}<small>{detail}</small>' if detail else text
+
+
+def _mark_html(status: str) -> str:
+    if status not in MARKS:
+        return ''
+    return f'<b class="mark {status}"><i aria-hidden="true">{MARKS[status]}</i> {status}</b>'
+
+
+# --- programs -------------------------------------------------------------------------------------
+
+Record = Mapping[str, 'float | int | str | None']
+"""Name of a column -> value, of one row."""
+
+
+def records(table: Table) -> list[Record]:
+    """Return the rows as records: name of the column -> value of the cell.
+
+    The heading of a row is the value of the first column.
+    """
+    names = [table.corner.name, *(column.name for column in table.columns)]
+    return [
+        dict(zip(names, (heading.name, *(cell.value for cell in cells))))
+        for heading, cells in table.rows
+    ]
+
+
+def csv_text(rows: Iterable[Record], names: Sequence[str]) -> str:
+    """Return records as CSV with a heading.
+
+    Unknown values are empty, and numbers have six significant digits.
+    """
+    file = io.StringIO()
+    writer = csv.DictWriter(file, names, restval='', lineterminator='\n')
+    writer.writeheader()
+    for row in rows:
+        writer.writerow(
+            {
+                name: f'{value:.6g}' if isinstance(value, float) else value
+                for name, value in row.items()
+            }
+        )
+    return file.getvalue()
