@@ -111,6 +111,7 @@ def input_status(
     excluded = {
         'moving': c.moving,
         'noise increased': c.noise_increased,
+        'noise decreased': c.noise_decreased,
         'stuck': c.stuck,
         'not finite': c.not_finite,
         'duplicate': c.duplicate,
@@ -155,6 +156,7 @@ def _state_text(health: StreamHealth, static_s: float, passes: int) -> str:
         'learning': 'learning the rate and the noise floor; keep the IMU at rest',
         'moving': f'moving, {rate}: {measured}',
         'noise_increased': f'noise above the noise floor, {rate}: not used, {static} so far',
+        'noise_decreased': f'noise below the noise floor, {rate}: not used, {static} so far',
         'at_rest': f'at rest, {rate}: {static}',
     }[health.state]
 

@@ -54,7 +54,8 @@ def assert_accounted(result):
     """Check that every received or interpolated sample is counted exactly once."""
     c = result.health.counts
     fates = c.used + c.skipped + c.other_frame + c.not_finite + c.duplicate + c.backward
-    assert c.received + c.interpolated == fates + c.untimed + c.moving + c.stuck + c.noise_increased
+    noise = c.noise_increased + c.noise_decreased
+    assert c.received + c.interpolated == fates + c.untimed + c.moving + c.stuck + noise
 
 
 def swing(i):

@@ -22,10 +22,11 @@ from ..settings import SegmenterSettings
 
 Floats = NDArray[np.float64]
 
-State = Literal['waiting', 'learning', 'at_rest', 'moving', 'noise_increased']
+State = Literal['waiting', 'learning', 'at_rest', 'moving', 'noise_increased', 'noise_decreased']
 """'waiting': no sample yet. 'learning': sample rate and noise floor are not known yet. 'at_rest':
 the IMU is at rest, and its data are used. 'moving': it moves. 'noise_increased': it is at rest, but
-its noise is larger than the noise floor."""
+its noise is larger than the noise floor. 'noise_decreased': the noise of an axis is much smaller
+than the noise floor."""
 
 RATE_CHANGE = 0.02
 """Smallest relative difference between two sample periods that is regarded as another rate."""
@@ -68,7 +69,7 @@ class Counts:
     If the sensors have different rates, the counts of both sensor streams are added, except for
     ``received`` and ``skipped``. For one sensor stream, received + interpolated = used + skipped +
     other_frame + not_finite + duplicate + backward + untimed + moving + stuck + noise_increased +
-    the samples still buffered.
+    noise_decreased + the samples still buffered.
     """
 
     received: int = 0
@@ -88,6 +89,7 @@ class Counts:
     moving: int = 0
     stuck: int = 0  # an axis repeats one value
     noise_increased: int = 0  # at rest, but the noise is much larger than the noise floor
+    noise_decreased: int = 0  # the noise is much smaller than the noise floor
     spikes: int = 0  # isolated values that were replaced, counted per axis
     shocks: int = 0  # number of shocks
     replaced: int = 0  # part of `used`: samples of shocks, replaced by a line between means
@@ -105,9 +107,10 @@ class Counts:
 class Event(NamedTuple):
     """A time when the IMU was not at rest.
 
-    ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value) or 'noise_increased' (the
-    noise increased at rest). ``changes`` are the changes of the mean of each axis that are larger
-    than its noise, in the unit of the samples; a changed acceleration indicates a tilt.
+    ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value), 'noise_increased' (the noise
+    increased at rest) or 'noise_decreased' (the noise of an axis became much smaller). ``changes``
+    are the changes of the mean of each axis that are larger than its noise, in the unit of the
+    samples; a changed acceleration indicates a tilt.
     """
 
     kind: str
@@ -167,7 +170,7 @@ class StreamHealth:
     frame_id: str = ''  # of the latest sample
     sums_frame_id: str = ''  # of the sums with the longest elapsed time
     frame_changes: int = 0
-    discarded: int = 0  # how often sums were discarded because the IMU had been moving
+    discarded: int = 0  # how often sums were discarded because another noise floor was learned
     # axis -> largest ratio of its noise at rest to the noise floor; empty if none increased
     largest_increase: Mapping[str, float] = field(default_factory=dict)
     discarded_s: float = 0.0  # from the start of the discarded sums to the first sample kept
@@ -175,12 +178,14 @@ class StreamHealth:
     outliers: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
     dropped_frames: int = 0  # number of frame_ids whose sums were dropped
+    # axis -> smallest ratio of its noise to the noise floor; empty if none decreased much
+    largest_decrease: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def still_share(self) -> float | None:
         """Share of the classified samples that were at rest; None if there are none."""
         c = self.counts
-        classified = c.used + c.moving + c.stuck + c.noise_increased
+        classified = c.used + c.moving + c.stuck + c.noise_increased + c.noise_decreased
         return c.used / classified if classified else None
 
 
@@ -330,6 +335,10 @@ def stream_findings(
     add('gyro_unit_changed', changed, gyro, ratio=ratio)
     seconds = c.noise_increased / rate
     add('noise_increased', increased and not changed, axes, ratio=ratio, seconds=seconds)
+    ratios, seconds = health.largest_decrease, c.noise_decreased / rate
+    decreased = health.rate_hz and c.noise_decreased and ratios
+    least = min(ratios.values(), default=1.0)
+    add('noise_decreased', decreased, tuple(ratios), ratio=least, seconds=seconds)
     never = c.moving and not c.used and health.rate_hz
     add('never_still', never, seconds=c.moving / rate)
     classified = max(c.moving + c.noise_increased + c.used, 1)

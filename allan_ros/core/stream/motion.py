@@ -20,7 +20,7 @@ stream or the last gap, so the decisions do not depend on how the samples are di
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from .disturbances import (
     without_spikes,
 )
 from .health import Counts, Event, Longest, State
-from .noise_floor import EXAMINED, LEAST_WINDOW, NoiseFloor, WindowClass, Windows
+from .noise_floor import EXAMINED, LEAST_WINDOW, NoiseFloor, WindowClass, Windows, is_stuck
 
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short compared with a motion."""
@@ -49,8 +49,14 @@ BLOCK_WINDOWS = 32
 MARGIN_BEFORE, MARGIN_AFTER = 1, 4
 """Number of still windows that are dropped before and after a motion: 0.5 s and 2 s."""
 
-RELEARNED = 'relearned'
-"""Reason for a split after which all earlier sums are discarded: the IMU moved."""
+LEAST_DECREASED = BLOCK_WINDOWS // 4
+"""Number of windows with less noise after which another noise floor is tried."""
+
+Change = Literal['relearned', 'revived', 'set_aside', 'resumed', 'accepted']
+"""What happens to the sums when the noise floor changes. 'relearned': the present sums are
+discarded, because the IMU moved. 'revived': they are discarded, because an axis was stuck.
+'set_aside': they are kept, and sums of a decreased noise begin. 'resumed': these are discarded, and
+the sums that were kept continue. 'accepted': the sums that were kept are discarded."""
 
 INCREASE_BLOCKS = 2
 """Number of consecutive blocks (together about 30 s) after which noise that exceeds the limits is
@@ -67,6 +73,26 @@ class _Part(NamedTuple):
     windows: Windows
     still: Flags
     found: WindowClass
+
+    def last(self, number: int) -> _Part:
+        """Return the last windows; the number is at most that of all windows."""
+        first = len(self.still) - number
+        size = len(self.samples) // len(self.still)
+        return _Part(
+            self.samples.part(slice(first * size, None), '' if first else self.samples.cut),
+            Windows(self.windows.values[:, :, first:]),
+            self.still[first:],
+            WindowClass(*(flags[first:] for flags in self.found)),
+        )
+
+
+class _Former(NamedTuple):
+    """A noise floor that may be that of the IMU still, although the noise decreased later."""
+
+    floor: NoiseFloor
+    at_rest: int  # number of samples at rest
+    decreased_ns: int  # when the noise decreased
+    shocks: tuple[int, int]
 
 
 class MotionGate:
@@ -98,6 +124,13 @@ class MotionGate:
         longest = int(LONGEST_SHOCK_S / (self.size * self._period_s))
         self._longest_shock = min(longest, LONGEST_SHOCK)
         self._shocks_before = counts.shocks, counts.replaced
+        self._former: _Former | None = None  # while the noise is decreased
+        self._at_rest = 0  # number of samples at rest since the noise floor was learned
+        # of the current block of windows: first stamp, number of samples that were passed on since
+        # it began, and of those that were held before it began
+        self._block_ns = self._passed_on = self._carried = 0
+        self._decreased = 0  # number of samples that were dropped because the noise decreased
+        self._smallest = np.ones(len(axes))  # ratio of decreased noise to the noise floor
         self._floor: NoiseFloor | None = None
         self._learning: list[Block] = []  # buffered until the noise floor is known
         # buffered until they fill a window, with their look-ahead
@@ -120,6 +153,12 @@ class MotionGate:
         return dict(zip(self._axes, largest.tolist())) if largest.any() else {}
 
     @property
+    def decreases(self) -> dict[str, float]:
+        """Axis -> smallest ratio of its decreased noise to the noise floor; empty if none."""
+        smallest = zip(self._axes, self._smallest.tolist())
+        return {axis: ratio for axis, ratio in smallest if ratio < 1.0}
+
+    @property
     def heavy_tails(self) -> dict[str, float]:
         """Axes with heavy tails, and the share of their samples that are outliers."""
         floor = self._floor
@@ -134,7 +173,9 @@ class MotionGate:
         if self._increase is not None:
             return 'noise_increased'
         if self._motion is not None:
-            return 'moving'
+            return 'noise_decreased' if self._motion.kind == 'noise_decreased' else 'moving'
+        if self._former is not None:
+            return 'noise_decreased'
         return 'learning' if self._floor is None else 'at_rest'
 
     def feed(self, blocks: list[Block]) -> list[Block]:
@@ -174,7 +215,7 @@ class MotionGate:
             return
         for part in parts:
             windows = Windows.of(part.rows, self.size)
-            found = floor.classify(windows, None, self.size)
+            found = floor.classify(part.rows, windows, None, self.size)
             floor = floor.with_outliers(_usable(part, self.size, ~found.moving))
         self._floor = floor
         self._log_motion()
@@ -232,42 +273,50 @@ class MotionGate:
     def _keep_still(self, block: Block, size: int, windows: Windows) -> None:
         """Keep the samples of a block that are at rest; each window has ``size`` samples."""
         assert self._floor is not None
+        if not self._block:
+            self._block_ns = int(block.stamps[0])
+            self._passed_on, self._carried = 0, _samples(self._held)
         if block.cut:
             self._pass_held()
             self._last_mean, self._level = None, Level()
             if self._motion is not None:
                 self._motion.before = self._motion.before[:0]
             self._cut = self._cut or block.cut
-        found = self._floor.classify(windows, self._last_mean, size)
+        found = self._floor.classify(block.rows, windows, self._last_mean, size)
         still = ~found.moving
         if self._motion is None and still.all():
             self._release(block, windows.mean, size)
         else:
             for i in range(len(still)):
                 window = block.part(slice(i * size, (i + 1) * size))
-                self._step(window, windows.mean[:, i], *(bool(v[i]) for v in found[:3]))
+                self._step(window, windows.mean[:, i], WindowClass(*(v[i] for v in found)))
                 still[i] = self._motion is None
         self._last_mean = windows.mean[:, -1]
         if size == self.size:
             self._block.append(_Part(block, windows, still, found))
 
-    def _step(self, window: Block, mean: Floats, moving: bool, quiet: bool, stuck: bool) -> None:
-        """Update the state from one window, and keep it if it is at rest."""
-        if self._motion is None and not moving:
+    def _step(self, window: Block, mean: Floats, found: WindowClass) -> None:
+        """Update the state from one window and its class, and keep it if it is at rest."""
+        if self._motion is None and not found.moving:
             self._release(window, mean[:, None], len(window))
             return
         if self._motion is None:
-            kind = 'stuck' if stuck else 'motion'
+            kind = 'noise_decreased' if found.decreased else 'motion'
+            kind = 'stuck' if found.stuck else kind
             self._motion = Motion(kind, int(window.stamps[0]), self._level)
         motion = self._motion
-        if stuck:
+        if found.decreased:
             self._no_shock()
-            self._counts.stuck += len(window)
+            if found.stuck:
+                self._counts.stuck += len(window)
+            else:
+                self._counts.noise_decreased += len(window)
+                self._decreased += len(window)
         elif motion.level is None:
             self._counts.moving += len(window)
         else:
             self._held.append(window)
-        motion.add(window, mean, quiet)
+        motion.add(window, mean, bool(found.quiet))
         if motion.windows - motion.quiet > self._longest_shock:
             self._no_shock()
         if motion.quiet >= MARGIN_AFTER:
@@ -285,7 +334,7 @@ class MotionGate:
         else:
             self._no_shock()
         self._log_motion()
-        self._out += kept[:1]
+        self._pass_on(kept[:1])
         for window in kept[1:]:
             self._release(window, window.rows.mean(axis=1)[:, None], len(window))
 
@@ -294,6 +343,8 @@ class MotionGate:
         motion = self._motion
         if motion is not None and motion.level is not None:
             self._counts.moving += _samples(self._held)
+            if self._held and self._held[0].stamps[0] < self._block_ns:
+                self._carried = 0
             self._counts.splits[motion.kind] += 1
             self._cut = self._cut or motion.kind
             motion.level, self._held = None, []
@@ -317,36 +368,81 @@ class MotionGate:
         split = max(0, len(block) - MARGIN_BEFORE * self.size)
         cut, self._cut = self._cut, ''
         if split:
-            self._out.append(block.part(slice(split), cut))
+            self._pass_on([block.part(slice(split), cut)])
             cut = ''
         self._held = [block.part(slice(split, None), cut)]
 
     def _pass_held(self) -> None:
-        self._out += self._held
+        self._pass_on(self._held)
         self._held = []
+
+    def _pass_on(self, blocks: list[Block]) -> None:
+        self._out += blocks
+        self._passed_on += _samples(blocks)
 
     # --- the noise floor --------------------------------------------------------------------------
 
     def _end_block(self) -> None:
-        """Update the noise floor after a block; start again if it was learned during a motion."""
+        """Update the noise floor after a block, or change it if another one fits better."""
         floor = self._floor
         assert floor is not None
         block, self._block = self._block, []
         windows = Windows.joined(part.windows for part in block)
-        if floor.is_above(windows):
-            self._floor = self._learned_floor(_without_gaps([part.samples for part in block]))
-            self._restart(block)
-            return
-        samples = Block.joined([part.samples for part in block])
         still = np.concatenate([part.still for part in block])
+        samples = Block.joined([part.samples for part in block])
+        self._at_rest += self.size * int(np.count_nonzero(still))
+        if self._change_floor(block, windows, still, samples):
+            return
         rotating = all(part.found.rotating.all() for part in block)
         updated = floor.updated(windows, still, rotating)
         if updated.is_plausible():
             examined = still & (np.arange(len(still)) % EXAMINED == 0)
             floor = self._floor = updated.with_outliers(_usable(samples, self.size, examined))
-        stuck = any(part.found.stuck.any() for part in block)
-        moving = not (still.any() or stuck)
+        decreased = any(part.found.decreased.any() for part in block)
+        moving = not (still.any() or decreased)
         self._count_increased(floor.increase(samples.rows, windows) if moving else None)
+
+    def _change_floor(
+        self, block: list[_Part], windows: Windows, still: Flags, samples: Block
+    ) -> bool:
+        """Change the noise floor after a block if another one fits better; return whether it did.
+
+        Noise that decreased is either that of the IMU, or of a fault. If the noise before was that
+        of a motion, the new noise floor replaces the former one. Otherwise, that noise which lasts
+        longer is regarded as normal: sums of the decreased noise are kept apart until then.
+        """
+        floor, former = self._floor, self._former
+        assert floor is not None
+        if former is not None:
+            if former.floor.rest(windows).mean() > 0.5:
+                self._resume(block, former)
+                return True
+            if self._at_rest > former.at_rest:
+                self._former = None
+                self._mark('accepted', samples)
+                self._forget_decrease()
+        if floor.revived(samples.rows).any():
+            self._discard(block, 'revived')
+            return True
+        decreased = floor.decreased(windows)
+        if not decreased.any():
+            return False
+        last = int(np.argmax(still[::-1])) if still.any() else len(still)
+        unexplained = (decreased & ~is_stuck(samples.rows, self.size))[:, len(still) - last :]
+        axes = np.count_nonzero(unexplained, axis=1) >= LEAST_DECREASED
+        if axes.any():
+            quiet = _last_windows(block, last)
+            learned = self._learned_floor(_without_gaps([part.samples for part in quiet]))
+            if learned.shows_motion(floor, axes):
+                self._discard(block, 'relearned')
+                return True
+            self._try(quiet, learned)
+        if axes.any() or self._decreased:
+            some = decreased.any(axis=1)
+            level = np.where(decreased, windows.variance, np.nan)[some]
+            ratio = np.sqrt(np.nanmean(level, axis=1) / floor.variance[some])
+            self._smallest[some] = np.minimum(self._smallest[some], ratio)
+        return bool(axes.any())
 
     def _count_increased(self, ratio: Floats | None) -> None:
         """Count a block as increased noise; ``ratio`` is None if it is at rest or in motion."""
@@ -362,24 +458,97 @@ class MotionGate:
         if self._motion is not None:
             self._motion.kind = 'noise_increased'
 
-    def _restart(self, block: list[_Part]) -> None:
-        """Discard all earlier data, and classify the block again with the new noise floor."""
+    def _discard(self, block: list[_Part], change: Change) -> None:
+        """Discard all earlier data, and classify the block again with a new noise floor."""
+        samples = [part.samples for part in block]
+        released = self._take_back(block)
         # `SensorStream` counts the samples that were already released
-        self._no_shock()
+        if change == 'revived':
+            self._counts.stuck -= released
+        else:
+            self._counts.moving -= released
         self._counts.shocks, self._counts.replaced = self._shocks_before
-        self._counts.moving += _samples(self._held)
-        stuck = self.size * sum(int(np.count_nonzero(part.found.stuck)) for part in block)
-        self._counts.moving -= _samples(part.samples for part in block) - stuck
+        self._forget_decrease()
+        self._restart(block, change, self._learned_floor(_without_gaps(samples)), 'motion')
+        self._at_rest = 0
+
+    def _try(self, quiet: list[_Part], learned: NoiseFloor) -> None:
+        """Set the sums aside, and classify windows of decreased noise with their noise floor."""
+        assert self._floor is not None
+        motion = self._motion
+        began_ns = motion.began_ns if motion is not None else int(quiet[0].samples.stamps[0])
+        released = self._take_back(quiet)
+        assert not released
+        if self._former is None:
+            shocks = self._counts.shocks, self._counts.replaced
+            self._former = _Former(self._floor, self._at_rest, began_ns, shocks)
+        self._motion = None
+        self._restart(quiet, 'set_aside', learned, 'noise_decreased')
+        self._at_rest = 0
+
+    def _resume(self, block: list[_Part], former: _Former) -> None:
+        """Discard the data of decreased noise, and continue with the former noise floor."""
+        self._counts.noise_decreased -= self._take_back(block)
+        self._counts.shocks, self._counts.replaced = former.shocks
+        seconds = (int(block[0].samples.stamps[0]) - former.decreased_ns) * 1e-9
+        self._events.add(seconds, Event('noise_decreased', former.decreased_ns, seconds))
+        self._former, self._motion = None, None
+        self._restart(block, 'resumed', former.floor, 'noise_decreased')
+        self._at_rest += former.at_rest
+
+    def _take_back(self, windows: list[_Part]) -> int:
+        """Remove the last windows of the current block from the counts.
+
+        They are either all windows of the block, or none of them is at rest. Returns the number of
+        samples that were passed on.
+        """
+        self._no_shock()
+        self._pass_held()
+        at_rest = any(part.still.any() for part in windows)
+        released = self._passed_on - self._carried if at_rest else 0
+        stuck = self.size * sum(int(part.found.stuck.sum()) for part in windows)
+        decreased = self.size * sum(int(part.found.decreased.sum()) for part in windows) - stuck
+        samples = _samples(part.samples for part in windows)
         self._counts.stuck -= stuck
-        self._held = []
+        self._counts.noise_decreased -= decreased
+        self._decreased -= decreased
+        self._counts.moving -= samples - stuck - decreased - released
+        return released
+
+    def _forget_decrease(self) -> None:
+        """Count samples of decreased noise as motion: the noise was higher because of a motion."""
+        self._counts.moving += self._decreased
+        self._counts.noise_decreased -= self._decreased
+        self._decreased, self._smallest = 0, np.ones(len(self._axes))
+
+    def _restart(self, block: list[_Part], change: Change, floor: NoiseFloor, cut: str) -> None:
+        """Classify windows again with another noise floor, for other sums."""
+        self._floor = floor
         self._last_mean, self._level = None, Level()
         self._noisy_blocks, self._increase = 0, None
-        self._motion = Motion('motion', int(block[0].samples.stamps[0]))
-        self._cut = 'motion'
-        self._out.append(block[0].samples.part(slice(0), RELEARNED))
+        self._mark(change, block[0].samples)
+        self._cut = cut
+        if cut == 'motion':
+            self._motion = Motion('motion', int(block[0].samples.stamps[0]))
         for part in block:
             self._keep_still(part.samples, self.size, part.windows)
         self._block = []
+
+    def _mark(self, change: Change, samples: Block) -> None:
+        """Tell `SensorStream` what to do with the sums before the next samples."""
+        self._pass_held()
+        self._out.append(samples.part(slice(0), change))
+
+
+def _last_windows(parts: list[_Part], number: int) -> list[_Part]:
+    """Return the last windows of consecutive parts."""
+    out: list[_Part] = []
+    for part in reversed(parts):
+        if number <= 0:
+            break
+        out.insert(0, part.last(min(number, len(part.still))))
+        number -= len(part.still)
+    return out
 
 
 def _without_gaps(blocks: Iterable[Block]) -> list[Block]:

@@ -31,9 +31,23 @@ value."""
 FLOOR_GAIN = 0.25
 """Weight of a new block of still windows when the noise floor is updated."""
 
-RELEARN_RATIO = 5.0
-"""If the standard deviation of a block is smaller than the noise floor by this factor, the floor
-was learned in motion, and all data so far are discarded."""
+DECREASE_RATIO = 5.0
+"""The noise of an axis decreased if its standard deviation in a window is smaller than the noise
+floor by this factor. Chi-squared with 15 degrees of freedom: 1e-7 of the windows of white noise."""
+
+SHAKEN_RATIO = 30.0
+"""Ratio of the standard deviations of earlier and later data above which the sensor was shaken
+earlier: fans, motors and settings of the sensor change its noise less."""
+
+MOVING_AXES = 2
+"""A motion increases the noise of at least this number of axes; a fault may affect a single one."""
+
+SAME_GRAVITY = 0.15
+"""Largest relative change of the mean specific force by a motion; a fault or a unit changes it
+more."""
+
+STUCK_SHARE = 0.75
+"""An axis is stuck in a window if it repeats one value for this share of the window."""
 
 ROUNDING = 1e-13
 """A standard deviation below this fraction of the mean is a rounding error: no sensor has a
@@ -120,6 +134,20 @@ class Windows:
         return cls(np.concatenate([part.values for part in parts], axis=2))
 
 
+def is_stuck(rows: Floats, size: int) -> Flags:
+    """Return in which windows of ``size`` samples an axis repeats one value, (axes, k).
+
+    ``rows`` are the samples, (axes, n). The axis may change for less than 1 - `STUCK_SHARE` of the
+    window, as at the beginning and the end of a fault.
+    """
+    cube = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
+    index = np.arange(size)
+    changed = np.ones(cube.shape, bool)
+    changed[:, :, 1:] = cube[:, :, 1:] != cube[:, :, :-1]
+    run = index - np.maximum.accumulate(np.where(changed, index, 0), axis=2) + 1
+    return np.asarray(run.max(axis=2, initial=0) >= STUCK_SHARE * size)
+
+
 def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
     """Return the von Neumann ratio per axis, (axes,): 1 for white noise, near 0 for slow motion.
 
@@ -137,9 +165,10 @@ def von_neumann_ratio(parts: Iterable[Floats]) -> Floats:
 class WindowClass(NamedTuple):
     """Classification of k windows: arrays of flags, (k,) each."""
 
-    moving: Flags  # in motion, or an axis is stuck
+    moving: Flags  # in motion, an axis is stuck, or its noise decreased
     quiet: Flags  # below the limits at which a motion ends
     stuck: Flags  # an axis repeats one value
+    decreased: Flags  # the noise of an axis is much smaller than the noise floor
     rotating: Flags  # only the mean angular rate differs from the noise floor
 
 
@@ -158,6 +187,7 @@ class NoiseFloor:
     mean: Floats
     lsb: Floats  # smallest change between two samples: at most the resolution of the sensor
     ratio: Floats  # von Neumann ratio of the samples
+    windows: Windows  # from which it was learned
     # outliers among the samples that were searched for them: number of each axis, and of samples
     outliers: Floats
     examined: float = 0.0
@@ -168,26 +198,37 @@ class NoiseFloor:
     ) -> NoiseFloor:
         """Return the noise floor of the first samples; a quarter of them should be at rest.
 
-        Each part, (axes, n), is a sequence of samples without a gap.
+        Each part, (axes, n), is a sequence of samples without a gap. Windows in which an axis
+        repeats one value do not contribute to the noise of this axis, if a quarter of the windows
+        do not repeat it.
         """
         parts = [rows for rows in parts if rows.shape[1] > 1]
         zero = np.zeros(len(gyro))
         if not parts:
-            return cls(size, gyro, settings, zero, zero, zero, zero, zero + np.nan, zero)
+            none = Windows(np.zeros((3, len(gyro), 0)))
+            return cls(size, gyro, settings, zero, zero, zero, zero, zero + np.nan, none, zero)
         split = [Windows.of(rows, min(size, rows.shape[1])) for rows in parts]
         windows = Windows.joined(split)
         step = np.concatenate([np.abs(np.diff(each.mean, axis=1)) for each in split], axis=1)
         change = np.concatenate([np.abs(np.diff(rows, axis=1)) for rows in parts], axis=1)
         lsb = np.where(change > 0.0, change, np.inf).min(axis=1)
+        lsb = np.where(np.isfinite(lsb), lsb, 0.0)
+        stuck = np.concatenate([is_stuck(rows, min(size, rows.shape[1])) for rows in parts], axis=1)
+        always = (stuck.mean(axis=1) > 1.0 - QUANTILE)[:, None]
+        chosen = [
+            Windows(windows.values[:, [axis]][:, :, flags])
+            for axis, flags in enumerate(~stuck | always)
+        ]
         return cls(
             size,
             gyro,
             settings,
-            _quantile(windows.variance, QUANTILE),
+            np.concatenate([_quantile(each.variance, QUANTILE) for each in chosen]),
             MAD_TO_SIGMA * _quantile(step, 0.5) if step.size else zero,
-            _quantile(windows.mean, 0.5),
-            np.where(np.isfinite(lsb), lsb, 0.0),
+            np.concatenate([_quantile(each.mean, 0.5) for each in chosen]),
+            lsb,
             von_neumann_ratio(parts),
+            windows,
             zero,
         )
 
@@ -226,15 +267,55 @@ class NoiseFloor:
         large = self.variance > np.where(self.gyro, *PLAUSIBLE_DEVIATION) ** 2
         return not bool((steps | (large & (self.ratio < LOW_FREQUENCY))).any())
 
-    def is_above(self, block: Windows) -> bool:
-        """Return whether the noise of a block is smaller by `RELEARN_RATIO` on some axis.
+    def rest(self, block: Windows) -> Flags:
+        """Return in which windows the noise is as at this floor, (k,)."""
+        scale = self.scale[:, None]
+        higher = (block.variance > self.settings.motion_ratio**2 * scale) & (scale > 0.0)
+        return ~np.asarray((self.decreased(block) | higher).any(axis=0))
 
-        Then the sensor moved when this noise floor was learned.
+    def decreased(self, block: Windows) -> Flags:
+        """Return in which windows an axis has much less noise than this floor, (axes, k).
+
+        Below the resolution, the noise of an axis is not known.
         """
-        # an axis that repeats one value has no noise to compare
-        quiet = _quantile(block.variance, QUANTILE)
-        quiet = np.maximum(np.where(quiet > 0.0, quiet, self.variance), 0.25 * self.lsb**2)
-        return bool((RELEARN_RATIO**2 * quiet < self.scale).any())
+        known = self.variance > self.lsb**2
+        smaller = DECREASE_RATIO**2 * block.variance < self.variance[:, None]
+        return np.asarray(known[:, None] & smaller)
+
+    def revived(self, rows: Floats) -> Flags:
+        """Return which axes were constant when the floor was learned and have noise now, (axes,).
+
+        ``rows``, (axes, n), are the samples of a block.
+        """
+        constant = self.variance == 0.0
+        if constant.any():
+            constant[constant] = is_stuck(rows[constant], self.size).mean(axis=1) < 0.5
+        return np.asarray(constant)
+
+    def shows_motion(self, former: NoiseFloor, axes: Flags) -> bool:
+        """Return whether the sensor moved when the floor ``former`` was learned.
+
+        It is judged by this floor of later data, in which the ``axes``, (axes,), have less noise.
+        The sensor moved if the former noise was not stationary, had low frequencies, or was very
+        large, or if the mean rate or the direction of gravity changed. A fault of a few axes, a
+        setting of the sensor, a fan or another unit is no motion.
+        """
+        axes = axes & (self.variance > former.lsb**2)
+        if np.count_nonzero(axes) < MOVING_AXES:
+            return False
+        before, now = (np.linalg.norm(each.mean[~self.gyro]) for each in (former, self))
+        if abs(before - now) > SAME_GRAVITY * max(before, now):
+            return False
+        with np.errstate(invalid='ignore', divide='ignore'):
+            ratio = np.sqrt(former.variance / self.variance)
+        if are_degrees(ratio[self.gyro]):
+            return False
+        if np.count_nonzero(axes & (ratio > SHAKEN_RATIO)) >= MOVING_AXES:
+            return True
+        rest = former.rest(former.windows)
+        windows = Windows(former.windows.values[:, :, rest])
+        few = np.count_nonzero(rest) < QUANTILE * len(rest)
+        return not (few or self._is_at_rest(windows, former.ratio, axes))
 
     def updated(self, block: Windows, still: Flags, rotating: bool) -> NoiseFloor:
         """Return the noise floor updated by a block of k windows.
@@ -257,40 +338,52 @@ class NoiseFloor:
         """Return the ratio of the noise of a block at rest to the noise floor, (axes,).
 
         ``rows``, (axes, n), are the samples of the block, and ``block`` their windows. Returns None
-        if the noise has not increased, or if the sensor moves. It is at rest if the noise is
-        stationary with a spectrum as broad as the noise floor or white noise, and if neither
-        the mean rate nor the direction of gravity changes.
+        if the noise has not increased, or if the sensor moves.
         """
-        level = _quantile(block.variance, 0.5)
         scale = self.scale
         with np.errstate(invalid='ignore', divide='ignore'):
-            ratio = np.sqrt(level / scale)
+            ratio = np.sqrt(_quantile(block.variance, 0.5) / scale)
         ratio[scale == 0.0] = 1.0
         increased = ratio > INCREASE_RATIO
         if not increased.any() or not np.isfinite(ratio).all():
             return None
+        return ratio if self._is_at_rest(block, von_neumann_ratio([rows]), increased) else None
+
+    def _is_at_rest(self, block: Windows, spectrum: Floats, increased: Flags) -> bool:
+        """Return whether the sensor is at rest although the noise of some axes increased, (axes,).
+
+        It is at rest if the noise is stationary with a spectrum as broad as the noise floor or
+        white noise, and if neither the mean rate nor the direction of gravity changes. ``block``
+        are the windows, and ``spectrum``, (axes,), is their von Neumann ratio.
+        """
+        level, scale = _quantile(block.variance, 0.5), self.scale
         within = block.variance <= INCREASE_SPREAD * level[:, None]
         within &= INCREASE_SPREAD * block.variance >= level[:, None]
         if (within[increased].mean(axis=1) < 0.9).any():
-            return None
+            return False
         smallest_ratio = INCREASE_SPECTRUM * np.fmin(self.ratio, 1.0)
-        if (von_neumann_ratio([rows])[increased] < smallest_ratio[increased]).any():
-            return None
+        if (spectrum[increased] < smallest_ratio[increased]).any():
+            return False
         sigma = np.sqrt(np.maximum(level, scale))
         white = np.sqrt(2.0 / self.size) * sigma
         steps = np.abs(np.diff(block.mean, axis=1))
         largest_step = COLORED_STEP * np.maximum(white, self.step)
         if (MAD_TO_SIGMA * _quantile(steps, 0.5) > largest_step).any():
-            return None
+            return False
         change = np.abs(_quantile(block.mean, 0.5) - self.mean)
         gravity = float(np.linalg.norm(self.mean[~self.gyro]))
-        rates = np.inf if are_degrees(ratio[self.gyro]) else self.rate_limit
+        with np.errstate(invalid='ignore', divide='ignore'):
+            degrees = are_degrees(np.sqrt(level / scale)[self.gyro])
+        rates = np.inf if degrees else self.rate_limit
         allowed = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white
-        return None if (change > allowed).any() else ratio
+        return not bool((change > allowed).any())
 
-    def classify(self, windows: Windows, previous_mean: Floats | None, size: int) -> WindowClass:
+    def classify(
+        self, rows: Floats, windows: Windows, previous_mean: Floats | None, size: int
+    ) -> WindowClass:
         """Classify windows of ``size`` samples by comparing them with the noise floor.
 
+        ``rows``, (axes, k * size), are their samples.
         ``previous_mean``, (axes,), is the mean of the window before the first; None if there is
         none.
         """
@@ -312,13 +405,16 @@ class NoiseFloor:
         shaken = (windows.peak > max_peak) | (step > max_step)
         rotating = np.abs(windows.mean - self.mean[:, None]) > max_rate
         none = np.zeros(windows.mean.shape[1], bool)
-        if windows.variance.all() and not (noisy | shaken | rotating).any():
-            return WindowClass(none, ~none, none, none)  # the common case: an IMU at rest
-        has_noise = (self.variance > self.lsb**2)[:, None] & (size >= LEAST_WINDOW)
-        stuck = ((windows.variance == 0.0) & has_noise).any(axis=0)
-        moving = ((windows.variance > max_variance) | shaken | rotating).any(axis=0) | stuck
-        disturbed = (noisy | shaken).any(axis=0) | stuck
-        return WindowClass(moving, ~(moving | disturbed), stuck, rotating.any(axis=0) & ~disturbed)
+        lower = np.asarray(self.decreased(windows) & (size >= LEAST_WINDOW))
+        if not (noisy | shaken | rotating | lower).any():
+            return WindowClass(none, ~none, none, none, none)  # the common case: an IMU at rest
+        decreased, stuck = np.asarray(lower.any(axis=0)), none
+        if decreased.any():
+            stuck = np.asarray((lower & is_stuck(rows, size)).any(axis=0))
+        moving = ((windows.variance > max_variance) | shaken | rotating).any(axis=0) | decreased
+        disturbed = (noisy | shaken).any(axis=0) | decreased
+        still_rotating = rotating.any(axis=0) & ~disturbed
+        return WindowClass(moving, ~(moving | disturbed), stuck, decreased, still_rotating)
 
 
 def _quantile(values: Floats, share: float) -> Floats:

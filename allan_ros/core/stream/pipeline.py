@@ -12,7 +12,7 @@ import copy
 from contextlib import suppress
 from dataclasses import replace
 from heapq import nlargest
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from .health import (
     StreamHealth,
     stream_findings,
 )
-from .motion import RELEARNED, MotionGate
+from .motion import Change, MotionGate
 from .sensors import SensorPlan, plan_sensors
 from .timing import LEARN, SampleClock
 
@@ -185,6 +185,7 @@ class ImuStream:
             {axis: share for gate in gates for axis, share in gate.heavy_tails.items()},
             tuple(event for sensor in frame.sensors for event in sensor.events.items),
             self._dropped_frames,
+            {axis: ratio for gate in gates for axis, ratio in gate.decreases.items()},
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
         found = [*notes, *stream_findings(health, longest, self._settings)]
@@ -329,14 +330,14 @@ class SensorStream:
 
     def _clear(self) -> None:
         """Start with empty sums."""
-        axes = self._plan.axes
-        self._engine = RunningSums(self._identity, axes)
-        self._means = RunningMeans(axes)
-        self._replaced = RunningStretches(len(axes))
-        self.kept: list[Block] = []
-        self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
-        self._start_ns = self._end_ns = 0
-        self._cut = ''
+        self._sums = FloorSums(self._identity, self._plan.axes, self._with_samples)
+        self._aside: FloorSums | None = None  # before the noise decreased
+        self._means = RunningMeans(self._plan.axes)
+
+    @property
+    def kept(self) -> list[Block]:
+        """The samples at rest, if they are requested."""
+        return (self._aside or self._sums).kept
 
     @property
     def state(self) -> State:
@@ -349,8 +350,7 @@ class SensorStream:
 
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at the present sample rate and at the earlier one with the most data."""
-        sums = replace(self._engine.sums, replaced=self._replaced.table)
-        segments = self._segments.items
+        sums, segments = (self._aside or self._sums).result
         former = [] if self._former is None else [self._former]
         if not sums.samples:
             return former
@@ -405,20 +405,16 @@ class SensorStream:
     def _end_segment(self) -> None:
         """Process the samples that the stages have buffered, and close the segment."""
         self._pass_on([], at_end=True)
-        self._close_segment()
+        self._sums.close()
+        self._means.cut()
 
     def _accumulate(self, block: Block) -> None:
         """Add a block at rest to the sums."""
-        if block.cut == RELEARNED:
-            self.counts.moving += self._engine.samples
-            self.counts.used -= self._engine.samples
-            self.relearned += 1
-            self._restarted = True
-            discarded_ns = self._end_ns - (self._first_ns or 0)  # until the next sample is kept
-            self.discarded_s = max(self.discarded_s, discarded_ns * 1e-9)
-            self._clear()
+        if block.cut in get_args(Change):
+            self._change_floor(block.cut)
         elif block.cut:
-            self._close_segment()
+            self._sums.close()
+            self._means.cut()
         if not len(block):
             return
         if self._first_ns is None:
@@ -426,23 +422,91 @@ class SensorStream:
         if self._restarted:  # the gate released samples of the last discarded block again
             self.discarded_s = (int(block.stamps[0]) - self._first_ns) * 1e-9
             self._restarted = False
+        if self._aside is None:
+            self.counts.used += len(block)
+        else:
+            self.counts.noise_decreased += len(block)
+        self._sums.add(block)
+        self._means.update(block.stamps, block.rows)
+
+    def _change_floor(self, change: str) -> None:
+        """Discard sums, set them aside or continue them, as `Change` states."""
+        self._sums.close()
+        self._means.cut()
+        present, former, counts = self._sums, self._aside, self.counts
+        if change == 'resumed':
+            assert former is not None
+            self._sums, self._aside = former, None
+        elif change == 'accepted':
+            assert former is not None
+            counts.noise_decreased -= present.samples
+            counts.used += present.samples - former.samples
+            counts.moving += former.samples
+            self._aside = None
+            self._note_discarded(present.first_ns)
+        else:
+            self._sums = FloorSums(self._identity, self._plan.axes, self._with_samples)
+            if change == 'set_aside':
+                self._aside = former or present
+                return
+            if former is None:
+                counts.used -= present.samples
+                self._restarted = True
+                self._note_discarded(present.last_ns)  # until the next sample is kept
+            else:  # only the sums of the decreased noise are discarded
+                counts.noise_decreased -= present.samples
+            if change == 'revived':
+                counts.stuck += present.samples
+            else:
+                counts.moving += present.samples
+
+    def _note_discarded(self, until_ns: int) -> None:
+        """Count that the sums from the start to a stamp were discarded."""
+        self.relearned += 1
+        self.discarded_s = max(self.discarded_s, (until_ns - (self._first_ns or 0)) * 1e-9)
+
+
+class FloorSums:
+    """Sums of the samples at rest at one noise floor, and their segments."""
+
+    def __init__(self, identity: ImuIdentity, axes: tuple[str, ...], with_samples: bool) -> None:
+        self.kept: list[Block] = []
+        self.first_ns = self.last_ns = 0
+        self._with_samples = with_samples
+        self._engine = RunningSums(identity, axes)
+        self._replaced = RunningStretches(len(axes))
+        self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
+        self._start_ns, self._cut = 0, ''  # of the segment
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self._engine.samples
+
+    @property
+    def result(self) -> StreamSums:
+        """The sums and the longest segments."""
+        sums = replace(self._engine.sums, replaced=self._replaced.table)
+        return StreamSums(sums, self._segments.items)
+
+    def add(self, block: Block) -> None:
+        """Add samples that directly follow the previous ones unless the segment was closed."""
         if not self._engine.open_samples:
             self._start_ns, self._cut = int(block.stamps[0]), block.cut
-        self._end_ns = int(block.stamps[-1])
-        self.counts.used += len(block)
+        if not self._engine.samples:
+            self.first_ns = self._start_ns
+        self.last_ns = int(block.stamps[-1])
         self._replaced.add(block.filled)
         interpolated = None if block.filled is None else np.asarray(block.filled.any(axis=0))
-        self._engine.update(block.rows.T, int(block.stamps[0]), self._end_ns, interpolated)
-        self._means.update(block.stamps, block.rows)
+        self._engine.update(block.rows.T, int(block.stamps[0]), self.last_ns, interpolated)
         if self._with_samples:
             self.kept.append(block.copy())
 
-    def _close_segment(self) -> None:
+    def close(self) -> None:
+        """End the segment."""
         samples = self._engine.open_samples
-        if not samples:
-            return
-        length = (self._end_ns - self._start_ns) * 1e-9
-        self._segments.add(samples, Segment(self._start_ns, samples, length, self._cut))
-        self._engine.end_segment()
-        self._replaced.add(None)
-        self._means.cut()
+        if samples:
+            length = (self.last_ns - self._start_ns) * 1e-9
+            self._segments.add(samples, Segment(self._start_ns, samples, length, self._cut))
+            self._engine.end_segment()
+            self._replaced.add(None)

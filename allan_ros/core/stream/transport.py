@@ -222,8 +222,11 @@ class TransportMonitor:
         if health.frame_id != health.sums_frame_id:
             shown = health.sums_frame_id
             present.append(finding('frame_waits', present=health.frame_id, shown=shown))
-        noisy = health.state == 'noise_increased'
-        live = [*LIVE, 'noise_increased', 'gyro_unit_changed'] if noisy else LIVE
+        noise = {
+            'noise_increased': ('noise_increased', 'gyro_unit_changed'),
+            'noise_decreased': ('noise_decreased',),
+        }
+        live = (*LIVE, *noise.get(health.state, ()))
         present += [f for f in stream if f.id in live]
         events, past = self._recent_findings(health)
         # present ones first: a past event must not hide a fault

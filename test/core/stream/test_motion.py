@@ -3,6 +3,7 @@
 """The motion gate: motion is excluded, stationary noise is not."""
 
 from functools import partial
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stream.health import Counts, Longest
-from allan_ros.core.stream.motion import RELEARNED, MotionGate
+from allan_ros.core.stream.motion import Change, MotionGate
 
 RATE = 200
 SIGMA = np.array([1e-3] * 3 + [2e-2] * 3)[:, None]
@@ -30,13 +31,20 @@ def gate(rows, events=None):
     stage = MotionGate(1e9 / RATE, AXES, counts, events or Longest(200), SegmenterSettings())
     index = np.arange(rows.shape[1])
     out = stage.feed([Block(index, rows)]) + stage.flush()
-    begin = max([i for i, r in enumerate(out) if r.cut == RELEARNED], default=0)
-    passed = np.zeros(len(index), bool)
-    for r in out[begin:]:
+    passed, aside = np.zeros(len(index), bool), None
+    for r in out:
+        if r.cut == 'set_aside':
+            passed, aside = np.zeros(len(index), bool), passed
+        elif r.cut == 'resumed':
+            passed, aside = aside, None
+        elif r.cut == 'accepted':
+            aside = None
+        elif r.cut in get_args(Change):
+            passed[:] = False
         passed[r.stamps] = True
         same = r.rows == rows[:, r.stamps]
         assert same.all() if r.filled is None else (same | r.filled).all()
-    return out, counts, passed
+    return out, counts, passed if aside is None else aside
 
 
 def noise(**terms):
