@@ -40,7 +40,6 @@ from ..results.datasheets import load_sensor
 from ..results.documents import RESULTS, load, load_sums, results_to_document
 from ..results.verdict import verdict_of
 from .batch import (
-    EXIT_ERROR,
     EXIT_FAILED,
     EXIT_UNJUDGED,
     SUMMARY,
@@ -52,7 +51,7 @@ from .batch import (
     run_check,
     split_by_topic,
 )
-from .console import Console, colored, width
+from .console import EXIT_ERROR, Console, colored, width
 from .options import Command, Settings, settings_of
 from .tables import findings_lines, results_lines
 
@@ -207,10 +206,15 @@ def _read_all(
 ) -> Iterator[RecordingSums | Finding]:
     """Read the recordings in this process, in several processes, or on a cluster."""
     if args.scheduler and jobs:
-        return on_cluster(jobs, args.scheduler, console)
+        for recorded in on_cluster(jobs, args.scheduler, console):
+            if isinstance(recorded, Exception):
+                raise recorded
+            yield recorded
+        return
     if min(args.jobs, len(jobs)) > 1:
-        return read_in_processes(jobs, args.jobs, console)
-    return read_in_turn(jobs, console)
+        yield from read_in_processes(jobs, args.jobs, console)
+    else:
+        yield from read_in_turn(jobs, console)
 
 
 def check(args: argparse.Namespace) -> int:
@@ -255,8 +259,8 @@ COMMANDS = {
         check,
         {
             0: 'every unit is healthy, or usable with care (a warning)',
-            EXIT_FAILED: 'a unit failed; this code precedes 1 (a unit cannot be read), and 1 all '
-            'others',
+            EXIT_FAILED: 'a unit failed; of several units, the first of 70, 3, 1 and 4 that occurs '
+            'is the exit code',
             EXIT_UNJUDGED: 'a unit is not judged: no reference, or too little data',
         },
     ),

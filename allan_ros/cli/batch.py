@@ -31,13 +31,13 @@ from ..results.results import Results
 from ..results.verdict import WORDS, Verdict, finding_text, verdict_of
 from ..view.coefficient_table import NUMBERS, coefficient_list
 from ..view.table import Record, csv_text, records
-from .console import Console, colored, painted
+from .console import EXIT_ERROR, EXIT_FAULT, Console, colored, fault_text, painted
 from .options import settings_of
 from .tables import LEVEL_COLORS
 
-EXIT_ERROR, EXIT_FAILED, EXIT_UNJUDGED = 1, 3, 4
+EXIT_FAILED, EXIT_UNJUDGED = 3, 4
 
-WORST_FIRST = (EXIT_FAILED, EXIT_ERROR, EXIT_UNJUDGED, 0)
+WORST_FIRST = (EXIT_FAULT, EXIT_FAILED, EXIT_ERROR, EXIT_UNJUDGED, 0)
 """Exit codes of units; the first one that occurs is the exit code of all."""
 
 MOST_NAMED = 10
@@ -64,6 +64,7 @@ class Outcome:
     unit: Unit
     results: Results | None = None
     error: str = ''
+    code: int = EXIT_ERROR  # exit code if there are no results
 
 
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
@@ -78,7 +79,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
         made_folder(Path(args.output))
     for outcome in _outcomes([Unit(n, [job]) for n, job in zip(names_of(jobs), jobs)], args):
         outcomes.append(outcome)
-        codes.append(EXIT_ERROR)
+        codes.append(outcome.code)
         if outcome.results is not None:
             codes[-1] = exit_code_of(outcome.results, args.fail_on)
         if console.json:
@@ -105,7 +106,7 @@ def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
         named.setdefault(word, []).append(Path(outcome.unit.name).name)
         if console.json:
             console.line(_check_document(outcome, code, verdict, note))
-        elif outcome.results is None and len(units) == 1:
+        elif outcome.results is None and len(units) == 1 and code == EXIT_ERROR:
             raise AllanError(outcome.error)
         elif not console.quiet:
             _print_unit(outcome, word, verdict, note, args)
@@ -157,7 +158,7 @@ def _judged(
     """
     (word, verdict), results = _verdict_on(outcome, args.units), outcome.results
     if results is None:
-        return EXIT_ERROR, word, verdict, ''
+        return outcome.code, word, verdict, ''
     code = 0
     if verdict.level == 'failed' or fails(results, args.fail_on):
         code = EXIT_FAILED
@@ -241,10 +242,7 @@ def _outcomes(units: Sequence[Unit], args: argparse.Namespace) -> Iterator[Outco
     if getattr(args, 'scheduler', None):
         read = on_cluster([unit.jobs[0] for unit in units], args.scheduler, Console.of(args))
         for unit, recorded in zip(units, read):
-            if isinstance(recorded, Finding):
-                yield Outcome(unit, error=str(recorded))
-            else:
-                yield outcome_of(unit, args, recorded)
+            yield outcome_of(unit, args, recorded)
         return
     if min(args.jobs, len(units)) == 1:
         yield from map(outcome_of, units, [args] * len(units))
@@ -257,11 +255,13 @@ def _outcomes(units: Sequence[Unit], args: argparse.Namespace) -> Iterator[Outco
 
 
 def outcome_of(
-    unit: Unit, args: argparse.Namespace, recorded: RecordingSums | None = None
+    unit: Unit,
+    args: argparse.Namespace,
+    recorded: RecordingSums | Finding | Exception | None = None,
 ) -> Outcome:
     """Read and fit one unit, write its files if a folder is given, and return results or error.
 
-    ``recorded`` has its sums; if None, its recordings are read.
+    ``recorded`` has its sums, or the reason why there are none; if None, its recordings are read.
     """
     output = getattr(args, 'output', None)
     settings = settings_of(ResultSettings, args)
@@ -275,12 +275,20 @@ def outcome_of(
                 load_sums(job.path) if is_document(job.path) else read_recording(job)
                 for job in unit.jobs
             )
+        elif isinstance(recorded, Exception):
+            raise recorded
+        elif isinstance(recorded, Finding):
+            raise AllanError(str(recorded))
         folder = Path(output) / folder_name(unit.name) if output else None
         return Outcome(unit, fit_and_write(recorded, args, folder)[0])
     except AllanError as error:
         return Outcome(unit, error=str(error))
     except OSError as error:
         return Outcome(unit, error=one_line(f'{unit.path}: {error}: check the path and the disk'))
+    except MemoryError:
+        return Outcome(unit, error=f'{unit.path}: not enough memory: use fewer --jobs')
+    except Exception as error:  # a fault of one unit must not end the batch
+        return Outcome(unit, error=one_line(f'{unit.path}: {fault_text(error)}'), code=EXIT_FAULT)
 
 
 def fit_and_write(
@@ -386,8 +394,8 @@ def on_cluster(
     address: str,
     console: Console,
     work: Callable[[ReadJob], RecordingSums] = read_recording,
-) -> Iterator[RecordingSums | Finding]:
-    """Run ``work`` for each job on a Dask cluster; yield its sums, or a finding if it failed.
+) -> Iterator[RecordingSums | Finding | Exception]:
+    """Run ``work`` for each job on a Dask cluster; yield its sums, or why there are none.
 
     The workers need this package and the same paths. If a worker crashes, another one repeats its
     jobs. A job fails if it crashes several workers (``distributed.scheduler.allowed-failures``).
@@ -420,6 +428,9 @@ def on_cluster(
                 recorded: RecordingSums = future.result()
             except KilledWorker:
                 yield finding('recording_lost', path=job.path)
+                continue
+            except Exception as error:  # one recording does not end the others
+                yield error
                 continue
             progress.advance(recorded.provenance.counts.received)
             yield recorded

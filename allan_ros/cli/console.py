@@ -10,11 +10,17 @@ import os
 import shutil
 import sys
 import textwrap
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TextIO
 
+from .. import __version__
 from ..core.errors import one_line
+
+EXIT_ERROR, EXIT_FAULT = 1, 70
+"""Exit codes: an error that the user can fix, and a bug."""
 
 UNLIMITED = 100_000
 """Width in columns if there is no terminal and ``COLUMNS`` is not set: lines are not wrapped."""
@@ -139,3 +145,15 @@ def wrapped(text: str, columns: int, indent: str = '') -> list[str]:
     """Return lines of less than ``columns`` characters; all but the first begin with ``indent``."""
     room = max(columns, NARROWEST) - 1
     return textwrap.wrap(text, room, subsequent_indent=indent, break_on_hyphens=False)
+
+
+def fault_text(error: Exception) -> str:
+    """Return one line about an unexpected error with its location, for a bug report."""
+    ours = Path(__file__).parents[1]
+    frames = traceback.extract_tb(error.__traceback__)
+    inner = [frame for frame in frames if ours in Path(frame.filename).parents]
+    where = [f'{Path(f.filename).relative_to(ours)}:{f.lineno}' for f in inner[-2:]]
+    return (
+        f'internal error of allan_ros {__version__}: {type(error).__name__}: {error} '
+        f'at {" > ".join(where)}; please report this line and the command'
+    )

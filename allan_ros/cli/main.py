@@ -15,14 +15,12 @@ import shlex
 import signal
 import sys
 import textwrap
-import traceback
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NoReturn
 
 from .. import __version__, keep_to_one_thread
 from ..core.errors import AllanError
-from .console import OPTIONS
+from .console import EXIT_ERROR, EXIT_FAULT, OPTIONS, fault_text
 from .options import Command, add_options
 
 HELP_COLUMN = 26
@@ -52,7 +50,7 @@ Measure the noise of an IMU by its Allan variance.
 """
 """Description above the list of verbs."""
 
-EXIT_ERROR, EXIT_USAGE, EXIT_FAULT, EXIT_INTERRUPTED, EXIT_NO_READER = 1, 2, 70, 130, 141
+EXIT_USAGE, EXIT_INTERRUPTED, EXIT_NO_READER = 2, 130, 141
 """Exit codes: 70 is EX_SOFTWARE of sysexits.h, 130 is 128 + SIGINT, 141 is 128 + SIGPIPE."""
 
 EXITS = {
@@ -192,7 +190,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
     except ModuleNotFoundError as error:
         if (error.name or '').split('.')[0] == __package__.split('.')[0]:
-            return _print_error(f'{name}: {_fault_text(error)}', EXIT_FAULT)
+            return _print_error(f'{name}: {fault_text(error)}', EXIT_FAULT)
         return _print_error(
             f'{name}: needs the Python package {error.name}, which is not installed: install it '
             'with pip or apt',
@@ -203,7 +201,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             f'{name}: not enough memory: use fewer --jobs or a larger machine', EXIT_ERROR
         )
     except Exception as error:
-        return _print_error(f'{name}: {_fault_text(error)}', EXIT_FAULT)
+        return _print_error(f'{name}: {fault_text(error)}', EXIT_FAULT)
 
 
 def _run(words: Sequence[str]) -> int:
@@ -220,18 +218,6 @@ def _run(words: Sequence[str]) -> int:
         raise
     args.command_line = shlex.join(['allan', *words])
     return command_of(args.verb).run(args)
-
-
-def _fault_text(error: Exception) -> str:
-    """Return one line about an unexpected error with its location, for a bug report."""
-    ours = Path(__file__).parents[1]
-    frames = traceback.extract_tb(error.__traceback__)
-    inner = [frame for frame in frames if ours in Path(frame.filename).parents]
-    where = [f'{Path(f.filename).relative_to(ours)}:{f.lineno}' for f in inner[-2:]]
-    return (
-        f'internal error of allan_ros {__version__}: {type(error).__name__}: {error} '
-        f'at {" > ".join(where)}; please report this line and the command'
-    )
 
 
 def _print_error(line: str, code: int) -> int:

@@ -281,7 +281,10 @@ SAMPLE_UNITS = {
 }
 """Sensor -> units that recordings and drivers use for its samples."""
 
-STAMP_UNITS = {'s': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1}
+STAMP_UNITS = {
+    's': NANOSECONDS, 'ms': 10**6, 'us': 10**3, 'ns': 1,
+    'min': 60 * NANOSECONDS, 'h': 3600 * NANOSECONDS, 'd': 86_400 * NANOSECONDS,
+}  # fmt: skip
 """Unit of a stamp -> its size in nanoseconds."""
 
 

@@ -10,7 +10,7 @@ precedence over the unit in the options.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,6 +20,14 @@ from numpy.typing import NDArray
 from ..core.errors import AllanError
 from ..core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
 from . import ReadOptions
+from .unit_names import (
+    NO_UNITS,
+    SAMPLE_SPELLINGS,
+    TEMPERATURE_SPELLINGS,
+    TIME_SPELLINGS,
+    plain_unit,
+    unit_named,
+)
 
 LEFT_OUT = '-'
 """Name of a column that is not used."""
@@ -35,44 +43,66 @@ UNKNOWN, DATES = 0, -1
 
 _BRACKET = re.compile(r'^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$')
 
-_KINDS = {
-    kind: re.compile(pattern)
-    for kind, pattern in {
-        'gyro': '(?:^|_)(?:g|w|gyro|gyr|gyroscope|omega|ang_vel|angular_velocity|angular_rate|'
-        'w_rs_s)_?([xyz])$',
-        'accel': '(?:^|_)(?:a|acc|accel|accelerometer|acceleration|lin_acc|linear_acceleration|'
-        'a_rs_s)_?([xyz])$',
-        'record': '^record(?:_time|_stamp)?(?:_(s|ms|us|ns))?$',
-        'sec': '(?:^|_)secs?()$',
-        'nanosec': '(?:^|_)(?:nanosecs?|nsecs?|nanoseconds)()$',
-        'stamp': '(?:^|_)(?:timestamp|stamp)s?(?:_(s|ms|us|ns))?$',
-        'time': '(?:^|_)(?:t|time|seconds_elapsed)(?:_(s|ms|us|ns))?$',
-        'temperature': '(?:^|_)(?:temp|temperature)(?:_(c|degc|celsius))?$',
-    }.items()
-}
-"""Kind of a column -> pattern of its names, with a group for the axis or the unit."""
 
-_STAMPS = (('sec', 'nanosec'), ('stamp',), ('time',))
+def _suffixes(spellings: Mapping[str, Sequence[str]]) -> str:
+    """Return a pattern of units at the end of a name, where all other characters are _."""
+    plain = {re.sub('[^a-z0-9]+', '_', each) for names in spellings.values() for each in names}
+    return '|'.join(sorted(plain))
+
+
+_TIME_UNIT = f'(?:_(?P<unit>{_suffixes(TIME_SPELLINGS)}))?$'
+_DEGREES = f'(?:_(?P<unit>{_suffixes(TEMPERATURE_SPELLINGS)}))?$'
+_SAMPLE_UNIT = _suffixes(SAMPLE_SPELLINGS)
+_AXIS = f'(?:_(?P<inner>{_SAMPLE_UNIT}))?_?(?P<axis>[xyz])(?:_(?P<unit>{_SAMPLE_UNIT}))?$'
+
+_KINDS = tuple(
+    (kind, re.compile(f'(?:^|_)(?:{words}){end}'), unit)
+    for kind, words, end, unit in (
+        ('gyro', 'gyro|gyr|gyroscope|gyroskop|omega|ang_vel|angular_velocity|angular_rate|w_rs_s',
+         _AXIS, ''),
+        ('accel', 'acc|accel|accelerometer|acceleration|lin_acc|linear_acceleration|a_rs_s',
+         _AXIS, ''),
+        ('accel', 'gf', _AXIS, 'g'),
+        ('gyro', 'g|w', _AXIS, ''),
+        ('accel', 'a', _AXIS, ''),
+        ('record', '(?<!_)record(?:_time|_stamp)?', _TIME_UNIT, ''),
+        ('sec', 'secs?|seconds', '$', 's'),
+        ('nanosec', 'nanosecs?|nsecs?|nanoseconds', '$', 'ns'),
+        ('stamp', '(?:timestamp|stamp)s?', _TIME_UNIT, ''),
+        ('time', 't|time|zeit|tiempo|temps|tempo', _TIME_UNIT, ''),
+        ('elapsed', 'seconds_elapsed|elapsed_seconds', '$', 's'),
+        *(('counter', f'(?<!_){word}', '$', unit)
+          for word, unit in (('millis', 'ms'), ('micros', 'us'), ('nanos', 'ns'))),
+        ('temperature', 'temp|temperature', _DEGREES, ''),
+    )
+)  # fmt: skip
+"""Kind of a column, pattern of its names with groups for axis and unit, and the unit without one.
+The first pattern that matches applies."""
+
+_ONLY_AXIS = re.compile('(?:^|_)([xyz])$')
+
+_STAMPS = (('sec', 'nanosec'), ('stamp',), ('time',), ('elapsed',), ('counter',), ('sec',))
 """Kinds of columns whose sum is the stamp; the first that are present are used."""
 
-_UNIT_SUFFIX = re.compile(r'^(.*[xyz])_(dps|deg_s|degs|rad_s|rads|m_s2|m_s_2|ms2|mps2|mg|g)$')
-"""Axis name that ends with a unit, in which all other characters are replaced by _."""
+_SPELLINGS = {
+    **dict.fromkeys(SENSORS, SAMPLE_SPELLINGS),
+    **dict.fromkeys(('record', 'stamp', 'time'), TIME_SPELLINGS),
+    'temperature': TEMPERATURE_SPELLINGS,
+}
+"""Kind of a column -> spellings of its units."""
 
-_UNIT_SPELLINGS = {
-    'rads^-1': 'rad/s', 'degs^-1': 'deg/s', 'dps': 'deg/s', 'deg/sec': 'deg/s', 'rad/sec': 'rad/s',
-    'm/s2': 'm/s^2', 'm/s/s': 'm/s^2', 'ms^-2': 'm/s^2', 'm/s²': 'm/s^2', 'sec': 's', 'µs': 'us',
-    'deg_s': 'deg/s', 'degs': 'deg/s', 'rad_s': 'rad/s', 'rads': 'rad/s', 'm_s2': 'm/s^2',
-    'm_s_2': 'm/s^2', 'ms2': 'm/s^2', 'mps2': 'm/s^2',
-}  # fmt: skip
+RECOGNIZED_UNITS = ('s', 'ms', 'us', 'ns')
+"""Units of time that are recognized from the stamps."""
 
 
 class Meaning(NamedTuple):
     """What a column contains, according to its name."""
 
-    kind: str  # a key of `_KINDS`, '' if unknown
-    detail: str  # axis 'x', 'y' or 'z', or the unit of a time in the name; '' if there is none
-    unit: str  # in brackets after the name; '' if there is none
-    is_si: bool  # whether samples with this name are always in SI
+    kind: str  # of `_KINDS`, '' if unknown
+    axis: str = ''  # 'x', 'y' or 'z' of a sensor
+    unit: str = ''  # '' if none is stated
+    unknown: str = ''  # text in brackets that is not a unit of this kind
+    is_si: bool = False  # whether samples with this name are always in SI
 
 
 @dataclass(frozen=True)
@@ -82,10 +112,12 @@ class Columns:
     axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
     stamp: tuple[tuple[int, int], ...]  # (column, factor to ns); their sum is the stamp
     record: tuple[tuple[int, int], ...]  # the same for the record time
-    temperature: int | None  # column of the temperature in degC
+    temperature: tuple[int, str] | None  # column of the temperature, unit ('' if not stated)
     units: dict[str, str]  # sensor -> unit of its columns
     assumed: dict[str, str]  # sensor -> name of a column whose unit is not stated anywhere
     time_unit: str = ''  # unit of the stamps if only their increments suggest it
+    unclear_time: str = ''  # text in brackets after the name of the stamps that is not a unit
+    unrecognized: tuple[str, ...] = ()  # names of columns without a known meaning
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -118,9 +150,14 @@ class Columns:
         by_size, by_step = _unit_by_size(times), _unit_by_step(times)
         if stated:
             unit = stated
+        elif self.unclear_time:
+            raise AllanError(
+                f'{where}: the unit {self.unclear_time!r} of column {column + 1}, the time, is '
+                f'unknown: state it with --stamp-unit ({", ".join(STAMP_UNITS)})'
+            )
         elif factor == UNKNOWN:
             unit = by_size or by_step
-        elif by_size and len(times) >= ENOUGH and _step(times) * factor < SHORTEST_NS:
+        elif by_size and len(times) >= ENOUGH and 0.0 < _step(times) * factor < SHORTEST_NS:
             raise AllanError(
                 f'{where}: the name of column {column + 1} states another unit of time than its '
                 f'values, which are times since 1970 in {by_size}: use --stamp-unit {by_size}'
@@ -156,7 +193,8 @@ def _step(times: NDArray[np.float64]) -> float:
 
 def _unit_by_size(times: NDArray[np.float64]) -> str:
     """Return the unit in which these are times since 1970, or '' if there is none."""
-    for unit, size in STAMP_UNITS.items():
+    for unit in RECOGNIZED_UNITS:
+        size = STAMP_UNITS[unit]
         is_epoch = EPOCH_S[0] <= times[0] * size * 1e-9 <= EPOCH_S[1]
         if is_epoch and (not _step(times) or SHORTEST_NS <= _step(times) * size <= LONGEST_NS):
             return unit
@@ -172,56 +210,75 @@ def _unit_by_step(times: NDArray[np.float64]) -> str:
 def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Columns:
     """Find the columns of samples, times and temperature by the names of all columns.
 
-    If two columns have the same meaning, the first is used. Raises AllanError when the unit of a
-    column is unknown; ``where`` is the name of the table in the error message.
+    Of several times, the first is used. Raises AllanError when the unit of a column is unknown, or
+    two columns contain the same axis; ``where`` is the name of the table in the error message.
     """
-    axes: dict[int, tuple[int, float]] = {}
+    axes: dict[str, tuple[int, float]] = {}
     units: dict[str, str] = {}
     assumed: dict[str, str] = {}
     times: dict[str, tuple[int, int]] = {}
+    unclear: dict[str, str] = {}
     temperature = None
+    unrecognized = []
+    taken: dict[str, str] = {}
     for column, name in enumerate(names):
-        kind, detail, unit, is_si = _meaning(name)
+        kind, letter, unit, unknown, is_si = _meaning(name)
         if kind in SENSORS:
+            axis = f'{kind}_{letter}'
+            if axis in axes:
+                raise AllanError(
+                    f'{where}: the columns {taken[axis]!r} and {name!r} both contain {axis}: '
+                    f'choose those of one IMU with --columns, such as gx={name},gy=NAME,...'
+                )
+            taken[axis] = name
             stated = unit or getattr(options, f'{kind}_unit')
+            if unknown and not stated:
+                raise AllanError(
+                    f'{where}: the unit of column {name!r} is unknown: state it with --{kind}-unit '
+                    f'({", ".join(SAMPLE_UNITS[kind])})'
+                )
             if not stated and not is_si:
                 assumed.setdefault(kind, name)
             stated = stated or SAMPLE_SI[kind]
-            if stated not in SAMPLE_UNITS[kind]:
-                raise AllanError(
-                    f'{where}: the unit of column {name!r} is unknown: use one of '
-                    f'{", ".join(SAMPLE_UNITS[kind])}'
-                )
             units.setdefault(kind, stated)
-            axes.setdefault(AXES.index(f'{kind}_{detail}'), (column, UNITS[stated].factor))
-        elif kind in ('sec', 'nanosec'):
-            times.setdefault(kind, (column, STAMP_UNITS['s' if kind == 'sec' else 'ns']))
+            axes[axis] = column, UNITS[stated].factor
         elif kind == 'temperature':
-            if temperature is None and unit in ('', 'c', 'degc', 'celsius'):
-                temperature = column
+            if temperature is None and not unknown:
+                temperature = column, unit
         elif kind:
-            stated = (unit if unit in STAMP_UNITS else detail) or options.stamp_unit
-            otherwise = STAMP_UNITS['s'] if kind == 'record' else UNKNOWN
-            times.setdefault(kind, (column, STAMP_UNITS.get(stated, otherwise)))
+            unclear.setdefault(kind, unknown)
+            stated = unit or options.stamp_unit or ('s' if kind == 'record' else '')
+            times.setdefault(kind, (column, STAMP_UNITS.get(stated, UNKNOWN)))
+        elif name.strip() != LEFT_OUT:
+            unrecognized.append(name.strip())
+    if unclear.get('record'):
+        raise AllanError(
+            f'{where}: the unit {unclear["record"]!r} of the record times is unknown: use one of '
+            f'{", ".join(STAMP_UNITS)}'
+        )
     stamp: tuple[str, ...] = next((kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ())
     return Columns(
-        axes,
+        {AXES.index(axis): found for axis, found in axes.items()},
         tuple(times[kind] for kind in stamp),
         (times['record'],) if 'record' in times else (),
         temperature,
         units,
         assumed,
+        unclear_time=unclear[stamp[0]] if stamp else '',
+        unrecognized=tuple(unrecognized),
     )
 
 
 def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) -> tuple[str, ...]:
     """Rename columns by pairs such as ``gx=w_x`` (new name, name in the header).
 
-    Returns one name per column: the new name and the unit in the header, or '-' for a column that
-    is not in the pairs. Raises AllanError when a pair does not match exactly one column; ``where``
+    Returns one name per column: the new name and the unit in the header. The other columns keep
+    their names, except times if the pairs contain a time, and axes if they contain an axis; these
+    are '-'. Raises AllanError when a pair does not match exactly one column; ``where``
     is the name of the table in the error message.
     """
-    renamed = [LEFT_OUT] * len(names)
+    groups = {_group(pair.partition('=')[0]) for pair in pairs}
+    renamed = [LEFT_OUT if _group(name) in groups else name for name in names]
     bases = [_base_and_unit(name)[0] for name in names]
     for pair in pairs:
         new, _, wanted = (word.strip() for word in pair.partition('='))
@@ -240,6 +297,12 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
     return tuple(renamed)
 
 
+def _group(name: str) -> str:
+    """Return 'sample', 'time' or 'temperature' for a column, by its name; '' if it is unknown."""
+    kind = _meaning(name).kind
+    return 'sample' if kind in SENSORS else kind if kind in ('', 'temperature') else 'time'
+
+
 MOST_LISTED = 10
 """Largest number of columns or topics that a message names; the others are counted."""
 
@@ -256,21 +319,33 @@ def _meaning(name: str) -> Meaning:
 
     Examples
     --------
-    >>> _meaning('Gyro X [deg/sec]'), _meaning('label').kind
-    (Meaning(kind='gyro', detail='x', unit='deg/s', is_si=True), '')
+    >>> _meaning('Gyro X [deg/sec]')[:3], _meaning('label').kind
+    (('gyro', 'x', 'deg/s'), '')
     """
-    base, unit = _base_and_unit(name)
-    unit = unit.replace(' ', '').replace('°', 'deg')
-    unit = _UNIT_SPELLINGS.get(unit, unit)
-    base = re.sub(r'[^a-z0-9]+', '_', base).strip('_')
-    if not unit and (suffix := _UNIT_SUFFIX.match(base)):
-        base, unit = suffix[1], _UNIT_SPELLINGS.get(suffix[2], suffix[2])
+    text, bracket = _base_and_unit(name)
+    base = re.sub(r'[^a-z0-9]+', '_', text).strip('_')
     # names in tables written by this package and in ROS messages, which are in SI
     is_si = base in AXES or 'angular_velocity' in base or 'linear_acceleration' in base
-    for kind, pattern in _KINDS.items():
-        if match := pattern.search(base):
-            return Meaning(kind, match[1] or '', unit, is_si)
-    return Meaning('', '', unit, is_si)
+    measured = unit_named(bracket, SAMPLE_SPELLINGS)
+    sensor = next((each for each in SENSORS if measured in SAMPLE_UNITS[each]), '')
+    matches = ((each, pattern.search(base), unit) for each, pattern, unit in _KINDS)
+    found = next(((each, match, unit) for each, match, unit in matches if match), None)
+    if found is None:
+        only = _ONLY_AXIS.search(base)
+        return Meaning(sensor, only[1], measured) if sensor and only else Meaning('')
+    kind, match, implied = found
+    groups = match.groupdict()
+    if kind not in _SPELLINGS:
+        return Meaning(kind, '', implied)
+    if len(text) < 4 and kind in SENSORS and sensor:
+        kind = sensor  # a letter, such as g, says less than the unit
+    spelled = bracket or groups['unit'] or groups.get('inner') or ''
+    unit = unit_named(spelled, _SPELLINGS[kind])
+    if kind in SENSORS and unit and unit not in SAMPLE_UNITS[kind]:
+        unit = ''  # of the other sensor
+    is_word = kind not in (*SENSORS, 'temperature') and plain_unit(spelled) in NO_UNITS
+    unknown = spelled if spelled and not unit and not is_word else ''
+    return Meaning(kind, groups.get('axis') or '', unit or implied, unknown, is_si)
 
 
 def _base_and_unit(name: str) -> tuple[str, str]:

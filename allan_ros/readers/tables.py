@@ -31,8 +31,18 @@ from ..core.findings import finding
 from ..core.imu import AXES, SAMPLE_SI, ImuBatch, even_stamps
 from ..core.stream.signal import Decimated, TemperatureTrace, trace_of
 from . import BATCH, ReadOptions, Recording, Report, SourceInfo
-from .columns import DATES, EXAMPLE, FIRST_ROWS, LEFT_OUT, Columns, columns_of, picked_names
+from .columns import (
+    DATES,
+    EXAMPLE,
+    FIRST_ROWS,
+    LEFT_OUT,
+    Columns,
+    columns_of,
+    listed,
+    picked_names,
+)
 from .files import open_regular
+from .unit_names import to_celsius
 
 T = TypeVar('T')
 
@@ -91,21 +101,25 @@ class _Table:
         if unit := self.columns.time_unit:
             name = self.names[self.columns.stamp[0][0]]
             report(finding('stamp_unit_assumed', path=self.path, unit=unit, name=name))
-        column = self.columns.temperature
+        names, absent = self.columns.unrecognized, len(AXES) - len(self.columns.axes)
+        if 0 < absent <= len(names):
+            report(finding('columns_unrecognized', path=self.path, names=listed(names)))
+        column, unit = self.columns.temperature or (None, '')
         with _text(self.path) as file:
             for rows in self._rows(file, report):
                 batch = rows.batch()
                 if column is not None:
                     celsius = (row[column] for row in rows.cells)
                     for stamp, cell in zip(batch.stamps_ns.tolist(), celsius):
-                        self._kept.add((stamp, _number(cell) if _is_number(cell) else np.nan))
+                        value = _number(cell) if _is_number(cell) else np.nan
+                        self._kept.add((stamp, to_celsius(value, unit)))
                 yield batch
 
     def temperature(self, frame_id: str = '') -> TemperatureTrace | None:
         """Return the temperature over time; None if the table has no such column."""
-        column = self.columns.temperature
-        if column is None:
+        if self.columns.temperature is None:
             return None
+        column, _ = self.columns.temperature
         readings = [(stamp, stamp, celsius) for stamp, celsius in self._kept]
         return trace_of(self.names[column].strip(), readings)
 

@@ -13,10 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from allan_ros.cli import batch
 from allan_ros.cli.analyze import recordings_in
+from allan_ros.cli.console import EXIT_FAULT
 from allan_ros.cli.main import main
 from allan_ros.core.imu import ImuBatch
 from allan_ros.readers.cdr import encode_imus
+from allan_ros.readers.recorded import ReadJob, RecordingSums, read_recording
 
 QUICK = ('--method', 'paper')
 """The fastest method, for tests that do not depend on the fit."""
@@ -74,6 +77,23 @@ def test_each_has_its_results_and_a_line_in_the_summary(
     rows = list(csv.DictReader((tmp_path / 'summary.csv').open()))
     assert len(rows) == 2 * 6 * 5 + 1
     assert rows[-1]['verdict'] == 'error'
+
+
+def test_a_fault_of_one_recording_does_not_end_the_others(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def faulty(job: ReadJob) -> RecordingSums:
+        if job.path.endswith('a.npz'):
+            raise ZeroDivisionError('a fault\nin two lines')
+        return read_recording(job)
+
+    monkeypatch.setattr(batch, 'read_recording', faulty)
+    for verb in 'analyze', 'check':
+        assert main([verb, str(folder), *QUICK]) == EXIT_FAULT
+        first, second, *_ = capsys.readouterr().out.splitlines()
+        assert first.startswith(f'error: {folder}/a.npz: internal error of allan_ros')
+        assert 'ZeroDivisionError: a fault' in first and 'please report' in first
+        assert 'b.npz' in second and 'gyro N' in second
 
 
 def test_json_has_a_line_for_each_recording(

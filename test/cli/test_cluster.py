@@ -100,8 +100,11 @@ def test_a_cluster_gives_the_sums_of_one_process(
         read_in_turn(jobs, Console())
     )
     assert shown(recordings, capsys, '--scheduler', address) == shown(recordings, capsys)
-    with pytest.raises(AllanError, match='no such file'):
-        list(on_cluster(jobs_of(['/gone.npz']), address, Console()))
+    gone, *others = on_cluster(jobs_of(['/gone.npz', recordings[0]]), address, Console())
+    assert isinstance(gone, AllanError) and 'no such file' in str(gone)
+    assert len(documents(others)) == 1
+    assert main(['analyze', '/gone.npz', recordings[0], '--scheduler', address]) == 1
+    assert 'no such file' in capsys.readouterr().err
 
 
 def deadly(victim: str, deaths: Path, times: int) -> Callable[[ReadJob], RecordingSums]:

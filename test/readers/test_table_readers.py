@@ -107,6 +107,127 @@ def test_units_are_scaled_to_si(header: str, options: Any, tmp_path: Path) -> No
     np.testing.assert_array_equal(read(path, **options).samples, [VALUES * scale])
 
 
+@pytest.mark.parametrize(
+    'column, seconds',
+    [
+        *((f'time [{unit}]', 1.0) for unit in ('s', 'sec', 'Seconds')),
+        *((f'Timestamp ({unit})', 1e-3) for unit in ('ms', 'msec', 'milliseconds')),
+        *((f't [{unit}]', 1e-6) for unit in ('us', 'usec', 'µs', 'μs', 'microseconds')),
+        *((f'stamp [{unit}]', 1e-9) for unit in ('ns', 'nsec', 'nanoseconds')),
+        *((f'time [{unit}]', 60.0) for unit in ('min', 'Minutes')),
+        *((f'Zeit ({unit})', 3600.0) for unit in ('h', 'hr', 'hours')),
+        ('time [days]', 86400.0),
+        ('time_usec', 1e-6),
+        ('time_min', 60.0),
+        ('millis', 1e-3),
+        ('seconds_elapsed', 1.0),
+        ('time [UTC]', 1.0),
+    ],
+)
+def test_the_unit_of_a_time_is_read_from_its_name(
+    column: str, seconds: float, tmp_path: Path
+) -> None:
+    times = np.arange(150) * 0.01
+    rows = ''.join(f'{time / seconds:.17g},1\n' for time in times)
+    back = read(table(tmp_path, f'{column},gx\n{rows}'))
+    np.testing.assert_allclose(back.stamps_ns * 1e-9, times, atol=2e-9)
+    assert {f.id for f in back.findings} == {'unit_assumed'}
+
+
+@pytest.mark.parametrize('column', ['time [fortnight]', 'stamp (ticks)', 'record_time [lsb]'])
+def test_an_unknown_unit_of_a_time_is_refused(column: str, tmp_path: Path) -> None:
+    path = table(tmp_path, f'{column},t_s,gx\n0,0,1\n1,1,1\n')
+    assert 'is unknown: ' in refused(path)
+    if 'record' not in column:
+        assert read(path, stamp_unit='ms').stamps_ns.tolist() == [0, 1_000_000]
+
+
+@pytest.mark.parametrize(
+    'header, factor',
+    [
+        ('gx [Degrees per second]', DEG),
+        ('gyro_x (rad·s⁻¹)', 1.0),
+        ('Gyroskop x (°/s)', DEG),
+        ('w_x [mdps]', 1e-3 * DEG),
+        ('gyro_x [deg/hr]', DEG / 3600),
+        ('Drehrate x (rad/s)', 1.0),
+    ],
+)
+def test_units_of_angular_rates_have_many_spellings(
+    header: str, factor: float, tmp_path: Path
+) -> None:
+    back = read(table(tmp_path, f't,{header}\n0,2\n1,2\n'))
+    np.testing.assert_allclose(back.samples[:, 0], 2.0 * factor)
+    assert back.findings == ()
+
+
+@pytest.mark.parametrize(
+    'header, factor',
+    [
+        ('gFx', STANDARD_GRAVITY),
+        ('ax(g)', STANDARD_GRAVITY),
+        ('gx [g]', STANDARD_GRAVITY),
+        ('accel_g_x', STANDARD_GRAVITY),
+        ('acc_x_mg', 1e-3 * STANDARD_GRAVITY),
+        ('a_x [m s⁻²]', 1.0),
+        ('Beschleunigung x (m/s²)', 1.0),
+    ],
+)
+def test_accelerations_are_recognized_by_name_or_unit(
+    header: str, factor: float, tmp_path: Path
+) -> None:
+    back = read(table(tmp_path, f't,{header}\n0,2\n1,2\n'))
+    assert np.isnan(back.samples[:, :3]).all()
+    np.testing.assert_allclose(back.samples[:, 3], 2.0 * factor)
+    assert back.findings == ()
+
+
+@pytest.mark.parametrize('header', ['gyro_x [lsb]', 'gx [m/s^3]', 'accel_x [deg/s]', 'ax [T]'])
+def test_another_unit_of_samples_is_refused(header: str, tmp_path: Path) -> None:
+    path = table(tmp_path, f't,{header}\n0,2\n1,2\n')
+    assert f'the unit of column {header!r} is unknown' in refused(path)
+
+
+def test_two_columns_of_one_axis_are_refused_or_chosen(tmp_path: Path) -> None:
+    path = table(
+        tmp_path, f't,{",".join(f"imu{n}_g{a}" for n in (1, 2) for a in "xyz")}\n0,{ROW}\n'
+    )
+    assert "the columns 'imu1_gx' and 'imu2_gx' both contain gyro_x" in refused(path)
+    chosen = read(path, columns=('gx=imu2_gx', 'gy=imu2_gy', 'gz=imu2_gz'))
+    assert chosen.samples[0, :3].tolist() == [4.0, 5.0, 6.0]
+
+
+def test_naming_the_time_keeps_the_other_columns(tmp_path: Path) -> None:
+    path = table(tmp_path, f'clock,gx,gy,gz,ax,ay,az\n0.5,{ROW}\n')
+    back = read(path, columns=('t=clock',))
+    np.testing.assert_array_equal(back.samples, [VALUES])
+
+
+def test_columns_that_are_not_recognized_are_listed(tmp_path: Path) -> None:
+    text = 't,gx [rad/s],gy [rad/s],yaw rate,p,q,r\n0,1,2,3,4,5,6\n'
+    (found,) = read(table(tmp_path, text)).findings
+    assert found.id == 'columns_unrecognized'
+    assert 'yaw rate, p, q, r' in str(found) and '--columns' in str(found)
+
+
+@pytest.mark.parametrize(
+    'name, value, celsius',
+    [
+        ('temp', 25.0, 25.0),
+        ('temp', 298.15, 25.0),
+        ('Temperature [K]', 298.15, 25.0),
+        ('temp_f', 77.0, 25.0),
+        ('temperature (°C)', 25.0, 25.0),
+    ],
+)
+def test_temperatures_are_converted_to_celsius(
+    name: str, value: float, celsius: float, tmp_path: Path
+) -> None:
+    back = read(table(tmp_path, f't,gx,{name}\n0,1,{value}\n1,1,{value}\n'))
+    trace = back.recording.temperature('')
+    assert trace is not None and trace.celsius == pytest.approx([celsius] * 2)
+
+
 def test_columns_can_be_named_and_left_out(tmp_path: Path) -> None:
     path = tmp_path / 'imu.txt'
     path.write_text(f'x,0.5,{ROW}\ny,0.6,{ROW}\n')

@@ -139,6 +139,9 @@ class SignalEnvelope:
 Item = TypeVar('Item')
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
+
+HOTTEST_IMU = 200.0
+"""In degC; IMUs are specified up to 175 degC. In K, it is colder than any of them works."""
 """Plausible range in degC; readings outside are ignored."""
 
 
@@ -156,15 +159,16 @@ def trace_of(source: str, readings: Iterable[tuple[int, int, float]]) -> Tempera
     """Return the plausible readings of a temperature sensor; None if there is none.
 
     ``source`` is their topic or column, and a reading is (header stamp in ns, record time in ns,
-    degC).
+    degC). If most readings are above `HOTTEST_IMU`, they are in K.
     """
     valid = [r for r in readings if ABSOLUTE_ZERO < r[2] < HOTTEST]  # also false for NaN
     if not valid:
         return None
-    header, record, celsius = zip(*valid)
-    return TemperatureTrace(
-        source, np.array(header, np.int64), np.array(record, np.int64), np.array(celsius, float)
-    )
+    header, record, values = zip(*valid)
+    celsius = np.array(values, float)
+    if np.median(celsius) > HOTTEST_IMU:
+        celsius += ABSOLUTE_ZERO
+    return TemperatureTrace(source, np.array(header, np.int64), np.array(record, np.int64), celsius)
 
 
 class Decimated(Generic[Item]):
