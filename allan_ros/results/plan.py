@@ -23,13 +23,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from ..core.allan.at_rest import AtRest
 from ..core.compare import MARGIN
 from ..core.errors import AllanError
+from ..core.estimate import Estimate
 from ..core.fields import Fields, located
 from ..core.imu import (
     AXES,
@@ -135,15 +136,7 @@ class Limits:
         return 'within' if lower <= low and high <= upper else 'undecided'
 
 
-class Measured(NamedTuple):
-    """A measured quantity: value and interval, each None if unknown, and why it is unknown."""
-
-    value: float | None
-    interval: tuple[float, float] | None
-    why: str = ''
-
-
-UNKNOWN = Measured(None, None)
+UNKNOWN = Estimate(None, status='not_observable')
 
 
 @dataclass(frozen=True)
@@ -157,16 +150,19 @@ class PlanCheck:
     quantity : str
         A key of `AXIS_UNITS` or `UNIT_UNITS`, such as 'N', 'bias' or 'rate'.
     limits : Limits
-    measured : Measured
-        In the unit of the limits after conversion to SI.
+    measured : Estimate
+        In the unit of `AXIS_UNITS` or `UNIT_UNITS`; without value and limit if it is unknown.
     verdict : 'within', 'exceeds' or 'undecided'
+    note : str
+        Why the quantity is unknown; '' if it is known or the cause is not.
     """
 
     axis: str
     quantity: str
     limits: Limits
-    measured: Measured
+    measured: Estimate
     verdict: CheckVerdict
+    note: str = ''
 
 
 @dataclass(frozen=True)
@@ -213,9 +209,9 @@ class Plan:
         for axis, quantities in self.axes.items():
             for quantity, limits in quantities.items():
                 known = self._of_axis(results, axis, quantity, limits)
-                found.append(_check(axis, quantity, limits, known))
+                found.append(_check(axis, quantity, limits, *known))
         for quantity, limits in self.whole.items():
-            found.append(_check('', quantity, limits, self._of_unit(results, quantity)))
+            found.append(_check('', quantity, limits, *self._of_unit(results, quantity)))
         return tuple(found)
 
     def unchecked(self, results: Results) -> list[str]:
@@ -229,18 +225,21 @@ class Plan:
                 names += [f'{sensor} {quantity}'] if whole else [f'{a} {quantity}' for a in free]
         return names + [quantity for quantity in UNIT_UNITS if quantity not in self.whole]
 
-    def _of_axis(self, results: Results, axis: str, quantity: str, limits: Limits) -> Measured:
+    def _of_axis(
+        self, results: Results, axis: str, quantity: str, limits: Limits
+    ) -> tuple[Estimate, str]:
         if axis not in results.axes:
-            return Measured(None, None, 'this axis was not measured')
+            return UNKNOWN, 'this axis was not measured'
         result = results.axes[axis]
         if quantity in SI_UNITS[sensor_of(axis)]:
-            return _coefficient(results, axis, quantity)
+            return result.fit.noise[quantity].magnitude, ''
         rest: AtRest | None = result.at_rest
         if rest is None:
-            return UNKNOWN
+            return UNKNOWN, ''
         if quantity == 'temperature_drift':
-            known = Measured(rest.slope, rest.slope_ci95)
-            return known if known.interval else Measured(None, None, 'the temperature is constant')
+            if rest.slope is None:
+                return UNKNOWN, 'the temperature varied too little or is unknown'
+            return Estimate(rest.slope, rest.slope_ci95), ''
         if quantity != 'bias':
             return _exact(getattr(rest, quantity))
         expected = self._gravity_on(axis)
@@ -250,9 +249,9 @@ class Plan:
         if model is not None and model.lowest <= limits.at <= model.highest:
             return _exact(float(model.bias(np.array(limits.at))) - expected)
         if rest.temperature is None:
-            return Measured(None, None, 'the temperature was not recorded')
+            return UNKNOWN, 'the temperature was not recorded'
         if abs(rest.temperature - limits.at) > NEAR_K:
-            return Measured(None, None, f'the temperature was {rest.temperature:.1f} degC')
+            return UNKNOWN, f'the temperature was {rest.temperature:.1f} degC'
         return _exact(rest.mean - expected)
 
     def _gravity_on(self, axis: str) -> float:
@@ -265,7 +264,7 @@ class Plan:
             size = 0.5 * (known.lower + known.upper)
         return size * self.up['xyz'.index(axis[-1])]
 
-    def _of_unit(self, results: Results, quantity: str) -> Measured:
+    def _of_unit(self, results: Results, quantity: str) -> tuple[Estimate, str]:
         if quantity == 'rate':
             return _exact(results.rate_hz)
         if quantity == 'duration':
@@ -275,10 +274,10 @@ class Plan:
         rests = {name: axis.at_rest for name, axis in results.axes.items() if axis.at_rest}
         if quantity == 'temperature':
             known = [rest.temperature for rest in rests.values() if rest.temperature is not None]
-            return _exact(known[0]) if known else Measured(None, None, 'it was not recorded')
+            return _exact(known[0]) if known else (UNKNOWN, 'it was not recorded')
         accel = [rests[axis].mean for axis in AXES[SENSORS['accel']] if axis in rests]
         if len(accel) < 3:
-            return Measured(None, None, 'the accelerometer was not measured')
+            return UNKNOWN, 'the accelerometer was not measured'
         size = math.hypot(*accel)
         if quantity == 'gravity':
             return _exact(size)
@@ -286,25 +285,22 @@ class Plan:
         return _exact(math.degrees(math.acos(max(-1.0, min(1.0, along / size)))) if size else None)
 
 
-def _check(axis: str, quantity: str, limits: Limits, measured: Measured) -> PlanCheck:
-    verdict = limits.verdict(measured.interval)
+def _check(axis: str, quantity: str, limits: Limits, measured: Estimate, note: str) -> PlanCheck:
+    verdict = limits.verdict(_interval(measured))
     if verdict == 'exceeds' and quantity in ABOUT_THE_DATA:
         verdict = 'undecided'
-    return PlanCheck(axis, quantity, limits, measured, verdict)
+    return PlanCheck(axis, quantity, limits, measured, verdict, note)
 
 
-def _exact(value: float | None) -> Measured:
-    return UNKNOWN if value is None else Measured(value, (value, value))
+def _interval(measured: Estimate) -> tuple[float, float] | None:
+    """Return the 95 % interval; its lower end is 0 if there is only an upper limit."""
+    if measured.value is not None and measured.resolved:
+        return measured.ci95 or (measured.value, measured.value)
+    return None if measured.upper95 is None else (0.0, measured.upper95)
 
 
-def _coefficient(results: Results, axis: str, term: str) -> Measured:
-    known = results.axes[axis].fit.noise[term]
-    if known.status == 'estimated' and known.value is not None:
-        ends = known.ci95 or (known.value, known.value)
-        return Measured(known.value, (float(ends[0]), float(ends[1])))
-    if known.upper95 is None:
-        return UNKNOWN
-    return Measured(None, (0.0, known.upper95), 'it is not resolved')
+def _exact(value: float | None) -> tuple[Estimate, str]:
+    return (UNKNOWN if value is None else Estimate(value)), ''
 
 
 def used_share(results: Results) -> float | None:

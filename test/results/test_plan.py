@@ -152,7 +152,7 @@ def test_a_bias_is_judged_at_its_temperature(good: Results) -> None:
     near, far = (plan(gyro={'bias': {**limits, 'at': at}}) for at in (31.0, 60.0))
     assert verdicts(good, near)['gyro_x', 'bias'] == 'within'
     (check,) = (c for c in far.checks(good) if c.axis == 'gyro_x')
-    assert check.verdict == 'undecided' and '29.8 degC' in check.measured.why
+    assert check.verdict == 'undecided' and '29.8 degC' in check.note
 
 
 def test_a_temperature_model_gives_the_bias_at_another_temperature() -> None:
