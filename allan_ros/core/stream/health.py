@@ -58,6 +58,9 @@ UNIT_ERROR = 0.2
 G_BAND = 0.15
 """Largest relative difference between gravity and a mean acceleration at rest."""
 
+SAME_SUMS = 1e-6
+"""Largest relative difference of the Allan sums of two equal axes, which may differ by rounding."""
+
 WEIGHTLESS = 0.05
 """Mean acceleration, as a fraction of gravity in any unit, below which gravity was removed."""
 
@@ -346,7 +349,7 @@ def stream_findings(
     for each in sums:
         flat = tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
         add('no_noise', flat, flat)
-        found += _unit_findings(each)
+        found += [*_equal_axes(each), *_unit_findings(each)]
     add('nothing_left', c.received and not sums, received=c.received)
     return found
 
@@ -375,6 +378,20 @@ def sums_findings(sums: AllanSums) -> list[Finding]:
     return [finding('short', seconds=seconds)] if seconds < SHORT_S else []
 
 
+def _equal_axes(sums: AllanSums) -> list[Finding]:
+    """Return a finding for each pair of axes with the same noise: a driver copies one of them."""
+    if not len(sums.sum_sq):
+        return []
+    same = [
+        (i, j)
+        for j in range(len(sums.axes))
+        for i in range(j)
+        if sums.sum_sq[0, i] > 0.0
+        and np.allclose(sums.sum_sq[:, i], sums.sum_sq[:, j], SAME_SUMS, 0.0)
+    ]
+    return [finding('axes_equal', (sums.axes[i], sums.axes[j])) for i, j in same]
+
+
 def _unit_findings(sums: AllanSums) -> list[Finding]:
     """Return a finding for each sensor whose noise or mean is impossible in SI units."""
     if not sums.tau0 or not sums.recordings:
@@ -397,7 +414,10 @@ def _unit_findings(sums: AllanSums) -> list[Finding]:
             norm = float(np.linalg.norm(mean[own]))
             factors = {unit: UNITS[unit].factor for unit in SAMPLE_UNITS['accel']}
             units = [u for u, f in factors.items() if abs(norm * f / STANDARD_GRAVITY - 1) < G_BAND]
-            if units and units[0] != 'm/s^2':
+            if abs(norm / STANDARD_GRAVITY**2 - 1.0) < G_BAND:
+                units = ['m/s^2']  # but g was declared
+                found.append(finding('accel_unit', axes, norm=norm, unit=units[0]))
+            elif units and units[0] != 'm/s^2':
                 found.append(finding('accel_unit', axes, norm=norm, unit=units[0]))
             elif not units and norm >= WEIGHTLESS:
                 found.append(finding('accel_scale', axes, norm=norm))

@@ -155,10 +155,11 @@ def test_sums_of_motion_are_discarded_and_this_is_reported():
         ([57.3] * 3 + [1.0] * 3, {'gyro_unit'}),
         ([1.0] * 3 + [1 / 9.80665] * 3, {'accel_unit'}),
         ([1.0] * 3 + [1000 / 9.80665] * 3, {'accel_unit'}),
+        ([1.0] * 3 + [9.80665] * 3, {'accel_unit'}),
         ([1.0] * 3 + [0.5] * 3, {'accel_scale'}),
         ([1.0] * 5 + [0.0], set()),
     ],
-    ids=['SI', 'deg/s', 'g', 'mg', 'wrong scale', 'without gravity'],
+    ids=['SI', 'deg/s', 'g', 'mg', 'm/s^2 declared as g', 'wrong scale', 'without gravity'],
 )
 def test_units_that_cannot_be_si_are_named(scale, expected):
     t, x = still(12_000)
@@ -166,6 +167,14 @@ def test_units_that_cannot_be_si_are_named(scale, expected):
     assert {f.id for f in found} == expected
     for f in found:
         assert f.severity == 'error' and ('deg/s' in f.remedy or 'accelerometer' in f.remedy)
+
+
+def test_a_copied_axis_is_named():
+    t, x = still(6_000)
+    assert 'axes_equal' not in ids(accumulate(t, x))
+    x[:, 1] = x[:, 0] + 1.0
+    (found,) = [f for f in accumulate(t, x).findings if f.id == 'axes_equal']
+    assert found.axes == ('gyro_x', 'gyro_y') and found.severity == 'error'
 
 
 @pytest.mark.parametrize('lsb', [0.0, 0.1, 0.5, 2.0])

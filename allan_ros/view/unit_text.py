@@ -1,0 +1,106 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sentences about a unit of a production test: limits that are not met, findings, decision."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..core.estimate import Estimate
+from ..core.findings import grouped
+from ..core.imu import AXES, SENSORS, sensor_of
+from ..core.number_text import LIMIT_DIGITS, significant
+from ..results.plan import Limits, PlanCheck
+from ..results.results import Results
+from ..results.unit_check import UnitCheck
+from ..results.verdict import finding_text, verdict_of
+
+SHOWN_CHECKS = 4
+"""Largest number of quantities that a summary names."""
+
+
+def limits_text(limits: Limits) -> str:
+    """Return limits in the unit of the plan.
+
+    >>> limits_text(Limits(0.0, 1e-2, '%', 1e-2)), limits_text(Limits(9.5, None, 'm/s^2'))
+    ('0 to 1 %', 'at least 9.5 m/s^2')
+    """
+    low, high = (
+        None if end is None else f'{end / limits.scale:.6g}' for end in (limits.lower, limits.upper)
+    )
+    unit = f' {limits.unit}' if limits.unit else ''
+    if low is None or high is None:
+        return f'at most {high}{unit}' if low is None else f'at least {low}{unit}'
+    return f'{low} to {high}{unit}'
+
+
+def measured_text(measured: Estimate, limits: Limits) -> str:
+    """Return a measured quantity in the unit of the plan, such as '< 3.2 deg/h' or '-'."""
+    sign, value = '', measured.value if measured.resolved else None
+    if value is None:
+        sign, value = '< ', measured.upper95
+    if value is None:
+        return '-'
+    unit = f' {limits.unit}' if limits.unit else ''
+    return f'{sign}{significant(value / limits.scale, LIMIT_DIGITS)}{unit}'
+
+
+def name_of(checks: Sequence[PlanCheck]) -> str:
+    """Return the name of a quantity of one or more axes: 'gyro x, y N', 'gyro N', 'rate'."""
+    axes = [check.axis for check in checks if check.axis]
+    quantity = checks[0].quantity.replace('_', ' ')
+    if not axes:
+        return quantity
+    sensor = sensor_of(axes[0])
+    letters = '' if len(axes) == len(AXES[SENSORS[sensor]]) else ', '.join(a[-1] for a in axes)
+    return ' '.join(filter(None, (sensor, letters, quantity)))
+
+
+def checks_text(checks: Sequence[PlanCheck]) -> str:
+    """Return what was measured of some quantities and what the plan demands.
+
+    Axes of one sensor with the same limits are named together.
+    """
+    groups: dict[tuple[str, str, Limits, str], list[PlanCheck]] = {}
+    for check in checks:
+        sensor = sensor_of(check.axis) if check.axis else ''
+        groups.setdefault((sensor, check.quantity, check.limits, check.note), []).append(check)
+    texts = []
+    for (_, _, limits, note), group in groups.items():
+        values = ' '.join(measured_text(check.measured, limits).split(' ')[0] for check in group)
+        if len(group) == 1:
+            values = measured_text(group[0].measured, limits)
+        reason = f', because {note}' if note else ''
+        shown = 'is unknown' if not values.strip('- ') else values
+        texts.append(f'{name_of(group)} {shown}{reason} (limit {limits_text(limits)})')
+    more = [f'{len(texts) - SHOWN_CHECKS} more'] if len(texts) > SHOWN_CHECKS else []
+    return '; '.join([*texts[:SHOWN_CHECKS], *more])
+
+
+def unit_sentences(check: UnitCheck, results: Results, plan: str, units: str) -> list[str]:
+    """Return the reasons for the decision about a unit, the most important first.
+
+    ``plan`` is the name of the plan, '' without one; ``units`` is 'deg/h' or 'SI'.
+    """
+    said = []
+    beyond, undecided = check.of('exceeds'), check.of('undecided')
+    if beyond:
+        said.append(f'Beyond {plan}: {checks_text(beyond)}.')
+    compared = results.comparisons or not plan
+    if compared:
+        said.append(verdict_of(results, units=units).summary)
+    known = [] if plan else said
+    for each in grouped(check.suspect):
+        text = finding_text(each, results, units)
+        if each.id != 'exceeds_limit' and not any(each.texts(units).message in s for s in known):
+            said.append(text)
+    if undecided:
+        said.append(f'Not decided by {plan}: {checks_text(undecided)}.')
+    if check.checks and not beyond and not undecided:
+        said.insert(0, f'All limits of {plan} are met ({len(check.checks)}).')
+    return said
+
+
+def unchecked_text(names: Sequence[str]) -> str:
+    """Return the quantities that a plan does not limit, as a sentence; '' if there are none."""
+    return f'unchecked (the plan has no limit): {", ".join(names)}' if names else ''
