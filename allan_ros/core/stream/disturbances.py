@@ -27,8 +27,8 @@ SPIKE_NEIGHBORS, NEIGHBOR_RATIO = 4, 0.6
 neighbors, and all others except one, deviate less than this fraction of the smallest possible
 spike. After a shock, in contrast, several samples deviate."""
 
-LONGEST_SHOCK_S, LONGEST_SHOCK = 10.0, 20
-"""Longest shock, in s and in windows."""
+LONGEST_SHOCK_S = 10.0
+"""Longest shock in s."""
 
 LEVEL_WINDOWS, LEAST_LEVEL = 4, 2
 """Number of windows before and after a motion whose means are compared, and the smallest number."""

@@ -27,7 +27,7 @@ import numpy as np
 from ..imu import Block, Flags, Floats
 from ..settings import SegmenterSettings
 from .disturbances import (
-    LONGEST_SHOCK,
+    LEAST_LEVEL,
     LONGEST_SHOCK_S,
     SPIKE_NEIGHBORS,
     Level,
@@ -40,14 +40,16 @@ from .noise_floor import EXAMINED, LEAST_WINDOW, NoiseFloor, WindowClass, Window
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short compared with a motion."""
 
-MOST_WINDOW = 1024
-"""Longest window in samples."""
-
 BLOCK_WINDOWS = 32
-"""Number of windows from which the noise floor is learned, and after which it is updated."""
+"""Number of windows from which the noise floor is learned, and after which it is updated. All of
+them are buffered: 0.15 MB of six axes at 200 Hz, 15 MB at 20 kHz."""
 
-MARGIN_BEFORE, MARGIN_AFTER = 1, 4
-"""Number of still windows that are dropped before and after a motion: 0.5 s and 2 s."""
+MOST_WINDOW = 1 << 15
+"""Longest window in samples, above 65 kHz: 50 MB of buffered samples."""
+
+MARGIN_BEFORE, MARGIN_AFTER_S = 1, 2.0
+"""What is dropped of the data at rest next to a motion: one window before it, and windows of at
+least 2 s after it."""
 
 LEAST_DECREASED = BLOCK_WINDOWS // 4
 """Number of windows with less noise after which another noise floor is tried."""
@@ -121,8 +123,8 @@ class MotionGate:
         self._axes = axes
         self._settings = settings
         self._period_s = period_ns * 1e-9
-        longest = int(LONGEST_SHOCK_S / (self.size * self._period_s))
-        self._longest_shock = min(longest, LONGEST_SHOCK)
+        self._margin_after = max(LEAST_LEVEL, round(MARGIN_AFTER_S / (self.size * self._period_s)))
+        self._longest_shock = int(LONGEST_SHOCK_S / (self.size * self._period_s))
         self._shocks_before = counts.shocks, counts.replaced
         self._former: _Former | None = None  # while the noise is decreased
         self._at_rest = 0  # number of samples at rest since the noise floor was learned
@@ -319,7 +321,7 @@ class MotionGate:
         motion.add(window, mean, bool(found.quiet))
         if motion.windows - motion.quiet > self._longest_shock:
             self._no_shock()
-        if motion.quiet >= MARGIN_AFTER:
+        if motion.quiet >= self._margin_after:
             self._end_motion(motion)
 
     def _end_motion(self, motion: Motion) -> None:

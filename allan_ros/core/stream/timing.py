@@ -35,8 +35,9 @@ CLOCK_BLOCK = 256
 LOOK_AHEAD = 64
 """Number of samples before and after a pause whose delays are compared, for regular stamps."""
 
-BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 4096
-"""The same for bursty stamps, as a time in s, and the largest number of samples used."""
+BURST_LOOK_AHEAD_S, BURST_LOOK_AHEAD = 4.0, 1 << 18
+"""The same for bursty stamps, as a time in s. The largest number of samples is reached at 65 kHz
+(15 MB)."""
 
 BURST_PAUSE_S = 0.25
 """Shortest pause and smallest increase of the delay, in s, that can be a loss if stamps are bursty.
