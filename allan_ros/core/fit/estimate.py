@@ -19,7 +19,7 @@ import numpy as np
 from ..allan.grid import octave
 from .likelihood import TERMS, AxisData, Fit, inverse
 from .model import N, Q
-from .selection import Candidates, Selection
+from .selection import GAIN_RESOLVED, Candidates, Selection, is_fast
 from .statistics import Component
 
 LACK_OF_FIT = 1e-3
@@ -176,6 +176,10 @@ def _highest(rules: Selection) -> _Trial:
         and _relative_power(rules.data, tops[0]) < LOST_POWER[0]
         and _test(rules, rules.fit(rules.base)).bent
     ):
+        if _leaves_white_noise(rules):
+            trial = _trial(rules, tops[0])
+            if trial.verdict.holds and any(map(is_fast, trial.fit.components)):
+                return trial
         tops = tops[1:]
         while len(tops) > 1 and _relative_power(rules.data, tops[0]) < LOST_POWER[1]:
             tops = tops[1:]
@@ -189,6 +193,29 @@ def _highest(rules: Selection) -> _Trial:
         if fair is None and trial.verdict.is_fair:
             fair = trial
     return fair or _trial(rules, tops[0])
+
+
+def _leaves_white_noise(rules: Selection) -> bool:
+    """Return whether a fast Gauss-Markov process leaves white noise at the highest frequencies.
+
+    A low-pass filter does not.
+    """
+    base = rules.fit(rules.base)
+    fast = [c for c in rules.candidates.times if is_fast(c)]
+    fits = [rules.fit((*rules.base, c), np.append(base.p, base.p[N])) for c in fast]
+    best = min(fits, key=lambda each: each.value)
+    return float(best.p[N]) > WHITE_NOISE * math.sqrt(best.covariance()[N, N])
+
+
+def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
+    """Return whether the fast Gauss-Markov processes of a fit are not better than a filter."""
+    fast = np.array([is_fast(c) for c in fit.components])
+    if rules.signed or not fast.any():
+        return False
+    kept = [c for c, one in zip(fit.components, fast) if not one]
+    filtered = replace(rules, signed=(Q, len(kept)))
+    other = filtered.fit((*kept, FILTER), np.append(fit.p[~fast], 0.0))
+    return other.value - fit.value < GAIN_RESOLVED
 
 
 def _relative_power(data: AxisData, top: float) -> float:
@@ -258,5 +285,5 @@ def _test(rules: Selection, fit: Fit) -> _Verdict:
         at = 1 + int(np.searchsorted(on, N))
         white = float(fit.p[N]) / math.sqrt(covariance[at, at])
     bent = abs(z) > CURVATURE if rules.signed else fit.p[Q] == 0.0 and z < -CURVATURE
-    hidden = white < WHITE_NOISE or rules.imitates_filter(fit)
+    hidden = white < WHITE_NOISE or rules.imitates_filter(fit) or _is_rather_filter(rules, fit)
     return _Verdict(min(tails) >= LACK_OF_FIT, bent, hidden)

@@ -34,8 +34,14 @@ GAIN_RESOLVED = 5.41
 
 MAX_PROCESSES = 6
 
-SHORTEST_TIME = 8.0
+SHORTEST_TIME = 2.0
 """Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
+
+FAST = 8.0
+"""Correlation time in samples below which a Gauss-Markov process has a spectrum like a low-pass
+filter. It must be better by `GAIN_RESOLVED` than a filter with as many coefficients (Q and f^4):
+real filters that remove up to 15 % of the power gain at most 1.9, a process of 2 samples with a
+third of the standard deviation of the white noise at least 6.9 in 10 min at 100 Hz."""
 
 LEAST_LINE_DOF = 100.0
 """Least degrees of freedom of a bin that a sinusoid dominates. With fewer, the amplitude is
@@ -70,6 +76,11 @@ TOLERANCE = 0.03
 PROMISING = 0.4
 """Share of its threshold that the approximate gain of a candidate must reach to be fitted. It saves
 time: without it, the same processes are found in records without any."""
+
+
+def is_fast(component: Component) -> bool:
+    """Return whether a component is a Gauss-Markov process with a spectrum like a filter."""
+    return bool(component[0] == 'gauss_markov' and component[1] < FAST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,13 +404,14 @@ class Selection:
     def imitates_filter(self, fit: Fit) -> bool:
         """Return whether processes have the smooth spectrum of a low-pass filter.
 
-        They are close sinusoids, or a broad resonance near the highest frequency. Six octaves below
-        it, a filter does not bend the spectrum.
+        They are close sinusoids, or a broad resonance near the highest frequency below which the
+        spectrum bends. Six octaves below it, a filter does not bend the spectrum.
         """
         lines = (c[1] for c in fit.components if c[0] == 'sinusoid')
         f = np.log2(sorted(each for each in lines if each > self.fastest / 64.0))
         near = LINES_PER_OCTAVE - 1
-        broad = self.signed and any(
+        bends = self.signed or any(map(is_fast, fit.components))
+        broad = bends and any(
             c[1] > self.fastest / 4.0 and c[1] * c[2] < 2.0 * BANDWIDTHS[0]
             for c in fit.components
             if c[0] == 'resonance'
