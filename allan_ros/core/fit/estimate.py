@@ -188,7 +188,7 @@ def _highest(rules: Selection) -> _Trial:
         if fair is not None and top < fair.top / 4.0:
             break
         trial = _trial(rules, top)
-        if trial.verdict.holds:
+        if trial.verdict.holds and (top == TOPS[0] or _loses_power(rules.data, trial.fit)):
             return trial
         if fair is None and trial.verdict.is_fair:
             fair = trial
@@ -216,6 +216,16 @@ def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
     filtered = replace(rules, signed=(Q, len(kept)))
     other = filtered.fit((*kept, FILTER), np.append(fit.p[~fast], 0.0))
     return other.value - fit.value < GAIN_RESOLVED
+
+
+def _loses_power(data: AxisData, fit: Fit) -> bool:
+    """Return whether the highest frequencies have less power than the white noise of a fit.
+
+    The median of their bins contains no sinusoid.
+    """
+    high = data.statistics.f > TOPS[1]
+    error = math.sqrt(math.pi / float(data.statistics.dof[high].sum()))
+    return float(np.median(data.power[high])) < (1.0 - CURVATURE * error) * float(fit.p[N])
 
 
 def _relative_power(data: AxisData, top: float) -> float:

@@ -167,6 +167,41 @@ def test_a_gauss_markov_process_is_found(time):
         assert fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.02)
 
 
+@pytest.mark.parametrize('size', [0.3, 1.0])
+@pytest.mark.parametrize('samples', [2, 4, 8])
+def test_fast_gauss_markov_noise_is_no_low_pass_filter(samples, size):
+    """N within 10 %: four standard errors of the most uncertain case (2 samples)."""
+    rng = np.random.default_rng(samples)
+    y = simulated(120_000, 4, samples, FLAT) + size * WHITE * markov(120_000, samples / 100, rng, 4)
+    for fit in fits(y):
+        assert not fit.filtered and not fit.processes.resonance and not fit.lack_of_fit
+        (process,) = fit.processes.gauss_markov
+        assert abs(math.log(process.correlation_time * RATE / samples)) < math.log(1.5)
+        assert fit.noise['N'].value == pytest.approx(FLAT.N, rel=0.1)
+
+
+@pytest.mark.parametrize('low', [0.05, 0.15])
+def test_a_filter_that_removes_little_is_no_gauss_markov_process(low):
+    """The samples are y - low/2 (second difference of y)/2: the power at half the rate is
+    (1 - low)^2. The mean N of 4 axes within 1.5 %.
+    """
+    y = simulated(240_000, 4, 15, FLAT)
+    y = y[1:-1] + low / 4.0 * (y[2:] - 2.0 * y[1:-1] + y[:-2])
+    found = fits(y)
+    assert all(fit.filtered and not fit.processes.gauss_markov for fit in found)
+    assert np.mean([fit.noise['N'].value for fit in found]) == pytest.approx(FLAT.N, rel=0.015)
+
+
+def test_vibration_at_high_frequencies_is_no_low_pass_filter():
+    """A broad resonance at a third of the rate: the spectrum rises there."""
+    rng = np.random.default_rng(16)
+    pole = math.exp(-1.0 / 6.0) * np.exp(2j * np.pi * 0.35)
+    steps = rng.standard_normal((120_000, 3)) + 1j * rng.standard_normal((120_000, 3))
+    vibration = lfilter([math.sqrt(1.0 - abs(pole) ** 2)], [1.0, -pole], steps, axis=0).real
+    found = fits(simulated(120_000, 3, 16, FLAT) + 0.3 * WHITE * vibration)
+    assert not any(fit.filtered for fit in found)
+
+
 def test_a_fast_gauss_markov_process_does_not_absorb_the_white_noise():
     """Correlation over a third of a sample is white noise."""
     rng = np.random.default_rng(7)
