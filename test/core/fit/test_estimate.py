@@ -229,7 +229,7 @@ def test_a_ramp_is_resolved_with_its_sign(sign):
     terms = NoiseTerms(N=1e-3, R=sign * 1e-5)
     ramps = [fit.noise['R'] for fit in fits(simulated(60_000, 4, 9, terms))]
     assert all(r.resolved and r.value * sign > 0.0 for r in ramps)
-    assert sum(r.ci95[0] <= 1e-5 <= r.ci95[1] for r in ramps) >= 3
+    assert sum(r.ci95[0] <= sign * 1e-5 <= r.ci95[1] for r in ramps) >= 3
 
 
 def test_white_noise_has_no_ramp():
