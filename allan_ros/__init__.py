@@ -16,13 +16,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import analyze, common, compare, inflate
+    from .api import Results, analyze, common, compare, inflate, load, sensor
     from .core.allan.curve import AxisCurve
     from .core.errors import AllanError
     from .core.estimate import Estimate
     from .results.axis_result import AxisResult, adev, fit
-    from .results.documents import load
-    from .results.results import Results
     from .results.simulation import simulate
 
 __version__ = '1.0.0'
@@ -49,9 +47,6 @@ _HOME = {
     'AxisCurve': 'core.allan.curve',
     'Estimate': 'core.estimate',
     **dict.fromkeys(('AxisResult', 'adev', 'fit'), 'results.axis_result'),
-    'load': 'results.documents',
-    'Results': 'results.results',
-    'sensor': 'results.datasheets',
     'simulate': 'results.simulation',
 }
 

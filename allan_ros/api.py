@@ -1,33 +1,39 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The public functions `analyze`, `compare`, `common` and `inflate`.
+"""The public functions, and the classes of their results with export, plots and files.
 
-The command line calls the functions of this file, too, so both give the same results.
+The classes add methods to the plain data in `allan_ros.results`. The command line calls the
+functions of this file, too, so both give the same results.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .core.compare import MARGIN
 from .core.errors import AllanError
 from .core.filters.noise_parameters import measure_inflation
+from .core.imu import sensor_of
 from .core.settings import (
     LIST,
+    UNIT_SYSTEMS,
     SegmenterSettings,
     check_names,
     check_range,
     check_rate,
+    choose,
     describe,
     expect,
+    settings_from,
 )
+from .export import ExportOptions, make_export, target_of
 from .readers import ReadOptions, Recording, topics_of
-from .readers.files import PATH, public
+from .readers.files import PATH, public, write_atomic
 from .readers.recorded import (
     Observer,
     ReadJob,
@@ -38,33 +44,331 @@ from .readers.recorded import (
     read_in_turn,
     read_recording,
 )
-from .results.analysis import ResultSettings, analyze_recorded, one_thread
+from .results.analysis import analyze_recorded, one_thread
+from .results.common_noise import CommonResult as PlainCommonResult
+from .results.common_noise import common_of
+from .results.comparison import REST, RUNNING, Inflation, RunComparison, Subject, compare_runs
+from .results.datasheets import Datasheet as PlainDatasheet
 from .results.datasheets import load_sensor
-from .results.documents import RESULTS, SUMS, labels_of, load, load_sums
-from .results.results import Results
+from .results.documents import RESULTS, SUMS, labels_of, load_sums
+from .results.documents import load as load_results
+from .results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
+from .results.references import compared
+from .results.results import Results as PlainResults
+from .results.verdict import Verdict
+from .view.coefficient_table import coefficient_list
+from .view.format import check_plots
+from .view.settings import ResultSettings
+from .view.table import records
 
-if TYPE_CHECKING:
-    from .results.common_noise import CommonResult
-    from .results.comparison import Inflation, RunComparison
+
+class Results(PlainResults):
+    __doc__ = PlainResults.__doc__
+
+    @classmethod
+    def of(cls, results: PlainResults) -> Results:
+        """Return results with the methods of this class.
+
+        >>> import allan_ros as ar
+        >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+        >>> ar.Results.of(results) == results
+        True
+        """
+        return cls(**{each.name: getattr(results, each.name) for each in fields(results)})
+
+    def table(self, units: str = 'deg/h') -> Any:
+        """Return all coefficients as a table with one row for each axis and term.
+
+        Parameters
+        ----------
+        units : 'deg/h' or 'SI'
+            Units of the numbers.
+
+        Returns
+        -------
+        pandas.DataFrame or list of dict
+            The columns axis, term, value, ci95_low, ci95_high, upper95 and unit; a DataFrame if
+            pandas is installed. Unknown numbers are None, or NaN in a DataFrame.
+        """
+        choose(UNIT_SYSTEMS, units=units)
+        rows = records(coefficient_list(self.noise, units))
+        try:
+            import pandas
+        except ImportError:
+            return rows
+        return pandas.DataFrame(rows)
+
+    def plot(self, what: str = 'gyro', ax: Any = None, units: str = 'deg/h') -> Any:
+        """Draw the Allan deviation with its confidence limits and the fitted model.
+
+        Parameters
+        ----------
+        what : str
+            'gyro' or 'accel' for all axes of a sensor, or the name of an axis.
+        ax : matplotlib Axes, optional
+            Axes to draw into; by default a figure with a panel for each axis is created.
+        units : 'deg/h' or 'SI'
+            Units of the drawing.
+
+        Returns
+        -------
+        matplotlib Axes or Figure
+            The given axes, or the created figure.
+
+        Raises
+        ------
+        AllanError
+            When there is no such sensor or axis, or an argument is invalid.
+        """
+        from .view.plots import draw_axes, sensor_figure
+
+        choose(UNIT_SYSTEMS, units=units)
+        names = [name for name in self.axes if what in (name, sensor_of(name))]
+        if not names:
+            raise AllanError(f'there is no {what!r}: choose one of {", ".join(self.axes)}')
+        axes = {name: self.axes[name] for name in names}
+        if ax is None:
+            return sensor_figure(replace(self, axes=axes), sensor_of(names[0]), units=units)
+        if not hasattr(ax, 'loglog'):
+            raise AllanError(f'ax is {ax!r:.60}: a matplotlib Axes is expected')
+        draw_axes(ax, axes, units)
+        return ax
+
+    @public
+    def export(
+        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+    ) -> str:
+        """Return the noise as the text of a file for a filter or simulator.
+
+        Parameters
+        ----------
+        target : str
+            A target that `allan export --list` lists, such as 'kalibr'.
+        path : path, optional
+            The text is also written to this file, or into this folder.
+        **options
+            Options of `allan export` with underscores, such as ``inflate=2``.
+
+        Raises
+        ------
+        AllanError
+            When the target or an option is unknown, the target needs an axis that was not
+            measured, or the file cannot be written.
+        """
+        expect(str, target=target)
+        text = make_export(self, target, settings_from(ExportOptions, options)).text
+        if path is not None:
+            expect(PATH, 'a path', path=path)
+            place = Path(path)
+            write_atomic(place / target_of(target).file_name if place.is_dir() else place, text)
+        return text
+
+    @public
+    def save(
+        self,
+        folder: str | os.PathLike[str],
+        units: str = 'deg/h',
+        targets: Sequence[str] = (),
+        plots: Sequence[str] = (),
+        overwrite: bool = False,
+    ) -> list[Path]:
+        """Write the results, the report, filter files and figures, and return their paths.
+
+        `allan analyze -o` writes the same files. `load` reads the folder again.
+
+        Parameters
+        ----------
+        folder : path
+            Folder for the files; it is created if it is missing.
+        units : 'deg/h' or 'SI'
+            Units of the report and the figures.
+        targets : sequence of str
+            Targets that `allan export --list` lists; their files are written in addition to the
+            file of Kalibr.
+        plots : sequence of str
+            File formats of figures in addition to the report: 'png', 'svg', 'pdf'.
+        overwrite : bool
+            Whether to replace results of another recording in this folder.
+
+        Raises
+        ------
+        AllanError
+            When the sums are not known, an argument is invalid, the folder has results of another
+            recording, or a file cannot be written.
+        """
+        from .view.result_files import write_result_files
+
+        expect(PATH, 'a path', folder=folder)
+        choose(UNIT_SYSTEMS, units=units)
+        expect(LIST, targets=targets, plots=plots)
+        check_plots(plots)
+        expect(bool, overwrite=overwrite)
+        return write_result_files(
+            folder, self, units=units, targets=targets, plots=plots, overwrite=overwrite
+        )[1]
+
+    @public
+    def check(
+        self,
+        sensor: PlainDatasheet | str = '',
+        baseline: PlainResults | str | os.PathLike[str] = '',
+        margin: float | None = None,
+    ) -> Verdict:
+        """Return a verdict on the IMU after a comparison with a datasheet or an earlier run.
+
+        Parameters
+        ----------
+        sensor : str or Datasheet
+            A name that `allan sensors` lists, or the path of a .yaml file; '' for no datasheet.
+        baseline : Results or path
+            An earlier run: results, or the path of a results.json, a sums.json or the folder of an
+            analysis; '' for none.
+        margin : float, optional
+            A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval
+            lies above it by this fraction. By default 0.2; a comparison with a datasheet that the
+            results already contain keeps its margin.
+
+        Returns
+        -------
+        Verdict
+            With ``level`` ('healthy', 'attention', 'unknown' or 'failed'), ``summary``, ``reasons``
+            and ``next_steps``.
+
+        Raises
+        ------
+        AllanError
+            When the datasheet or the earlier run cannot be read, or the margin is negative.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> may, june = (ar.analyze(ar.simulate(hours=0.1, rate=50, seed=i)) for i in (1, 2))
+        >>> june.check(baseline=may).level
+        'healthy'
+        >>> worn = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
+        >>> worn.check(baseline=may).level
+        'failed'
+        """
+        return self.compared(sensor, baseline, margin).verdict
+
+    def compared(
+        self,
+        sensor: PlainDatasheet | str = '',
+        baseline: PlainResults | str | os.PathLike[str] = '',
+        margin: float | None = None,
+    ) -> Results:
+        """Return a copy that is compared with a datasheet, an earlier run, or both.
+
+        Arguments and errors are the same as in `check`.
+        """
+        return compared(self, sensor, baseline, margin)
+
+
+class Datasheet(PlainDatasheet):
+    __doc__ = PlainDatasheet.__doc__
+
+    def results(self, rate: float = DEFAULT_RATE_HZ) -> Results:
+        """Return the noise model of the datasheet for an IMU with a rate in Hz.
+
+        It has the stated N and B. K of a file for a filter follows from its reduced-order model:
+        it covers the error growth of N and B over the horizon of the filter. Raises AllanError if
+        the datasheet states no N of an axis of a sensor.
+        """
+        return Results.of(results_of_datasheet(self, rate))
+
+    def export(
+        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+    ) -> str:
+        """Return the text of a file for a filter or simulator, with the noise of the datasheet.
+
+        The arguments are the same as in `Results.export`. ``filter_rate`` is also the rate of the
+        IMU; the default is 200 Hz.
+        """
+        return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
+            target, path, **options
+        )
+
+
+class CommonResult(PlainCommonResult):
+    __doc__ = PlainCommonResult.__doc__
+
+    def plot(self) -> Any:
+        """Return a matplotlib Figure of the coherence over the averaging time."""
+        from .view.plots import common_figure
+
+        return common_figure(self)
+
+
+@public
+def sensor(name: str | os.PathLike[str]) -> Datasheet:
+    """Return a datasheet, given its name or the path of its .yaml file.
+
+    Raises
+    ------
+    AllanError
+        If the name is unknown, or the file is invalid.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.sensor('adis16475-3').limits['gyro_x']['B'].stated
+    '7 deg/h'
+    """
+    expect(PATH, 'a name or a path', name=name)
+    return Datasheet(**vars(load_sensor(os.fspath(name))))
+
+
+@public
+def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
+    """Read the results of an earlier analysis.
+
+    Parameters
+    ----------
+    path : path
+        The folder of an analysis, a results.json, or a sums.json or checkpoint, whose sums are
+        fitted again. Only results with sums (all but a results.json) can be added and saved.
+    method : str
+        Method of the fit of sums: 'likelihood' or 'paper', as in `analyze`.
+
+    Returns
+    -------
+    Results
+
+    Raises
+    ------
+    AllanError
+        When the file is missing, or is not such a document.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import allan_ros as ar
+    >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = results.save(folder)
+    ...     ar.load(folder).samples == results.samples
+    True
+    """
+    return Results.of(load_results(path, method))
 
 
 def results_of(
-    path: Results | str | os.PathLike[str],
+    path: PlainResults | str | os.PathLike[str],
     method: str = 'likelihood',
     observer: Observer = Silent(),
     segmenter: SegmenterSettings = SegmenterSettings(),
-) -> Results:
+) -> PlainResults:
     """Load results from a JSON file or the folder of an analysis, or analyze a recording.
 
     If ``path`` is already a `Results` object, it is returned unchanged. ``method`` is the method of
     the fit of sums and recordings. A recording is processed with the settings ``segmenter``, and
     ``observer`` receives the progress of reading. Raises AllanError when the path cannot be read.
     """
-    expect((Results, *PATH), 'results or a path', source=path)
-    if isinstance(path, Results):
+    expect((PlainResults, *PATH), 'results or a path', source=path)
+    if isinstance(path, PlainResults):
         return path
     if is_document(path):
-        return load(path, method)
+        return load_results(path, method)
     (recorded,) = read_in_turn([ReadJob(str(path), segmenter=segmenter)], observer)
     return analyze_recorded(recorded, method)
 
@@ -87,7 +391,7 @@ def analyze(
     accel_unit: str = '',
     method: str = 'likelihood',
     sensor: str = '',
-    baseline: Results | str | os.PathLike[str] = '',
+    baseline: PlainResults | str | os.PathLike[str] = '',
     margin: float = MARGIN,
     hardware_id: str = '',
     processes: int = 1,
@@ -165,12 +469,12 @@ def analyze(
     if axes is not None:
         expect((str, Sequence), 'a text or a list', axes=axes)
     given = list(source) if isinstance(source, (list, tuple)) else [source]
-    if given and all(isinstance(each, (Results, *PATH)) for each in given):
+    if given and all(isinstance(each, (PlainResults, *PATH)) for each in given):
         if axes is not None:
             raise AllanError(
                 'axes are for arrays, not files: name the columns of a table with columns='
             )
-        known = [isinstance(each, Results) or is_document(each) for each in given]
+        known = [isinstance(each, PlainResults) or is_document(each) for each in given]
         stored = [_stored(each) for each, is_known in zip(given, known) if is_known]
         jobs = [
             ReadJob(str(path), reading, segmenter, hardware_id, True)
@@ -186,12 +490,12 @@ def analyze(
         recording = recording_in_memory(source, reading, axes)
         job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
         recorded = read_recording(job, recording)
-    return analyze_recorded(recorded, method).compared(sensor, baseline, margin)
+    return compared(Results.of(analyze_recorded(recorded, method)), sensor, baseline, margin)
 
 
 @public
 def compare(
-    *sources: Results | str | os.PathLike[str],
+    *sources: PlainResults | str | os.PathLike[str],
     sensor: str | Sequence[str] = (),
     margin: float = MARGIN,
     within: float = 0.0,
@@ -243,14 +547,14 @@ def compare(
     expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
     sensors = [sensor] if isinstance(sensor, PATH) else sensor
     sheets = [load_sensor(str(name)) for name in sensors]
-    paths = [chr(ord('A') + i) if isinstance(s, Results) else str(s) for i, s in enumerate(sources)]
+    paths = [
+        chr(ord('A') + i) if isinstance(s, PlainResults) else str(s) for i, s in enumerate(sources)
+    ]
     names = labels_of(paths)
     if len({*names}) < len(names):
         raise AllanError('an input is given twice: give different recordings')
     if len(sources) + len(sheets) < 2 or not sources:
         raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
-    from .results.comparison import Subject, compare_runs
-
     runs = (results_of(source, method, observer) for source in sources)
     return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin, within)
 
@@ -298,7 +602,6 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     0.9
     """
     from .readers.arrays import recording_in_memory
-    from .results.common_noise import common_of
 
     reading, settings = _settings(options, rate)
     recordings: dict[str, Recording] = {}
@@ -313,13 +616,13 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
             recordings[name] = ReadJob(path, replace(reading, topic=topic)).open()
     if not recordings:
         raise AllanError('no recording is given: give one of each IMU')
-    return common_of(recordings, settings)
+    return CommonResult(common_of(recordings, settings).rows)
 
 
 @public
 def inflate(
-    rest: Results | str | os.PathLike[str],
-    running: Results | str | os.PathLike[str],
+    rest: PlainResults | str | os.PathLike[str],
+    running: PlainResults | str | os.PathLike[str],
     *,
     horizon: float = 30.0,
     observer: Observer = Silent(),
@@ -360,8 +663,6 @@ def inflate(
     >>> round(ar.inflate(off, on).axes['gyro_x']['N'].factor, 1)
     2.0
     """
-    from .results.comparison import REST, RUNNING, Inflation, Subject, compare_runs
-
     check_range(1e-3, 1e9, 's', horizon=horizon)
     quiet = results_of(rest, observer=observer)
     still = SegmenterSettings(motion_gate=False)
@@ -382,9 +683,9 @@ def _settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, Seg
     return ReadOptions(rate_hz=rate, **reading), SegmenterSettings(declared_rate=rate, **segmenter)
 
 
-def _stored(source: Results | str | os.PathLike[str]) -> RecordingSums:
+def _stored(source: PlainResults | str | os.PathLike[str]) -> RecordingSums:
     """Return the sums of results, or of the path of an earlier analysis."""
-    if not isinstance(source, Results):
+    if not isinstance(source, PlainResults):
         return load_sums(source)
     if source.recorded is None:
         raise AllanError('these results were read without their sums: give the folder or sums.json')

@@ -15,6 +15,7 @@ import inspect
 import re
 import sys
 from collections.abc import Iterator
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -271,17 +272,19 @@ def _code(text: str) -> str:
 
 
 def _members(thing: type) -> Iterator[str]:
-    for name, member in vars(thing).items():
+    inherited = {name: m for kind in reversed(thing.__mro__[:-1]) for name, m in vars(kind).items()}
+    for name, member in inherited.items():
         if name.startswith('_') or not getattr(member, '__doc__', None):
             continue
-        if isinstance(member, property) or inspect.isfunction(member):
+        is_property = isinstance(member, (property, cached_property))
+        if is_property or inspect.isfunction(member):
             call = (
                 ''
-                if isinstance(member, property)
+                if is_property
                 else _signature(member).replace('(self, ', '(').replace('(self)', '()')
             )
-            shown = name if isinstance(member, property) else f'{name}{call}'
-            what = inspect.cleandoc(member.__doc__).split('\n\n')[0]
+            shown = name if is_property else f'{name}{call}'
+            what = inspect.cleandoc(member.__doc__ or '').split('\n\n')[0]
             yield f'| `{shown}` | {_code(" ".join(what.split()))} |'
 
 

@@ -35,10 +35,9 @@ from ..readers.recorded import (
     read_in_processes,
     read_in_turn,
 )
-from ..results.analysis import ResultSettings
 from ..results.datasheets import load_sensor
 from ..results.documents import RESULTS, load, load_sums, results_to_document
-from ..results.verdict import verdict_of
+from ..view.settings import ResultSettings
 from .batch import (
     EXIT_FAILED,
     EXIT_UNJUDGED,
@@ -190,7 +189,7 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
         if written:
             console.say(written)
     elif not (console.quiet and written):
-        verdict = verdict_of(results, units=settings.units)
+        verdict = results.verdicts[settings.units]
         style = width(), colored(sys.stdout), console.verbose
         print('\n'.join(results_lines(results, verdict, settings.units, *style)))
         if written:

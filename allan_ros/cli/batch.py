@@ -25,11 +25,13 @@ from ..core.imu import SENSORS, sensor_of, shown_unit
 from ..readers import topics_of
 from ..readers.files import write_atomic
 from ..readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
-from ..results.analysis import ResultSettings, analyze_recorded
+from ..results.analysis import analyze_recorded
 from ..results.documents import load, load_sums, results_to_document
+from ..results.references import compared
 from ..results.results import Results
-from ..results.verdict import WORDS, Verdict, finding_text, verdict_of
+from ..results.verdict import WORDS, Verdict, finding_text
 from ..view.coefficient_table import NUMBERS, coefficient_list
+from ..view.settings import ResultSettings
 from ..view.table import Record, csv_text, records
 from .console import EXIT_ERROR, EXIT_FAULT, Console, colored, fault_text, painted
 from .options import settings_of
@@ -145,7 +147,7 @@ def _verdict_on(outcome: Outcome, units: str) -> tuple[str, Verdict]:
     """Return the verdict on a unit and its word, which is 'error' without results."""
     if outcome.results is None:
         return 'error', Verdict('unknown', outcome.error, (), ())
-    verdict = verdict_of(outcome.results, units=units)
+    verdict = outcome.results.verdicts[units]
     return WORDS[verdict.level].lower(), verdict
 
 
@@ -269,7 +271,7 @@ def outcome_of(
         if is_document(unit.path) and not output:
             results = load(unit.path, settings.method)
             references = settings.sensor, settings.baseline, settings.stated_margin
-            return Outcome(unit, results.compared(*references))
+            return Outcome(unit, compared(results, *references))
         if recorded is None:
             recorded = add_recordings(
                 load_sums(job.path) if is_document(job.path) else read_recording(job)
@@ -296,9 +298,8 @@ def fit_and_write(
 ) -> tuple[Results, list[str]]:
     """Fit the sums; write the files if ``folder`` is given. Return results and file names."""
     settings = settings_of(ResultSettings, args)
-    results = analyze_recorded(recorded, settings.method).compared(
-        settings.sensor, settings.baseline, settings.margin
-    )
+    results = analyze_recorded(recorded, settings.method)
+    results = compared(results, settings.sensor, settings.baseline, settings.margin)
     if not folder:
         return results, []
     from ..view.result_files import write_result_files
@@ -364,7 +365,7 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
             error = one_line(outcome.error)
             rows.append({'recording': name, 'verdict': 'error', 'reason': error})
             continue
-        verdict = verdict_of(results, units=units)
+        verdict = results.verdicts[units]
         known: Record = {
             'recording': name,
             'serial': results.identity.hardware_id,
@@ -379,7 +380,7 @@ def _csv(outcomes: Sequence[Outcome], units: str) -> str:
 def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:
     if outcome.results is None:
         return {'path': outcome.unit.path, 'name': outcome.unit.name, 'error': outcome.error}
-    verdict = plain(verdict_of(outcome.results, units))
+    verdict = plain(outcome.results.verdicts[units])
     results = results_to_document(outcome.results, curves=False)
     named = {'path': outcome.unit.path, 'name': outcome.unit.name}
     return {**named, 'verdict': verdict, 'results': results}

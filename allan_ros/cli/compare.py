@@ -20,9 +20,9 @@ from typing import Any
 
 from .. import api
 from ..core.errors import AllanError
-from ..results.analysis import ResultSettings
 from ..results.common_noise import common_lines
 from ..results.comparison import comparison_document, inflation_document
+from ..view.settings import ResultSettings
 from .console import Console, width
 from .options import Command, Settings
 from .tables import comparison_lines

@@ -24,7 +24,8 @@ from ..core.imu import UNITS, sensor_of, shown_unit
 from ..core.number_text import LIMIT_DIGITS, significant
 from ..export import TARGETS, ExportOptions
 from ..readers.files import MAX_BYTES, read_text
-from ..results.datasheets import DEFAULT_RATE_HZ, Datasheet, Limit, load_sensor, sensor_names
+from ..results.datasheets import Datasheet, Limit, load_sensor, sensor_names
+from ..results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
 from ..results.measured import measured_entry, measured_lines
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
@@ -54,7 +55,9 @@ def run(args: argparse.Namespace) -> int:
     target = target_of(args.to)
     options = settings_of(ExportOptions, args)
     if args.sensor:
-        results = load_sensor(args.sensor).results(options.filter_rate or DEFAULT_RATE_HZ)
+        results = results_of_datasheet(
+            load_sensor(args.sensor), options.filter_rate or DEFAULT_RATE_HZ
+        )
     else:
         results = load(args.results)
     if args.against:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from ..core.settings import CheckedSettings, parameter
+from ..results.from_datasheet import FROM_DATASHEET
 
 if TYPE_CHECKING:
     from ..core.filters.reductions import Level
@@ -53,9 +54,6 @@ TARGETS = {
 
 WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
 """Filters that read the covariances of each message."""
-
-FROM_DATASHEET = 'datasheet'
-"""Method of results that contain the figures of a datasheet."""
 
 VIO_HORIZON_S = 30.0
 """Longest integration in s between corrections by a camera or lidar."""

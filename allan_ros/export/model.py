@@ -23,7 +23,8 @@ from ..core.filters.reductions import Level, Reduction, States, closest_process,
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
-from . import FROM_DATASHEET, ExportOptions, Key, Row, Target
+from ..results.from_datasheet import FROM_DATASHEET
+from . import ExportOptions, Key, Row, Target
 
 if TYPE_CHECKING:
     from ..results.axis_result import AxisResult
@@ -243,12 +244,10 @@ class FilterNoise:
 
     def reduction(self, axis: str, states: States = 'walk') -> Reduction:
         """Return the reduced-order model of one axis for a filter with these states."""
-        result, key = self.results.axes[axis], (states, self.horizon)
-        if key not in result.reductions:
-            result.reductions[key] = reduce_axis(axis, result.fit, *key)
+        reduced = reduce_axis(axis, self.results.axes[axis].fit, states, self.horizon)
         if states == 'walk':
-            self.used[axis] = result.reductions[key]
-        return result.reductions[key]
+            self.used[axis] = reduced
+        return reduced
 
     def findings(self) -> list[Finding]:
         """Return a warning that names the axes whose error growth N and K cannot describe."""

@@ -20,7 +20,8 @@ from ..core.filters.reductions import horizon_text
 from ..core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.number_text import duration_text, significant
-from . import FROM_DATASHEET, ExportOptions, Form, Key, Row, Target, Value, target_of
+from ..results.from_datasheet import FROM_DATASHEET
+from . import ExportOptions, Form, Key, Row, Target, Value, target_of
 from .model import REFUSED, FilterNoise, notation_of
 
 if TYPE_CHECKING:

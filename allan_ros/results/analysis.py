@@ -13,7 +13,7 @@ import ctypes
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +22,17 @@ import numpy as np
 from ..core.allan.at_rest import at_rest
 from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
-from ..core.compare import MARGIN
 from ..core.filters.bias import turn_on_bias
 from ..core.findings import Finding
-from ..core.fit import METHODS, NoiseModel
+from ..core.fit import NoiseModel
 from ..core.fit.findings import rounding_step, with_deviations
 from ..core.fit.interpretation import dominant_regions
 from ..core.fit.stationary import fit_stationary
 from ..core.fit.temperature import temperature_models
 from ..core.imu import AXES
-from ..core.settings import AUTO, UNIT_SYSTEMS, CheckedSettings, parameter
+from ..core.settings import AUTO
 from ..core.stream.health import sums_findings
 from ..readers.recorded import Provenance, RecordingSums
-from ..view.format import check_plots
 from .axis_result import AxisResult
 from .results import Results
 
@@ -45,56 +43,6 @@ SUFFIXES = ('64_', '')
 _lock = threading.Lock()
 _users = 0
 _restore = ExitStack()
-
-
-@dataclass(frozen=True)
-class ResultSettings(CheckedSettings):
-    """Settings for fitting, comparing, printing and exporting results."""
-
-    method: str = parameter(
-        'likelihood',
-        'Method of the fit: likelihood (maximum likelihood, with confidence intervals) or paper '
-        '(plain least squares, as in Cong et al. 2019).',
-        choices=METHODS,
-    )
-    units: str = parameter(
-        'deg/h',
-        'Units of the output: as in datasheets, such as deg/h and ug, or SI.',
-        choices=UNIT_SYSTEMS,
-    )
-    export: tuple[str, ...] = parameter(
-        (),
-        'Further files for filters: kalibr, openvins, px4 ... (`allan export --list` lists all, '
-        '`allan export` has more options).',
-    )
-    sensor: str = parameter(
-        '',
-        'Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml '
-        'file.',
-    )
-    baseline: str = parameter(
-        '', 'Earlier run of this IMU to compare with: its results.json, or its folder.'
-    )
-    plots: tuple[str, ...] = parameter(
-        (), 'Also draw the Allan deviation of each sensor as a figure: png, svg, pdf.'
-    )
-    margin: float = parameter(
-        MARGIN,
-        'A coefficient exceeds the datasheet or the earlier run if its complete interval lies '
-        'above it by this fraction.',
-        low=0.0,
-        high=1.0,
-        percent=True,
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_plots(self.plots)
-
-    @property
-    def stated_margin(self) -> float | None:
-        """The margin; None if it is the default, so that an earlier comparison keeps its margin."""
-        return None if self.margin == MARGIN else self.margin
 
 
 @contextmanager

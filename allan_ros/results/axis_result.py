@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from numbers import Real
 
 import numpy as np
@@ -20,7 +19,7 @@ from ..core.estimate import Estimate
 from ..core.filters.bias import TurnOnBias
 from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis
-from ..core.filters.reductions import Reduction, States, StateSpace, state_space
+from ..core.filters.reductions import StateSpace, state_space
 from ..core.fit import TERMS, AxisFit, Processes
 from ..core.fit.interpretation import ModelLine, Region, model_line
 from ..core.fit.least_squares import fit_curve
@@ -145,11 +144,6 @@ class AxisResult:
         True
         """
         return state_space(reduce_axis(self.name, self.fit, 'processes').model)
-
-    @cached_property
-    def reductions(self) -> dict[tuple[States, float], Reduction]:
-        """Reduced-order models that were computed: (states, horizon in s) -> model."""
-        return {}
 
     @property
     def growth(self) -> tuple[Growth, ...]:

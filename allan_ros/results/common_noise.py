@@ -44,12 +44,6 @@ class CommonResult:
         """Return the result as a JSON object of the schema ``allan_ros/common/1``, in SI."""
         return {'schema': 'allan_ros/common/1', 'rows': plain(self.rows)}
 
-    def plot(self) -> Any:
-        """Return a matplotlib Figure of the coherence over the averaging time."""
-        from ..view.plots import common_figure
-
-        return common_figure(self)
-
 
 @one_thread()
 def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) -> CommonResult:

@@ -15,30 +15,19 @@ has no figures.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple
 
 from ..core.compare import Comparison, LimitVerdict, verdict
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.fields import Fields, located, plain
 from ..core.findings import Finding, Quantity, finding
-from ..core.fit import TERMS, AxisFit
-from ..core.fit.model import model_of_terms
-from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
+from ..core.fit import TERMS
+from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import FLICKER_FLOOR
-from ..core.settings import expect
-from ..export import FROM_DATASHEET
-from ..readers import SourceInfo
-from ..readers.files import PATH, config_file, config_names, public, read_yaml
-from ..readers.recorded import Provenance
-from .axis_result import AxisResult
-from .measured import Measured, known_factors, measured_from_document
-
-if TYPE_CHECKING:
-    from .results import Results
+from ..readers.files import config_file, config_names, read_yaml
 
 SCHEMA = 'allan_ros/sensor/1'
 
@@ -68,14 +57,6 @@ MEANINGS = {
 }
 """Key that states the meaning of a number -> its value -> factor from the number to N or B, and a
 note. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
-
-
-DEFAULT_RATE_HZ = 200.0
-"""Rate of an IMU in files from a datasheet, unless the user states it."""
-
-CROSSING_S = 10.0
-"""Averaging time in s at which flicker noise equals white noise, if a datasheet states no B. Of the
-sensors that were measured, it is 7 to 200 s; a shorter time gives a larger B."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +91,43 @@ class Limit:
     note: str = ''
     condition: str = ''
     source: str = ''
+
+
+class MeasuredValue(NamedTuple):
+    """N or B of a sensor: root mean square of its axes, and the ends of their 95 % intervals."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Noise that was measured with one unit of a sensor: sensor -> term -> value in SI.
+
+    ``by`` names who recorded it, ``url`` the recording, ``condition`` rate and temperature.
+    """
+
+    by: str
+    url: str = ''
+    hours: float = 0.0
+    condition: str = ''
+    values: Mapping[str, Mapping[str, MeasuredValue]] = field(default_factory=dict)
+
+
+def measured_from_document(fields: Fields) -> Measured:
+    """Return an entry of the list ``measured`` in the file of a sensor."""
+    fields.only('by', 'url', 'hours', 'condition', *SI_UNITS)
+    values: dict[str, dict[str, MeasuredValue]] = {}
+    for sensor in (name for name in SI_UNITS if name in fields):
+        terms = fields.fields(sensor)
+        for term in terms:
+            one = terms.fields(term)
+            one.only(*MeasuredValue._fields, 'unit')
+            factor = one.quantity(SI_UNITS[sensor][term]) / one.number('value')
+            ends = (one.number(key) * factor for key in MeasuredValue._fields)
+            values.setdefault(sensor, {})[term] = MeasuredValue(*ends)
+    return fields.record(Measured, values=values)
 
 
 @dataclass(frozen=True)
@@ -158,58 +176,6 @@ class Datasheet:
             axis: {term: limit.value for term, limit in terms.items()}
             for axis, terms in self.limits.items()
         }
-
-    def results(self, rate: float = DEFAULT_RATE_HZ) -> Results:
-        """Return the noise model of the datasheet for an IMU with a rate in Hz.
-
-        It has the stated N and B. K of a file for a filter follows from its reduced-order model:
-        it covers the error growth of N and B over the horizon of the filter. Raises AllanError if
-        the datasheet states no N of an axis of a sensor.
-        """
-        from .results import Results
-
-        unknown = Estimate(None, status='not_observable')
-        axes, assumed = {}, []
-        for axis, terms in self.values().items():
-            if 'N' not in terms:
-                raise AllanError(
-                    f'{self.name} states no N of {axis}: record the sensor at rest and use '
-                    'allan analyze'
-                )
-            if 'B' not in terms:
-                assumed.append(axis)
-            flicker = terms['N'] / math.sqrt(FLICKER_FLOOR * CROSSING_S)
-            known = {'N': Estimate(terms['N']), 'B': Estimate(terms.get('B', flicker))}
-            noise = {term: known.get(term, unknown) for term in TERMS}
-            fit = AxisFit(noise, model_of_terms(noise))
-            axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
-        low, high = known_factors(map(load_sensor, sensor_names()))
-        found = [finding('from_datasheet', name=self.name, low=low, high=high)]
-        if assumed:
-            found.append(finding('bias_not_stated', tuple(assumed), time=CROSSING_S))
-        stated = [f'{one} {one.url}'.strip() for one in self.sources.values()]
-        stated += [
-            f'{kind} {term} stated {limit.stated}{f" ({limit.note})" if limit.note else ""}'
-            for kind in SENSORS
-            for term in 'NB'
-            if (limit := self.limits.get(f'{kind}_x', {}).get(term))
-        ]
-        sources = tuple(SourceInfo(text, '', '', '') for text in stated)
-        identity, provenance = ImuIdentity(self.name), Provenance(sources)
-        period = 1.0 / rate
-        return Results(identity, FROM_DATASHEET, period, 0, 0.0, 0, axes, provenance, tuple(found))
-
-    def export(
-        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
-    ) -> str:
-        """Return the text of a file for a filter or simulator, with the noise of the datasheet.
-
-        The arguments are the same as in `Results.export`. ``filter_rate`` is also the rate of the
-        IMU; the default is 200 Hz.
-        """
-        return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
-            target, path, **options
-        )
 
 
 VERDICTS: tuple[LimitVerdict, ...] = ('exceeds', 'undecided', 'within')
@@ -336,25 +302,6 @@ def comparison_from_document(
 def sensor_names() -> list[str]:
     """Return the names of the datasheets of the package and of the user."""
     return config_names('sensors')
-
-
-@public
-def sensor(name: str | os.PathLike[str]) -> Datasheet:
-    """Return a datasheet, given its name or the path of its .yaml file.
-
-    Raises
-    ------
-    AllanError
-        If the name is unknown, or the file is invalid.
-
-    Examples
-    --------
-    >>> import allan_ros as ar
-    >>> ar.sensor('adis16475-3').limits['gyro_x']['B'].stated
-    '7 deg/h'
-    """
-    expect(PATH, 'a name or a path', name=name)
-    return load_sensor(os.fspath(name))
 
 
 def load_sensor(name: str) -> Datasheet:

@@ -34,13 +34,12 @@ from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
 from ..readers import SourceInfo
-from ..readers.files import PATH, public, read_json, to_json
+from ..readers.files import PATH, read_json, to_json
 from ..readers.recorded import Provenance, RecordingSums
 from .analysis import analyze_recorded
 from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document
 from .results import Results
-from .verdict import verdict_of
 
 RESULTS_SCHEMA = 'allan_ros/results/3'
 SUMS_SCHEMA = 'allan_ros/sums_file/2'
@@ -83,7 +82,7 @@ def results_to_document(
     Without ``curves``, the curves and the verdict are left out, which gives a short document.
     ``units`` ('deg/h' or 'SI') are the units in the texts of the verdict; numbers are in SI.
     """
-    judged = {'verdict': plain(verdict_of(results, units))} if curves else {}
+    judged = {'verdict': plain(results.verdicts[units])} if curves else {}
     return {
         'schema': RESULTS_SCHEMA,
         'tool': TOOL,
@@ -166,36 +165,11 @@ def sums_file_from_document(
     )
 
 
-@public
 def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
-    """Read the results of an earlier analysis.
+    """Read the results of an earlier analysis: its folder, a results.json, or a sums.json.
 
-    Parameters
-    ----------
-    path : path
-        The folder of an analysis, a results.json, or a sums.json or checkpoint, whose sums are
-        fitted again. Only results with sums (all but a results.json) can be added and saved.
-    method : str
-        Method of the fit of sums: 'likelihood' or 'paper', as in `analyze`.
-
-    Returns
-    -------
-    Results
-
-    Raises
-    ------
-    AllanError
-        When the file is missing, or is not such a document.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import allan_ros as ar
-    >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     files = results.save(folder)
-    ...     ar.load(folder).samples == results.samples
-    True
+    Sums are fitted again by ``method``. Raises AllanError when the file is missing, or is not such
+    a document.
     """
     expect(PATH, 'a path', path=path)
     place = Path(path)

@@ -5,61 +5,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 from ..core.compare import Change
-from ..core.fields import Fields
-from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, SI_UNITS, UNITS
+from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, UNITS
 from ..core.number_text import significant
-
-if TYPE_CHECKING:
-    from .datasheets import Datasheet
-    from .results import Results
+from .datasheets import Datasheet, Measured, MeasuredValue
+from .results import Results
 
 SHOWN = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
 """Unit of a measured value in the catalogue, if it differs from `DATASHEET_UNITS`."""
 
 WORDS: dict[Change, str] = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}
 """Change from the measured units -> its text."""
-
-
-class MeasuredValue(NamedTuple):
-    """N or B of a sensor: root mean square of its axes, and the ends of their 95 % intervals."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Noise that was measured with one unit of a sensor: sensor -> term -> value in SI.
-
-    ``by`` names who recorded it, ``url`` the recording, ``condition`` rate and temperature.
-    """
-
-    by: str
-    url: str = ''
-    hours: float = 0.0
-    condition: str = ''
-    values: Mapping[str, Mapping[str, MeasuredValue]] = field(default_factory=dict)
-
-
-def measured_from_document(fields: Fields) -> Measured:
-    """Return an entry of the list ``measured`` in the file of a sensor."""
-    fields.only('by', 'url', 'hours', 'condition', *SI_UNITS)
-    values: dict[str, dict[str, MeasuredValue]] = {}
-    for sensor in (name for name in SI_UNITS if name in fields):
-        terms = fields.fields(sensor)
-        for term in terms:
-            one = terms.fields(term)
-            one.only(*MeasuredValue._fields, 'unit')
-            factor = one.quantity(SI_UNITS[sensor][term]) / one.number('value')
-            ends = (one.number(key) * factor for key in MeasuredValue._fields)
-            values.setdefault(sensor, {})[term] = MeasuredValue(*ends)
-    return fields.record(Measured, values=values)
 
 
 def measured_values(results: Results) -> dict[tuple[str, str], MeasuredValue]:

@@ -4,19 +4,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, Protocol
 
 from ..core.compare import Comparison
 from ..core.estimate import value_text
 from ..core.findings import Finding, by_consequence, grouped, is_note
 from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
-from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
+from ..core.imu import AXES, SENSORS, ImuIdentity, sensor_of, shown_unit
 from ..core.number_text import duration_text, significant
-
-if TYPE_CHECKING:
-    from .results import Results
+from ..readers.recorded import Provenance
+from .axis_result import AxisResult
+from .datasheets import DatasheetComparison
 
 Level = Literal['healthy', 'attention', 'measured', 'unknown', 'failed']
 
@@ -43,6 +43,33 @@ NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short'
 which is a separate step."""
 
 
+class Judged(Protocol):
+    """Results on which a verdict is given, such as `allan_ros.results.results.Results`."""
+
+    @property
+    def identity(self) -> ImuIdentity: ...
+    @property
+    def method(self) -> str: ...
+    @property
+    def rate_hz(self) -> float: ...
+    @property
+    def samples(self) -> int: ...
+    @property
+    def duration_s(self) -> float: ...
+    @property
+    def segments(self) -> int: ...
+    @property
+    def axes(self) -> Mapping[str, AxisResult]: ...
+    @property
+    def provenance(self) -> Provenance: ...
+    @property
+    def findings(self) -> tuple[Finding, ...]: ...
+    @property
+    def datasheet(self) -> DatasheetComparison | None: ...
+    @property
+    def comparisons(self) -> tuple[Comparison, ...]: ...
+
+
 @dataclass(frozen=True)
 class Verdict:
     """Summary of an analysis: level, reasons and next steps.
@@ -67,7 +94,7 @@ class Verdict:
     next_steps: tuple[str, ...]
 
 
-def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
+def verdict_of(results: Judged, units: str = 'deg/h') -> Verdict:
     """Return the verdict on the IMU of the results; ``units`` of its texts is 'deg/h' or 'SI'."""
     comparisons = results.comparisons
     level = _level(results, comparisons)
@@ -77,7 +104,7 @@ def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
     return Verdict(level, summary, reasons, steps)
 
 
-def measured(results: Results) -> bool:
+def measured(results: Judged) -> bool:
     """Return whether any coefficient of any axis has a value."""
     return any(
         c.value is not None and c.status == 'estimated'
@@ -86,7 +113,7 @@ def measured(results: Results) -> bool:
     )
 
 
-def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
+def _level(results: Judged, comparisons: Sequence[Comparison]) -> Level:
     severities = {finding.severity for finding in results.findings}
     if {finding.id for finding in results.findings} & set(SENSOR_FAULTS):
         return 'failed'
@@ -105,12 +132,12 @@ def _level(results: Results, comparisons: Sequence[Comparison]) -> Level:
     return 'attention' if 'warning' in severities else 'healthy'
 
 
-def too_short(results: Results) -> bool:
+def too_short(results: Judged) -> bool:
     """Return whether there is too little data at rest for a verdict."""
     return not measured(results) or results.duration_s < TOO_SHORT_S
 
 
-def _summary(results: Results, comparisons: Sequence[Comparison], units: str) -> str:
+def _summary(results: Judged, comparisons: Sequence[Comparison], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
     wrong = [f for f in grouped(results.findings) if f.id in WRONG_UNITS]
     if wrong and not faults and not too_short(results):
@@ -142,7 +169,7 @@ def _summary(results: Results, comparisons: Sequence[Comparison], units: str) ->
     )
 
 
-def quality(results: Results) -> str:
+def quality(results: Judged) -> str:
     """Return a sentence on the precision of N, B and K: 'N to 0.4 %, B to 8 %, K needs 3 h.'
 
     The percentage is half the width of the 95 % interval, on the axis where it is largest.
@@ -179,7 +206,7 @@ def _references(comparisons: Sequence[Comparison]) -> str:
     return _joined(list(dict.fromkeys(c.reference for c in comparisons)))
 
 
-def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
+def _excesses(results: Judged, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
     groups: dict[tuple[str, str, float | None], list[Comparison]] = {}
     for c in beyond:
         groups.setdefault((sensor_of(c.axis), c.term, c.tau), []).append(c)
@@ -193,12 +220,12 @@ def _excesses(results: Results, beyond: Sequence[Comparison], units: str) -> Ite
         yield f'{what} of {where} (at least {" to ".join(times)} times {limit} {unit.name})'
 
 
-def warnings_and_errors(results: Results) -> list[Finding]:
+def warnings_and_errors(results: Judged) -> list[Finding]:
     """Return the warnings and errors, one for each cause."""
     return [found for found in grouped(results.findings) if found.severity != 'info']
 
 
-def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
+def time_to_record(results: Judged) -> tuple[float, tuple[str, ...]] | None:
     """Return the recommended length of a recording in s and the terms that it resolves.
 
     None if the present length suffices, or the method is not 'likelihood'.
@@ -216,7 +243,7 @@ def time_to_record(results: Results) -> tuple[float, tuple[str, ...]] | None:
     )
 
 
-def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) -> Iterator[str]:
+def _steps(level: Level, results: Judged, comparisons: Sequence[Comparison]) -> Iterator[str]:
     remedies: dict[str, list[str]] = {}
     for finding in by_consequence(results.findings):
         if finding.severity != 'info' and finding.id not in NO_STEP:
@@ -237,13 +264,13 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Comparison]) ->
         yield 'Write a file for a filter: allan export FOLDER --to openvins.'
 
 
-def further_steps(results: Results, verdict: Verdict) -> list[str]:
+def further_steps(results: Judged, verdict: Verdict) -> list[str]:
     """Return the next steps of a verdict that are not remedies of its findings."""
     remedies = tuple(r for f in results.findings if (r := f.remedy.rstrip('.')))
     return [step for step in verdict.next_steps if not step.startswith(remedies)]
 
 
-def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
+def findings_and_notes(results: Judged) -> tuple[list[Finding], list[Finding]]:
     """Return the findings that affect the data or the numbers, and the notes.
 
     Equal findings of several axes are merged. Both are in the order of their consequence.
@@ -252,12 +279,12 @@ def findings_and_notes(results: Results) -> tuple[list[Finding], list[Finding]]:
     return [f for f in found if not is_note(f)], [f for f in found if is_note(f)]
 
 
-def finding_text(finding: Finding, results: Results, units: str) -> str:
+def finding_text(finding: Finding, results: Judged, units: str) -> str:
     """Return the axes and the message of a finding: 'gyro x, accel: Vibration at ...'."""
     return where(finding, results) + finding.texts(units).message
 
 
-def where(finding: Finding, results: Results) -> str:
+def where(finding: Finding, results: Judged) -> str:
     """Return the axes of a finding as the start of its text: 'gyro x, accel: ', or ''."""
     return f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
 
@@ -266,7 +293,7 @@ def _axis(axis: str) -> str:
     return f'{sensor_of(axis)} {axis.rsplit("_", 1)[1]}'
 
 
-def _axes_text(axes: Sequence[str], results: Results) -> str:
+def _axes_text(axes: Sequence[str], results: Judged) -> str:
     """Return the names of axes: 'gyro x', 'gyro' for all its axes, or 'all axes'."""
     if set(axes) >= set(results.axes):
         return 'all axes'
@@ -286,7 +313,7 @@ REPORTED_LEFT_OUT = 0.01
 """Fraction of unused samples above which the number of received samples is shown."""
 
 
-def used_samples(results: Results) -> str:
+def used_samples(results: Judged) -> str:
     """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part is left out."""
     used, counts = results.samples, results.provenance.counts
     # the counts of two topics are sums, and `used` is the number of samples of one
@@ -296,7 +323,7 @@ def used_samples(results: Results) -> str:
     return f'{used:,}{total} samples'
 
 
-def headline(results: Results) -> str:
+def headline(results: Judged) -> str:
     """Return one line: name of the IMU, number and rate of samples, time at rest, and method."""
     name = results.identity.label or 'IMU'
     return (
@@ -306,7 +333,7 @@ def headline(results: Results) -> str:
     )
 
 
-def summary_lines(results: Results) -> Iterator[str]:
+def summary_lines(results: Judged) -> Iterator[str]:
     """Yield the lines of a text summary: headline, N, B and K of each axis, warnings, errors."""
     yield headline(results)
     for name, axis in results.axes.items():

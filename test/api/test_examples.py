@@ -46,7 +46,8 @@ def test_every_public_method_is_in_an_example() -> None:
     methods = {
         name: member
         for kind in classes
-        for name, member in vars(kind).items()
+        for base in kind.__mro__
+        for name, member in vars(base).items()
         if name[0] != '_' and (isinstance(member, property) or inspect.isfunction(member))
     }
     functions = [getattr(allan_ros, name) for name in allan_ros.__all__]

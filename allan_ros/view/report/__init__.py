@@ -37,7 +37,6 @@ from ...results.verdict import (
     further_steps,
     too_short,
     used_samples,
-    verdict_of,
     where,
 )
 from ..format import SENSOR_NAMES, pretty_unit
@@ -95,7 +94,7 @@ def render_report(
         'temperature': temperature_chart(signal),
         'sensors': charts,
     }
-    verdict = verdict_of(results, units=units)
+    verdict = results.verdicts[units]
     body = [
         *_header(results, name, units),
         '<main>',
@@ -206,7 +205,7 @@ def _items(texts: Iterable[str]) -> str:
 
 
 def _verdict_section(results: Results, verdict: Verdict) -> str:
-    summary = in_units(lambda system: escape(verdict_of(results, units=system).summary))
+    summary = in_units(lambda system: escape(results.verdicts[system].summary))
     found = findings_and_notes(results)
     counts = [
         f'{n} {word}{"" if n == 1 else "s"}'

@@ -1,0 +1,70 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The noise model of a datasheet as `Results`, for the files of an IMU that was not measured."""
+
+from __future__ import annotations
+
+import math
+
+from ..core.errors import AllanError
+from ..core.estimate import Estimate
+from ..core.findings import finding
+from ..core.fit import TERMS, AxisFit
+from ..core.fit.model import model_of_terms
+from ..core.imu import SENSORS, ImuIdentity
+from ..core.noise import FLICKER_FLOOR
+from ..readers import SourceInfo
+from ..readers.recorded import Provenance
+from .axis_result import AxisResult
+from .datasheets import Datasheet, load_sensor, sensor_names
+from .measured import known_factors
+from .results import Results
+
+FROM_DATASHEET = 'datasheet'
+"""Method of results that come from a datasheet."""
+
+DEFAULT_RATE_HZ = 200.0
+"""Rate of an IMU in files from a datasheet, unless the user states it."""
+
+CROSSING_S = 10.0
+"""Averaging time in s at which flicker noise equals white noise, if a datasheet states no B. Of the
+sensors that were measured, it is 7 to 200 s; a shorter time gives a larger B."""
+
+
+def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Results:
+    """Return the noise model of the datasheet for an IMU with a rate in Hz.
+
+    It has the stated N and B. K of a file for a filter follows from its reduced-order model:
+    it covers the error growth of N and B over the horizon of the filter. Raises AllanError if
+    the datasheet states no N of an axis of a sensor.
+    """
+    unknown = Estimate(None, status='not_observable')
+    axes, assumed = {}, []
+    for axis, terms in sheet.values().items():
+        if 'N' not in terms:
+            raise AllanError(
+                f'{sheet.name} states no N of {axis}: record the sensor at rest and use '
+                'allan analyze'
+            )
+        if 'B' not in terms:
+            assumed.append(axis)
+        flicker = terms['N'] / math.sqrt(FLICKER_FLOOR * CROSSING_S)
+        known = {'N': Estimate(terms['N']), 'B': Estimate(terms.get('B', flicker))}
+        noise = {term: known.get(term, unknown) for term in TERMS}
+        fit = AxisFit(noise, model_of_terms(noise))
+        axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
+    low, high = known_factors(map(load_sensor, sensor_names()))
+    found = [finding('from_datasheet', name=sheet.name, low=low, high=high)]
+    if assumed:
+        found.append(finding('bias_not_stated', tuple(assumed), time=CROSSING_S))
+    stated = [f'{one} {one.url}'.strip() for one in sheet.sources.values()]
+    stated += [
+        f'{kind} {term} stated {limit.stated}{f" ({limit.note})" if limit.note else ""}'
+        for kind in SENSORS
+        for term in 'NB'
+        if (limit := sheet.limits.get(f'{kind}_x', {}).get(term))
+    ]
+    sources = tuple(SourceInfo(text, '', '', '') for text in stated)
+    identity, provenance = ImuIdentity(sheet.name), Provenance(sources)
+    period = 1.0 / rate
+    return Results(identity, FROM_DATASHEET, period, 0, 0.0, 0, axes, provenance, tuple(found))

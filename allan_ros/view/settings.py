@@ -1,0 +1,62 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the outputs of an analysis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..core.compare import MARGIN
+from ..core.fit import METHODS
+from ..core.settings import UNIT_SYSTEMS, CheckedSettings, parameter
+from .format import check_plots
+
+
+@dataclass(frozen=True)
+class ResultSettings(CheckedSettings):
+    """Settings for fitting, comparing, printing and exporting results."""
+
+    method: str = parameter(
+        'likelihood',
+        'Method of the fit: likelihood (maximum likelihood, with confidence intervals) or paper '
+        '(plain least squares, as in Cong et al. 2019).',
+        choices=METHODS,
+    )
+    units: str = parameter(
+        'deg/h',
+        'Units of the output: as in datasheets, such as deg/h and ug, or SI.',
+        choices=UNIT_SYSTEMS,
+    )
+    export: tuple[str, ...] = parameter(
+        (),
+        'Further files for filters: kalibr, openvins, px4 ... (`allan export --list` lists all, '
+        '`allan export` has more options).',
+    )
+    sensor: str = parameter(
+        '',
+        'Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml '
+        'file.',
+    )
+    baseline: str = parameter(
+        '', 'Earlier run of this IMU to compare with: its results.json, or its folder.'
+    )
+    plots: tuple[str, ...] = parameter(
+        (), 'Also draw the Allan deviation of each sensor as a figure: png, svg, pdf.'
+    )
+    margin: float = parameter(
+        MARGIN,
+        'A coefficient exceeds the datasheet or the earlier run if its complete interval lies '
+        'above it by this fraction.',
+        low=0.0,
+        high=1.0,
+        percent=True,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_plots(self.plots)
+
+    @property
+    def stated_margin(self) -> float | None:
+        """The margin; None if it is the default, so that an earlier comparison keeps its margin."""
+        return None if self.margin == MARGIN else self.margin
