@@ -15,6 +15,7 @@ import pytest
 from hypothesis import settings
 from support.chromium import Chromium, find_chromium
 
+from allan_ros.api import Results
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import NoiseModel
 from allan_ros.core.fit.stationary import fit_stationary
@@ -24,7 +25,6 @@ from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.readers import SourceInfo
 from allan_ros.readers.recorded import Provenance
 from allan_ros.results.analysis import analyze_sums
-from allan_ros.results.results import Results
 
 # The time an example takes depends on the machine, not on the law that is tested.
 settings.register_profile('allan_ros', deadline=None)
@@ -126,4 +126,4 @@ def small_run() -> tuple[AllanSums, Provenance]:
 def small_results(small_run: tuple[AllanSums, Provenance]) -> Results:
     """Return the results of `small_run` by the default method."""
     sums, provenance = small_run
-    return analyze_sums([sums], provenance)
+    return Results.of(analyze_sums([sums], provenance))

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from allan_ros.api import Results
 from allan_ros.cli.tables import results_lines
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
@@ -30,7 +31,6 @@ from allan_ros.results.documents import (
     sums_file_from_document,
     sums_file_to_document,
 )
-from allan_ros.results.results import Results
 from allan_ros.results.verdict import verdict_of
 
 ABSURD = [0, -1, 1, 1e-300, 1e12, 1e150, -1e150, 2**61, None, '\x1b[31m', [], {}, True]
@@ -72,7 +72,7 @@ def changes(document: dict[str, Any], seed: int) -> Iterator[dict[str, Any]]:
 def use_results(results: Results) -> None:
     for text in (repr(results), *results_lines(results, verdict_of(results), 'deg/h', 100)):
         assert '\x1b' not in text
-    results.table()
+    Results.of(results).table()
     to_json(results_to_document(results))
     for target in ('kalibr', 'px4'):
         make_export(results, target)

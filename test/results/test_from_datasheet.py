@@ -19,12 +19,12 @@ from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.noise import NoiseTerms, ProcessModel
 from allan_ros.export import TARGETS
 from allan_ros.results.datasheets import (
-    CROSSING_S,
     SCHEMA,
     Datasheet,
     load_sensor,
     sensor_names,
 )
+from allan_ros.results.from_datasheet import CROSSING_S
 from allan_ros.results.measured import known_factors, measured_values
 from allan_ros.results.results import Results
 
