@@ -170,7 +170,7 @@ def segment_statistics(known: Statistics, means: BlockMeans) -> tuple[Statistics
 
 
 def segment_of(
-    known: Statistics, lowest: int, axis: int, more: tuple[Component, ...] = ()
+    known: Statistics, lowest: int, axis: int, daily: Component | None = None
 ) -> Segment | None:
     """Return the segment of `segment_statistics` for one axis; None if the axis has no noise."""
     z = known.groups[0].sums[axis]
@@ -178,7 +178,7 @@ def segment_of(
     data = replace(data, used=known.octave >= lowest)
     if not np.any(np.abs(z[1:]) > 0.0) or np.any(data.power[data.used] <= 0.0):
         return None
-    components = (*TERMS, *more)
+    components = (*TERMS, daily) if daily else TERMS
     columns = data.columns(components)
     fit = data.solve(components, columns, tolerance=1e-2)
     if not math.isfinite(fit.value):
@@ -201,8 +201,8 @@ def warm_ups(sums: AllanSums) -> list[WarmUp]:
             and _is_tested(first, tau0)
             and first.samples >= LEAST_SEGMENT * recording.samples
         ):
-            more = daily_cycle(first.samples, tau0)
-            each = [warm_up(known, i, first, axes, more) for axes in sensors]
+            daily = daily_cycle(first.samples, tau0)
+            each = [warm_up(known, i, first, axes, daily) for axes in sensors]
             found += [w for w in each if w is not None]
     return found
 
@@ -217,11 +217,11 @@ def warm_up(
     recording: int,
     means: BlockMeans,
     axes: Sequence[int],
-    more: tuple[Component, ...] = (),
+    daily: Component | None = None,
 ) -> WarmUp | None:
     """Return the warm-up of the axes of one sensor in the first segment of a recording, or None."""
     local, lowest = segment_statistics(known, means)
-    all_axes = {a: segment_of(local, lowest, a, more) for a in axes}
+    all_axes = {a: segment_of(local, lowest, a, daily) for a in axes}
     segments = {a: s for a, s in all_axes.items() if s is not None}
     if not segments:
         return None
@@ -269,11 +269,11 @@ def bias_steps(
     means: BlockMeans,
     axis: int,
     tau0: float,
-    more: tuple[Component, ...] = (),
+    daily: Component | None = None,
 ) -> BiasSteps | None:
     """Return the steps of the bias of one axis in a segment, or None."""
     local, lowest = segment_statistics(known, means)
-    segment = segment_of(local, lowest, axis, more)
+    segment = segment_of(local, lowest, axis, daily)
     if segment is None:
         return None
     points, high = local.groups[0].points, local.groups[0].high

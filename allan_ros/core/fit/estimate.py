@@ -124,13 +124,28 @@ class _Trial(NamedTuple):
 
 
 def estimate(
-    data: AxisData, candidates: Candidates, known: tuple[Component, ...] = ()
+    data: AxisData, candidates: Candidates, possible: Component | None = None
 ) -> SelectedModel:
     """Return the estimate for one axis.
 
-    ``known`` are components that are always in the model, such as a daily cycle.
+    ``possible`` is a component whose shape is known, such as a daily cycle. It is in the model if
+    it is resolved beside all other components.
     """
-    rules = Selection(data, candidates, (*TERMS, *known))
+    if possible is None:
+        return _estimate(Selection(data, candidates))
+    found = _estimate(Selection(data, candidates, (*TERMS, possible)))
+    at = len(TERMS)
+    others = (*found.fit.components[:at], *found.fit.components[at + 1 :])
+    signed = tuple(i - (i > at) for i in found.fit.signed)
+    without = found.rules.data.solve(others, None, np.delete(found.fit.p, at), signed=signed)
+    if without.value - found.fit.value > GAIN_RESOLVED:
+        return found
+    return _estimate(Selection(data, candidates))
+
+
+def _estimate(rules: Selection) -> SelectedModel:
+    """Return the estimate for one axis with the processes that are selected."""
+    data = rules.data
     if len(data.power) < LEAST_BINS:
         rules, fit = rules.selected()
         return SelectedModel(rules, rules.bounded(fit), 0.5, {})

@@ -59,12 +59,12 @@ LEAST_STATISTICS = 12
 DAY_S = 86400.0
 
 
-def daily_cycle(samples: int, tau0: float) -> tuple[Component, ...]:
-    """Return the daily cycle, which is in the model of every segment of more than 18 h.
+def daily_cycle(samples: int, tau0: float) -> Component | None:
+    """Return the daily cycle, which may be in the model of a segment of more than 18 h.
 
     The temperature of most rooms follows it.
     """
-    return (('sinusoid', tau0 / DAY_S),) if samples * tau0 > 0.75 * DAY_S else ()
+    return ('sinusoid', tau0 / DAY_S) if samples * tau0 > 0.75 * DAY_S else None
 
 
 def fit_likelihood(sums: AllanSums) -> NoiseModel:

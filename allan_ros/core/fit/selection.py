@@ -50,6 +50,9 @@ inaccurate; with all, a strong sinusoid would have to be as narrow as the model.
 LINES_PER_OCTAVE = 3
 """Sinusoids within an octave that can imitate any smooth spectrum (no axis)."""
 
+LEAST_PERIODS = 3.0
+"""Fewest periods of a sinusoid or resonance in the longest segment. A slow drift imitates fewer."""
+
 WANDER = 1e-3
 """Relative uncertainty of the frequency of a sinusoid."""
 
@@ -97,10 +100,10 @@ class Candidates:
 
     @cached_property
     def lines(self) -> list[Component]:
-        """Sinusoids at the frequencies of the bins and between them."""
+        """Sinusoids at the frequencies of the bins and between them, of `LEAST_PERIODS` or more."""
         known = self.statistics
         highest = min(known.crossover, 0.5 / known.step)
-        low = np.arange(1.0, known.longest * highest, 0.5) / known.longest
+        low = np.arange(LEAST_PERIODS, known.longest * highest, 0.5) / known.longest
         width = np.diff(known.f, append=known.f[-1:] if len(known.f) else [])
         same = np.append(np.diff(known.octave) == 0, False) if len(known.f) else width > 0
         between = (known.f + width / 2.0)[same]
@@ -308,7 +311,7 @@ class Selection:
         width = 1.0 / self.candidates.narrowest(frequency)
         best = fit
         for f in frequency + np.arange(-0.5 * width, 0.5 * width, 0.5 / LONGEST_BLOCK):
-            if 0.5 / self.data.statistics.longest < f < 0.499:
+            if LEAST_PERIODS / self.data.statistics.longest < f < 0.499:
                 new = self.fit((*fit.components[:-1], (kind, float(f))), fit.p)
                 best = min(best, new, key=lambda each: each.value)
         return best
@@ -378,7 +381,11 @@ class Selection:
         """Return a component of which the logarithm of one number of its shape is changed."""
         kind, *shape = component
         meaning, longest = PROCESS_TYPES[kind].shape[at], self.data.statistics.longest
-        low, high = (self.shortest, 4.0 * longest) if meaning == 'time' else (0.5 / longest, 0.499)
+        low, high = (
+            (self.shortest, 4.0 * longest)
+            if meaning == 'time'
+            else (LEAST_PERIODS / longest, 0.499)
+        )
         if at > 0:
             low = BANDWIDTHS[0] / shape[0]
             high = max(self.candidates.narrowest(shape[0]), low)

@@ -238,11 +238,32 @@ def test_white_noise_has_no_ramp():
     assert sum(fit.noise['R'].status == 'estimated' for fit in found) <= 1
 
 
-def test_a_daily_cycle_is_in_the_model_of_its_record():
-    known = statistics(sums_of(simulated(20_000, 1, 11)))
-    cycle = (('sinusoid', 1e-4),)
-    result = estimate(AxisData.of(known, 0), Candidates(known), cycle)
-    assert result.fit.components[len(TERMS)] == cycle[0]
+DAY = 1440
+"""Samples of a day: one per minute."""
+
+
+@pytest.mark.parametrize('days', [2, 11])
+def test_a_daily_cycle_is_in_the_model_only_if_it_is_significant(days):
+    """12 axes without a cycle: more than one false alarm of 1 % has a probability of 0.6 %."""
+    n, cycle = days * DAY, ('sinusoid', 1.0 / DAY)
+    y = simulated(n, 12, days, NoiseTerms(N=1e-3, B=5e-4, K=1e-6 * RATE))
+    daily = 0.1 * np.sin(2.0 * np.pi * np.arange(n) / DAY)[:, None]
+    present = []
+    for samples in (y, y + daily):
+        known = statistics(sums_of(samples))
+        found = [estimate(AxisData.of(known, a), Candidates(known), cycle) for a in range(12)]
+        present.append(sum(cycle in each.fit.components for each in found))
+    assert present[0] <= 1 and present[1] == 12
+
+
+def test_a_sinusoid_has_three_periods_in_the_data():
+    """A wave of 1.3 periods is drift: 3 axes."""
+    n = 60_000
+    y = simulated(n, 3, 18, FLAT)
+    y += 3.0 * FLAT.B * np.sin(2.0 * np.pi * 1.3 * np.arange(n) / n)[:, None]
+    for fit in fits(y):
+        assert all(line.frequency * n * TAU0 >= 3.0 for line in fit.processes.sinusoid)
+        assert all(r.frequency * n * TAU0 >= 3.0 for r in fit.processes.resonance)
 
 
 @pytest.mark.parametrize('samples', [60, 300, 900])
