@@ -28,6 +28,7 @@ from ..imu import (
 )
 from .health import Counts
 from .sensors import SensorPlan
+from .timing import has_time
 
 BACKWARD_RUN = 16
 """If this number of consecutive samples is stamped earlier than the latest stamp, the clock was set
@@ -83,8 +84,9 @@ class StampChoice:
         stamps = first.stamps_ns
         if self.use_record:
             return []
-        what = 'all equal' if stamps.any() else 'all zero'
-        if len(stamps) < 2 or stamps.min() != stamps.max():
+        equal = 'all equal' if len(stamps) < 2 or stamps.min() == stamps.max() else 'mostly equal'
+        what = equal if stamps.any() else 'all zero'
+        if len(stamps) < 2 or has_time(np.sort(stamps)):
             backward = np.diff(StampSorter.all_sorted(Block(stamps, first.samples.T)).stamps) < 0
             if np.count_nonzero(backward) <= DISORDERED_SHARE * len(stamps):
                 unit = unit_of_stamps(stamps)

@@ -28,6 +28,9 @@ the IMU is at rest, and its data are used. 'moving': it moves. 'noise_increased'
 its noise is larger than the noise floor. 'noise_decreased': the noise of an axis is much smaller
 than the noise floor."""
 
+PLAUSIBLE_RATE_HZ = 0.1, 1e5
+"""Sample rates in Hz outside of which the unit of the stamps is probably wrong."""
+
 RATE_CHANGE = 0.02
 """Smallest relative difference between two sample periods that is regarded as another rate."""
 
@@ -302,6 +305,8 @@ def stream_findings(
     rate = 1.0 / sums[0].tau0 if sums and sums[0].tau0 else health.rate_hz
     declared, base = settings.declared_rate, health.base_rate_hz
     differs = declared and rate and abs(rate / declared - 1.0) > RATE_CHANGE
+    low, high = PLAUSIBLE_RATE_HZ
+    add('rate_implausible', rate and not low <= rate <= high, rate=rate)
     add('rate_differs', differs, measured=rate, declared=declared)
     add('frames_dropped', health.dropped_frames, count=health.dropped_frames, samples=c.other_frame)
     add('rate_assumed', base and rate, rate=rate, base=base)

@@ -54,6 +54,21 @@ POLLED_SHARE = 0.95
 """Polled samples are evenly spaced on average if this share of the steps between their stamps is
 between 0.4 and 2.2 mean steps."""
 
+FEWEST_STEPS = 8
+"""Fewest steps of time in the first `LEARN` stamps: with longer bursts of equal stamps, the period
+would depend on where the last burst begins."""
+
+EVEN_SHARE, EVEN = 0.9, 0.15
+"""Stamps have even runs if this share of the steps differs from the median by less than the second
+fraction of it, and no other step is shorter than `LATE` periods."""
+
+UNEVEN = 2.0
+"""Ratio of the mean steps of two runs with their pauses from which the samples did not come late:
+late samples have the same mean step in each burst."""
+
+DECLARED_RANGE = 0.25
+"""Relative difference up to which the declared rate replaces the mean rate of bursts."""
+
 MANY, EXACT = 0.2, 0.15
 """Samples are missing regularly if at least the first share of the steps is one sample period and
 the same share is longer, with deviations of at most the second fraction of a period."""
@@ -112,18 +127,45 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
     with a new sample have a stamp here. The steps between them are multiples of the period of the
     messages, and only their mean is the sample period. If samples are missing regularly, the period
     is the mean step, unless the smallest step agrees with the ``declared`` rate in Hz. Returns None
-    if all stamps are equal.
+    if there are too few different stamps.
     """
-    step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
-    if not step.any():
+    if not has_time(stamps):
         return None
-    clock = _clock_of(step, stamps, polled)
+    step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)]).astype(float)
+    clock = _clock_of(step, stamps, polled, declared)
     base = 0.0 if polled else _common_step(step)
     if not base or abs(base / clock.period_ns - 1.0) < RATE_CHANGE:
         return clock
     if abs(declared * base * 1e-9 - 1.0) < RATE_CHANGE:
         return Clock(base, 1.5 * base, bursty=False)
     return replace(clock, base_ns=base)
+
+
+def has_time(stamps: Stamps) -> bool:
+    """Return whether the first stamps of a stream, (n,), advance often enough to show a period."""
+    step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)])
+    return len(step) > 0 and np.count_nonzero(step) >= min(FEWEST_STEPS, len(step))
+
+
+def _period_of_runs(step: Floats) -> float:
+    """Return the period of evenly stamped runs with pauses between them, or 0 for late samples.
+
+    A logger that records in bursts leaves gaps, and the steps in each run show the period. The
+    steps between samples that arrive late together do not: these bursts are short, and their pauses
+    make up for them.
+    """
+    median = float(np.median(step))
+    inside = np.abs(step - median) <= EVEN * median
+    pauses = np.flatnonzero(step > LATE * median)
+    if not median or len(pauses) < 2 or inside.mean() < EVEN_SHARE:
+        return 0.0
+    if np.count_nonzero(inside) + len(pauses) < POLLED_SHARE * len(step):
+        return 0.0
+    period = float(step[inside].mean())
+    mean_steps = np.add.reduceat(step, pauses)[:-1] / np.diff(pauses)
+    is_long = float(np.median(np.diff(pauses))) * period >= BURST_PAUSE_S * 1e9
+    uneven = len(mean_steps) > 1 and mean_steps.max() > UNEVEN * mean_steps.min()
+    return period if is_long or uneven else 0.0
 
 
 def _common_step(step: Floats) -> float:
@@ -137,8 +179,12 @@ def _common_step(step: Floats) -> float:
     return base if many and exact.mean() >= POLLED_SHARE else 0.0
 
 
-def _clock_of(step: Floats, stamps: Stamps, polled: bool) -> Clock:
-    """Estimate the sample period from the ``step`` between the stamps in ns, (n - 1,)."""
+def _clock_of(step: Floats, stamps: Stamps, polled: bool, declared: float) -> Clock:
+    """Estimate the sample period from the ``step`` between the stamps in ns, (n - 1,).
+
+    The ``declared`` rate in Hz, or 0, decides between late and lost samples, and is used for
+    bursts.
+    """
     size = max(1, min(CLOCK_BLOCK, len(step) // 4))
     # one long gap does not change the median of block means
     mean = float(np.median(step[: len(step) // size * size].reshape(-1, size).mean(axis=1)))
@@ -159,7 +205,11 @@ def _clock_of(step: Floats, stamps: Stamps, polled: bool) -> Clock:
                 period = rayleigh_period(stamps, period, PERIOD_RANGE)
                 return Clock(period, median, bursty=False, jitter=True)
             return Clock(mean if 2 * short_steps >= long_steps else period, median, bursty=False)
-    return Clock(mean, median, bursty=True)
+    given = 1e9 / declared if declared else mean
+    near_mean = abs(mean / given - 1.0) < DECLARED_RANGE
+    if (runs := _period_of_runs(step)) and not (declared and near_mean):
+        return Clock(runs, runs, bursty=False)
+    return Clock(given if near_mean else mean, median, bursty=True)
 
 
 def rayleigh_period(stamps: Stamps, period: float, relative_range: float) -> float:
@@ -236,17 +286,20 @@ class SampleClock:
 
     def flush(self) -> list[Block]:
         """Return the blocks of all buffered samples at the end of the input."""
-        if self.clock is None:
+        while self.clock is None and len(self._samples):
             self._learn()
         return self._process_ready(0)
 
     def _learn(self) -> None:
-        """Learn the period from the first samples; if they contain no time, drop them."""
+        """Learn the period from the first samples; drop those that contain no time."""
         first = self._samples.stamps[:LEARN]
-        self.clock = learn_clock(first, self._polled, self._settings.declared_rate)
+        equal = int(np.argmax(first != first[0])) or len(first)
+        if equal <= LEARN // FEWEST_STEPS:
+            self.clock = learn_clock(first, self._polled, self._settings.declared_rate)
+            equal = len(first)
         if self.clock is None:
-            self._counts.untimed += len(first)
-            self._past = len(first)
+            self._counts.untimed += equal
+            self._past = equal
             self._release()
         else:
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead

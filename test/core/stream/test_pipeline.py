@@ -131,6 +131,19 @@ def test_a_declared_rate_is_only_checked_unless_there_are_no_stamps(declared):
     assert ids(without) == {'stamps_from_rate'}
 
 
+@pytest.mark.parametrize('rate, reported', [(3e5, True), (5e4, False), (1.0, False), (0.05, True)])
+def test_a_rate_that_no_imu_has_is_reported(rate, reported):
+    _, x = still(3000)
+    result = accumulate(np.rint(np.arange(3000) * 1e9 / rate).astype(np.int64), x)
+    assert ('rate_implausible' in ids(result)) == reported
+
+
+def test_mostly_equal_stamps_are_replaced_by_the_declared_rate():
+    t, x = still(5000)
+    result = accumulate(t[np.arange(5000) // 500 * 500], x, declared_rate=200.0)
+    assert ids(result) == {'stamps_from_rate'} and result.health.counts.used == 5000
+
+
 def test_the_warm_up_is_left_out():
     t, x = still(6000)
     result = accumulate(t, x, skip=5.0)

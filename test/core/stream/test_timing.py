@@ -58,6 +58,68 @@ def test_rate_is_found_from_the_stamps(stamps, rate, bursty):
     assert 1e9 / clock.period_ns == pytest.approx(rate, rel=0.05 if bursty else 0.01)
 
 
+def runs(n, pause_s, size=100, period_ns=10 * MS):
+    """Return even stamps in runs of ``size`` samples, with pauses between them."""
+    pauses = np.cumsum(np.resize(np.asarray(pause_s, float), n // size + 1))
+    i = np.arange(n)
+    return 10**18 + i * period_ns + (pauses[i // size] * 1e9).astype(np.int64)
+
+
+@pytest.mark.parametrize(
+    'stamps, rate',
+    [
+        (runs(1024, 1.0), 100),
+        (runs(1024, 60.0), 100),
+        (runs(1024, 5.0, size=400), 100),
+        (runs(1024, [1.0, 7.0, 20.0, 3.0], period_ns=MS), 1000),
+    ],
+    ids=['1 s', '60 s', 'long runs', '1 kHz'],
+)
+def test_even_runs_with_pauses_have_gaps(stamps, rate):
+    clock = learn_clock(stamps)
+    assert not clock.bursty and 1e9 / clock.period_ns == pytest.approx(rate, rel=1e-3)
+    late = learn_clock(stamps, declared=1e9 * 1023 / (stamps[-1] - stamps[0]))
+    assert late.bursty, 'the declared rate decides'
+    parts, counts, _ = run(np.concatenate([stamps, stamps[-1] + 10**10 + np.arange(999) * 10**7]))
+    assert len(parts) == counts.splits['gap'] + 1 > 2
+
+
+@pytest.mark.parametrize('declared, rate', [(100.0, 100.0), (300.0, 102.3)])
+def test_the_declared_rate_counts_for_bursts(declared, rate):
+    clock = learn_clock(bursts(1024, size=80), declared=declared)
+    assert clock.bursty and 1e9 / clock.period_ns == pytest.approx(rate, rel=0.1)
+    assert (1e9 / clock.period_ns == pytest.approx(declared)) == (declared == 100.0)
+
+
+def stepped(*values):
+    """Return 20,000 stamps in s as ns: equal parts with these values."""
+    return np.repeat(np.asarray(values) * 10**9, 20_000 // len(values)).astype(np.int64)
+
+
+@pytest.mark.parametrize(
+    'stamps',
+    [
+        stepped(5),
+        stepped(5, 6),
+        stepped(5, 6, 7, 8),
+        np.append(stepped(5), 6 * 10**9),
+        np.append(4 * 10**9, stepped(5)),
+        stepped(*range(6, 46)),
+    ],
+    ids=['equal', 'two', 'four', 'last', 'first', 'bursts of 500'],
+)
+def test_stamps_with_too_few_steps_have_no_time(stamps):
+    parts, counts, stage = run(stamps)
+    assert parts == [] and stage.clock is None and counts.untimed == len(stamps)
+
+
+def test_equal_stamps_at_the_start_do_not_change_the_period():
+    stamps = np.concatenate([np.full(5000, 10**18), even(15_000)])
+    parts, counts, stage = run(stamps)
+    assert stage.clock.period_ns == 10 * MS and counts.untimed == 5001
+    assert sum(map(len, parts)) == 14_999
+
+
 def test_isolated_losses_are_bridged_on_the_line_between_their_neighbors():
     stamps = even(3000)
     lost = np.array([500, 501, 1700])
