@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
@@ -30,7 +30,7 @@ from ..results.datasheets import load_sensor
 from ..results.documents import load, results_to_document
 from ..results.results import Results
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
-from .messages import REPLACED_SHARE, BiasPublisher, Snapshot, replaced_share
+from .messages import REPLACED_SHARE, BiasPublisher, ModelListener, Snapshot, replaced_share
 from .node import AllanNode, Part
 from .settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
@@ -52,9 +52,9 @@ class ImuEstimate(Part):
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
     If samples are removed from the sums, the model is invalidated: a noise model without axes is
-    published, a warning replaces the coefficients, and the sums are fitted again. ``listener`` is
-    called with every published noise model, and with every new bias at rest (axis -> largest value
-    in SI). Raises AllanError if the datasheet or the baseline of the parameters cannot be read.
+    published, a warning replaces the coefficients, and the sums are fitted again. ``listeners`` are
+    called with every published noise model, and with every new bias at rest. Raises AllanError if
+    the datasheet or the baseline of the parameters cannot be read.
     """
 
     def __init__(
@@ -62,11 +62,11 @@ class ImuEstimate(Part):
         node: AllanNode,
         label: str,
         worker: Worker,
-        listener: Callable[[Results, Mapping[str, float]], None] | None = None,
+        listeners: Sequence[ModelListener] = (),
     ) -> None:
         self._node, self._label = node, label
         self._settings = settings = node.parameters.group('estimator', EstimatorSettings)
-        self._worker, self._listener = worker, listener
+        self._worker, self._listeners = worker, listeners
         sensor, path = settings.value.sensor, settings.value.baseline
         self._datasheet = load_sensor(sensor) if sensor else None
         path = path and str(Path(path).expanduser())
@@ -100,8 +100,8 @@ class ImuEstimate(Part):
         if self._results is not None:
             if _kinds(former) != _kinds(self._faults):
                 self._publish(self._results)
-            elif self._listener is not None:
-                self._listener(self._with_faults(self._results), self._bias.largest())
+            else:
+                self._tell(self._with_faults(self._results))
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
@@ -217,8 +217,11 @@ class ImuEstimate(Part):
         document = results_to_document(results, curves=False)
         text = json.dumps(document, separators=(',', ':'), allow_nan=False)
         self._publisher.publish(String(data=text))
-        if self._listener is not None:
-            self._listener(results, self._bias.largest())
+        self._tell(results)
+
+    def _tell(self, results: Results) -> None:
+        for listener in self._listeners:
+            listener(results, self._bias.at_rest())
 
     def _with_faults(self, results: Results) -> Results:
         return replace(results, findings=(*self._faults, *results.findings))

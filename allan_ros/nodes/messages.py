@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped
@@ -38,6 +39,9 @@ normal: samples from the start of a motion are removed when the motion is detect
 
 ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
 """Axis -> row in the 6x6 covariance of a twist: linear x, y, z, then angular x, y, z."""
+
+Z_95 = 1.96
+"""Normal quantile of 97.5 %."""
 
 UNKNOWN = -1.0
 """Variance of an axis whose bias is unknown, as in sensor_msgs/Imu."""
@@ -168,6 +172,23 @@ def _samples_by_start(sums: AllanSums) -> Counter[int]:
     return found
 
 
+class BiasAtRest(NamedTuple):
+    """The bias of an axis and its standard deviation, in SI."""
+
+    value: float
+    std: float
+
+    @property
+    def largest(self) -> float:
+        """The largest magnitude in the 95 % interval."""
+        return abs(self.value) + Z_95 * self.std
+
+
+ModelListener = Callable[[Results, Mapping[str, BiasAtRest]], None]
+"""Receives each noise model, and the known bias at rest by axis. Without axes, the model is
+invalidated."""
+
+
 class BiasPublisher:
     """Estimates the bias of each axis at rest, and publishes it.
 
@@ -215,9 +236,12 @@ class BiasPublisher:
     def _known(self) -> dict[str, AxisBias]:
         return {axis: b for axis in AXES if (b := self._tracker.bias(axis)) is not None}
 
-    def largest(self) -> dict[str, float]:
-        """Return the largest bias in the 95 % interval of each axis, in SI."""
-        return {axis: max(map(abs, bias.estimate.ci95)) for axis, bias in self._known().items()}
+    def at_rest(self) -> dict[str, BiasAtRest]:
+        """Return the known bias of each axis."""
+        return {
+            axis: BiasAtRest(bias.estimate.value, bias.estimate.std)
+            for axis, bias in self._known().items()
+        }
 
 
 def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarianceStamped:
@@ -236,3 +260,14 @@ def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarian
             setattr(vector[sensor], letter, bias.estimate.value)
     message.twist.covariance = covariance
     return message
+
+
+def bias_of(message: TwistWithCovarianceStamped) -> dict[str, BiasAtRest]:
+    """Return the biases in a message of `bias_message`, by axis."""
+    twist, known = message.twist.twist, {}
+    for axis, row in ROWS.items():
+        sensor, letter = axis.split('_')
+        vector = twist.angular if sensor == 'gyro' else twist.linear
+        if (variance := message.twist.covariance[7 * row]) >= 0.0:
+            known[axis] = BiasAtRest(getattr(vector, letter), math.sqrt(variance))
+    return known

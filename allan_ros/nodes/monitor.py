@@ -16,7 +16,7 @@ from .accumulation import watched_imus, watches
 from .estimation import ImuEstimate, SumsInput
 from .node import AllanNode, Part
 from .parameter_push import ParameterPush
-from .relaying import ImuRelay
+from .relaying import ImuRelay, ModelInput
 from .settings import InputSettings, MonitorSettings, RelaySettings, WatchedImu, home_of
 from .shell import Worker, run
 
@@ -43,7 +43,7 @@ class Estimator(AllanNode):
     def __init__(self, **options: Any) -> None:
         super().__init__('allan_estimator', **options)
         push = ParameterPush(self)
-        estimate = ImuEstimate(self, '', Worker(), push.offer)
+        estimate = ImuEstimate(self, '', Worker(), [push.offer])
         source = SumsInput(self, estimate.process)
         self.begin([source, estimate, push], f'estimates from the sums on {source.topic}')
 
@@ -53,7 +53,9 @@ class Relay(AllanNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('allan_imu_relay', **options)
-        relay = ImuRelay(self, WatchedImu('imu/data'))
+        source = ModelInput(self)
+        relay = ImuRelay(self, WatchedImu('imu/data'), source.topic, source.findings)
+        source.listener = relay.offer
         self.begin([relay], relay.description)
 
 
@@ -84,12 +86,13 @@ class Monitor(AllanNode):
         parts: list[Part] = []
         described: list[str] = []
         for imu in imus:
-            estimate = ImuEstimate(self, imu.label, worker, push.offer)
+            topic = self.resolve_topic_name(f'{home_of(imu.label)}noise_model')
+            relays = [ImuRelay(self, imu, topic)] if relayed else []
+            listeners = [push.offer, *(relay.offer for relay in relays)]
+            estimate = ImuEstimate(self, imu.label, worker, listeners)
             inputs = watches(self, imu, estimate.process)
-            parts += [*inputs, estimate]
+            parts += [*inputs, estimate, *relays]
             described += [watch.description for watch in inputs]
-            if relayed:
-                parts.append(ImuRelay(self, imu, home_of(imu.label)))
         self.begin([*parts, push], f'monitors {", ".join(described)}')
 
 

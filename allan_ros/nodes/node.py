@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import fields, replace
 from difflib import get_close_matches
 from typing import Any, Generic, TypeVar
@@ -81,18 +81,24 @@ class Parameters:
         self._groups: dict[str, ParameterGroup[Any]] = {}
         node.add_on_set_parameters_callback(self._on_set)
 
-    def group(self, prefix: str, settings_type: type[T]) -> ParameterGroup[T]:
-        """Return a group; at its first use, declare ``<prefix>.<field>`` for each field.
+    def group(
+        self, prefix: str, settings_type: type[T], names: Collection[str] = ()
+    ) -> ParameterGroup[T]:
+        """Return a group, and declare ``<prefix>.<field>`` for each field that is not declared yet.
+
+        If ``names`` are given, only these fields are declared; others have their defaults.
 
         Raises AllanError if a value given at start is invalid or has the wrong type, and
         ParameterException (rclpy) if it is outside its range.
         """
-        if prefix in self._groups:
-            return self._groups[prefix]
-        defaults, given = settings_type(), {}
+        group = self._groups.setdefault(prefix, ParameterGroup(prefix, settings_type()))
+        given = {}
         for name, info in describe(settings_type).items():
-            default = getattr(defaults, name)
-            full, value = f'{prefix}.{name}', to_ros(default)
+            full = f'{prefix}.{name}'
+            if self._node.has_parameter(full) or (names and name not in names):
+                continue
+            default = getattr(group.value, name)
+            value = to_ros(default)
             try:
                 declared = self._node.declare_parameter(full, value, descriptor(info, default))
             except InvalidParameterTypeException as error:
@@ -101,8 +107,7 @@ class Parameters:
                     f'parameter {full} is {wrong!r}: give a value such as {value!r}'
                 ) from error
             given[name] = _from_ros(declared.value)
-        group = ParameterGroup(prefix, settings_type(**given))
-        self._groups[prefix] = group
+        group.value = replace(group.value, **given)
         return group
 
     def unknown(self) -> list[str]:

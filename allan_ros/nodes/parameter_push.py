@@ -40,6 +40,7 @@ from ..export import Row, target_rows
 from ..results.results import Results
 from .diagnostics import key_values, status_name
 from .former_values import Former, FormerValues
+from .messages import BiasAtRest
 from .node import AllanNode, Part
 from .push_plan import GAINS_NOT_SET, Numbers, Proposal, PushPlan, load_plan, text_of
 from .settings import SETTLED_RATIO, PushSettings
@@ -88,7 +89,7 @@ class ParameterPush(Part):
         self.node = target = self._settings.value.node
         self._plan = load_plan(self._settings.value.filter) if target else None
         self._results: Results | None = None
-        self._bias: Mapping[str, float] = {}
+        self._bias: Mapping[str, BiasAtRest] = {}
         self._gains: tuple[Row, ...] = ()  # that are shown, but not set
         self._invalid = 'there is no noise model'  # why no value may be set, or ''
         self._reason = ''  # the same at the last update
@@ -106,8 +107,8 @@ class ParameterPush(Part):
             # created last: a node that answers it has also discovered the other client
             self._get = owner.create_client(GetParameters, f'{target}/get_parameters')
 
-    def offer(self, results: Results, bias: Mapping[str, float]) -> None:
-        """Use the latest noise model and bias at rest (axis -> largest value in SI).
+    def offer(self, results: Results, bias: Mapping[str, BiasAtRest]) -> None:
+        """Use the latest noise model and bias at rest.
 
         Results without axes mean that the model is invalidated.
         """
@@ -257,12 +258,13 @@ class ParameterPush(Part):
     def _update_gains(self, plan: PushPlan, now: float) -> None:
         """Compute the gains that cover the noise and, unless it is removed, the bias at rest."""
         settings, results, self._gains = self._settings.value, self._results, ()
-        known = settings.debiased or all(axis in self._bias for axis in AXES[SENSORS['gyro']])
-        if results is None or self._refusal or not known:
+        complete = settings.debiased or all(a in self._bias for a in AXES[SENSORS['gyro']])
+        if results is None or self._refusal or not complete:
             return
         self._due_at = now + settings.period
         with suppress(AllanError):  # a coefficient is not known yet
-            bias = {} if settings.debiased else self._bias
+            known = {} if settings.debiased else self._bias
+            bias = {axis: one.largest for axis, one in known.items()}
             self._gains = target_rows(results, plan.target, plan.options, bias)
 
     def _proposals(self, plan: PushPlan, results: Results) -> list[Proposal]:

@@ -9,10 +9,12 @@ executor's callback, and no other task of the node delays a message. It uses a w
 
 from __future__ import annotations
 
+import math
 import operator
 import sys
 import threading
 import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -26,16 +28,19 @@ from std_msgs.msg import String
 from ..core.errors import AllanError, one_line
 from ..core.filters.noise_parameters import Variances, white_ratio, white_variances
 from ..core.findings import Finding, finding
-from ..core.imu import SENSORS, ImuIdentity, sensor_of
+from ..core.imu import AXES, NANOSECONDS, SENSORS, ImuIdentity, sensor_of
 from ..core.stream.transport import faults_of
-from ..readers.cdr import CovariancePatch, MalformedMessage, frame_id_of
+from ..readers.cdr import CovariancePatch, MalformedMessage, decode_imus, frame_id_of
 from ..readers.files import parse_json
+from ..results.datasheets import load_sensor
 from ..results.documents import results_from_document
+from ..results.from_datasheet import results_of_datasheet
 from ..results.results import Results
 from .diagnostics import status_name, status_of
 from .imu_input import QUEUE_DEPTH, full_name, qos_text, subscribe_raw
+from .messages import BiasAtRest, ModelListener, bias_of
 from .node import AllanNode, Part
-from .settings import SETTLED_RATIO, RelaySettings, WatchedImu
+from .settings import SETTLED_RATIO, EstimatorSettings, RelaySettings, WatchedImu
 from .shell import LATCHED
 
 WAIT_NS = 100_000_000
@@ -54,6 +59,13 @@ MODEL_GRACE_S = 120.0
 DISCOVERY_S = 5.0
 """Time in s after the start from which a missing publisher of the noise model is a warning."""
 
+FIRST_RATE_HZ, RATE_S = 1000.0, 1.0
+"""Sample rate for which a datasheet gives the covariances of the first messages, and time in s from
+which the rate is measured. Few IMUs are faster, so the first covariances are rather too large."""
+
+PROBES = {sensor: CovariancePatch({sensor: (1.0, 1.0, 1.0)}) for sensor in SENSORS}
+"""Sensor -> a patch that changes its covariance only if it is zero."""
+
 VARIANCE_UNITS = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
 
 RECEIVED, FILLED, PASSED, MALFORMED, UNPUBLISHED = COUNTS = (
@@ -66,55 +78,151 @@ RECEIVED, FILLED, PASSED, MALFORMED, UNPUBLISHED = COUNTS = (
 """Names of the message counts in diagnostics."""
 
 
-def relay_variances(results: Results, settings: RelaySettings) -> dict[str, Variances]:
-    """Return the variances of the axes of each sensor without a fault, in (rad/s)^2 or (m/s^2)^2.
+def relay_variances(results: Results, settings: RelaySettings, rate: float) -> dict[str, Variances]:
+    """Return the variances of the axes of each sensor, in (rad/s)^2 or (m/s^2)^2.
 
-    They do not cover the bias.
+    ``rate`` is the sample rate in Hz. The variances do not cover the bias.
     """
     fits = {name: axis.fit for name, axis in results.axes.items()}
-    found = white_variances(fits, results.rate_hz, settings.inflate, settings.horizon)
-    faults = faults_of(results.findings)
-    bad = {sensor_of(axis) for fault in faults for axis in fault.axes}
-    return {sensor: variances for sensor, variances in found.items() if sensor not in bad}
+    return white_variances(fits, rate, settings.inflate, settings.horizon)
 
 
 def cover_bias(
-    variances: dict[str, Variances], bias: TwistWithCovarianceStamped | None, messages: float
+    variances: dict[str, Variances], bias: Mapping[str, BiasAtRest], messages: float
 ) -> dict[str, Variances]:
     """Return the variances of a gyro whose bias is not removed.
 
     The integral over this number of ``messages`` then has the variance of noise and bias together.
-    The bias of an accelerometer at rest is unknown, because it cannot be told from gravity.
+    ``bias`` is the known bias of axes; it is 0 for others. The bias of an accelerometer at rest is
+    unknown, because it cannot be told from gravity.
     """
-    if bias is None or 'gyro' not in variances or bias.twist.covariance[21] < 0.0:
+    if 'gyro' not in variances:
         return variances
-    rates, spread = bias.twist.twist.angular, bias.twist.covariance
-    known = zip((rates.x, rates.y, rates.z), (spread[21], spread[28], spread[35]))
-    added = [max(1.0, messages) * (rate**2 + variance) for rate, variance in known]
+    known = (bias.get(axis, BiasAtRest(0.0, 0.0)) for axis in AXES[SENSORS['gyro']])
+    added = (max(1.0, messages) * (one.value**2 + one.std**2) for one in known)
     x, y, z = (noise + more for noise, more in zip(variances['gyro'], added))
     return {**variances, 'gyro': (x, y, z)}
+
+
+def bias_in_model(results: Results) -> dict[str, BiasAtRest]:
+    """Return the mean of each axis in the data of the model, with its scatter between recordings.
+
+    It is used until the bias of the present run is known.
+    """
+    return {
+        name: BiasAtRest(axis.at_rest.mean, (axis.turn_on and axis.turn_on.std) or 0.0)
+        for name, axis in results.axes.items()
+        if axis.at_rest is not None
+    }
+
+
+class RateOfStamps:
+    """The sample rate of messages by their stamps, as the largest one over `RATE_S`."""
+
+    def __init__(self) -> None:
+        self.rate_hz = FIRST_RATE_HZ
+        self._window: tuple[int, int] | None = None  # number of messages, and stamp in ns
+        self._known = False
+
+    def update(self, count: int, latest: bytes | None) -> None:
+        """Process the number of messages so far, and the latest of them."""
+        if latest is None:
+            return
+        try:
+            stamp = int(decode_imus([latest], 'cdr').stamps_ns[0])
+        except MalformedMessage:
+            return
+        began, since = self._window or (count, stamp)
+        seconds = (stamp - since) / NANOSECONDS
+        if self._window is None or not 0.0 <= seconds < 10.0 * RATE_S:  # a jump or a pause
+            self._window = count, stamp
+        elif seconds >= RATE_S:
+            rate = (count - began) / seconds
+            self.rate_hz = max(rate, self.rate_hz) if self._known else rate
+            self._window, self._known = (count, stamp), True
+
+
+class ModelInput:
+    """Passes the topics ``noise_model`` and ``bias`` of an estimator in another process on.
+
+    ``listener`` is called with each of their messages.
+    """
+
+    def __init__(self, node: AllanNode) -> None:
+        self._node = node
+        self.listener: ModelListener = lambda results, bias: None
+        self._began = time.monotonic()
+        self._results: Results | None = None
+        self._bias: dict[str, BiasAtRest] = {}
+        self._unreadable: Finding | None = None
+        self._model = node.create_subscription(String, 'noise_model', self._on_model, LATCHED)
+        node.create_subscription(TwistWithCovarianceStamped, 'bias', self._on_bias, LATCHED)
+
+    @property
+    def topic(self) -> str:
+        """Full name of the topic of the noise model."""
+        return str(self._model.topic_name)
+
+    def findings(self, now: float) -> list[Finding]:
+        """Return findings about a noise model that cannot be read, or a missing publisher."""
+        found = [self._unreadable] if self._unreadable else []
+        waited = now - self._began > DISCOVERY_S
+        if self._results is None and waited and not self._node.count_publishers(self.topic):
+            found.append(finding('relay_without_model', topic=self.topic))
+        return found
+
+    def _on_model(self, message: String) -> None:
+        try:
+            results = results_from_document(parse_json(message.data, 'noise model'), 'noise model')
+        except AllanError as error:
+            self._unreadable = finding('relay_model_unreadable', topic=self.topic, reason=error)
+            self._node.get_logger().warning(str(self._unreadable), throttle_duration_sec=60.0)
+            return
+        self._results, self._unreadable = results, None
+        self.listener(results, self._bias)
+
+    def _on_bias(self, message: TwistWithCovarianceStamped) -> None:
+        self._bias = bias_of(message)
+        if self._results is not None:
+            self.listener(self._results, self._bias)
 
 
 class ImuRelay(Part):
     """Republishes the messages of one IMU on ``<topic>_with_covariance``, with covariances.
 
-    ``home`` is the prefix of the topics ``noise_model`` and ``bias``, which it subscribes to.
-    Raises AllanError if both topics have the same name after remapping.
+    They are from the noise model that `offer` receives, and for a sensor without one from the
+    datasheet ``estimator.sensor``. ``input_findings`` returns the findings about the input of the
+    model, whose topic is ``model_topic``. Raises AllanError if both topics have the same name after
+    remapping, or the datasheet cannot be read.
     """
 
-    def __init__(self, node: AllanNode, imu: WatchedImu, home: str = '') -> None:
+    def __init__(
+        self,
+        node: AllanNode,
+        imu: WatchedImu,
+        model_topic: str,
+        input_findings: Callable[[float], list[Finding]] = lambda now: [],
+    ) -> None:
         self._node, self._imu = node, imu
+        self._model_topic, self._input_findings = model_topic, input_findings
         self._settings = node.parameters.group('relay', RelaySettings)
+        sensor = node.parameters.group('estimator', EstimatorSettings, ('sensor',)).value.sensor
+        self._datasheet = results_of_datasheet(load_sensor(sensor)) if sensor else None
         self._began = time.monotonic()
         self._invalidated = False
         self._counts = dict.fromkeys(COUNTS, 0)
         self._other_frame = 0
         self._results: Results | None = None
-        self._problem: tuple[Finding, ...] = ()
-        self._variances: dict[str, Variances] = {}
+        self._bias: Mapping[str, BiasAtRest] = {}
+        self._variances: dict[str, Variances] = {}  # that are filled in
+        self._from_datasheet: tuple[str, ...] = ()  # sensors
+        self._rate = RateOfStamps()
+        self._latest: bytes | None = None  # message
         self._patch = CovariancePatch({})
-        self._made_of: tuple[object, ...] = None, None, None
-        self._ratio = 1.0  # of the interval of the variances with a horizon
+        self._made_of: tuple[object, ...] = ()
+        self._measured: dict[str, Variances] = {}  # without the bias
+        self._measured_of: tuple[object, ...] = None, None
+        self._ratio = 1.0  # of the interval of these variances with a horizon
         self._last_malformed = self._last_frame = ''
         overriding = QoSOverridingOptions.with_default_policies()
         self._publisher = node.create_publisher(
@@ -123,11 +231,7 @@ class ImuRelay(Part):
             QoSProfile(depth=QUEUE_DEPTH),
             qos_overriding_options=overriding,
         )
-        self._model = node.create_subscription(
-            String, f'{home}noise_model', self._on_model, LATCHED
-        )
-        self._bias: TwistWithCovarianceStamped | None = None
-        node.create_subscription(TwistWithCovarianceStamped, f'{home}bias', self._on_bias, LATCHED)
+        self.tick(self._began)  # the covariances of the first message
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         wait_set = self._wait_set()
@@ -150,27 +254,55 @@ class ImuRelay(Part):
         source = self._subscription
         return (
             f'relays {source.topic_name} ({qos_text(source.qos_profile)}) to '
-            f'{self._publisher.topic_name} with the noise model on {self._model.topic_name}'
+            f'{self._publisher.topic_name} with the noise model on {self._model_topic}'
         )
+
+    def offer(self, results: Results, bias: Mapping[str, BiasAtRest]) -> None:
+        """Use the latest noise model and bias at rest.
+
+        Results without axes mean that the model is invalidated.
+        """
+        self._invalidated = not results.axes
+        self._results, self._bias = (results if results.axes else None), bias
+        self.tick(time.monotonic())
 
     def tick(self, now: float) -> None:
         """Make a new patch if the noise model, the bias or the parameters have changed."""
-        results, settings, bias = self._results, self._settings.value, self._bias
-        made_of = results, settings, bias
-        if all(map(operator.is_, made_of, self._made_of)):
+        if self._datasheet is not None:
+            self._rate.update(self._counts[RECEIVED], self._latest)
+        made_of = self._results, self._settings.value, self._bias, self._rate.rate_hz
+        if self._made_of and all(map(operator.is_, made_of, self._made_of)):
             return
-        self._made_of, self._ratio, noise, frame_id = made_of, 1.0, {}, ''
+        self._made_of = made_of
+        results, settings, bias, rate = made_of
+        noise: dict[str, Variances] = {}
+        if self._datasheet is not None:
+            noise = relay_variances(self._datasheet, settings, rate)
+        stated, frame_id = set(noise), ''
         if results is not None:
-            frame_id = results.identity.frame_id
+            frame_id, rate = results.identity.frame_id, results.rate_hz
+            measured = self._measured_variances(results, settings)
+            faulty = {sensor_of(axis) for f in faults_of(results.findings) for axis in f.axes}
+            noise = {s: v for s, v in {**noise, **measured}.items() if s not in faulty}
+            stated = noise.keys() - measured.keys()
+            bias = {**bias_in_model(results), **bias}
+        if not settings.debiased:
+            noise = cover_bias(noise, bias, settings.horizon * rate)
+        self._variances, self._from_datasheet = noise, tuple(s for s in SENSORS if s in stated)
+        self._patch = CovariancePatch(noise, settings.overwrite, frame_id)
+
+    def _measured_variances(
+        self, results: Results, settings: RelaySettings
+    ) -> dict[str, Variances]:
+        """Return the variances of a noise model, which are computed once for each model."""
+        measured_of = results.axes, settings
+        if not all(map(operator.is_, measured_of, self._measured_of)):
+            self._measured_of, self._ratio = measured_of, 1.0
+            self._measured = relay_variances(results, settings, results.rate_hz)
             if settings.horizon:
                 fits = {name: axis.fit for name, axis in results.axes.items()}
                 self._ratio = white_ratio(fits, settings.horizon)
-            if self._ratio <= SETTLED_RATIO:
-                noise = relay_variances(results, settings)
-            if not settings.debiased:
-                noise = cover_bias(noise, bias, settings.horizon * results.rate_hz)
-        self._variances = noise
-        self._patch = CovariancePatch(noise, settings.overwrite, frame_id)
+        return self._measured
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return the status of the relay."""
@@ -187,6 +319,8 @@ class ImuRelay(Part):
             ),
         ]
         filled = f'covariances of {" and ".join(self._variances)} are filled'
+        if self._from_datasheet:
+            filled += f' ({" and ".join(self._from_datasheet)} from the datasheet)'
         identity = self._results.identity if self._results else ImuIdentity()
         hardware_id = self._imu.hardware_id or identity.hardware_id or identity.frame_id
         name = status_name(self._node, self._imu.label, 'relay')
@@ -205,6 +339,7 @@ class ImuRelay(Part):
         """Publish one message with the known covariances filled in."""
         counts = self._counts
         counts[RECEIVED] += 1
+        self._latest = payload
         try:
             patched = self._patch.patch(payload)
         except MalformedMessage as error:
@@ -220,10 +355,6 @@ class ImuRelay(Part):
             self._publisher.publish(patched)
         except rclpy_implementation.RCLError:  # the queue of a reliable subscriber stayed full
             counts[UNPUBLISHED] += 1
-
-    def _on_bias(self, message: TwistWithCovarianceStamped) -> None:
-        self._bias = message
-        self.tick(time.monotonic())
 
     def _note_frame(self, payload: bytes) -> None:
         """Count a message whose frame_id differs from the frame_id of the noise model."""
@@ -267,32 +398,29 @@ class ImuRelay(Part):
 
     # --- the noise model --------------------------------------------------------------------------
 
-    def _on_model(self, message: String) -> None:
-        try:
-            results = results_from_document(parse_json(message.data, 'noise model'), 'noise model')
-        except AllanError as error:
-            topic = self._model.topic_name
-            self._problem = (finding('relay_model_unreadable', topic=topic, reason=error),)
-            self._node.get_logger().warning(str(self._problem[0]), throttle_duration_sec=60.0)
-            return
-        self._invalidated = not results.axes
-        self._results, self._problem = (results if results.axes else None), ()
-        self.tick(time.monotonic())
-
     def _missing_model(self, now: float) -> Finding:
         """Return a finding with the reason why there is no noise model."""
-        topic, seconds = self._model.topic_name, now - self._began
+        topic, seconds = self._model_topic, now - self._began
         if self._invalidated:
             return finding('relay_invalidated', topic=topic)
-        if seconds > DISCOVERY_S and not self._node.count_publishers(topic):
-            return finding('relay_without_model', topic=topic)
         if seconds > MODEL_GRACE_S:
             return finding('relay_late_model', topic=topic, seconds=seconds)
-        return finding('relay_waits', topic=topic)
+        return finding('relay_zeros' if self._zeros() else 'relay_waits', topic=topic)
+
+    def _zeros(self) -> list[str]:
+        """Return the sensors that have a covariance of zeros in the latest published message."""
+        latest = self._latest
+        if latest is None:
+            return []
+        try:
+            published = self._patch.patch(latest)
+            return [s for s, probe in PROBES.items() if probe.patch(published) is not published]
+        except MalformedMessage:
+            return []
 
     def _findings(self, now: float) -> list[Finding]:
         """Return the present problems; the cause comes before its effects."""
-        counts, results, found = self._counts, self._results, list(self._problem)
+        counts, results, found = self._counts, self._results, self._input_findings(now)
 
         def add(id: str, count: int, **values: Any) -> None:
             if count:
@@ -303,17 +431,20 @@ class ImuRelay(Part):
         names = ', '.join(sorted(map(full_name, publishers)))
         several = len(publishers) if len(publishers) > 1 else 0
         add('relay_several_publishers', several, topic=sink, names=names)
-        if results is None:
+        if self._from_datasheet:
+            sensors = ' and '.join(self._from_datasheet)
+            found.append(finding('relay_datasheet', sensors=sensors))
+        elif results is None and not found:
             found.append(self._missing_model(now))
-        else:
+        if results is not None:
             faults = faults_of(results.findings)
             found += faults
             known = {sensor_of(axis) for axis in results.axes}
             if self._ratio > SETTLED_RATIO:
                 horizon = self._settings.value.horizon
-                known_to = {'ratio': self._ratio, 'limit': SETTLED_RATIO}
-                found.append(finding('relay_unsettled', (), horizon=horizon, **known_to))
-            elif not faults:
+                ratio = self._ratio if self._ratio < math.inf else None
+                found.append(finding('relay_unsettled', (), horizon=horizon, ratio=ratio))
+            if not faults:
                 for sensor in SENSORS:
                     if sensor in known - self._variances.keys():
                         found.append(finding('relay_nothing_to_fill', sensor=sensor))

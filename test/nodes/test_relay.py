@@ -97,7 +97,7 @@ def test_only_the_covariances_change_and_no_burst_is_lost(
     """Also with a version of rclpy that has no wait set."""
     if not thread:
         monkeypatch.setattr('allan_ros.nodes.relaying.ImuRelay._wait_set', lambda _: None)
-    graph.run('relay')
+    graph.run('relay', **{'relay.debiased': True})
     received = raw(graph)
     publisher = graph.publisher()
     model = publish_model(graph, results)
@@ -161,16 +161,111 @@ def test_it_passes_on_until_there_is_a_model(graph, still_imu, results: Results)
     graph.send(publisher, batch)
     graph.until(lambda: len(received) == 10)
     assert received == payloads(batch)
-    status = graph.until(lambda: graph.status('relay'))
-    assert status.level == OK and status.name == 'allan_imu_relay: relay'
-    assert 'There is no noise model on /noise_model yet' in status.message
-    status = graph.until(lambda: (s := graph.status('relay')).level == WARN and s)
-    assert 'Start allan_estimator' in status.message  # nothing publishes a model
+    status = graph.until(lambda: (s := graph.status('relay')) and s.level == WARN and s)
+    assert status.name == 'allan_imu_relay: relay'
+    assert 'covariances of zero are passed on' in status.message
+    assert 'set estimator.sensor' in status.message
+    graph.until(lambda: 'Start allan_estimator' in graph.status('relay').message)
     publish_model(graph, results)
     filled(graph)
     graph.send(publisher, batch)
     graph.until(lambda: len(received) == 20)
     assert received[10:] != payloads(batch)
+
+
+def gyro_variances(received: list[bytes]) -> Any:
+    """Return the variances of x, y, z in each message, (n, 3)."""
+    table = np.frombuffer(b''.join(received), imu_dtype('cdr', '<', 4))
+    return table['gyro_covariance'][:, [0, 4, 8]]
+
+
+def test_the_first_message_has_the_covariance_of_the_datasheet(graph, still_imu, results):
+    """0.005 deg/s/sqrt(Hz) is a one-sided density: N is 6.2e-5 rad/s/sqrt(Hz)."""
+    graph.run('relay', **{'estimator.sensor': 'mpu-6050'})
+    received = raw(graph)
+    publisher = graph.publisher()
+    density = np.radians(0.005) / 2**0.5
+    graph.send(publisher, still_imu(400))
+    graph.until(lambda: len(received) == 400)
+    first = gyro_variances(received[:1])
+    assert np.all(first >= 0.99 * density**2 * 200.0)  # the rate is not known yet
+    assert '(gyro and accel from the datasheet)' in filled(graph).message
+
+    for second in range(2, 6):  # the rate of the stamps
+        graph.send(publisher, still_imu(200, start_ns=(10**9 + second) * 10**9))
+        graph.spin(0.2)
+    del received[:]
+    graph.send(publisher, still_imu(1, start_ns=(10**9 + 6) * 10**9))
+    graph.until(lambda: received)
+    assert gyro_variances(received)[0] == pytest.approx(density**2 * 200.0, rel=0.02)
+    model = publish_model(graph, results)
+    graph.until(lambda: 'datasheet' not in filled(graph).message)
+    model.destroy()
+
+
+def test_covariances_of_the_driver_need_no_model(graph, still_imu):
+    graph.run('relay', remap={'noise_model': 'model'})
+    publish = graph.node.create_publisher(String, 'model', 1)  # nothing is published
+    received = raw(graph)
+    publisher = graph.publisher()
+    (whole,) = payloads(still_imu(1))
+    driver = CovariancePatch({'gyro': (1.0, 2.0, 3.0), 'accel': (4.0, 5.0, 6.0)}).patch(whole)
+    publisher.publish(driver)
+    graph.until(lambda: received == [driver])
+    graph.spin(0.5)
+    status = graph.status('relay')
+    assert status.level == OK and 'covariances of the driver are passed on' in status.message
+    publisher.publish(whole)
+    graph.until(lambda: graph.status('relay').level == WARN)
+    publish.destroy()
+
+
+def test_another_horizon_leaves_no_covariance_empty(graph, still_imu, results: Results):
+    """From 20 s, the drift over 100 s is not known well."""
+    graph.run('relay')
+    received = raw(graph)
+    publisher = graph.publisher()
+    publish_model(graph, results)
+    filled(graph)
+    set_parameters(graph, '/allan_imu_relay', relay__horizon=100.0)
+    status = graph.until(
+        lambda: (s := graph.status('relay')) and 'a horizon of 100 s' in str(s.values) and s
+    )
+    assert status.message.startswith('covariances of gyro and accel are filled')
+    graph.send(publisher, still_imu(10))
+    graph.until(lambda: len(received) == 10)
+    assert np.all(gyro_variances(received) > 0.9e-6)
+
+
+def test_until_the_bias_is_known_the_mean_of_the_model_is_covered(graph, still_imu, results):
+    """A model from a checkpoint is known at once, the bias of this run 20 s later."""
+    from geometry_msgs.msg import TwistWithCovarianceStamped
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    graph.run('relay')
+    received = raw(graph)
+    publisher = graph.publisher()
+    axes = dict(results.axes)
+    rest = axes['gyro_x'].at_rest
+    assert rest is not None
+    axes['gyro_x'] = replace(axes['gyro_x'], at_rest=replace(rest, mean=5e-3))
+    publish_model(graph, replace(results, axes=axes))
+    filled(graph)
+    graph.send(publisher, still_imu(1))
+    graph.until(lambda: received)
+    x, y, _ = gyro_variances(received)[0]
+    assert x > 25e-6 and y < 2e-6
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    bias = graph.node.create_publisher(TwistWithCovarianceStamped, 'bias', latched)
+    bias.publish(TwistWithCovarianceStamped())  # a bias of 0, known exactly
+
+    def follows() -> bool:
+        del received[:]
+        graph.send(publisher, still_imu(1))
+        graph.until(lambda: received)
+        return bool(gyro_variances(received)[0, 0] < 2e-6)
+
+    graph.until(follows)
 
 
 def test_two_relays_to_one_topic_are_reported(graph):
@@ -187,7 +282,7 @@ def test_two_relays_to_one_topic_are_reported(graph):
 def test_messages_that_must_not_be_filled_are_passed_on_unchanged(
     graph, still_imu, results: Results
 ):
-    graph.run('relay')
+    graph.run('relay', **{'relay.debiased': True})
     received = raw(graph)
     publisher = graph.publisher()
     publish_model(graph, results)
@@ -223,7 +318,7 @@ def set_parameters(graph: Any, node: str, **values: Any) -> list[Any]:
 
 
 def test_parameters_act_while_it_runs(graph, still_imu, results: Results):
-    graph.run('relay')
+    graph.run('relay', **{'relay.debiased': True})
     received = raw(graph)
     publisher = graph.publisher()
     publish_model(graph, results)
@@ -310,7 +405,10 @@ def test_messages_are_relayed_also_if_waiting_for_them_fails(graph, still_imu):
 
 
 def test_the_monitor_relays_what_it_measures(graph, still_imu):
-    graph.run('monitor', **{'relay.enabled': True, 'relay.debiased': True})
+    """The relay gets the noise model by a call, and subscribes only to the Imu messages."""
+    node = graph.run('monitor', **{'relay.enabled': True, 'relay.debiased': True})
+    topics = {s.topic_name for s in node.subscriptions}
+    assert topics <= {'/imu/data', '/parameter_events', '/clock'}
     received = raw(graph)
     publisher = graph.publisher()
     batch = still_imu(6000)
