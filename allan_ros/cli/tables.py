@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..core.compare import Comparison, LimitVerdict
+from ..core.compare import Check, Judgement
 from ..core.errors import AllanError
 from ..core.estimate import NOTHING_KNOWN
 from ..core.imu import AXES, SENSORS, ShownUnit, sensor_of, shown_unit
 from ..core.number_text import LIMIT_DIGITS, significant
 from ..export import RAISED
 from ..results.datasheets import DatasheetComparison
+from ..results.measured import measured_check_text
 from ..results.results import Results
 from ..results.verdict import (
     WORDS,
@@ -45,7 +46,7 @@ LEVEL_COLORS: dict[Level, str] = {
 }
 """Level of a verdict -> ANSI color: bold green, yellow, cyan, red."""
 
-HEADLINES: dict[LimitVerdict | None, str] = {
+HEADLINES: dict[Judgement | None, str] = {
     'within': 'all stated limits are met',
     'undecided': 'no limit is exceeded; some intervals contain the limit',
     'exceeds': 'a limit is exceeded',
@@ -65,24 +66,24 @@ def datasheet_lines(
     found = HEADLINES[comparison.verdict] if judged else 'not judged'
     headline = f'compared with the datasheet of {sheet.name}: {found}'
     yield from wrapped(headline, columns, '  ')
-    groups: dict[tuple[str, str, float], list[Comparison]] = {}
+    groups: dict[tuple[str, str, float], list[Check]] = {}
     for c in comparison.comparisons:  # axes of one sensor with the same limit of a term
-        groups.setdefault((sensor_of(c.axis), c.term, c.limit), []).append(c)
+        groups.setdefault((sensor_of(c.axis), c.quantity, c.limit), []).append(c)
     for group in groups.values():
         stated = comparison.limit(group[0]).stated
         yield from wrapped(_line(group, stated, units), columns, ' ' * 9)
 
 
-def _line(group: list[Comparison], stated: str, units: str) -> str:
+def _line(group: list[Check], stated: str, units: str) -> str:
     first = group[0]
-    unit = shown_unit(first.axis, first.term, units)
+    unit = shown_unit(first.axis, first.quantity, units)
     limit = f'{significant(first.limit * unit.factor, LIMIT_DIGITS)} {unit.name}'
-    axes: dict[LimitVerdict, list[str]] = {}
+    axes: dict[Judgement, list[str]] = {}
     for c in group:
         axes.setdefault(c.verdict, []).append(c.axis[-1])
     verdicts = ', '.join(f'{" ".join(names)} {v}' for v, names in axes.items())
     sensor = sensor_of(first.axis)
-    return f'{sensor:5} {first.term}  {verdicts}: limit {limit} (stated {stated})'
+    return f'{sensor:5} {first.quantity}  {verdicts}: limit {limit} (stated {stated})'
 
 
 DEVIATION = 'deviation'
@@ -231,4 +232,4 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
         yield from ('', one.label, *datasheet_lines(one.datasheet, units, columns))
         if one.measured:
             yield f'compared with measured units of {one.datasheet.datasheet.name}:'
-            yield from (f'         {known}' for known in one.measured)
+            yield from (f'         {measured_check_text(known)}' for known in one.measured)

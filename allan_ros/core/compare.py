@@ -24,7 +24,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,12 +57,9 @@ SMALLEST_SCALE = 1e-12
 LARGEST_EXPONENT = 709.0
 """Largest exponent whose exp is a finite float."""
 
-LimitVerdict = Literal['within', 'exceeds', 'undecided']
-"""Not above an upper limit plus a margin, significantly above it, or undecided."""
-
-Change = Literal['higher', 'lower', 'alike', 'undecided']
-"""The second recording is significantly higher, significantly lower or not significantly different,
-or the test is impossible or inconclusive."""
+Judgement = Literal['within', 'exceeds', 'higher', 'lower', 'alike', 'undecided']
+"""Verdict of a check: 'within' or 'exceeds' limits; significantly 'higher' or 'lower' than another
+recording, or 'alike'; 'undecided' if the test is impossible or inconclusive."""
 
 Equivalence = Literal['same', 'different', 'undecided']
 """The same up to a stated fraction, different by more than that, or undecided."""
@@ -76,99 +73,75 @@ Known = tuple[float, float, float]
 """(value, low, high): a positive value and the ends of its 95 % interval."""
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """A coefficient or deviation of one axis, compared with a limit or an earlier value, in SI.
-
-    Attributes
-    ----------
-    reference : str
-        Name of the datasheet or of the earlier run.
-    axis : str
-        Name of the axis.
-    term : str
-        A term (Q, N, B, K or R), or 'adev' for the Allan deviation at ``tau``.
-    limit : float
-        Limit of the datasheet, or the value or upper limit of the earlier run.
-    verdict : 'within', 'exceeds' or 'undecided'
-        'exceeds' if it significantly exceeds the limit by a margin, 'undecided' between the two.
-    at_least : float
-        Lower end of the 95 % interval of measured / limit; 0 if unknown.
-    tau : float or None
-        Averaging time in s, of a deviation.
-    """
-
-    reference: str
-    axis: str
-    term: str
-    limit: float
-    verdict: LimitVerdict
-    at_least: float = 0.0
-    tau: float | None = None
-
-
-def verdict(coefficient: Estimate, limit: float, margin: float) -> LimitVerdict:
-    """Compare a coefficient with an upper limit, and return the verdict.
-
-    It is 'exceeds' if the complete 95 % interval lies above limit * (1 + margin), 'within' if the
-    complete interval (or the upper limit of a coefficient that is not resolved) does not exceed
-    this value, and 'undecided' otherwise.
-    """
-    highest = limit * (1.0 + margin)
-    low, high = coefficient.ci95 or (None, coefficient.upper95)
-    if coefficient.status == 'estimated' and low is not None and low > highest:
-        return 'exceeds'
-    if high is not None and high <= highest:
-        return 'within'
-    return 'undecided'
+UNKNOWN = Estimate(None, status='not_observable')
+"""A number of which nothing is known."""
 
 
 @dataclass(frozen=True)
-class Difference:
-    """The difference of one quantity of one axis between two recordings.
+class Check:
+    """A number of an IMU, compared with limits or with the same number of another recording, in SI.
 
     Attributes
     ----------
     axis : str
-        Name of the axis.
+        Name of the axis or sensor; '' for a number of the whole IMU.
     quantity : str
-        A term (Q, N, B, K or R), or 'adev' for the Allan deviation at ``tau``.
+        A term (Q, N, B, K or R), 'adev' for the Allan deviation at ``tau``, or another quantity
+        that a test plan limits.
+    reference : str
+        Name of the datasheet, plan or recording.
+    measured : Estimate
+        The measured number; without value and limit if only the ratio is known.
+    lower, upper : float or None
+        Limits; None for no limit. For another recording, ``upper`` is its value or upper limit.
+    ratio : Estimate
+        Ratio of the measured number to ``upper``. If one of two recordings has only a limit, the
+        ratio has no value, and an interval with 0 or infinity at one end.
+    verdict : Judgement
+        See `Judgement`. The verdicts 'higher' and 'lower' are corrected for the number of
+        comparisons.
     tau : float or None
         Averaging time in s, of a deviation.
-    first : float or None
-        Value or upper limit in the first recording, in SI; None if both are unknown.
-    ratio : float or None
-        Ratio of the second recording to the first; None if one of them has only a limit.
-    ci95 : (low, high) or None
-        95 % interval of the ratio; a limit makes it open, with 0 or infinity at one end.
     p : float or None
         Probability of such a difference between recordings of equal noise; None if unknown.
-    verdict : Change
-        'higher' or 'lower' if the second recording differs significantly, after correction for the
-        number of comparisons; 'alike' if it does not; 'undecided' if this is undecided.
+    note : str
+        Why the number is unknown; '' if it is known.
     """
 
     axis: str
     quantity: str
-    tau: float | None
-    first: float | None
-    ratio: float | None
-    ci95: tuple[float, float] | None
-    p: float | None
-    verdict: Change = 'undecided'
+    reference: str = ''
+    measured: Estimate = UNKNOWN
+    lower: float | None = None
+    upper: float | None = None
+    ratio: Estimate = UNKNOWN
+    verdict: Judgement = 'undecided'
+    tau: float | None = None
+    p: float | None = None
+    note: str = ''
 
     @property
     def significant(self) -> bool:
         """Whether the verdict is 'higher' or 'lower'."""
         return self.verdict in ('higher', 'lower')
 
+    @property
+    def limit(self) -> float:
+        """The upper limit, or the number of the other recording; NaN if there is none."""
+        return math.nan if self.upper is None else self.upper
+
+    @property
+    def at_least(self) -> float:
+        """Lower end of the 95 % interval of the ratio; 0 if unknown."""
+        return (self.ratio.ci95 or (self.ratio.value or 0.0,))[0]
+
     def beyond(self, margin: float) -> bool:
-        """Return whether the recordings differ significantly by more than the fraction ``margin``.
+        """Return whether two recordings differ significantly by more than the fraction ``margin``.
 
         The complete 95 % interval of the ratio must lie above 1 + margin, or below 1 / (1 +
         margin).
         """
-        low, high = self.ci95 or (1.0, 1.0)
+        low, high = self.ratio.ci95 or (1.0, 1.0)
         return self.significant and (low > 1.0 + margin or high < 1.0 / (1.0 + margin))
 
     def equivalence(self, within: float) -> Equivalence:
@@ -179,32 +152,82 @@ class Difference:
         ratio is at a limit, the result is 'same' with a probability of at most 5 %. 'different' if
         the interval lies beyond one of them, else 'undecided'.
         """
-        if self.ratio is None or self.ci95 is None:
+        if self.ratio.value is None or self.ratio.ci95 is None:
             return 'undecided'
-        limit, center = math.log1p(within), math.log(self.ratio)
-        ends = (math.log(end) if end > 0.0 else -math.inf for end in self.ci95)
+        limit, center = math.log1p(within), math.log(self.ratio.value)
+        ends = (math.log(end) if end > 0.0 else -math.inf for end in self.ratio.ci95)
         low, high = (center + (end - center) * Z_90 / Z_95 for end in ends)
         if -limit < low and high < limit:
             return 'same'
         return 'different' if low > limit or high < -limit else 'undecided'
 
-    def against(self, reference: str, margin: float) -> Comparison | None:
-        """Compare the second recording with the value of the first one, which is used as a limit.
+    def as_limit(self, margin: float) -> Check | None:
+        """Return the check with the number of the other recording as an upper limit.
 
-        ``reference`` is the name of the first recording. The verdict is 'exceeds' if the second
-        recording is significantly higher by more than the fraction ``margin``. It is 'undecided' if
-        the second recording has only an upper limit and this lies above the margin. Otherwise it is
-        'within'. Returns None if the recordings could not be compared.
+        The verdict is 'exceeds' if the recording is significantly higher by more than the fraction
+        ``margin``. It is 'undecided' if the recording has only an upper limit and this lies above
+        the margin. Otherwise it is 'within'. Returns None if the recordings could not be compared.
         """
-        if self.p is None or self.ci95 is None or self.first is None:
+        if self.p is None or self.ratio.ci95 is None or self.upper is None:
             return None
-        found: LimitVerdict = 'undecided'
+        found: Judgement = 'undecided'
         if self.verdict == 'higher' and self.beyond(margin):
             found = 'exceeds'
-        elif self.ratio is not None or self.ci95[1] <= 1.0 + margin:
+        elif self.ratio.value is not None or self.ratio.ci95[1] <= 1.0 + margin:
             found = 'within'
-        args = reference, self.axis, self.quantity, self.first, found, self.ci95[0], self.tau
-        return Comparison(*args)
+        return replace(self, verdict=found)
+
+    def document(self) -> dict[str, Any]:
+        """Return the check as a JSON object."""
+        return {
+            'axis': self.axis,
+            'quantity': self.quantity,
+            'tau_s': self.tau,
+            'reference': self.reference,
+            'measured': self.measured.document(),
+            'lower': self.lower,
+            'upper': self.upper,
+            'ratio': self.ratio.value,
+            'ci95': self.ratio.ci95,
+            'p': self.p,
+            'verdict': self.verdict,
+        }
+
+
+def check_limits(
+    axis: str,
+    quantity: str,
+    reference: str,
+    measured: Estimate,
+    lower: float | None = None,
+    upper: float | None = None,
+    margin: float = 0.0,
+    note: str = '',
+) -> Check:
+    """Compare a measured number with limits, of which each may be None.
+
+    The verdict is 'exceeds' if the complete 95 % interval lies above upper * (1 + margin) or below
+    ``lower``. It is 'within' if the complete interval (from 0 to the upper limit of a number that
+    is not resolved) lies between them, and 'undecided' otherwise.
+
+    Examples
+    --------
+    >>> two = Estimate(2.0, (1.9, 2.1))
+    >>> [check_limits('gyro_x', 'N', 'plan', two, *ends).verdict for ends in ((1.0, 3.0), (2.5,))]
+    ['within', 'exceeds']
+    """
+    ends = measured.ci95 if measured.resolved else None
+    if measured.status != 'estimated' and measured.upper95 is not None:
+        ends = 0.0, measured.upper95
+    least = -math.inf if lower is None else lower
+    most = math.inf if upper is None else upper * (1.0 + margin)
+    verdict: Judgement = 'undecided'
+    if ends is not None and (ends[0] > most or ends[1] < least):
+        verdict = 'exceeds'
+    elif ends is not None and least <= ends[0] and ends[1] <= most:
+        verdict = 'within'
+    ratio = measured.times(1.0 / upper) if upper is not None and upper > 0.0 else UNKNOWN
+    return Check(axis, quantity, reference, measured, lower, upper, ratio, verdict, note=note)
 
 
 class Measured(NamedTuple):
@@ -218,8 +241,10 @@ Run = Mapping[str, Measured]
 """Axis -> its coefficients and curve in one recording."""
 
 
-def differences(pairs: Iterable[tuple[Run, Run]]) -> list[tuple[Difference, ...]]:
-    """Return for each pair of recordings the differences of the second from the first.
+def differences(pairs: Iterable[tuple[str, Run, Run]]) -> list[tuple[Check, ...]]:
+    """Return for each pair of recordings the checks of the second against the first.
+
+    ``pairs`` are the name of the first recording and both recordings.
 
     For each common axis, the five terms and then the deviations at common averaging times are
     compared. The verdicts are corrected for the number of all comparisons of all pairs: the
@@ -230,19 +255,21 @@ def differences(pairs: Iterable[tuple[Run, Run]]) -> list[tuple[Difference, ...]
     return [tuple(islice(decided, len(of_pair))) for of_pair in found]
 
 
-def _run_differences(first: Run, second: Run) -> Iterator[Difference]:
+def _run_differences(reference: str, first: Run, second: Run) -> Iterator[Check]:
     for axis in (axis for axis in first if axis in second):
         a, b = first[axis], second[axis]
         if a.noise is not None and b.noise is not None:
             for term in TERMS:
                 one, other = a.noise[term].magnitude, b.noise[term].magnitude
-                yield _term_difference(axis, term, one, other)
+                yield _term_difference(axis, term, reference, one, other)
         if a.curve is not None and b.curve is not None:
-            yield from _curve_differences(axis, a.curve, b.curve)
+            yield from _curve_differences(axis, reference, a.curve, b.curve)
 
 
-def _curve_differences(axis: str, first: AxisCurve, second: AxisCurve) -> Iterator[Difference]:
-    """Yield the differences of the interpolated deviations; the verdicts are set later."""
+def _curve_differences(
+    axis: str, reference: str, first: AxisCurve, second: AxisCurve
+) -> Iterator[Check]:
+    """Yield the checks of the interpolated deviations; the verdicts are set later."""
     from scipy import special
 
     points = _log_points(first), _log_points(second)
@@ -258,7 +285,8 @@ def _curve_differences(axis: str, first: AxisCurve, second: AxisCurve) -> Iterat
         f = (db / da) ** 2
         low, high = (math.sqrt(f / special.fdtri(vb, va, q)) for q in (0.975, 0.025))
         p = min(2.0 * float(min(special.fdtr(vb, va, f), special.fdtrc(vb, va, f))), 1.0)
-        yield Difference(axis, 'adev', tau, da, db / da, (low, high), p)
+        ratio, measured = Estimate(db / da, (low, high)), Estimate(db)
+        yield Check(axis, 'adev', reference, measured, None, da, ratio, tau=tau, p=p)
         tau *= TAU_RATIO
 
 
@@ -270,37 +298,41 @@ def _log_points(curve: AxisCurve) -> Floats:
     return np.log(np.stack([curve.tau, curve.adev, edf], axis=1)[known])
 
 
-def _with_verdicts(found: Sequence[Difference], family_error: float) -> list[Difference]:
-    """Return the differences with verdicts by Holm's procedure."""
+def _with_verdicts(found: Sequence[Check], family_error: float) -> list[Check]:
+    """Return the checks with verdicts by Holm's procedure."""
     decidable = sorted((d.p, i) for i, d in enumerate(found) if d.p is not None)
     beyond: set[int] = set()
     for rank, (p, i) in enumerate(decidable):
         if p > family_error / (len(decidable) - rank):
             break
         beyond.add(i)
-    return [replace(d, verdict=_change(d, i in beyond)) for i, d in enumerate(found)]
+    return [replace(d, verdict=_judged(d, i in beyond)) for i, d in enumerate(found)]
 
 
-def _change(difference: Difference, beyond: bool) -> Change:
-    if difference.p is None or difference.ci95 is None:
+def _judged(check: Check, beyond: bool) -> Judgement:
+    if check.p is None or check.ratio.ci95 is None:
         return 'undecided'
     if not beyond:
         # Two estimates without a significant difference are alike; a limit alone is inconclusive.
-        return 'undecided' if difference.ratio is None else 'alike'
-    return 'higher' if difference.ci95[0] > 1.0 else 'lower'
+        return 'undecided' if check.ratio.value is None else 'alike'
+    return 'higher' if check.ratio.ci95[0] > 1.0 else 'lower'
 
 
-def _term_difference(axis: str, term: str, first: Estimate, second: Estimate) -> Difference:
+def _term_difference(
+    axis: str, term: str, reference: str, first: Estimate, second: Estimate
+) -> Check:
     a, b = _known(first), _known(second)
     before = _limit(first) if a is None else a[0]
-    unknown = Difference(axis, term, None, before, None, None, None)
+    unknown = Check(axis, term, reference, second, upper=before)
     if a is not None and b is not None:
         ratio, ci95, p = _ratio_of_estimates(a, b)
-        return replace(unknown, ratio=ratio, ci95=ci95, p=p)
+        return replace(unknown, ratio=Estimate(ratio, ci95), p=p)
     if a is not None and (limit := _limit(second)) is not None:
-        return replace(unknown, ci95=(0.0, limit / a[1]), p=_p_value_of_limit(a, limit))
+        ratio_below = replace(UNKNOWN, recording_ci95=(0.0, limit / a[1]))
+        return replace(unknown, ratio=ratio_below, p=_p_value_of_limit(a, limit))
     if b is not None and (limit := _limit(first)) is not None:
-        return replace(unknown, ci95=(b[1] / limit, math.inf), p=_p_value_of_limit(b, limit))
+        ratio_above = replace(UNKNOWN, recording_ci95=(b[1] / limit, math.inf))
+        return replace(unknown, ratio=ratio_above, p=_p_value_of_limit(b, limit))
     return unknown
 
 

@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from ..core.allan.recent import NoiseStep
 from ..core.allan.sums import AllanSums
-from ..core.compare import Comparison
+from ..core.compare import Check
 from ..core.errors import one_line
 from ..core.estimate import Estimate, value_text
 from ..core.findings import Finding, Quantity, by_consequence, finding
@@ -182,7 +182,7 @@ class AxisView:
     method: str
     fit_age_s: float | None
     problems: tuple[Finding, ...]
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[Check, ...]
     margin: float
     step: NoiseStep | None
     noted: tuple[Finding, ...] = ()
@@ -210,9 +210,9 @@ def axis_status(name: str, hardware_id: str, view: AxisView) -> DiagnosticStatus
         ('longest averaging time [s]', _longest_tau(view.sums) if view.sums else None),
     ]
     for c in view.comparisons:
-        unit = shown_unit(view.axis, 'B' if c.tau is not None else c.term, 'deg/h')
+        unit = shown_unit(view.axis, 'B' if c.tau is not None else c.quantity, 'deg/h')
         limit = f'{significant(c.limit * unit.factor, 3)} {unit.name}'
-        pairs.append((f'{c.term} against {c.reference}', f'{c.verdict}, limit {limit}'))
+        pairs.append((f'{c.quantity} against {c.reference}', f'{c.verdict}, limit {limit}'))
     text = _summary(view, static_s, next_term)
     return status_of(name, findings, text, pairs, noted=view.noted, hardware_id=hardware_id)
 
@@ -235,7 +235,7 @@ def _limit_findings(view: AxisView) -> list[Finding]:
     """Return a finding for each coefficient that exceeds its limit."""
     noise = view.result.fit.noise if view.result else {}
     beyond = [c for c in view.comparisons if c.verdict == 'exceeds' and noise]
-    return [exceeds_limit(c, noise.get(c.term), view.margin, ()) for c in beyond]
+    return [exceeds_limit(c, noise.get(c.quantity), view.margin, ()) for c in beyond]
 
 
 def _change_findings(view: AxisView) -> list[Finding]:
@@ -294,7 +294,7 @@ def _next_term(view: AxisView) -> str:
     """Return text such as 'B and K need 2 h at rest'; '' if all relevant terms are resolved."""
     if view.result is None or view.method != 'likelihood':
         return ''  # the prediction is valid only for that fit
-    limits = {c.term: c.limit for c in view.comparisons if c.tau is None}
+    limits = {c.quantity: c.limit for c in view.comparisons if c.tau is None}
     recordings = view.sums.recordings if view.sums else ()
     longest = max((m.samples for r in recordings for m in r.means), default=0) * view.result.tau0
     advice = recommended_duration(view.result.fit, longest, limits)

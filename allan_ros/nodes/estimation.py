@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from ..core.allan.recent import NoiseStep, noise_steps
 from ..core.allan.sums import AllanSums
-from ..core.compare import Comparison
+from ..core.compare import Check
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding, finding
 from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
@@ -79,7 +79,7 @@ class ImuEstimate(Part):
         self._faults: tuple[Finding, ...] = ()
         self._fitting: Future[tuple[Results, float]] | None = None
         self._outdated = False  # whether the sums of the running fit have been replaced
-        self._compared: tuple[Results | None, float, tuple[Comparison, ...]] = None, 0.0, ()
+        self._compared: tuple[Results | None, float, tuple[Check, ...]] = None, 0.0, ()
         self._fit_ended = self._next_fit = 0.0
         self._steps: dict[str, NoiseStep] = {}
         home = home_of(label)
@@ -133,7 +133,7 @@ class ImuEstimate(Part):
         waiting = [(axis, None, connected) for axis in latest.axes]
         return [self._axis_status(now, *each) for each in known or waiting]
 
-    def _comparisons(self, margin: float) -> tuple[Comparison, ...]:
+    def _comparisons(self, margin: float) -> tuple[Check, ...]:
         """Return the comparisons with the references, computed once per fit and margin."""
         results = self._results
         if results is None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from ..core.compare import FAMILY_ERROR, Difference, differences
+from ..core.compare import FAMILY_ERROR, Check, differences
 from ..core.errors import AllanError, one_line
 from ..core.fields import plain
 from ..core.filters.noise_parameters import TermInflation
@@ -18,10 +18,10 @@ from ..core.imu import SI_UNITS, sensor_of
 from ..core.number_text import significant
 from .datasheets import Datasheet, DatasheetComparison, comparison_to_document
 from .documents import results_to_document
-from .measured import AgainstMeasured, against_measured
+from .measured import against_measured
 from .results import Results
 
-SCHEMA = 'allan_ros/comparison/1'
+SCHEMA = 'allan_ros/comparison/2'
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,14 @@ class Pair:
 
     first: str
     second: str
-    differences: tuple[Difference, ...]
+    differences: tuple[Check, ...]
 
     @property
-    def significant(self) -> tuple[Difference, ...]:
+    def significant(self) -> tuple[Check, ...]:
         """The significant differences."""
         return tuple(d for d in self.differences if d.significant)
 
-    def of(self, axis: str, quantity: str) -> Difference | None:
+    def of(self, axis: str, quantity: str) -> Check | None:
         """Return the difference of a coefficient such as 'N', or None if an axis is missing."""
         known = (d for d in self.differences if (d.axis, d.quantity) == (axis, quantity))
         return next(known, None)
@@ -59,7 +59,7 @@ class Checked(NamedTuple):
 
     label: str
     datasheet: DatasheetComparison
-    measured: Sequence[AgainstMeasured]
+    measured: Sequence[Check]
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,9 @@ def compare_runs(
                 f'no common axis: {other.label} has {", ".join(other.results.axes)}, '
                 f'{first.label} has {", ".join(first.results.axes)}'
             )
-    found = differences((first.results.measured, other.results.measured) for other in others)
+    found = differences(
+        (first.label, first.results.measured, other.results.measured) for other in others
+    )
     pairs = (Pair(first.label, other.label, changes) for other, changes in zip(others, found))
     checked = (
         Checked(run.label, known, against_measured(sheet, run.results))
@@ -136,8 +138,8 @@ def compare_runs(
 
 
 def comparison_document(comparison: RunComparison) -> dict[str, Any]:
-    """Return the comparison as a JSON object of the schema ``allan_ros/comparison/1``, in SI."""
-    pairs = plain(comparison.pairs, {'tau': 'tau_s'})
+    """Return the comparison as a JSON object of the schema ``allan_ros/comparison/2``, in SI."""
+    pairs = plain(comparison.pairs)
     for pair, found in zip(comparison.pairs, pairs) if comparison.within else ():
         for d, one in zip(pair.differences, found['differences']):
             one['equivalence'] = d.equivalence(comparison.within)
@@ -166,25 +168,25 @@ RATIO_DIGITS = 3
 """Significant digits of a ratio and of the ends of its interval."""
 
 
-def ratio_text(difference: Difference) -> str:
+def ratio_text(difference: Check) -> str:
     """Return the ratio with its 95 % interval, or a bound on the ratio, as text; '' if unknown."""
-    if difference.ci95 is None:
+    if difference.ratio.ci95 is None:
         return ''
-    low, high = difference.ci95
-    if difference.ratio is not None:
+    low, high = difference.ratio.ci95
+    if difference.ratio.value is not None:
         ends = '..'.join(significant(end, RATIO_DIGITS) for end in (low, high))
-        return f'{significant(difference.ratio, RATIO_DIGITS)} ({ends})'
+        return f'{significant(difference.ratio.value, RATIO_DIGITS)} ({ends})'
     if math.isinf(high):
         return f'> {significant(low, RATIO_DIGITS)}'
     return f'< {significant(high, RATIO_DIGITS)}'
 
 
-def verdict_text(difference: Difference) -> str:
+def verdict_text(difference: Check) -> str:
     """Return 'alike', 'higher' or 'lower' for the second recording, or 'not comparable'."""
     return 'not comparable' if difference.verdict == 'undecided' else difference.verdict
 
 
-def quantity_text(difference: Difference) -> str:
+def quantity_text(difference: Check) -> str:
     """Return the axis and the quantity as text: 'gyro x N', 'gyro x deviation at 1.0 s'."""
     axis = difference.axis.replace('_', ' ')
     if difference.tau is None:
@@ -205,7 +207,7 @@ def _sentence(pair: Pair, family_error: float) -> str:
         )
     # Coefficients take precedence, and a ratio of two measured values comes before a bound.
     named = [d for d in found if d.tau is None] or found
-    largest = max(named, key=lambda d: (d.ratio is not None, _size(d)))
+    largest = max(named, key=lambda d: (d.ratio.value is not None, _size(d)))
     return (
         f'{pair.second} differs from {pair.first} in {len(found)} of {len(pair.differences)} '
         f'comparisons, most in {quantity_text(largest)}: {ratio_text(largest)} times'
@@ -229,15 +231,15 @@ def _equivalence_sentence(pair: Pair, within: float) -> str:
     )
 
 
-def _size(difference: Difference) -> float:
+def _size(difference: Check) -> float:
     """Return how far the 95 % interval of a significant ratio is from 1, as a logarithm."""
-    low, high = difference.ci95 or (1.0, 1.0)
+    low, high = difference.ratio.ci95 or (1.0, 1.0)
     return math.log(low) if low > 1.0 else -math.log(high)
 
 
 def _datasheet_sentence(checked: Checked) -> str:
     name, checks = checked.datasheet.datasheet.name, checked.datasheet.comparisons
-    beyond = [f'{c.axis.replace("_", " ")} {c.term}' for c in checks if c.verdict == 'exceeds']
+    beyond = [f'{c.axis.replace("_", " ")} {c.quantity}' for c in checks if c.verdict == 'exceeds']
     if beyond:
         return f'{checked.label} exceeds the datasheet of {name} in {", ".join(beyond)}'
     unsettled = sum(c.verdict == 'undecided' for c in checks)
@@ -275,7 +277,7 @@ class Inflation:
         """Largest factor for N of all axes, the value for ``allan export --inflate``."""
         return max(axis['N'].factor for axis in self.axes.values())
 
-    def ratios(self, axis: str) -> list[Difference]:
+    def ratios(self, axis: str) -> list[Check]:
         """Return the ratios of the Allan deviations of an axis, one for each averaging time."""
         (pair,) = self.comparison.pairs
         return [d for d in pair.differences if d.axis == axis and d.tau is not None]
@@ -294,7 +296,7 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
                     for term, t in axis.items()
                 },
                 'deviation': [
-                    {'tau_s': d.tau, 'ratio': plain(d.ratio), 'ci95': plain(d.ci95)}
+                    {'tau_s': d.tau, 'ratio': plain(d.ratio.value), 'ci95': plain(d.ratio.ci95)}
                     for d in inflation.ratios(name)
                 ],
             }
@@ -321,13 +323,13 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
         yield f'{name:9}{"  ".join(cells)}'
 
 
-def _nearest(ratios: list[Difference], tau: float) -> Difference | None:
+def _nearest(ratios: list[Check], tau: float) -> Check | None:
     """Return the ratio closest to ``tau``; None if none is within a factor of 1.5."""
     close = [d for d in ratios if d.tau is not None and tau / 1.5 < d.tau < 1.5 * tau]
     return min(close, key=lambda d: abs((d.tau or 0.0) - tau), default=None)
 
 
-def _ratio(d: Difference) -> str:
-    if d.ratio is None or d.ci95 is None:
+def _ratio(d: Check) -> str:
+    if d.ratio.value is None or d.ratio.ci95 is None:
         return 'not known'
-    return f'{d.ratio:.2f} ({d.ci95[0]:.2f} to {d.ci95[1]:.2f})'
+    return f'{d.ratio.value:.2f} ({d.ratio.ci95[0]:.2f} to {d.ratio.ci95[1]:.2f})'

@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
-from ..core.compare import Comparison, LimitVerdict, verdict
+from ..core.compare import Check, Judgement, check_limits
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.fields import Fields, located, plain
@@ -93,14 +93,6 @@ class Limit:
     source: str = ''
 
 
-class MeasuredValue(NamedTuple):
-    """N or B of a sensor: root mean square of its axes, and the ends of their 95 % intervals."""
-
-    value: float
-    low: float
-    high: float
-
-
 @dataclass(frozen=True)
 class Measured:
     """Noise that was measured with one unit of a sensor: sensor -> term -> value in SI.
@@ -112,21 +104,21 @@ class Measured:
     url: str = ''
     hours: float = 0.0
     condition: str = ''
-    values: Mapping[str, Mapping[str, MeasuredValue]] = field(default_factory=dict)
+    values: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
 
 
 def measured_from_document(fields: Fields) -> Measured:
     """Return an entry of the list ``measured`` in the file of a sensor."""
     fields.only('by', 'url', 'hours', 'condition', *SI_UNITS)
-    values: dict[str, dict[str, MeasuredValue]] = {}
+    values: dict[str, dict[str, Estimate]] = {}
     for sensor in (name for name in SI_UNITS if name in fields):
         terms = fields.fields(sensor)
         for term in terms:
             one = terms.fields(term)
-            one.only(*MeasuredValue._fields, 'unit')
+            one.only('value', 'low', 'high', 'unit')
             factor = one.quantity(SI_UNITS[sensor][term]) / one.number('value')
-            ends = (one.number(key) * factor for key in MeasuredValue._fields)
-            values.setdefault(sensor, {})[term] = MeasuredValue(*ends)
+            value, low, high = (one.number(key) * factor for key in ('value', 'low', 'high'))
+            values.setdefault(sensor, {})[term] = Estimate(value, (low, high))
     return fields.record(Measured, values=values)
 
 
@@ -178,7 +170,7 @@ class Datasheet:
         }
 
 
-VERDICTS: tuple[LimitVerdict, ...] = ('exceeds', 'undecided', 'within')
+VERDICTS: tuple[Judgement, ...] = ('exceeds', 'undecided', 'within')
 """Verdicts of a comparison, the worst first; an 'undecided' interval contains the limit."""
 
 
@@ -192,21 +184,21 @@ class DatasheetComparison:
 
     datasheet: Datasheet
     margin: float
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[Check, ...]
 
     @property
-    def verdict(self) -> LimitVerdict | None:
+    def verdict(self) -> Judgement | None:
         """The worst verdict; None if nothing could be compared."""
         found = {c.verdict for c in self.comparisons}
         return next((one for one in VERDICTS if one in found), None)
 
-    def of(self, axis: str, term: str) -> Comparison | None:
+    def of(self, axis: str, term: str) -> Check | None:
         """Return the comparison of a coefficient; None if it has no limit."""
-        return next((c for c in self.comparisons if (c.axis, c.term) == (axis, term)), None)
+        return next((c for c in self.comparisons if (c.axis, c.quantity) == (axis, term)), None)
 
-    def limit(self, comparison: Comparison) -> Limit:
+    def limit(self, check: Check) -> Limit:
         """Return the limit of a comparison, with its number, note and source."""
-        return self.datasheet.limits[comparison.axis][comparison.term]
+        return self.datasheet.limits[check.axis][check.quantity]
 
 
 def against_datasheet(
@@ -220,31 +212,32 @@ def against_datasheet(
     found = []
     for axis, terms in noise.items():
         for term in (term for term in TERMS if term in datasheet.limits.get(axis, {})):
-            limit, c = datasheet.limits[axis][term].value, terms[term]
-            at_least = (c.ci95 or (c.value or 0.0,))[0] / limit if limit > 0.0 else 0.0
-            judged = verdict(c, limit, margin)
-            found.append(Comparison(datasheet.name, axis, term, limit, judged, at_least))
+            limit = datasheet.limits[axis][term].value
+            known = terms[term].magnitude
+            found.append(
+                check_limits(axis, term, datasheet.name, known, upper=limit, margin=margin)
+            )
     return DatasheetComparison(datasheet, margin, tuple(found))
 
 
 def exceeds_limit(
-    comparison: Comparison, coefficient: Estimate | None, margin: float, axes: tuple[str, ...]
+    check: Check, coefficient: Estimate | None, margin: float, axes: tuple[str, ...]
 ) -> Finding:
     """Return the finding that a coefficient or an Allan deviation exceeds a limit.
 
-    The comparison contains the limit and the measured ratio. ``coefficient`` is the measured value;
+    The check contains the limit and the measured ratio. ``coefficient`` is the measured value;
     None if only the ratio is known. The text states the fraction ``margin``, and ``axes`` are the
     axes to which the finding applies.
     """
-    c = comparison
-    kind = (sensor_of(c.axis), 'B' if c.tau is not None else c.term)
+    c = check
+    kind = (sensor_of(c.axis), 'B' if c.tau is not None else c.quantity)
     value = None
     if c.tau is None and coefficient is not None and coefficient.value is not None:
         value = Quantity(coefficient.value, *kind, *(coefficient.ci95 or ()))
     return finding(
         'exceeds_limit',
         axes,
-        term=c.term if c.tau is None else 'The Allan deviation',
+        term=c.quantity if c.tau is None else 'The Allan deviation',
         tau=c.tau,
         value=value,
         least=None if value else Quantity(c.at_least * c.limit, *kind),
@@ -260,9 +253,9 @@ def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
     axes: dict[str, dict[str, Any]] = {}
     for c in comparison.comparisons:
         limit = plain(comparison.limit(c))
-        axes.setdefault(c.axis, {})[c.term] = {
+        axes.setdefault(c.axis, {})[c.quantity] = {
             'limit': limit.pop('value'),
-            'unit': SI_UNITS[sensor_of(c.axis)][c.term],
+            'unit': SI_UNITS[sensor_of(c.axis)][c.quantity],
             **limit,
             'verdict': c.verdict,
         }

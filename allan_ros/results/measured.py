@@ -6,22 +6,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
 
-from ..core.compare import Change
+from ..core.compare import Check, Judgement
+from ..core.estimate import Estimate
 from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, UNITS
 from ..core.number_text import significant
-from .datasheets import Datasheet, Measured, MeasuredValue
+from .datasheets import Datasheet, Measured
 from .results import Results
 
 SHOWN = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
 """Unit of a measured value in the catalogue, if it differs from `DATASHEET_UNITS`."""
 
-WORDS: dict[Change, str] = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}
+WORDS: dict[Judgement, str] = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}
 """Change from the measured units -> its text."""
 
 
-def measured_values(results: Results) -> dict[tuple[str, str], MeasuredValue]:
+def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
     """Return (sensor, term) -> measured value in SI of N and B, if all axes resolve it."""
     found = {}
     for kind, term in ((kind, term) for kind in SENSORS for term in 'NB'):
@@ -31,7 +31,7 @@ def measured_values(results: Results) -> dict[tuple[str, str], MeasuredValue]:
         if ends and len(ends) == len(known):
             mean = math.sqrt(sum((one.value or 0.0) ** 2 for one in known) / len(known))
             low, high = min(e[0] for e in ends), max(e[1] for e in ends)
-            found[kind, term] = MeasuredValue(mean, low, high)
+            found[kind, term] = Estimate(mean, (low, high))
     return found
 
 
@@ -41,11 +41,16 @@ def _texts(kind: str, term: str, *values: float, digits: int = 3) -> tuple[str, 
     return *(significant(value / UNITS[unit].factor, digits) for value in values), unit
 
 
+def _numbers(estimate: Estimate) -> tuple[float, float, float]:
+    """Return the value and the ends of its interval."""
+    return estimate.value or math.nan, *(estimate.ci95 or (math.nan, math.nan))
+
+
 def measured_entry(results: Results) -> str:
     """Return the YAML text of results for the list ``measured`` in the file of a sensor."""
     terms: dict[str, list[str]] = {}
-    for (kind, term), ends in measured_values(results).items():
-        value, low, high, unit = _texts(kind, term, *ends, digits=4)
+    for (kind, term), known in measured_values(results).items():
+        value, low, high, unit = _texts(kind, term, *_numbers(known), digits=4)
         text = f'      {term}: {{value: {value}, low: {low}, high: {high}, unit: {unit}}}'
         terms.setdefault(f'    {kind}:', []).append(text)
     return '\n'.join(
@@ -60,37 +65,34 @@ def measured_entry(results: Results) -> str:
     )
 
 
-class AgainstMeasured(NamedTuple):
-    """N or B of one unit beside the values that were measured with units of the same sensor."""
-
-    sensor: str  # gyro or accel
-    term: str
-    value: MeasuredValue
-    low: float  # ends of the intervals of all measured units, SI
-    high: float
-    units: int  # number of measured units
-    verdict: Change  # 'alike' if the intervals overlap
-
-    def __str__(self) -> str:
-        ends = (*self.value, self.low, self.high)
-        value, low, high, least, most, unit = _texts(self.sensor, self.term, *ends)
-        number = '1 unit has' if self.units == 1 else f'{self.units} units have'
-        return (
-            f'{self.sensor} {self.term} {WORDS[self.verdict]}: {value} ({low}..{high}) {unit}, '
-            f'{number} {least}..{most}'
-        )
+def measured_check_text(check: Check) -> str:
+    """Return a check of `against_measured` as a sentence."""
+    low, high = check.measured.ci95 or (math.nan, math.nan)
+    numbers = (check.measured.value, low, high, check.lower, check.upper)
+    known = (math.nan if number is None else number for number in numbers)
+    value, low_text, high_text, least, most, unit = _texts(check.axis, check.quantity, *known)
+    return (
+        f'{check.axis} {check.quantity} {WORDS[check.verdict]}: {value} ({low_text}..{high_text}) '
+        f'{unit}, {check.reference}: {least}..{most}'
+    )
 
 
-def against_measured(sheet: Datasheet, results: Results) -> list[AgainstMeasured]:
-    """Compare each resolved N and B with the values that were measured with units of a sensor."""
+def against_measured(sheet: Datasheet, results: Results) -> list[Check]:
+    """Compare each resolved N and B with the values that were measured with units of a sensor.
+
+    The axis of a check is the sensor, and its limits are the ends of the intervals of all measured
+    units. The verdict is 'alike' if the intervals overlap.
+    """
     found = []
     for (kind, term), value in measured_values(results).items():
         known = [e.values[kind][term] for e in sheet.measured if term in e.values.get(kind, {})]
-        if known:
-            low, high = min(k.low for k in known), max(k.high for k in known)
-            verdict: Change = 'lower' if value.high < low else 'alike'
-            verdict = 'higher' if value.low > high else verdict
-            found.append(AgainstMeasured(kind, term, value, low, high, len(known), verdict))
+        ends = [one.ci95 for one in known if one.ci95]
+        if ends and value.ci95:
+            low, high = min(end[0] for end in ends), max(end[1] for end in ends)
+            verdict: Judgement = 'lower' if value.ci95[1] < low else 'alike'
+            verdict = 'higher' if value.ci95[0] > high else verdict
+            units = '1 unit' if len(known) == 1 else f'{len(known)} units'
+            found.append(Check(kind, term, units, value, low, high, verdict=verdict))
     return found
 
 
@@ -102,7 +104,7 @@ def measured_factors(sheet: Datasheet) -> Iterator[tuple[Measured, str, str, flo
         for kind, terms in one.values.items():
             for term, value in terms.items():
                 limit = limits.get(f'{kind}_x', {}).get(term)
-                yield one, kind, term, value.value / limit if limit else None
+                yield one, kind, term, (value.value or 0.0) / limit if limit else None
 
 
 def known_factors(sheets: Iterable[Datasheet]) -> tuple[float, float]:
@@ -120,6 +122,6 @@ def measured_lines(sheet: Datasheet) -> Iterator[str]:
             more = (f'{one.hours:g} h' if one.hours else '', one.condition, one.url)
             yield from (f'  {text}' for text in more if text)
             shown = one
-        mean, low, high, unit = _texts(kind, term, *one.values[kind][term])
+        mean, low, high, unit = _texts(kind, term, *_numbers(one.values[kind][term]))
         share = f', {significant(factor, 2)} of the datasheet' if factor else ''
         yield f'  {kind} {term} {mean} ({low}..{high}) {unit}{share}'

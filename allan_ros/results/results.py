@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
-from ..core.compare import MARGIN, Comparison, Measured, Run, differences
+from ..core.compare import MARGIN, Check, Measured, Run, differences
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.findings import Finding
@@ -69,7 +69,7 @@ class Results:
     ('estimated', 30, 'measured')
     >>> figure = results.plot('gyro')
     >>> checked = results.compared(sensor='adis16475-3')
-    >>> checked.comparisons[0].term, checked.comparisons[0].verdict
+    >>> checked.comparisons[0].quantity, checked.comparisons[0].verdict
     ('N', 'within')
     >>> results.export('kalibr').splitlines()[-1]
     'update_rate: 50.0'
@@ -103,7 +103,7 @@ class Results:
             checks = self.undecided_if_short(self.datasheet.comparisons)
             object.__setattr__(self, 'datasheet', replace(self.datasheet, comparisons=checks))
 
-    def undecided_if_short(self, comparisons: Sequence[Comparison]) -> tuple[Comparison, ...]:
+    def undecided_if_short(self, comparisons: Sequence[Check]) -> tuple[Check, ...]:
         """Return the comparisons, with the verdict 'undecided' below `TOO_SHORT_S` of data at
         rest."""
         short = self.duration_s < TOO_SHORT_S
@@ -144,19 +144,19 @@ class Results:
         return found
 
     @cached_property
-    def comparisons(self) -> tuple[Comparison, ...]:
+    def comparisons(self) -> tuple[Check, ...]:
         """The comparisons of the coefficients with the datasheet and with the earlier runs.
 
         Allan deviations are compared with the earlier runs, too. If a deviation of an axis exceeds
         an earlier run although none of its coefficients does, the largest such excess is included.
         """
         found = list(self.datasheet.comparisons) if self.datasheet else []
-        pairs = [(earlier.measured, self.measured) for earlier in self.baselines.values()]
+        pairs = [(name, run.measured, self.measured) for name, run in self.baselines.items()]
         for name, of_run in zip(self.baselines, differences(pairs)):
-            known = [c for d in of_run if (c := d.against(name, self.margin)) is not None]
+            known = [c for d in of_run if (c := d.as_limit(self.margin)) is not None]
             found += [c for c in known if c.tau is None]
             explained = {c.axis for c in found if c.reference == name and c.verdict == 'exceeds'}
-            excess: dict[str, Comparison] = {}
+            excess: dict[str, Check] = {}
             for c in sorted(known, key=lambda c: c.at_least):
                 if c.tau is not None and c.verdict == 'exceeds' and c.axis not in explained:
                     excess[c.axis] = c
@@ -185,7 +185,7 @@ class Results:
         others = (f for f in self.findings if f.id != 'exceeds_limit')
         comparison = against_datasheet(self.noise, datasheet, margin)
         found = (
-            exceeds_limit(c, self.noise[c.axis][c.term], margin, (c.axis,))
+            exceeds_limit(c, self.noise[c.axis][c.quantity], margin, (c.axis,))
             for c in self.undecided_if_short(comparison.comparisons)
             if c.verdict == 'exceeds'
         )

@@ -117,7 +117,7 @@ def _is_open(results: Results, checks: Sequence[PlanCheck]) -> bool:
     comparisons = results.comparisons
     if not comparisons:
         return not checks
-    required = [c for c in comparisons if c.term == 'N'] or comparisons
+    required = [c for c in comparisons if c.quantity == 'N'] or comparisons
     return any(c.verdict != 'within' for c in required)
 
 

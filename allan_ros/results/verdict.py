@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from ..core.compare import Comparison
+from ..core.compare import Check
 from ..core.estimate import value_text
 from ..core.findings import Finding, by_consequence, grouped, is_note
 from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
@@ -67,7 +67,7 @@ class Judged(Protocol):
     @property
     def datasheet(self) -> DatasheetComparison | None: ...
     @property
-    def comparisons(self) -> tuple[Comparison, ...]: ...
+    def comparisons(self) -> tuple[Check, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def measured(results: Judged) -> bool:
     )
 
 
-def _level(results: Judged, comparisons: Sequence[Comparison]) -> Level:
+def _level(results: Judged, comparisons: Sequence[Check]) -> Level:
     severities = {finding.severity for finding in results.findings}
     if {finding.id for finding in results.findings} & set(SENSOR_FAULTS):
         return 'failed'
@@ -124,7 +124,7 @@ def _level(results: Judged, comparisons: Sequence[Comparison]) -> Level:
     if 'exceeds' in {c.verdict for c in comparisons}:
         return 'failed'
     # without a limit of N, all other terms must be within; they often need a longer recording
-    required = [c for c in comparisons if c.term == 'N'] or comparisons
+    required = [c for c in comparisons if c.quantity == 'N'] or comparisons
     if 'error' in severities or any(c.verdict != 'within' for c in required):
         return 'unknown'
     if not comparisons:
@@ -137,7 +137,7 @@ def too_short(results: Judged) -> bool:
     return not measured(results) or results.duration_s < TOO_SHORT_S
 
 
-def _summary(results: Judged, comparisons: Sequence[Comparison], units: str) -> str:
+def _summary(results: Judged, comparisons: Sequence[Check], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
     wrong = [f for f in grouped(results.findings) if f.id in WRONG_UNITS]
     if wrong and not faults and not too_short(results):
@@ -161,7 +161,7 @@ def _summary(results: Judged, comparisons: Sequence[Comparison], units: str) -> 
         return f'All {len(comparisons)} numbers are within {_references(comparisons)}.'
     terms: dict[str, list[str]] = {}
     for c in unsettled:
-        terms.setdefault(c.term, []).append(c.axis)
+        terms.setdefault(c.quantity, []).append(c.axis)
     named = [f'{term} of {_axes_text(axes, results)}' for term, axes in terms.items()]
     return (
         f'{len(comparisons) - len(unsettled)} of {len(comparisons)} numbers are within '
@@ -202,14 +202,14 @@ def quality(results: Judged) -> str:
     return f'{text[0].upper()}{text[1:]}.'
 
 
-def _references(comparisons: Sequence[Comparison]) -> str:
+def _references(comparisons: Sequence[Check]) -> str:
     return _joined(list(dict.fromkeys(c.reference for c in comparisons)))
 
 
-def _excesses(results: Judged, beyond: Sequence[Comparison], units: str) -> Iterator[str]:
-    groups: dict[tuple[str, str, float | None], list[Comparison]] = {}
+def _excesses(results: Judged, beyond: Sequence[Check], units: str) -> Iterator[str]:
+    groups: dict[tuple[str, str, float | None], list[Check]] = {}
     for c in beyond:
-        groups.setdefault((sensor_of(c.axis), c.term, c.tau), []).append(c)
+        groups.setdefault((sensor_of(c.axis), c.quantity, c.tau), []).append(c)
     for (sensor, term, tau), group in groups.items():
         unit = shown_unit(sensor, 'B' if tau else term, units)
         where = _axes_text([c.axis for c in group], results)
@@ -236,14 +236,14 @@ def time_to_record(results: Judged) -> tuple[float, tuple[str, ...]] | None:
     limits: dict[str, dict[str, float]] = {}
     if results.datasheet is not None:
         for c in results.datasheet.comparisons:
-            limits.setdefault(c.axis, {})[c.term] = c.limit
+            limits.setdefault(c.axis, {})[c.quantity] = c.limit
     return longest_recommended(
         recommended_duration(axis.fit, longest or results.duration_s, limits.get(name))
         for name, axis in results.axes.items()
     )
 
 
-def _steps(level: Level, results: Judged, comparisons: Sequence[Comparison]) -> Iterator[str]:
+def _steps(level: Level, results: Judged, comparisons: Sequence[Check]) -> Iterator[str]:
     remedies: dict[str, list[str]] = {}
     for finding in by_consequence(results.findings):
         if finding.severity != 'info' and finding.id not in NO_STEP:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from ..core.compare import Comparison
+from ..core.compare import Check
 from ..core.estimate import NOTHING_KNOWN, Estimate
 from ..core.fit import TERMS
 from ..core.imu import sensor_of, shown_unit
@@ -28,15 +28,15 @@ ABSENT = Estimate(None, status='not_observable')
 
 
 def limit_table(
-    axes: Coefficients, comparisons: Sequence[Comparison], units: str, stated: Mapping[str, str]
+    axes: Coefficients, comparisons: Sequence[Check], units: str, stated: Mapping[str, str]
 ) -> Table:
     """Return the coefficients of one sensor, each with its part of a limit and the verdict.
 
     ``stated`` maps a term to its limits as text. A term without a limit has no row.
     """
 
-    def part(check: Comparison) -> str:
-        coefficient = axes[check.axis][check.term]
+    def part(check: Check) -> str:
+        coefficient = axes[check.axis][check.quantity]
         resolved = coefficient.resolved
         size = coefficient.magnitude.value if resolved else coefficient.upper95
         share = f'{100.0 * size / check.limit:.0f}{NO_BREAK}% of the limit' if size else ''
@@ -47,13 +47,13 @@ def limit_table(
 
 
 def baseline_table(
-    axes: Coefficients, comparisons: Sequence[Comparison], units: str, before: Results
+    axes: Coefficients, comparisons: Sequence[Check], units: str, before: Results
 ) -> Table:
     """Return the coefficients of one sensor, each with its former value and the verdict."""
 
-    def former(check: Comparison) -> str:
-        unit = shown_unit(check.axis, check.term, units)
-        cell = coefficient_cell(before.axes[check.axis].fit.noise[check.term], unit)
+    def former(check: Check) -> str:
+        unit = shown_unit(check.axis, check.quantity, units)
+        cell = coefficient_cell(before.axes[check.axis].fit.noise[check.quantity], unit)
         return f'before: {cell.text.replace(" ", NO_BREAK)}'
 
     return _checks_table(axes, comparisons, units, {}, former)
@@ -61,10 +61,10 @@ def baseline_table(
 
 def _checks_table(
     axes: Coefficients,
-    comparisons: Sequence[Comparison],
+    comparisons: Sequence[Check],
     units: str,
     notes: Mapping[str, str],
-    detail: Callable[[Comparison], str],
+    detail: Callable[[Check], str],
 ) -> Table:
     """Return the coefficients that are compared; ``detail`` returns the detail of a cell.
 
@@ -73,7 +73,7 @@ def _checks_table(
     sensor = sensor_of(next(iter(axes)))
     rows = []
     for term in TERMS:
-        checks = {c.axis: c for c in comparisons if c.term == term and c.axis in axes}
+        checks = {c.axis: c for c in comparisons if c.quantity == term and c.axis in axes}
         unit = shown_unit(sensor, term, units)
         cells = [
             Cell(

@@ -12,11 +12,11 @@ import pytest
 from allan_ros.core.allan.curve import AxisCurve, chi_squared_limits
 from allan_ros.core.compare import (
     FAMILY_ERROR,
-    Difference,
+    Check,
     Measured,
     _with_verdicts,
+    check_limits,
     differences,
-    verdict,
 )
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.fit.model import TERMS
@@ -24,18 +24,18 @@ from allan_ros.core.fit.model import TERMS
 UNSEEN = Estimate(None, None, 0.5, 'not_observable')
 
 
-def compare(first: Estimate, second: Estimate) -> Difference:
+def compare(first: Estimate, second: Estimate) -> Check:
     """Return the difference of N as the only comparison, so without correction for several
     tests.
     """
     others = {term: Estimate(None) for term in TERMS}
     runs = ({'gyro_x': Measured(others | {'N': c}, None)} for c in (first, second))
-    [found] = differences([tuple(runs)])
+    [found] = differences([('May', *runs)])
     return next(d for d in found if d.quantity == 'N')
 
 
-def of_curves(*curves: AxisCurve) -> tuple[Difference, ...]:
-    [found] = differences([tuple({'gyro_x': Measured(None, c)} for c in curves)])
+def of_curves(*curves: AxisCurve) -> tuple[Check, ...]:
+    [found] = differences([('May', *({'gyro_x': Measured(None, c)} for c in curves))])
     return found
 
 
@@ -65,8 +65,8 @@ def test_verdicts(first, second, expected):
 def test_the_ratio_has_the_widths_that_face():
     """Zou & Donner: the lower limit has the lower width of one and the upper width of the other."""
     d = compare(Estimate(1.0, (0.8, 1.1)), Estimate(2.0, (1.6, 3.0)))
-    low, high = d.ci95
-    assert d.ratio == pytest.approx(2.0)
+    low, high = d.ratio.ci95
+    assert d.ratio.value == pytest.approx(2.0)
     whole = math.log(3.0 / 1.6) / 2, math.log(1.1 / 0.8) / 2
     assert math.log(2.0 / low) == pytest.approx(math.hypot(whole[0], whole[1]))
     assert math.log(high / 2.0) == pytest.approx(math.hypot(math.log(1.5), math.log(1.25)))
@@ -81,23 +81,22 @@ def test_an_estimate_at_the_end_of_its_interval_is_not_known_the_better():
 def test_the_comparison_is_symmetric():
     a, b = Estimate(1.0, (0.8, 1.1)), Estimate(2.0, (1.6, 3.0))
     there, back = compare(a, b), compare(b, a)
-    assert there.ratio == pytest.approx(1 / back.ratio)
-    assert there.ci95 == pytest.approx([1 / end for end in reversed(back.ci95)])
+    assert there.ratio.value == pytest.approx(1 / back.ratio.value)
+    assert there.ratio.ci95 == pytest.approx([1 / end for end in reversed(back.ratio.ci95)])
     assert there.p == pytest.approx(back.p)
     assert compare(a, UNSEEN).p == pytest.approx(compare(UNSEEN, a).p)
 
 
 def test_a_limit_leaves_the_ratio_open_at_one_end():
-    assert compare(Estimate(1.0, (0.8, 1.1)), UNSEEN).ci95 == pytest.approx((0.0, 0.5 / 0.8))
+    assert compare(Estimate(1.0, (0.8, 1.1)), UNSEEN).ratio.ci95 == pytest.approx((0.0, 0.5 / 0.8))
     d = compare(UNSEEN, Estimate(1.0, (0.8, 1.1)))
-    assert d.ratio is None and d.ci95 == (pytest.approx(1.6), math.inf)
+    assert d.ratio.value is None and d.ratio.ci95 == (pytest.approx(1.6), math.inf)
 
 
 def test_holm_by_hand():
     """p of 0.01, 0.03, 0.04 and 0.005 at 5 %: limits are 0.05/4, /3, /2, /1."""
-    raw = [
-        Difference('gyro_x', 'N', None, 1.0, 2.0, (1.5, 3.0), p) for p in (0.01, 0.03, 0.04, 0.005)
-    ]
+    twice = Estimate(2.0, (1.5, 3.0))
+    raw = [Check('gyro_x', 'N', ratio=twice, p=p) for p in (0.01, 0.03, 0.04, 0.005)]
     assert [d.verdict for d in _with_verdicts(raw, 0.05)] == ['higher', 'alike', 'alike', 'higher']
     assert [d.verdict for d in _with_verdicts(raw, 0.2)] == ['higher'] * 4
     assert differences([]) == []
@@ -111,8 +110,8 @@ def test_curves_are_compared_where_both_have_data():
     times = [d.tau for d in found]
     assert times[0] == pytest.approx(tau[10])
     assert times[-1] <= tau[-1] and np.diff(np.log(times)) == pytest.approx(math.log(4.0))
-    assert [d.ratio for d in found] == pytest.approx([2.0] * len(found), rel=1e-6)
-    assert all(d.ci95[0] < 2.0 < d.ci95[1] for d in found)
+    assert [d.ratio.value for d in found] == pytest.approx([2.0] * len(found), rel=1e-6)
+    assert all(d.ratio.ci95[0] < 2.0 < d.ratio.ci95[1] for d in found)
     assert found[0].verdict == 'higher'
     nothing = curve(np.full(60, np.nan), edf, tau)
     assert of_curves(a, nothing) == ()
@@ -139,7 +138,7 @@ def test_all_pairs_are_one_family():
     edf = np.array([200.0, 200.0])
     a, b = curve(np.ones(2), edf, tau), curve(np.array([1.2, 1.0]), edf, tau)
     assert [d.verdict for d in of_curves(a, b)] == ['higher', 'alike']
-    pair = {'gyro_x': Measured(None, a)}, {'gyro_x': Measured(None, b)}
+    pair = 'May', {'gyro_x': Measured(None, a)}, {'gyro_x': Measured(None, b)}
     assert {d.verdict for of_pair in differences([pair] * 10) for d in of_pair} == {'alike'}
 
 
@@ -157,8 +156,8 @@ def test_all_pairs_are_one_family():
     ],
 )
 def test_an_earlier_run_is_exceeded_only_significantly_and_by_the_margin(second, expected):
-    found = compare(Estimate(1.0, (0.98, 1.02)), second).against('May', 0.2)
-    known = found and (found.reference, found.term, found.verdict)
+    found = compare(Estimate(1.0, (0.98, 1.02)), second).as_limit(0.2)
+    known = found and (found.reference, found.quantity, found.verdict)
     assert known == (expected and ('May', 'N', expected))
 
 
@@ -177,7 +176,7 @@ def test_an_earlier_run_is_exceeded_only_significantly_and_by_the_margin(second,
     ],
 )
 def test_verdicts_at_a_limit_of_one_and_a_margin_of_a_fifth(coefficient, expected):
-    assert verdict(coefficient, 1.0, 0.2) == expected
+    assert check_limits('gyro_x', 'N', 'X1', coefficient, upper=1.0, margin=0.2).verdict == expected
 
 
 @pytest.mark.parametrize(
@@ -192,5 +191,22 @@ def test_verdicts_at_a_limit_of_one_and_a_margin_of_a_fifth(coefficient, expecte
     ],
 )
 def test_equality_up_to_a_fraction_is_tested_from_both_sides(ratio, ci95, answer):
-    d = Difference('gyro_x', 'N', None, 1.0, ratio, ci95, 0.5)
+    d = Check('gyro_x', 'N', ratio=Estimate(ratio, ci95), p=0.5)
     assert d.equivalence(0.05) == answer
+
+
+@pytest.mark.parametrize(
+    ('ends', 'expected'),
+    [
+        ((1.2, 1.8), 'within'),
+        ((1.8, 2.2), 'undecided'),
+        ((2.1, 2.4), 'exceeds'),
+        ((0.5, 0.9), 'exceeds'),
+        ((0.8, 1.5), 'undecided'),
+    ],
+)
+def test_an_interval_is_compared_with_both_limits(ends, expected):
+    found = check_limits('gyro_x', 'bias', 'plan', Estimate(sum(ends) / 2.0, ends), 1.0, 2.0)
+    assert found.verdict == expected
+    assert found.ratio.ci95 == pytest.approx([end / 2.0 for end in ends])
+    assert found.at_least == pytest.approx(ends[0] / 2.0)

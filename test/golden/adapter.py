@@ -42,7 +42,7 @@ def numbers(results: ar.Results) -> dict[str, Any]:
         'axes': {name: _axis(results[name]) for name in results},
         'findings': _findings(results.findings),
         'checks': {
-            f'{c.axis} {c.term} against {c.reference}': {
+            f'{c.axis} {c.quantity} against {c.reference}': {
                 'verdict': c.verdict,
                 'limit': c.limit,
                 'at_least': c.at_least,

@@ -18,7 +18,7 @@ from support.numbers import NO_NUMBER, noiseless_sums, noisy_sums
 
 from allan_ros.core.allan.recent import NoiseStep, noise_steps
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.compare import Comparison
+from allan_ros.core.compare import Check
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.findings import finding
 from allan_ros.core.fit.model import TERMS, AxisFit
@@ -100,8 +100,8 @@ def test_only_relevant_terms_are_recommended(sums):
 
 
 def test_a_coefficient_above_its_limit_is_a_warning_with_advice(sums):
-    beyond = Comparison('ADIS', 'gyro_z', 'N', 0.1 * DEG_PER_SQRT_H, 'exceeds')
-    within = Comparison('ADIS', 'gyro_z', 'B', 1.0, 'within')
+    beyond = Check('gyro_z', 'N', 'ADIS', upper=0.1 * DEG_PER_SQRT_H, verdict='exceeds')
+    within = Check('gyro_z', 'B', 'ADIS', upper=1.0, verdict='within')
     status = status_of(sums, comparisons=(within, beyond))
     assert status.level == DiagnosticStatus.WARN
     assert status.message.startswith(

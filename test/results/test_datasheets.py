@@ -245,7 +245,7 @@ def test_the_complete_interval_decides(small_results, share, verdict):
     against = held(small_results, N=n.value * share)
     assert against.datasheet.verdict == verdict
     [entry] = against.datasheet.comparisons
-    assert (entry.axis, entry.term, entry.verdict) == ('gyro_x', 'N', verdict)
+    assert (entry.axis, entry.quantity, entry.verdict) == ('gyro_x', 'N', verdict)
     new = against.findings[len(small_results.findings) :]
     assert [f.id for f in new] == ['exceeds_limit'] * (verdict == 'exceeds')
     assert all(f.axes == ('gyro_x',) and 'of X-1' in f.message for f in new)

@@ -101,7 +101,7 @@ def test_a_unit_is_compared_with_the_measured_units(
     small_results: Results, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     own = measured_values(small_results)
-    assert all(value.low <= value.value <= value.high for value in own.values())
+    assert all(one.ci95[0] <= one.value <= one.ci95[1] for one in own.values())
     small_results.save(tmp_path / 'results')
     assert main(['sensors', '--from', str(tmp_path / 'results')]) == 0
     stated = yaml.safe_load(capsys.readouterr().out)
@@ -110,10 +110,13 @@ def test_a_unit_is_compared_with_the_measured_units(
     path = tmp_path / 'x1.yaml'
     path.write_text(yaml.safe_dump({**SHEET, **stated}))
     (read,) = load_sensor(str(path)).measured
-    for (kind, term), value in own.items():
-        assert read.values[kind][term] == pytest.approx(value, rel=1e-3)
+    for (kind, term), one in own.items():
+        known = read.values[kind][term]
+        assert known.value == pytest.approx(one.value, rel=1e-3)
+        assert known.ci95 == pytest.approx(one.ci95, rel=1e-3)
     for name, factor in (('typical', 1.0), ('quieter', 2.0), ('noisier', 0.5)):
-        ends = [number * factor for number in own['gyro', 'N']]
+        n = own['gyro', 'N'].times(factor)
+        ends = n.value, *n.ci95
         entry = dict(zip(('value', 'low', 'high'), ends), unit='rad/s/sqrt(Hz)')
         sheet = tmp_path / f'{name}.yaml'
         sheet.write_text(yaml.safe_dump({**SHEET, 'measured': [{'by': 'Y', 'gyro': {'N': entry}}]}))
@@ -122,7 +125,8 @@ def test_a_unit_is_compared_with_the_measured_units(
     assert main(['compare', str(tmp_path / 'results'), f'sensor:{sheet}', '--json']) == 0
     document = json.loads(capsys.readouterr().out)
     (known,) = document['datasheets'][0]['measured']
-    assert (known['term'], known['units'], known['verdict']) == ('N', 1, 'higher')
+    assert (known['quantity'], known['reference']) == ('N', '1 unit')
+    assert known['verdict'] == 'higher'
 
 
 def test_the_catalogue_names_who_measured(capsys: pytest.CaptureFixture[str]) -> None:

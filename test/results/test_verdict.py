@@ -57,7 +57,7 @@ def test_n_within_its_limit_is_enough(small_results: Results) -> None:
     known = against_itself(calm(small_results), 0.999)
     assert known.datasheet is not None
     comparisons = tuple(
-        replace(c, verdict='within' if c.term == 'N' else 'undecided')
+        replace(c, verdict='within' if c.quantity == 'N' else 'undecided')
         for c in known.datasheet.comparisons
     )
     verdict = verdict_of(
@@ -146,7 +146,7 @@ def test_an_earlier_run_and_compare_agree(small_results: Results) -> None:
     louder = scaled(small_results, 1.5)
     comparisons = louder.compared(baseline=small_results, margin=0.2).comparisons
     [pair] = compare_runs([Subject('a', small_results), Subject('b', louder)]).pairs
-    beyond = [(c.axis, c.term) for c in comparisons if c.verdict == 'exceeds']
+    beyond = [(c.axis, c.quantity) for c in comparisons if c.verdict == 'exceeds']
     assert beyond == [(d.axis, d.quantity) for d in pair.significant] == [('gyro_z', 'N')]
     assert louder.check(baseline=small_results).summary.startswith(
         'Above the earlier run: N of gyro z (at least 1.5 times '

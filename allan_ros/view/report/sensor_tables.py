@@ -10,7 +10,7 @@ from functools import partial
 from html import escape
 from typing import TYPE_CHECKING
 
-from ...core.compare import Comparison
+from ...core.compare import Check
 from ...core.errors import AllanError
 from ...core.fit import TERMS
 from ...core.fit.interpretation import ADVISED_TERMS
@@ -118,9 +118,9 @@ def datasheet_html(axes: Axes, comparison: DatasheetComparison) -> Iterator[str]
         yield from map(_note, notes)
 
 
-def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Comparison]) -> Iterator[str]:
+def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> Iterator[str]:
     """Yield an HTML table of the comparison with an earlier run; nothing without comparisons."""
-    if any(c.axis in axes and c.term in TERMS for c in comparisons):
+    if any(c.axis in axes and c.quantity in TERMS for c in comparisons):
         yield _scrolled(
             'comparison', lambda units: baseline_table(_noise(axes), comparisons, units, before)
         )
