@@ -130,11 +130,14 @@ class Block:
         return Block(self.stamps.copy(), self.rows.copy(), self.cut, filled)
 
     @classmethod
-    def joined(cls, parts: list[Block]) -> Block:
-        """Concatenate consecutive blocks, at least one; the result has the ``cut`` of the first."""
+    def joined(cls, parts: list[Block], copy: bool = False) -> Block:
+        """Concatenate consecutive blocks, at least one; the result has the ``cut`` of the first.
+
+        A single block that has samples is returned itself, or as a copy if ``copy`` is set.
+        """
         parts = [part for part in parts if len(part)] or parts[:1]
         if len(parts) == 1:
-            return parts[0]
+            return parts[0].copy() if copy else parts[0]
         filled = None
         if any(part.filled is not None for part in parts):
             none = [

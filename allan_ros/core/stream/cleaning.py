@@ -136,7 +136,8 @@ class StampSorter:
 
     def feed(self, samples: Block) -> Block:
         """Add samples of the six axes, and return all samples whose place is known."""
-        self._pending = Block.joined([self._pending, samples.copy()])
+        # a new array, which is sorted in place
+        self._pending = Block.joined([self._pending, samples], copy=True)
         return self._take((len(self._pending) // REORDER - 1) * REORDER)
 
     def flush(self) -> Block:

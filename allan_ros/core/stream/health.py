@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from bisect import insort
 from collections import Counter, deque
@@ -237,25 +236,36 @@ class RunningMeans:
     def cut(self) -> None:
         """Drop the incomplete mean, because a gap follows."""
         self._start_ns: int | None = None
-        self._second, self._count = 0, 0
-        self._sum = np.zeros(len(self._axes))
+        self._second = 0  # the incomplete one
+        self._open: list[Floats] = []  # its samples
 
     def update(self, stamps: NDArray[np.int64], rows: Floats) -> None:
-        """Add samples without a gap: stamps (n,) in ns, values (axes, n)."""
+        """Add samples without a gap: increasing stamps (n,) in ns, values (axes, n)."""
         if self._start_ns is None:
             self._start_ns = int(stamps[0])
-        seconds = (stamps - self._start_ns) // NANOSECONDS
-        edges = [0, *(np.flatnonzero(np.diff(seconds)) + 1).tolist(), len(stamps)]
-        for first, last in itertools.pairwise(edges):
-            second = int(seconds[first])
-            if second > self._second:
-                end_ns = self._start_ns + (self._second + 1) * NANOSECONDS
-                self._kept.append((end_ns, self._sum / max(self._count, 1)))
-                self._sum, self._count, self._second = np.zeros(len(rows)), 0, second
-            # one by one, so that the rounding does not depend on the batches
-            parts = np.column_stack([self._sum, rows[:, first:last]])
-            self._sum = np.add.accumulate(parts, axis=1)[:, -1]
-            self._count += last - first
+        last = int(stamps[-1] - self._start_ns) // NANOSECONDS
+        if last > self._second:
+            # each second is summed at once, so that the rounding does not depend on the batches
+            seconds = np.arange(self._second, last)
+            ends = np.searchsorted(stamps, self._start_ns + (seconds + 1) * NANOSECONDS)
+            first, end = int(ends[0]), int(ends[-1])
+            self._add(self._second, np.concatenate([*self._open, rows[:, :first]], axis=1))
+            some = np.flatnonzero(np.diff(ends))  # none is empty at 1 Hz or more
+            if len(some):
+                sums = np.add.reduceat(rows[:, :end], ends[some], axis=1)
+                for second, total, count in zip(seconds[some + 1], sums.T, np.diff(ends)[some]):
+                    self._keep(int(second), total / count)
+            self._second, self._open = last, []
+            rows = rows[:, end:]
+        self._open.append(rows.copy())
+
+    def _add(self, second: int, rows: Floats) -> None:
+        """Keep the mean of the samples of a second, (axes, n)."""
+        self._keep(second, np.add.reduceat(rows, [0], axis=1)[:, 0] / rows.shape[1])
+
+    def _keep(self, second: int, mean: Floats) -> None:
+        assert self._start_ns is not None
+        self._kept.append((self._start_ns + (second + 1) * NANOSECONDS, mean))
 
     @property
     def means(self) -> Means:

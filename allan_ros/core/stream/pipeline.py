@@ -74,6 +74,7 @@ class ImuStream:
         self._frames: dict[str, FrameStream] = {}
         self._present = FrameStream(ImuIdentity('', hardware_id), *self._options)
         self._frame_changes = 0
+        self._ended = False  # since the last sample
         self._dropped = Counts()  # of frames whose sums were dropped
         self._dropped_frames = 0
 
@@ -86,12 +87,14 @@ class ImuStream:
             self._frame_changes += bool(self._frames)
             self._present = self._frames.get(frame_id) or self._add_frame(frame_id)
         self._received += len(batch)
+        self._ended = False
         self._present.update(batch)
 
     def end(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
         for frame in self._frames.values():
             frame.flush()
+        self._ended = True
 
     def means(self) -> tuple[Means, ...]:
         """Return the latest one-second means of static data of each sensor stream."""
@@ -113,9 +116,10 @@ class ImuStream:
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream is not changed."""
-        now = copy.deepcopy(self)
+        now = self if self._ended else copy.deepcopy(self)
         state = now._present.state
-        now.end()
+        if not self._ended:
+            now.end()
         longest = now._longest()
         sums = tuple(each.sums for each in longest)
         segments = longest[0].segments if longest else ()
@@ -132,8 +136,10 @@ class ImuStream:
         state = self._present.state
         if state not in ('waiting', 'learning'):
             return self._health(state, sums)
-        now = copy.deepcopy(self)  # all samples are buffered, and there are few of them
-        now.end()
+        now = self
+        if not self._ended:
+            now = copy.deepcopy(self)  # all samples are buffered, and there are few of them
+            now.end()
         return now._health(state, sums)
 
     def _add_frame(self, frame_id: str) -> FrameStream:

@@ -279,7 +279,7 @@ class SampleClock:
 
     def feed(self, samples: Block) -> list[Block]:
         """Add samples, and return the blocks whose look-ahead is complete."""
-        self._samples = Block.joined([self._samples, samples.copy()])
+        self._samples = Block.joined([self._samples, samples])
         while self.clock is None and len(self._samples) >= LEARN:
             self._learn()
         return self._process_ready(self._reach)
@@ -371,7 +371,10 @@ class SampleClock:
             return len(step)
         long = RATE_CHANGE_STEP * clock.step_ns
         # excludes the samples from which the period was learned, or learning could repeat forever
-        for at in range(max(0, LEARN - self._blocks * CLOCK_BLOCK), len(step), CLOCK_BLOCK):
+        first = max(0, LEARN - self._blocks * CLOCK_BLOCK)
+        if self._is_usual(step[first:], steps[first:], clock, long):
+            return len(step)
+        for at in range(first, len(step), CLOCK_BLOCK):
             here, indices = step[at : at + CLOCK_BLOCK], steps[at : at + CLOCK_BLOCK]
             if len(here) < CLOCK_BLOCK // 4:
                 break
@@ -385,6 +388,20 @@ class SampleClock:
                 unusual = (here > long) | (RATE_CHANGE_STEP * here < clock.step_ns)
                 return at + int(np.argmax(unusual))
         return len(step)
+
+    def _is_usual(self, step: Stamps, steps: Ints, clock: Clock, long: float) -> bool:
+        """Return whether all complete blocks have the period of the clock, and no step is long.
+
+        This is the common case, which takes little time.
+        """
+        number = len(step) // CLOCK_BLOCK
+        if not number or len(step) % CLOCK_BLOCK or (step > long).any() or (steps != 1).any():
+            return False
+        total = step.reshape(number, CLOCK_BLOCK).sum(axis=1)
+        usual = np.abs(total / (CLOCK_BLOCK * clock.period_ns) - 1.0) <= RATE_CHANGE
+        if usual.all():
+            self._other_period = False
+        return bool(usual.all())
 
     def _count_lost(self, steps: Ints, clock: Clock) -> int:
         """Return how many samples were lost in a pause, from the delays before and after it.
