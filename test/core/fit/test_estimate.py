@@ -260,7 +260,7 @@ def test_a_sinusoid_has_three_periods_in_the_data():
     """A wave of 1.3 periods is drift: 3 axes."""
     n = 60_000
     y = simulated(n, 3, 18, FLAT)
-    y += 3.0 * FLAT.B * np.sin(2.0 * np.pi * 1.3 * np.arange(n) / n)[:, None]
+    y += 50.0 * FLAT.B * np.sin(2.0 * np.pi * 1.3 * np.arange(n) / n)[:, None]
     for fit in fits(y):
         assert all(line.frequency * n * TAU0 >= 3.0 for line in fit.processes.sinusoid)
         assert all(r.frequency * n * TAU0 >= 3.0 for r in fit.processes.resonance)
