@@ -19,7 +19,7 @@ from scipy.stats import beta
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit import NoiseModel, effects, fit_noise
+from allan_ros.core.fit import NoiseModel, bias_changes, fit_noise
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.imu import AXES, from_datasheet
@@ -90,16 +90,18 @@ def show_alarms(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 def show_gains(records: int, seed: int) -> Iterator[tuple[str, ...]]:
     """Yield quantiles of the gains of a warm-up and of steps in clean records of 2 h at 1 Hz."""
-    effects.GAIN_WARM_UP = effects.GAIN_STEPS = 0.0
+    bias_changes.GAIN_WARM_UP = bias_changes.GAIN_STEPS = 0.0
     for k, (name, terms) in enumerate(CLEAN.items()):
         warm: list[float] = []
         steps: list[float] = []
         for i in range(records):
             sums = sums_of(draw(terms, 2.0, 1.0, np.random.default_rng([seed, i, k])))
-            known, means = statistics(sums), sums.recordings[0].means[0]
-            one = effects.warm_up(known, 0, means, [0, 1, 2])
+            means = sums.recordings[0].means[0]
+            segment = bias_changes.Segment.of(statistics(sums), means, 1.0)
+            assert segment is not None  # 2 h are long enough
+            one = bias_changes.warm_up(segment, 0, [0, 1, 2])
             warm.append(one.excess if one else 0.0)
-            each = [effects.bias_steps(known, means, a, 1.0) for a in range(3)]
+            each = [bias_changes.bias_steps(segment, a) for a in range(3)]
             steps += [s.excess if s else 0.0 for s in each]
         yield (name, *(f'{np.quantile(v, q):.1f}' for v in (warm, steps) for q in (0.9, 0.99)))
 

@@ -44,7 +44,7 @@ from .model import (
     coefficient_to_si,
 )
 from .selection import GAIN_RESOLVED, Candidates
-from .statistics import Component, statistics
+from .statistics import Component, Statistics, statistics
 
 RAMP_RESOLVED = 2.58 / 1.96
 """Least |R| in units of the half width of its interval for R to be resolved: two-sided 1 % (1.0 %
@@ -67,13 +67,15 @@ def daily_cycle(samples: int, tau0: float) -> Component | None:
     return ('sinusoid', tau0 / DAY_S) if samples * tau0 > 0.75 * DAY_S else None
 
 
-def fit_likelihood(sums: AllanSums) -> NoiseModel:
+def fit_likelihood(sums: AllanSums, known: Statistics | None = None) -> NoiseModel:
     """Estimate the noise of every axis by maximum likelihood.
+
+    ``known`` are the statistics of the sums, if already computed.
 
     Too few data raise no error: a term that the data do not determine has no value and no limit.
     """
     tau0 = sums.tau0 or 1.0
-    known = statistics(sums)
+    known = statistics(sums) if known is None else known
     candidates = Candidates(known)
     daily = daily_cycle(known.longest, tau0)
     axes: dict[str, AxisFit] = {}

@@ -11,47 +11,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..allan.curve import pooled_spectra
 from ..allan.sums import AllanSums, part
 from ..findings import Finding, Quantity, finding
 from ..imu import sensor_of
 from ..number_text import duration_text
 from . import NoiseModel, fit_noise
-from .effects import WarmUp, step_findings, warm_ups
+from .bias_changes import WarmUp, step_findings, warm_ups
+from .method import fit_likelihood
 from .model import Z_95
-from .statistics import Floats
+from .statistics import statistics
+from .white_noise_levels import WhiteNoiseLevels, present_part, white_noise_levels
 
 LEAST_REMAINING = 0.25
 """Smallest fraction of the samples that must remain after a warm-up."""
-
-LEVEL_CHANGES = 1e-3
-"""Probability below which the level of the white noise varies, per axis (0 of 240 records)."""
-
-TOP_OCTAVES = 3
-"""Octaves that measure the level of the white noise."""
-
-SINUSOID_RATIO = 1.5
-"""Bins whose power exceeds the median of their octave by this ratio contain a sinusoid."""
-
-SPREAD_DOF = 0.3
-"""Degrees of freedom of the scatter between neighboring periods, per period."""
-
-MEDIAN_CHI_SQUARED = 0.455
-"""Median of chi-squared with one degree of freedom."""
-
-PART = 0.04
-"""Typical length, relative to all data, of the shortest parts whose level a finding states."""
-
-LEAST_CHANGE = 0.2
-"""Least relative change of N after which only the last part is fitted."""
-
-LEAST_LAST_S, LEAST_LAST_PART = 30.0, 0.1
-"""Shortest last part that is fitted alone, in s and relative to all data."""
 
 SHAKY_RATIO = 1.3
 """Ratio of the highest to the lowest N above which steps are not searched for."""
@@ -86,25 +62,28 @@ def fit_stationary(
     AllanError
         If the method is unknown, or there are fewer than two samples.
     """
-    if method == 'paper' or not sums.tau0:
+    if method != 'likelihood' or not sums.tau0:
         return sums, fit_noise(sums, method)
-    every = levels(sums)
-    present = present_part(sums, every) if settle else None
+    levels = white_noise_levels(sums)
+    present = present_part(sums, levels) if settle else None
     data = sums if present is None else _from_period(sums, present[0])
-    warming = warm_ups(data)
+    known = statistics(data)
+    warming = warm_ups(data, known)
     used, found = _without_warm_up(data, settle, warming)
-    model = fit_noise(used, method)
+    known = known if used is data else statistics(used)
+    model = fit_likelihood(used, known)
     if present is not None:
         at, changed = present
         since = data.samples * sums.tau0
-        found += [_level_finding(model, sums.axes[i], every, i, at, since) for i in changed]
+        found += [_level_finding(model, sums.axes[i], levels, i, at, since) for i in changed]
     if used is not sums:
-        every = levels(used)
+        levels = white_noise_levels(used)
     # a larger level of the white noise in a part would look like steps
-    shaky = {i for i in range(len(sums.axes)) if np.divide(*every.extremes(i)) < 1.0 / SHAKY_RATIO}
+    ratios = (np.divide(*levels.extremes(i)) for i in range(len(sums.axes)))
+    shaky = {i for i, ratio in enumerate(ratios) if ratio < 1.0 / SHAKY_RATIO}
     shaky |= {a for w in warming for a in w.axes} if used is data else set()
-    found += step_findings(used, shaky)
-    return used, _with_variation(used, every, replace(model, findings=(*found, *model.findings)))
+    found += step_findings(used, known, shaky)
+    return used, _with_variation(used, levels, replace(model, findings=(*found, *model.findings)))
 
 
 def _from_period(sums: AllanSums, at: int) -> AllanSums:
@@ -175,192 +154,30 @@ def _without_warm_up(
     return sums, [finding('warm_up', axes, size=size, settles=settles, how_long=long)]
 
 
-# --- level of the white noise ---------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Levels:
-    """Variance of the white noise in each period."""
-
-    power: Floats  # (periods, axes) relative to all data; NaN without spectra
-    dof: Floats  # (periods,) of Gaussian noise
-    samples: NDArray[np.int64]  # (periods,)
-
-    def mean(self, axis: int, rows: slice = slice(None)) -> float:
-        """Return the mean level of some periods."""
-        return float(np.average(self.power[rows, axis], weights=np.maximum(self.dof[rows], 1e-9)))
-
-    def usual(self, axis: int, before: int) -> float:
-        """Return the weighted median of the levels before a period."""
-        order = np.argsort(self.power[:before, axis])
-        weight = np.cumsum(self.dof[:before][order])
-        at = int(np.searchsorted(weight, weight[-1] / 2.0))
-        return float(self.power[order[at], axis])
-
-    def spread(self, axis: int) -> float:
-        """Return the variance between neighboring periods relative to Gaussian noise, at least 1.
-
-        It is a median, on which changes of the level have no effect as long as there are few.
-        """
-        r, n = self.power[:, axis], self.dof
-        some = (n[1:] > 0.0) & (n[:-1] > 0.0) & (r[1:] > 0.0) & (r[:-1] > 0.0)
-        if not some.any():
-            return 1.0
-        gap = np.log(r[1:][some] / r[:-1][some])
-        expected = 2.0 / n[1:][some] + 2.0 / n[:-1][some]
-        return max(float(np.median(gap**2 / expected)) / MEDIAN_CHI_SQUARED, 1.0)
-
-    def varies(self, axis: int, spread: float = 1.0) -> bool:
-        """Return whether the levels of the periods differ significantly (Bartlett's test).
-
-        ``spread`` is the variance of the periods relative to Gaussian noise.
-        """
-        r, n = self.power[:, axis], self.dof
-        on = (n > 0.0) & (r > 0.0)
-        if on.sum() < 2:
-            return False
-        with np.errstate(divide='ignore', invalid='ignore'):
-            statistic = float(np.sum(n[on] * np.log(self.mean(axis) / r[on])))
-        return _tail(statistic, int(on.sum()) - 1, spread, len(r)) < LEVEL_CHANGES
-
-    def scatter(self, axis: int) -> float:
-        """Return the relative error of N due to the scatter between periods beyond chance."""
-        w = self.dof / max(self.dof.sum(), 1e-9)
-        spare = 1.0 - float(w @ w)
-        if spare <= 0.0 or not self.varies(axis):
-            return 0.0
-        mean = self.mean(axis) or np.nan
-        variance = float(w**2 @ (self.power[:, axis] / mean - 1.0) ** 2) / spare
-        return float(np.sqrt(max(variance - 2.0 / self.dof.sum(), 0.0)) / 2.0)
-
-    def extremes(self, axis: int) -> tuple[float, float]:
-        """Return the lowest and the highest N in parts of the data, divided by N of all data."""
-        part = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
-        rows = (slice(*np.flatnonzero(part == i)[[0, -1]] + [0, 1]) for i in np.unique(part))
-        mean = np.float64(self.mean(axis)) or np.nan
-        r = np.sqrt(np.array([self.mean(axis, each) for each in rows]) / mean)
-        if not np.isfinite(r).all():
-            return 1.0, 1.0
-        return float(r.min(initial=1.0)), float(r.max(initial=1.0))
-
-    def last_change(self, axis: int) -> int | None:
-        """Return the first period after the last change of the level, or None.
-
-        The level after it differs by `LEAST_CHANGE` of N from the usual level before.
-        """
-        n, r, spread = self.dof, self.power[:, axis], self.spread(axis)
-        found, begin = None, 0
-        while begin < len(n) - 1:
-            before, power = np.cumsum(n[begin:])[:-1], np.cumsum((n * r)[begin:])[:-1]
-            after = n[begin:].sum() - before
-            total = (n * r)[begin:].sum()
-            with np.errstate(divide='ignore', invalid='ignore'):
-                low, high = power / before, (total - power) / after
-                mean = total / n[begin:].sum()
-                gain = before * np.log(mean / low) + after * np.log(mean / high)
-                large = np.abs(np.log(high / low)) / 2.0 > np.log1p(LEAST_CHANGE)
-            gain = np.where(np.isfinite(gain) & large, gain, 0.0)
-            at = int(gain.argmax())
-            if not _tail(float(gain[at]), 1, spread, len(n)) * len(n) < LEVEL_CHANGES:
-                break
-            found = begin = begin + at + 1
-        if not found:
-            return None
-        if found + 1 < len(n) and self._is_mixed(axis, found, spread):
-            found += 1
-        return found if self.change(axis, found) > LEAST_CHANGE else None
-
-    def _is_mixed(self, axis: int, at: int, spread: float) -> bool:
-        """Return whether the level of a period differs from the level of all later ones."""
-        n, r = self.dof, self.power[:, axis]
-        later = n[at + 1 :].sum()
-        if not (n[at] > 0.0 and later > 0.0 and r[at] > 0.0):
-            return False
-        difference = math.log(self.mean(axis, slice(at + 1, None)) / r[at])
-        square = difference**2 / (2.0 / n[at] + 2.0 / later)
-        return _tail(square, 1, spread, len(n)) < LEVEL_CHANGES
-
-    def change(self, axis: int, at: int) -> float:
-        """Return the relative change of N at a period, from the usual level before; at least 0."""
-        before, after = self.usual(axis, at), self.mean(axis, slice(at, None))
-        if not (before > 0.0 and after > 0.0):  # one of them has no noise at all
-            return 0.0
-        ratio = after / before
-        return float(np.sqrt(max(ratio, 1.0 / ratio)) - 1.0)
-
-
-def _tail(statistic: float, number: int, spread: float, periods: int) -> float:
-    """Return the probability that chi-squared exceeds a statistic.
-
-    A ``spread`` above 1 is itself uncertain, as if it was the mean of `SPREAD_DOF` squares per
-    period.
-    """
-    from scipy.special import chdtrc, fdtrc
-
-    if spread == 1.0:
-        return float(chdtrc(number, statistic))
-    return float(fdtrc(number, SPREAD_DOF * periods, statistic / number / spread))
-
-
-def levels(sums: AllanSums) -> Levels:
-    """Return the level of the white noise in each period of the sums."""
-    whole = pooled_spectra(sums)
-    used = (whole.octave < TOP_OCTAVES) & (whole.dof > 0.0)
-    power, dof = [], []
-    flat = np.zeros((len(whole.f), len(sums.axes)), bool)
-    for o in np.unique(whole.octave[used]):
-        on = whole.octave == o
-        flat[on] = whole.power[on] <= SINUSOID_RATIO * np.median(whole.power[on], axis=0)
-    for r in sums.recordings:
-        for p in r.periods:
-            one = pooled_spectra(replace(sums, recordings=(replace(r, periods=(p,)),)))
-            weight = np.zeros(len(whole.f))
-            weight[: len(one.f)] = one.shared_dof
-            weight = np.where(used, weight, 0.0)[:, None] * flat
-            ratio = np.ones_like(whole.power)
-            ratio[: len(one.f)] = one.power / np.maximum(whole.power[: len(one.f)], 1e-300)
-            power.append(np.sum(weight * ratio, axis=0) / np.maximum(weight.sum(axis=0), 1e-300))
-            dof.append(weight.sum(axis=0).max(initial=0.0))
-    samples = np.array([p.samples for p in sums.periods])
-    return Levels(np.array(power).reshape(-1, len(sums.axes)), np.array(dof), samples)
-
-
-def present_part(sums: AllanSums, of: Levels) -> tuple[int, tuple[int, ...]] | None:
-    """Return the first period of the present level, and the axes whose level has changed.
-
-    The result is None without a change, or if the level has not lasted long enough.
-    """
-    total = of.samples.sum()
-    least = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)
-    found = {i: of.last_change(i) for i in range(len(sums.axes))}
-    found = {i: k for i, k in found.items() if k and of.samples[k:].sum() >= least}
-    if not found:
-        return None
-    at = max(k for k in found.values() if k)
-    return at, tuple(i for i in range(len(sums.axes)) if of.change(i, at) > LEAST_CHANGE)
+# --- findings about the level ---------------------------------------------------------------------
 
 
 def _level_finding(
-    model: NoiseModel, axis: str, every: Levels, i: int, at: int, since: float
+    model: NoiseModel, axis: str, levels: WhiteNoiseLevels, i: int, at: int, since: float
 ) -> Finding:
     """Return the finding that the level of an axis has changed at a period."""
     n = model.axes[axis].noise['N'].value or 0.0
-    ratio = math.sqrt(every.usual(i, at) / every.mean(i, slice(at, None)))
+    ratio = math.sqrt(levels.usual(i, at) / levels.mean(i, slice(at, None)))
     return finding('level_changed', (axis,), before=n * ratio, value=n, since=since)
 
 
-def _with_variation(sums: AllanSums, every: Levels, model: NoiseModel) -> NoiseModel:
+def _with_variation(sums: AllanSums, levels: WhiteNoiseLevels, model: NoiseModel) -> NoiseModel:
     """Return the model with the intervals of N widened where the level varies, and findings."""
     which = 'between recordings' if len(sums.recordings) > 1 else 'within the recording'
     found = []
     for i, axis in enumerate(sums.axes):
-        scatter = every.scatter(i)
+        scatter = levels.scatter(i)
         if not scatter:
             continue
         model = _widened(model, axis, scatter)
-        low, high = every.extremes(i)
+        low, high = levels.extremes(i)
         n = model.axes[axis].noise['N']
-        least = LEVEL_RATIO if every.varies(i, every.spread(i)) else LARGE_RATIO
+        least = LEVEL_RATIO if levels.varies(i, levels.spread(i)) else LARGE_RATIO
         if n.status == 'estimated' and n.value and high > least * low:
             numbers = {'low': n.value * low, 'high': n.value * high, 'value': n.value}
             found.append(finding('level_changes', (axis,), which=which, **numbers))

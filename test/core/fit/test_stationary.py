@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums, part
-from allan_ros.core.fit.effects import step_findings
-from allan_ros.core.fit.stationary import fit_stationary, levels, present_part
+from allan_ros.core.fit.bias_changes import step_findings
+from allan_ros.core.fit.stationary import fit_stationary
+from allan_ros.core.fit.statistics import statistics
+from allan_ros.core.fit.white_noise_levels import present_part, white_noise_levels
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.simulate import simulate_axis
@@ -98,7 +100,10 @@ def test_steps_of_the_bias_are_located() -> None:
     assert found.values['size'].value == pytest.approx(100.0 * DEG_H, rel=0.15)
     assert 0.8 < found.values['share'] <= 1.0
     assert found.values['at'] == '3 h, 6 h'
-    (later,) = step_findings(part(sums, first=4), set())  # times are still from the start
+    later_part = part(sums, first=4)
+    (later,) = step_findings(
+        later_part, statistics(later_part), set()
+    )  # times are still from the start
     assert later.values['at'] == '3 h, 6 h'
 
 
@@ -107,7 +112,7 @@ def test_the_period_within_which_the_white_noise_changes_is_excluded(at: int) ->
     y = draw(7, 108_000, 100.0, 'N')
     y[at:] *= 2.0
     sums = sums_of(y, rate=100.0)
-    first, _ = present_part(sums, levels(sums)) or (0, ())
+    first, _ = present_part(sums, white_noise_levels(sums)) or (0, ())
     assert 0 < sum(p.samples for p in sums.periods[first:]) <= 108_000 - at
 
 

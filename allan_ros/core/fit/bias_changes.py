@@ -1,0 +1,364 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Changes of the bias with time that are no noise: a warm-up, and steps.
+
+Each is an effect: a shape of known form in the block means of a segment, such as exp(-t/T), whose
+size is unknown. The size is estimated by generalized least squares, then the noise is fitted again
+to what remains. The gain of an effect is the decrease of -2 log likelihood.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..allan.periods import BlockMeans
+from ..allan.sums import AllanSums
+from ..findings import Finding, finding
+from ..imu import SENSORS, sensor_of
+from ..noise import unit_avar
+from ..number_text import duration_text
+from .likelihood import TERMS, AxisData, Columns, Fit, LowBand
+from .method import daily_cycle
+from .model import K
+from .statistics import Component, Floats, Group, Statistics, contrasts, lower_edge
+
+GAIN_WARM_UP = 16.5
+"""Least gain in -2 log L of a warm-up, summed over the axes of a sensor: 1 % per sensor. The
+99 % quantiles without a warm-up are 10 to 13, depending on the noise (`bench_stationarity.py`)."""
+
+GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
+"""Least gain in -2 log L of a step of the bias, and of each further one. The 99 % quantiles without
+steps are 11 to 22, depending on the noise (`bench_stationarity.py`)."""
+
+MOST_CONTRASTS = 96
+"""Largest number of contrasts of the block means; octave spectra describe higher frequencies."""
+
+NEAR_OCTAVES = 4
+"""Number of octaves above the contrasts that are used."""
+
+WARM_UP_TIMES = 0.5 ** np.arange(8)
+"""Time constants of warm-ups, relative to the length of the segment."""
+
+MOST_STEPS = 5
+
+LEAST_MEANS = 24
+"""Fewest block means of a segment that is tested."""
+
+LEAST_SEGMENT = 0.3
+"""Shortest first segment, relative to its recording, in which a warm-up is searched for."""
+
+TESTED_RECORDINGS = 4
+"""Number of the longest recordings that are tested for a warm-up."""
+
+LEAST_TESTED_S = 120.0
+"""Shortest segment in s in which a warm-up and steps are searched for. In shorter ones, vibration
+rather than drift changes the means."""
+
+STEPS_RATIO = 0.5
+"""Steps are reported if the variance of the random walk with steps in the model is below this
+fraction of that without them. A drift that is no random walk often looks like a few steps, which
+explain less of it."""
+
+PROMISING_SCORE = 5.0, 8.0
+"""Least score of a warm-up (per sensor) and of a step for which the noise is fitted again. Scores
+use the noise that was fitted without the effect, which is too large if there is one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Block means of one segment, with the octave spectra of all data above their frequencies.
+
+    Attributes
+    ----------
+    means : BlockMeans
+    tau0 : float
+        Sample period in s.
+    known : Statistics
+        Spectra of all data, and contrasts of this segment only.
+    lowest : int
+        Lowest octave that is used.
+    components : tuple of Component
+        Noise of the segment: the terms, and a daily cycle in a long one.
+    """
+
+    means: BlockMeans
+    tau0: float
+    known: Statistics
+    lowest: int
+    components: tuple[Component, ...]
+
+    @classmethod
+    def of(cls, known: Statistics, means: BlockMeans | None, tau0: float) -> Segment | None:
+        """Return a segment, from the statistics of all data and its block means.
+
+        It is None without means, or if the segment is too short for a test.
+        """
+        if means is None or len(means.values) < LEAST_MEANS:
+            return None
+        if means.samples * tau0 < LEAST_TESTED_S:
+            return None
+        points, step, octaves = len(means.values), means.step, known.octaves
+        edges = ((o, 2.0 * points * step * lower_edge(o)) for o in range(octaves + 1))
+        cut = min((o for o, most in edges if most <= MOST_CONTRASTS), default=octaves)
+        most = min(int(2.0 * points * step * lower_edge(cut)), MOST_CONTRASTS, points - 2)
+        high = max(most, 2)
+        z = means.values.T @ contrasts(points, high)
+        group = Group(points, high, 1, z, z[:, :, None] * z[:, None, :])
+        on = known.octave < cut
+        own = replace(
+            known,
+            octave=known.octave[on],
+            f=known.f[on],
+            power=known.power[on],
+            dof=known.dof[on],
+            dof_alone=known.dof_alone[on],
+            step=step,
+            groups=(group,),
+        )
+        daily = daily_cycle(means.samples, tau0)
+        components = (*TERMS, daily) if daily else TERMS
+        return cls(means, tau0, own, max(cut - NEAR_OCTAVES, 0), components)
+
+    def contrasts_of(self, shapes: Floats) -> Floats:
+        """Return the contrasts, (contrasts, shapes), of shapes of the means, (means, shapes)."""
+        group = self.known.groups[0]
+        return np.asarray(contrasts(group.points, group.high)[:, 1:].T @ shapes)
+
+    def axis(self, axis: int) -> AxisSegment | None:
+        """Return one axis of the segment; None if it has no noise."""
+        z = self.known.groups[0].sums[axis]
+        data = AxisData.of(self.known, axis)
+        data = replace(data, used=self.known.octave >= self.lowest)
+        if not np.any(np.abs(z[1:]) > 0.0) or np.any(data.power[data.used] <= 0.0):
+            return None
+        columns = data.columns(self.components)
+        fit = data.solve(self.components, columns, tolerance=1e-2)
+        if not math.isfinite(fit.value):
+            return None
+        return AxisSegment(data, columns, z[1:] / math.sqrt(data.scale), fit)
+
+
+@dataclass(frozen=True, eq=False)
+class AxisSegment:
+    """One axis of a segment, and its noise without effects."""
+
+    data: AxisData
+    columns: Columns
+    z: Floats  # (contrasts,) of the block means, scaled, without the line
+    fit: Fit
+
+    def _whitened(self, effects: Floats, fit: Fit) -> tuple[Floats, Floats]:
+        """Return effects and contrasts with unit covariance under a fit of the noise."""
+        root = np.linalg.cholesky(np.tensordot(fit.p, self.columns.low[0], 1))
+        both = np.linalg.solve(root, np.column_stack([effects, self.z]))
+        return both[:, :-1], both[:, -1]
+
+    def scores(self, effects: Floats, beside: Floats, fit: Fit) -> Floats:
+        """Return the score of each column of ``effects``, given effects ``beside`` in the model."""
+        white, z = self._whitened(np.column_stack([beside, effects]), fit)
+        known, white = white[:, : beside.shape[1]], white[:, beside.shape[1] :]
+        if known.shape[1]:
+            q, _ = np.linalg.qr(known)
+            white, z = white - q @ (q.T @ white), z - q @ (q.T @ z)
+        size = np.sum(white**2, axis=0)
+        return np.where(
+            size > 1e-9 * size.max(), (white.T @ z) ** 2 / np.maximum(size, 1e-300), 0.0
+        )
+
+    def with_effects(self, effects: Floats) -> FittedEffects:
+        """Return the sizes of effects, (contrasts, effects), and the noise fitted beside them."""
+        fit, sizes = self.fit, np.zeros(effects.shape[1], float)
+        for _ in range(3):
+            white, z = self._whitened(effects, fit)
+            sizes = np.linalg.lstsq(white, z, rcond=None)[0]
+            rest = self.z - effects @ sizes
+            low = [LowBand(1, self.data.low[0].line, np.outer(rest, rest))]
+            data = replace(self.data, low=low)
+            start = np.maximum(fit.p, 1e-6 * fit.p.max())
+            before = fit.value
+            fit = data.solve(fit.components, self.columns, start, tolerance=1e-2)
+            if abs(before - fit.value) < 0.1:
+                break
+        scale = math.sqrt(self.data.scale)
+        return FittedEffects(sizes * scale, fit, self.fit.value - fit.value)
+
+    def deviation(self, fit: Fit, m: float) -> float:
+        """Return the Allan deviation of the terms of a fit at the averaging factor m, in SI."""
+        avar = sum(p * float(unit_avar(max(m, 1.0), *c)) for p, c in zip(fit.p, TERMS))
+        return math.sqrt(avar * self.data.scale)
+
+    def walk(self, fit: Fit) -> float:
+        """Return the variance of the random walk of a fit per sample, in SI."""
+        return float(fit.p[K]) * self.data.scale
+
+
+class FittedEffects(NamedTuple):
+    """Sizes of effects in SI, the fit of the noise beside them, and their gain."""
+
+    sizes: Floats
+    fit: Fit
+    gain: float
+
+
+# --- warm-up --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class WarmUp:
+    """A transient exp(-t/T) at the start of a recording."""
+
+    recording: int
+    axes: tuple[int, ...]  # axes of the sensor that take part
+    sizes: tuple[float, ...]  # of each, at the start of the segment
+    age: float  # in samples, from which on it is below half of the Allan deviation at T
+    excess: float  # gain above the threshold
+
+
+class _Decay(NamedTuple):
+    """Fit of exp(-t/T) with one time constant T, in samples, to the axes of a sensor."""
+
+    time: float
+    effects: Mapping[int, FittedEffects]  # by axis
+
+    @property
+    def gain(self) -> float:
+        return sum(max(each.gain, 0.0) for each in self.effects.values())
+
+
+def warm_ups(sums: AllanSums, known: Statistics) -> list[WarmUp]:
+    """Return the warm-ups of the sensors in the longest recordings; ``known`` is of the sums."""
+    tau0 = sums.tau0 or 1.0
+    names = [sensor_of(axis) for axis in sums.axes]
+    sensors = [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
+    order = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
+    found = []
+    for i in order[:TESTED_RECORDINGS]:
+        recording = sums.recordings[i]
+        first = recording.means[0] if recording.means else None
+        if first is None or first.samples < LEAST_SEGMENT * recording.samples:
+            continue
+        segment = Segment.of(known, first, tau0)
+        if segment is not None:
+            found += [w for w in (warm_up(segment, i, axes) for axes in sensors) if w is not None]
+    return found
+
+
+def warm_up(segment: Segment, recording: int, axes: Sequence[int]) -> WarmUp | None:
+    """Return the warm-up of the axes of one sensor in the first segment of a recording, or None."""
+    every = {a: segment.axis(a) for a in axes}
+    noise = {a: one for a, one in every.items() if one is not None}
+    if not noise:
+        return None
+    times = np.asarray(WARM_UP_TIMES * len(segment.means.values) * segment.means.step, np.float64)
+    decays = segment.contrasts_of(_decays(times, segment.means).T)
+    scores = np.sum([one.scores(decays, decays[:, :0], one.fit) for one in noise.values()], axis=0)
+    if scores.max() < PROMISING_SCORE[0]:
+        return None
+    tried = (
+        _Decay(float(times[k]), {a: n.with_effects(decays[:, [k]]) for a, n in noise.items()})
+        for k in np.flatnonzero(scores > 0.4 * scores.max()).tolist()
+    )
+    best = max(tried, key=lambda each: each.gain)
+    excess = best.gain - GAIN_WARM_UP
+    if excess < 0.0:
+        return None
+    least = GAIN_WARM_UP / len(noise) / 2.0
+    taking = {a: each for a, each in best.effects.items() if max(each.gain, 0.0) > least}
+    age = 0.0
+    for a, each in taking.items():
+        ratio = abs(float(each.sizes[0])) / noise[a].deviation(each.fit, best.time)
+        age = max(age, best.time * math.log(max(2.0 * ratio, 1.0)))
+    sizes = tuple(float(each.sizes[0]) for each in taking.values())
+    return WarmUp(recording, tuple(taking), sizes, segment.means.age + age, excess)
+
+
+def _decays(times: Floats, means: BlockMeans) -> Floats:
+    """Return the block means of exp(-t/T) for each T, (times, means)."""
+    step, begin = means.step, means.step * np.arange(len(means.values))
+    return np.asarray([-np.expm1(-step / t) * t / step * np.exp(-begin / t) for t in times])
+
+
+# --- steps ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class BiasSteps:
+    """Steps of the bias of one axis."""
+
+    ns: tuple[int, ...]  # stamps of the steps
+    sizes: tuple[float, ...]
+    walk_before: float  # variance of the random walk per sample, without the steps in the model
+    walk_after: float
+    excess: float
+
+
+class _Steps(NamedTuple):
+    """Steps before some block means, and their gain above the threshold of this number."""
+
+    at: list[int]  # index of the last mean before each step, in the order of their gains
+    effects: FittedEffects
+
+    @property
+    def excess(self) -> float:
+        return self.effects.gain - GAIN_STEPS - GAIN_MORE_STEPS * (len(self.at) - 1)
+
+
+def bias_steps(segment: Segment, axis: int) -> BiasSteps | None:
+    """Return the steps of the bias of one axis in a segment, or None."""
+    noise = segment.axis(axis)
+    if noise is None:
+        return None
+    points = len(segment.means.values)
+    steps = segment.contrasts_of(np.tril(np.ones((points, points)))[:, 1:])
+    tried: list[_Steps] = []
+    at: list[int] = []
+    fit = noise.fit
+    while len(at) < MOST_STEPS:
+        scores = noise.scores(steps, steps[:, at], fit)
+        if scores.max() < PROMISING_SCORE[1]:
+            break
+        at = [*at, int(scores.argmax())]
+        tried.append(_Steps(at, noise.with_effects(steps[:, at])))
+        fit = tried[-1].effects.fit
+    best = max(tried, key=lambda each: each.excess, default=None)
+    if best is None or best.excess <= 0.0:
+        return None
+    order = np.argsort(best.at)
+    period = segment.means.step * segment.tau0 * 1e9
+    return BiasSteps(
+        tuple(segment.means.start_ns + round((best.at[i] + 1) * period) for i in order),
+        tuple(float(best.effects.sizes[i]) for i in order),
+        noise.walk(noise.fit),
+        noise.walk(best.effects.fit),
+        best.excess,
+    )
+
+
+def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list[Finding]:
+    """Return the findings about steps in the longest segment, except of some axes.
+
+    ``known`` are the statistics of the sums. Times are counted from the start of the recording,
+    also if its first part is excluded.
+    """
+    tau0 = sums.tau0 or 1.0
+    every = [m for r in sums.recordings for m in r.means]
+    longest = max(every, key=lambda m: m.samples, default=None)
+    segment = Segment.of(known, longest, tau0)
+    if longest is None or segment is None:
+        return []
+    found = []
+    for i, axis in enumerate(sums.axes):
+        steps = None if i in without else bias_steps(segment, i)
+        if steps is not None and steps.walk_after < STEPS_RATIO * steps.walk_before:
+            share = 1.0 - math.sqrt(steps.walk_after / steps.walk_before)
+            size = max(abs(s) for s in steps.sizes)
+            begin = longest.age * tau0
+            times = [duration_text(begin + (ns - longest.start_ns) * 1e-9) for ns in steps.ns]
+            at = ', '.join(times)
+            found.append(finding('bias_steps', (axis,), size=size, share=share, at=at))
+    return found
