@@ -59,7 +59,7 @@ class Unit:
         self.random = np.random.default_rng(seed)
         batch = ar.simulate(MINUTES / 60.0, RATE, seed=seed)
         self.t = np.arange(len(batch.samples)) / RATE
-        bias = self.random.normal(scale=[np.radians(0.15)] * 3 + [0.05] * 3)
+        bias = self.random.normal(scale=[np.radians(0.15)] * 3 + [0.025] * 3)
         self.rows = batch.samples + bias
         self.gyro, self.accel = self.rows[:, :3], self.rows[:, 3:]
         self.x, self.a = self.random.integers(0, 3, 2)  # the axes that a fault changes

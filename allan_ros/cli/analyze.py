@@ -20,6 +20,7 @@ import argparse
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ..api import is_document
@@ -35,13 +36,15 @@ from ..readers.recorded import (
     read_in_processes,
     read_in_turn,
 )
+from ..readers.serials import SerialRule
 from ..results.datasheets import load_sensor
 from ..results.documents import RESULTS, load, load_sums, results_to_document
+from ..results.plan import load_plan
+from ..view.batch_files import SUMMARY
 from ..view.settings import ResultSettings
 from .batch import (
     EXIT_FAILED,
     EXIT_UNJUDGED,
-    SUMMARY,
     Unit,
     exit_code_of,
     fit_and_write,
@@ -136,6 +139,8 @@ def read_jobs(
         raise AllanError(f'--jobs {args.jobs}: give the number of processes, at least 1')
     reading = settings_of(ReadOptions, args, rate_hz=args.rate)
     segmenter = settings_of(SegmenterSettings, args, declared_rate=args.rate)
+    if args.serial_from and args.hardware_id:
+        raise AllanError('--hardware-id and --serial-from both state serial numbers: give one')
     return [ReadJob(path, reading, segmenter, args.hardware_id, with_context) for path in paths]
 
 
@@ -154,6 +159,9 @@ def run(args: argparse.Namespace) -> int:
         separate = split_by_topic(jobs)
         if len(separate) > 1:
             return run_batch(separate, args)
+    if args.serial_from:
+        rule = SerialRule(args.serial_from)
+        jobs = [replace(job, hardware_id=rule.serial_of(job.path)) for job in jobs]
     stored = [load_sums(job.path) for job in jobs if is_document(job.path)]
     outcomes = list(_read_all([job for job in jobs if not is_document(job.path)], args, console))
     failed = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
@@ -219,6 +227,10 @@ def _read_all(
 def check(args: argparse.Namespace) -> int:
     """Print the verdict on each unit; return the exit code of the worst one."""
     _check_references(settings_of(ResultSettings, args))
+    if args.plan:
+        load_plan(args.plan)
+    if args.serial_from:
+        SerialRule(args.serial_from)
     units: dict[str, list[str]] = {}
     for path in (path for given in args.inputs for path in recordings_in(given, units=True)):
         bag = Path(path).parent
@@ -226,41 +238,63 @@ def check(args: argparse.Namespace) -> int:
         paths = units.setdefault(str(bag) if is_split else path, [])
         paths += [] if path in paths else [path]
     if args.hardware_id and len(units) > 1:
-        raise AllanError('--hardware-id is the number of one IMU: check each unit by itself')
+        raise AllanError(
+            '--hardware-id is the number of one IMU: check each unit by itself, or use '
+            '--serial-from'
+        )
     return run_check([Unit(name, read_jobs(paths, args)) for name, paths in units.items()], args)
 
 
 CHECK = """
 Check IMUs for production tests and continuous integration: one line for each unit, the totals, and
-an exit code.
+an exit code. A unit passes only if every limit is met and nothing makes it suspect.
 
 An input is a recording, a results.json, the folder of an analysis, or a folder of these. Each input
-is one unit; files of one split bag are one unit, too. A unit is compared with the datasheet of
---sensor, with the accepted earlier run of --baseline, or with both.
+is one unit; files of one split bag are one unit, too. A unit is compared with the limits of --plan,
+with the datasheet of --sensor, and with the accepted earlier run of --baseline, if they are given.
+`allan sensors NAME --as-plan` prints a plan to start with.
 
   allan check my_bag --sensor adis16475-3
+  allan check units --plan line4.yaml -o lot7
   allan check units/*.mcap --baseline accepted/results.json --fail-on warning --jobs 2
   allan check units --sensor my_imu.yaml --json > verdicts.jsonl
 """
 
+SERIAL_FROM = """
+--serial-from RULE []  serial numbers of several units: name:PATTERN (a regular expression for the
+    file name, of which the first group is used), column:NAME (of a table), or metadata:KEY (custom
+    data of a rosbag2)
+"""
+
 CHECK_INPUTS = """
 inputs INPUT...  recording of one unit, its results, or a folder of units
+--plan FILE []  test plan: a YAML file with limits of N, B, K, bias, rate ...
+-o --output DIR []  folder for the results of each unit, summary.csv and index.html (default: none)
+--overwrite  replace results of another recording in this folder
 --jobs N [1]  check N units in parallel
 """
 
 COMMANDS = {
     'analyze': Command(
-        __doc__ or '', [INPUTS, Settings('result', ResultSettings), FAIL_ON, *READ], run, EXITS
+        __doc__ or '',
+        [INPUTS, SERIAL_FROM, Settings('result', ResultSettings), FAIL_ON, *READ],
+        run,
+        EXITS,
     ),
     'check': Command(
         CHECK,
-        [CHECK_INPUTS, Settings('result', ResultSettings, ['export', 'plots']), FAIL_ON, *READ],
+        [
+            *(CHECK_INPUTS, SERIAL_FROM),
+            Settings('result', ResultSettings, ['export', 'plots']),
+            *(FAIL_ON, *READ),
+        ],
         check,
         {
-            0: 'every unit is healthy, or usable with care (a warning)',
+            0: 'every unit meets every limit, and nothing makes it suspect',
             EXIT_FAILED: 'a unit failed; of several units, the first of 70, 3, 1 and 4 that occurs '
             'is the exit code',
-            EXIT_UNJUDGED: 'a unit is not judged: no reference, or too little data',
+            EXIT_UNJUDGED: 'a unit is not judged because of the data: too few, a warning, or '
+            'nothing to compare with',
         },
     ),
 }

@@ -19,28 +19,30 @@ from ..api import is_document
 from ..core.errors import AllanError, one_line
 from ..core.estimate import value_text
 from ..core.fields import plain
-from ..core.findings import SEVERITIES, Finding, by_consequence, finding
+from ..core.findings import SEVERITIES, Finding, finding
 from ..core.fit.interpretation import ADVISED_TERMS
-from ..core.imu import SENSORS, sensor_of, shown_unit
+from ..core.imu import SENSORS, SI_UNITS, sensor_of, shown_unit
 from ..readers import topics_of
 from ..readers.files import write_atomic
 from ..readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
+from ..readers.serials import SerialRule
 from ..results.analysis import analyze_recorded
 from ..results.documents import load, load_sums, results_to_document
+from ..results.plan import Plan, PlanCheck, load_plan
 from ..results.references import compared
 from ..results.results import Results
-from ..results.verdict import WORDS, Verdict, finding_text
-from ..view.coefficient_table import NUMBERS, coefficient_list
+from ..results.unit_check import WORDS as UNIT_WORDS
+from ..results.unit_check import Decision, UnitCheck, check_unit, worst
+from ..results.verdict import WORDS
 from ..view.settings import ResultSettings
-from ..view.table import Record, csv_text, records
+from ..view.unit_text import unchecked_text, unit_sentences
 from .console import EXIT_ERROR, EXIT_FAULT, Console, colored, fault_text, painted
 from .options import settings_of
 from .tables import LEVEL_COLORS
 
-EXIT_FAILED, EXIT_UNJUDGED = 3, 4
+EXIT_FAILED, EXIT_UNJUDGED = int(Decision.EXCEEDS), int(Decision.NOT_JUDGED)
 
-WORST_FIRST = (EXIT_FAULT, EXIT_FAILED, EXIT_ERROR, EXIT_UNJUDGED, 0)
-"""Exit codes of units; the first one that occurs is the exit code of all."""
+CHECK_SCHEMA = 'allan_ros/unit_check/1'
 
 MOST_NAMED = 10
 """Largest number of units that are named for each verdict in the totals."""
@@ -69,158 +71,246 @@ class Outcome:
     code: int = EXIT_ERROR  # exit code if there are no results
 
 
+@dataclass(frozen=True)
+class Judged:
+    """A unit with its decision, and the sentences of its line."""
+
+    outcome: Outcome
+    decision: Decision
+    word: str
+    sentences: Sequence[str]
+    check: UnitCheck | None = None  # None without results
+    note: str = ''  # that it repeats an earlier unit; '' if it does not
+
+    @property
+    def name(self) -> str:
+        return self.outcome.unit.name
+
+    @property
+    def serial(self) -> str:
+        """The serial number; '' if unknown."""
+        results = self.outcome.results
+        return results.identity.hardware_id if results else self.outcome.unit.jobs[0].hardware_id
+
+    @property
+    def reason(self) -> str:
+        """The note and the sentences as one line."""
+        return one_line(' '.join(filter(None, (self.note, *self.sentences))))
+
+
+class Judge:
+    """Decides about the units of a batch, and finds units that occur twice.
+
+    ``plan`` is the test plan, if there is one. With ``decides`` the word of a unit is its decision,
+    else the level of its verdict.
+    """
+
+    def __init__(self, args: argparse.Namespace, plan: Plan | None, decides: bool) -> None:
+        self._args, self._plan, self._decides = args, plan, decides
+        self._known: dict[object, str] = {}  # samples and serial numbers -> name
+
+    def judged(self, outcome: Outcome) -> Judged:
+        """Return the decision about the next unit."""
+        results, units = outcome.results, self._args.units
+        if results is None:
+            decision = Decision(outcome.code)
+            return Judged(outcome, decision, UNIT_WORDS[decision], [outcome.error])
+        check = check_unit(results, self._plan)
+        note = self._note(outcome.unit.name, results)
+        decision = check.decision
+        if fails(results, self._args.fail_on):
+            decision = Decision.EXCEEDS
+        elif note and decision is Decision.WITHIN:
+            decision = Decision.NOT_JUDGED  # one of the two was not measured
+        word = UNIT_WORDS[decision]
+        if not self._decides:
+            word = WORDS[results.verdict.level].lower()
+        sentences = unit_sentences(check, results, self._plan.name if self._plan else '', units)
+        return Judged(outcome, decision, word, sentences, check, note)
+
+    def _note(self, name: str, results: Results) -> str:
+        """Return a text if an earlier unit has the same samples or serial number, else ''."""
+        values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
+        samples = (results.samples, *values) if any(values) else None
+        for key, what in ((samples, 'the samples'), (results.identity.hardware_id, 'the serial')):
+            if key and self._known.setdefault(key, name) != name:
+                return f'duplicate: it has {what} of {self._known[key]};'
+        return ''
+
+
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write its files, print one line for each, and write a summary.
 
     The exit code is the worst of the recordings.
     """
-    console, outcomes, codes = Console.of(args), [], []
-    if args.output:
-        from ..view.result_files import made_folder
-
-        made_folder(Path(args.output))
+    console, codes, units = Console.of(args), [], []
+    judge = Judge(args, None, decides=False)
+    found: list[Finding] = []
+    _make_output(args)
     for outcome in _outcomes([Unit(n, [job]) for n, job in zip(names_of(jobs), jobs)], args):
-        outcomes.append(outcome)
-        codes.append(outcome.code)
+        units.append(one := judge.judged(outcome))
+        code = outcome.code
         if outcome.results is not None:
-            codes[-1] = exit_code_of(outcome.results, args.fail_on)
+            code = exit_code_of(outcome.results, args.fail_on)
+            found += outcome.results.findings
+        codes.append(Decision(code))
         if console.json:
             console.line(_batch_document(outcome, args.units))
         elif not (console.quiet and args.output):
-            _print_unit(outcome, *_verdict_on(outcome, args.units), '', args)
-    found = [f for outcome in outcomes if outcome.results for f in outcome.results.findings]
+            _print_unit(one, args)
     for elsewhere in [f for f in found if f.id == 'sensor_elsewhere'][:1]:
         console.say(str(elsewhere))
-    if args.output:
-        write_atomic(Path(args.output) / SUMMARY, _csv(outcomes, args.units))
-        console.say(f'written to {args.output}: one folder each, {SUMMARY}')
-    return _worst(codes)
+    _write_summary(units, codes, args, '')
+    return int(worst(codes))
 
 
 def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
     """Print one line for each unit as it finishes, and the totals; return the worst exit code."""
-    console, codes = Console.of(args), []
-    known: dict[object, str] = {}
-    named: dict[str, list[str]] = {}
+    console, done = Console.of(args), []
+    plan = load_plan(args.plan) if args.plan else None
+    judge = Judge(args, plan, decides=True)
+    unchecked: dict[str, None] = {}
+    _make_output(args)
     for outcome in _outcomes(units, args):
-        code, word, verdict, note = _judged(outcome, args, known)
-        codes.append(code)
-        named.setdefault(word, []).append(Path(outcome.unit.name).name)
+        done.append(one := judge.judged(outcome))
+        unchecked |= dict.fromkeys(one.check.unchecked if one.check else ())
         if console.json:
-            console.line(_check_document(outcome, code, verdict, note))
-        elif outcome.results is None and len(units) == 1 and code == EXIT_ERROR:
+            console.line(_check_document(one))
+        elif outcome.results is None and len(units) == 1 and outcome.code == EXIT_ERROR:
             raise AllanError(outcome.error)
         elif not console.quiet:
-            _print_unit(outcome, word, verdict, note, args)
-            for reason in verdict.reasons if console.verbose else ():
-                print(f'  {reason}')
+            _print_unit(one, args)
+            for sentence in one.sentences if console.verbose else ():
+                print(f'  {sentence}')
+    code = worst([one.decision for one in done])
+    names: dict[str, list[str]] = {}
+    for one in done:
+        names.setdefault(one.word, []).append(Path(one.name).name)
     if len(units) > 1 and console.json:
-        totals = {word: len(names) for word, names in named.items()}
-        console.line({'units': len(units), 'totals': totals, 'exit_code': _worst(codes)})
-    elif len(units) > 1 and not console.quiet:
-        texts = [_total(*each) for each in sorted(named.items(), key=lambda each: -len(each[1]))]
-        print(f'{len(units)} units: {", ".join(texts)}')
-    return _worst(codes)
+        totals = {word: len(of_word) for word, of_word in names.items()}
+        console.line({'units': len(units), 'totals': totals, 'exit_code': int(code)})
+    elif not console.json and not console.quiet:
+        if len(units) > 1:
+            texts = [_total(*each) for each in sorted(names.items(), key=lambda e: -len(e[1]))]
+            print(f'{len(units)} units: {", ".join(texts)}')
+        if unchecked:
+            print(unchecked_text([*unchecked]))
+    _write_summary(done, [one.decision for one in done], args, plan.name if plan else '')
+    return int(code)
 
 
 def _total(word: str, names: Sequence[str]) -> str:
     """Return the number of units with a verdict, and their names unless they are healthy."""
-    if word == WORDS['healthy'].lower():
+    if word == UNIT_WORDS[Decision.WITHIN]:
         return f'{len(names)} {word}'
     more = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
     return one_line(f'{len(names)} {word} ({", ".join(names[:MOST_NAMED])}{more})')
 
 
-def _print_unit(
-    outcome: Outcome, word: str, verdict: Verdict, note: str, args: argparse.Namespace
-) -> None:
-    line = one_line(f'{word}: {_unit_text(outcome, verdict, note, args.units)}')
-    level = 'failed' if word == WORDS['failed'].lower() else verdict.level
-    print(painted(line, word, LEVEL_COLORS[level], colored(sys.stdout)), flush=True)
+def _print_unit(one: Judged, args: argparse.Namespace) -> None:
+    """Print name, serial number, reasons and N of a unit as one line."""
+    text = one.reason
+    if one.outcome.results is not None:
+        serial = f', serial {one.serial}' if one.serial else ''
+        numbers = ', '.join(_noise_texts(one.outcome.results, args.units))
+        text = f'{one.name}{serial}: {text.rstrip(".")}; {numbers}'.rstrip('; ')
+    line = one_line(f'{one.word}: {text}')
+    color = next((LEVEL_COLORS[k] for k, w in WORDS.items() if w.lower() == one.word), '1;31')
+    print(painted(line, one.word, color, colored(sys.stdout)), flush=True)
 
 
-def _worst(codes: Iterator[int] | Sequence[int]) -> int:
-    return min(codes, key=WORST_FIRST.index)
-
-
-def _verdict_on(outcome: Outcome, units: str) -> tuple[str, Verdict]:
-    """Return the verdict on a unit and its word, which is 'error' without results."""
-    if outcome.results is None:
-        return 'error', Verdict('unknown', outcome.error, (), ())
-    verdict = outcome.results.verdicts[units]
-    return WORDS[verdict.level].lower(), verdict
-
-
-def _judged(
-    outcome: Outcome, args: argparse.Namespace, known: dict[object, str]
-) -> tuple[int, str, Verdict, str]:
-    """Return exit code, word and verdict of a unit, and a note if it repeats an earlier one.
-
-    ``known`` maps the samples and serial numbers of earlier units to their names.
-    """
-    (word, verdict), results = _verdict_on(outcome, args.units), outcome.results
-    if results is None:
-        return outcome.code, word, verdict, ''
-    code = 0
-    if verdict.level == 'failed' or fails(results, args.fail_on):
-        code = EXIT_FAILED
-    elif verdict.level in ('measured', 'unknown'):
-        code = EXIT_UNJUDGED
-    note = ''
-    values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
-    samples = (results.samples, *values) if any(values) else None
-    for key, what in ((samples, 'the samples'), (results.identity.hardware_id, 'the serial')):
-        if key and known.setdefault(key, outcome.unit.name) != outcome.unit.name:
-            note = note or f'duplicate: it has {what} of {known[key]}'
-    if note and not code:
-        code = EXIT_UNJUDGED  # one of the two was not measured
-    words = {EXIT_FAILED: WORDS['failed'], EXIT_UNJUDGED: WORDS['unknown']}
-    word = words.get(code, word).lower()
-    return code, word, verdict, note
-
-
-def _unit_text(outcome: Outcome, verdict: Verdict, note: str, units: str) -> str:
-    """Return name, serial number, reason and N of a unit as one line."""
-    results = outcome.results
-    if results is None:
-        return outcome.error
-    serial = results.identity.hardware_id
-    numbers = []
+def _noise_texts(results: Results, units: str) -> Iterator[str]:
+    """Yield N of the axes of each sensor."""
     for sensor in SENSORS:
         unit = shown_unit(sensor, 'N', units)
         noise = [a.fit.noise for axis, a in results.axes.items() if sensor_of(axis) == sensor]
-        cells = [value_text(terms['N'], unit) for terms in noise]
-        numbers += [f'{sensor} N {" ".join(cells)} {unit.name}'] if cells else []
-    # a warning is stated if it caused the verdict, an error such as wrong units always
-    stated = ('error', 'warning') if verdict.level == 'attention' else ('error',)
-    found = [f for f in by_consequence(results.findings) if f.severity in stated][:1]
-    reasons = [
-        f.remedy
-        if f.message in verdict.summary
-        else f'{finding_text(f, results, units)} {f.remedy}'
-        for f in found
-    ]
-    sentences = (text.rstrip('.') for text in (verdict.summary, *reasons))
-    parts = (note, *sentences, ', '.join(numbers))
-    name = f'{outcome.unit.name}, serial {serial}' if serial else outcome.unit.name
-    return f'{name}: {"; ".join(filter(None, parts))}'
+        if noise:
+            yield f'{sensor} N {" ".join(value_text(t["N"], unit) for t in noise)} {unit.name}'
 
 
-def _check_document(outcome: Outcome, code: int, verdict: Verdict, note: str) -> dict[str, Any]:
-    """Return the verdict on one unit, with N, B and K in SI, as a JSON object."""
-    document: dict[str, Any] = {'name': outcome.unit.name, 'path': outcome.unit.path}
-    if outcome.results is None:
-        return {**document, 'exit_code': code, 'level': 'error', 'summary': outcome.error}
-    axes = {
-        axis: {term: result.fit.noise[term].value for term in ADVISED_TERMS}
-        for axis, result in outcome.results.axes.items()
+def _make_output(args: argparse.Namespace) -> None:
+    """Create the folder of the summary, if one is given."""
+    if args.output:
+        from ..view.result_files import made_folder
+
+        made_folder(Path(args.output))
+
+
+def _write_summary(
+    units: Sequence[Judged], codes: Sequence[Decision], args: argparse.Namespace, plan: str
+) -> None:
+    """Write the summary of all units with their exit codes, if a folder is given."""
+    if not args.output:
+        return
+    from ..view.batch_files import INDEX, SUMMARY, UnitRow, index_html, summary_csv
+    from ..view.result_files import REPORT
+
+    rows = []
+    for one, code in zip(units, codes):
+        results = one.outcome.results
+        report = f'{folder_name(one.name)}/{REPORT}' if results else ''
+        name, known = one_line(one.name), (one.check, report, int(code))
+        rows.append(UnitRow(name, one.serial, one.word, one.reason, results, *known))
+    folder = Path(args.output)
+    write_atomic(folder / SUMMARY, summary_csv(rows, args.units))
+    write_atomic(folder / INDEX, index_html(rows, plan))
+    Console.of(args).say(f'written to {args.output}: one folder each, {SUMMARY}, {INDEX}')
+
+
+def _check_document(one: Judged) -> dict[str, Any]:
+    """Return the decision about one unit, its coefficients and its limits as a JSON object."""
+    unit, results = one.outcome.unit, one.outcome.results
+    document: dict[str, Any] = {
+        'schema': CHECK_SCHEMA,
+        'name': unit.name,
+        'path': unit.path,
+        'serial': one.serial,
+        'exit_code': int(one.decision),
+        'level': 'error',
+        'summary': one_line(one.sentences[0]),
     }
-    document['serial'] = outcome.results.identity.hardware_id
-    document |= {'exit_code': code, **plain(verdict), 'note': note, 'axes': axes}
-    # a duplicate is not judged, and --fail-on fails a unit, whatever its numbers are
-    if code == EXIT_FAILED or note:
-        document['level'] = 'failed' if code == EXIT_FAILED else 'unknown'
-    return document
+    if results is None or one.check is None:
+        return document
+    levels = {Decision.EXCEEDS: 'failed', Decision.NOT_JUDGED: 'unknown'}
+    units = {sensor: SI_UNITS[sensor] for sensor in SENSORS}
+    return document | {
+        'level': levels.get(one.decision, results.verdict.level),
+        'reasons': [one_line(text) for text in one.sentences],
+        'next_steps': list(results.verdict.next_steps),
+        'note': one.note,
+        'hours': results.duration_s / 3600.0,
+        'rate_hz': results.rate_hz,
+        'axes': {
+            axis: {
+                term: {
+                    **result.fit.noise[term].document(),
+                    'unit': units[sensor_of(axis)][term],
+                }
+                for term in ADVISED_TERMS
+            }
+            for axis, result in results.axes.items()
+        },
+        'limits': [_limit_document(check) for check in one.check.checks],
+        'unchecked': list(one.check.unchecked),
+    }
+
+
+def _limit_document(check: PlanCheck) -> dict[str, Any]:
+    """Return one quantity, its limits and its verdict, in the unit of the plan."""
+    limits, known = check.limits, check.measured.times(1.0 / check.limits.scale)
+    lower, upper = (
+        None if end is None else end / limits.scale for end in (limits.lower, limits.upper)
+    )
+    return {
+        'axis': check.axis,
+        'quantity': check.quantity,
+        **known.document(),
+        'lower': lower,
+        'upper': upper,
+        'unit': limits.unit,
+        'verdict': check.verdict,
+        'note': check.note,
+    }
 
 
 def fails(results: Results, severity: str | None) -> bool:
@@ -268,6 +358,7 @@ def outcome_of(
     output = getattr(args, 'output', None)
     settings = settings_of(ResultSettings, args)
     try:
+        serial = SerialRule(args.serial_from).serial_of(unit.path) if args.serial_from else ''
         if is_document(unit.path) and not output:
             results = load(unit.path, settings.method)
             references = settings.sensor, settings.baseline, settings.stated_margin
@@ -281,6 +372,8 @@ def outcome_of(
             raise recorded
         elif isinstance(recorded, Finding):
             raise AllanError(str(recorded))
+        if serial:
+            recorded = recorded.with_serial(serial)
         folder = Path(output) / folder_name(unit.name) if output else None
         return Outcome(unit, fit_and_write(recorded, args, folder)[0])
     except AllanError as error:
@@ -344,37 +437,6 @@ def names_of(jobs: Sequence[ReadJob]) -> list[str]:
 def folder_name(name: str) -> str:
     """Return a name with all characters except letters, digits, +, - and _ replaced by _."""
     return re.sub(r'[^\w+-]+', '_', name)
-
-
-SUMMARY = 'summary.csv'
-"""File of the summary, next to the folders of the recordings."""
-
-COLUMNS = (
-    *('recording', 'serial', 'verdict', 'reason', 'hours'),
-    *('axis', 'term', *NUMBERS, 'unit'),
-)
-"""Columns of the summary."""
-
-
-def _csv(outcomes: Sequence[Outcome], units: str) -> str:
-    """Return a CSV table with one row for each coefficient of each recording."""
-    rows: list[Record] = []
-    for outcome in outcomes:
-        name, results = one_line(outcome.unit.name), outcome.results
-        if results is None:
-            error = one_line(outcome.error)
-            rows.append({'recording': name, 'verdict': 'error', 'reason': error})
-            continue
-        verdict = results.verdicts[units]
-        known: Record = {
-            'recording': name,
-            'serial': results.identity.hardware_id,
-            'verdict': verdict.level,
-            'reason': one_line(verdict.summary),
-            'hours': f'{results.duration_s / 3600.0:.4g}',
-        }
-        rows += [{**known, **row} for row in records(coefficient_list(results.noise, units))]
-    return csv_text(rows, COLUMNS)
 
 
 def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:

@@ -27,6 +27,7 @@ from ..readers.files import MAX_BYTES, read_text
 from ..results.datasheets import Datasheet, Limit, load_sensor, sensor_names
 from ..results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
 from ..results.measured import measured_entry, measured_lines
+from ..results.plan import plan_text
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
 
@@ -109,6 +110,11 @@ def sensors(args: argparse.Namespace) -> int:
             raise AllanError(f'--from prints an entry for any sensor: omit {args.name}')
         print(measured_entry(load(source)))
         return 0
+    if args.as_plan:
+        if not args.name:
+            raise AllanError('--as-plan needs the name of a sensor: `allan sensors` lists them')
+        print(plan_text(load_sensor(args.name)), end='')
+        return 0
     if args.name:
         sheet = load_sensor(args.name)
         if console.json:
@@ -189,6 +195,7 @@ that ends in .yaml is a path.
   allan sensors
   allan sensors icm-42688-p
   allan sensors --from results > entry.yaml
+  allan sensors icm-42688-p --as-plan > plan.yaml
   allan analyze my_bag --sensor icm-42688-p
 """
 
@@ -205,6 +212,7 @@ results RESULTS?  results.json, or its folder
 SENSOR_OPTIONS = """
 name NAME?  sensor to show with its sources and measured values (default: list all)
 --from RESULTS  results.json or its folder: print an entry "measured" for the file of a sensor
+--as-plan  print a test plan with the limits of the datasheet, for `allan check --plan`
 """
 
 COMMANDS = {

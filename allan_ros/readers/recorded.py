@@ -131,6 +131,11 @@ class RecordingSums:
         order = np.argsort(np.concatenate(times), kind='stable')
         return np.concatenate(times)[order], np.concatenate(values)[order]
 
+    def with_serial(self, serial: str) -> RecordingSums:
+        """Return a copy with the serial number of the IMU."""
+        sums = (replace(s, identity=s.identity._replace(hardware_id=serial)) for s in self.sums)
+        return replace(self, sums=tuple(sums))
+
     def with_findings(self, findings: Iterable[Finding]) -> RecordingSums:
         """Return a copy with further findings."""
         return replace(self, provenance=self.provenance + Provenance(findings=tuple(findings)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from ..core.findings import Finding, by_consequence
 from .plan import Plan, PlanCheck
-from .verdict import SENSOR_FAULTS, too_short
+from .verdict import SENSOR_FAULTS, WRONG_UNITS, too_short
 
 if TYPE_CHECKING:
     from .results import Results
@@ -33,16 +33,19 @@ WORST_FIRST = (
 """The decision about a batch is the first of these that occurs."""
 
 WORDS = {
-    Decision.WITHIN: 'within',
-    Decision.UNREADABLE: 'unreadable',
-    Decision.EXCEEDS: 'exceeds',
+    Decision.WITHIN: 'healthy',
+    Decision.UNREADABLE: 'error',
+    Decision.EXCEEDS: 'failed',
     Decision.NOT_JUDGED: 'not judged',
-    Decision.BUG: 'bug',
+    Decision.BUG: 'error',
 }
-"""Decision -> its text."""
+"""Decision -> its text in the line of a unit."""
 
 BROKEN = (*SENSOR_FAULTS, 'stuck', 'clipped', 'axis_absent', 'axes_equal')
 """Ids of findings that indicate a broken axis."""
+
+NOTED = ('spikes',)
+"""Ids of notes that make a unit suspect."""
 
 ABOUT_THE_FORMAT = (
     *('unit_assumed', 'stamp_unit_assumed', 'stamps_unit', 'stamps_unusable'),
@@ -97,15 +100,18 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     """
     found = by_consequence(results.findings)
     broken = [f for f in found if f.id in BROKEN]
-    suspect = [f for f in found if f.severity != 'info' and f.id not in ABOUT_THE_FORMAT]
+    severe = [f for f in found if f.severity != 'info' or f.id in NOTED]
+    suspect = [f for f in severe if f.id not in ABOUT_THE_FORMAT]
     causes = tuple(dict.fromkeys([*broken, *suspect]))
     checks = plan.checks(results) if plan else ()
     unchecked = tuple(plan.unchecked(results)) if plan else ()
     verdicts = {check.verdict for check in checks}
-    compared = {c.verdict for c in results.comparisons}
+    # a datasheet is not compared with too few data, or with a wrong unit of measurement
+    usable = not too_short(results) and not any(f.id in WRONG_UNITS for f in found)
+    compared = {c.verdict for c in results.comparisons} if usable else set()
     if broken or 'exceeds' in verdicts | compared:
         decision = Decision.EXCEEDS
-    elif causes or 'undecided' in verdicts or too_short(results) or _is_open(results, checks):
+    elif causes or not usable or 'undecided' in verdicts or _is_open(results, checks):
         decision = Decision.NOT_JUDGED
     else:
         decision = Decision.WITHIN

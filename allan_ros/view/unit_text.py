@@ -89,15 +89,16 @@ def unit_sentences(check: UnitCheck, results: Results, plan: str, units: str) ->
     compared = results.comparisons or not plan
     if compared:
         said.append(verdict_of(results, units=units).summary)
-    known = [] if plan else said
-    for each in grouped(check.suspect):
-        text = finding_text(each, results, units)
-        if each.id != 'exceeds_limit' and not any(each.texts(units).message in s for s in known):
-            said.append(text)
+    for i, each in enumerate(grouped(check.suspect)):
+        known = any(each.texts(units).message in sentence for sentence in said)
+        if each.id != 'exceeds_limit' and not known:
+            said.append(finding_text(each, results, units))
+        if i == 0 and each.id != 'exceeds_limit':
+            said.append(each.texts(units).remedy)
     if undecided:
         said.append(f'Not decided by {plan}: {checks_text(undecided)}.')
     if check.checks and not beyond and not undecided:
-        said.insert(0, f'All limits of {plan} are met ({len(check.checks)}).')
+        said.append(f'All limits of {plan} are met ({len(check.checks)}).')
     return said
 
 

@@ -75,8 +75,15 @@ def test_each_has_its_results_and_a_line_in_the_summary(
     ]
     assert (tmp_path / 'a_npz' / 'report.html').is_file()
     rows = list(csv.DictReader((tmp_path / 'summary.csv').open()))
-    assert len(rows) == 2 * 6 * 5 + 1
-    assert rows[-1]['verdict'] == 'error'
+    assert [(row['unit'], row['verdict'], row['exit_code']) for row in rows] == [
+        ('a.npz', 'measured', '0'),
+        ('b.npz', 'measured', '0'),
+        ('broken.csv', 'error', '1'),
+    ]
+    assert float(rows[0]['gyro_x N [deg/sqrt(h)]']) > 0.0
+    assert rows[1]['reason'].startswith('duplicate: it has the samples of a.npz')
+    page = (tmp_path / 'index.html').read_text()
+    assert 'href="a_npz/report.html"' in page and page.count('<polyline') == 12
 
 
 def test_a_fault_of_one_recording_does_not_end_the_others(

@@ -43,7 +43,8 @@ def test_the_accepted_run_is_healthy_against_itself_and_results_are_read(
     assert main(['check', str(analyzed), '--json']) == 4
     shown = json.loads(capsys.readouterr().out)
     written = json.loads((analyzed / 'results.json').read_text())['verdict']
-    assert {key: shown[key] for key in written} == written
+    assert shown['level'] == 'unknown' and written['level'] == 'measured'
+    assert (shown['summary'], shown['next_steps']) == (written['summary'], written['next_steps'])
     folder = ['--baseline', str(analyzed)]
     assert main(['analyze', str(recording), *folder]) == 0
     assert 'numbers are within' in capsys.readouterr().out
@@ -126,7 +127,7 @@ def test_units_are_never_pooled(
     *documents, last = map(json.loads, capsys.readouterr().out.splitlines())
     assert [document['exit_code'] for document in documents] == [0, 0, 0, 0, 0, 3, 4, 1]
     assert documents[6]['level'] == 'unknown'
-    assert documents[0]['axes']['gyro_x']['N'] == pytest.approx(1e-4, rel=0.1)
+    assert documents[0]['axes']['gyro_x']['N']['value'] == pytest.approx(1e-4, rel=0.1)
     assert last == {
         'units': 8,
         'totals': {'healthy': 5, 'failed': 1, 'not judged': 1, 'error': 1},

@@ -73,6 +73,7 @@ def test_an_exceeded_limit_precedes_an_undecided_one(clean: Results) -> None:
         (finding('not_finite', count=9), Decision.NOT_JUDGED),
         (finding('short', seconds=9.0), Decision.NOT_JUDGED),
         (finding('accel_scale', ('accel_x',), norm=3.0), Decision.NOT_JUDGED),
+        (finding('spikes', count=9, share=1e-3), Decision.NOT_JUDGED),
         (finding('motion', share=0.01), Decision.WITHIN),
         (
             finding('unit_assumed', path='a', sensor='gyro', unit='rad/s', name='gx'),

@@ -1,0 +1,115 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Serial numbers of the units of a batch: from file names, tables, or the metadata of bags."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import AllanError, one_line
+from ..core.imu import MAX_NAME
+from .files import open_regular, read_yaml
+
+METADATA = 'metadata.yaml'
+
+LONGEST_LINE = 100_000
+"""Longest line of a table in characters."""
+
+RULES = 'name:PATTERN, column:NAME or metadata:KEY'
+
+
+class SerialRule:
+    """Where the serial number of a unit is stated.
+
+    Parameters
+    ----------
+    text : str
+        ``name:PATTERN`` for the part of the file name that matches the first group of a regular
+        expression, or the complete expression; ``column:NAME`` for the first value in a column of a
+        table, or an array of an ``.npz`` file; ``metadata:KEY`` for the custom data of a rosbag2.
+        Raises AllanError if it is none of these.
+
+    Examples
+    --------
+    >>> SerialRule('name:SN([0-9]+)').serial_of('lot7/SN0042_rest.mcap')
+    '0042'
+    """
+
+    def __init__(self, text: str) -> None:
+        self._kind, _, self._what = text.partition(':')
+        if self._kind not in ('name', 'column', 'metadata') or not self._what:
+            raise AllanError(f'--serial-from {text!r:.60}: give {RULES}')
+        if self._kind == 'name':
+            try:
+                self._pattern = re.compile(self._what)
+            except re.error as error:
+                raise AllanError(
+                    f'--serial-from {text!r:.60} is no regular expression ({error}): correct it'
+                ) from error
+
+    def serial_of(self, path: str) -> str:
+        """Return the serial number of the unit whose recording is at a path.
+
+        Raises AllanError if it is not stated there, or the file cannot be read.
+        """
+        place = Path(path)
+        if self._kind == 'name':
+            match = self._pattern.search(place.name)
+            found = match[1] if match and match.re.groups else match[0] if match else None
+        elif self._kind == 'metadata':
+            found = _custom_data(place).get(self._what)
+        else:
+            found = _first_value(place, self._what)
+        serial = one_line(str(found)).strip() if found is not None else ''
+        if not serial or len(serial) > MAX_NAME:
+            where = {
+                'name': 'the pattern does not match its name',
+                'metadata': f'the bag has no custom data {self._what!r:.40}',
+                'column': f'it has no column {self._what!r:.40} with a value',
+            }
+            raise AllanError(
+                f'{path}: no serial number: {where[self._kind]}; correct --serial-from'
+            )
+        return serial
+
+
+def _custom_data(place: Path) -> Mapping[str, Any]:
+    """Return the custom data in the metadata of a rosbag2; empty if there are none."""
+    folder = place if place.is_dir() else place.parent
+    file = folder / METADATA
+    if not file.is_file():
+        raise AllanError(f'{place}: no {METADATA}: a serial from metadata needs a rosbag2 folder')
+    document = read_yaml(file)
+    information = document.get('rosbag2_bagfile_information') if isinstance(document, dict) else {}
+    data = information.get('custom_data') if isinstance(information, dict) else {}
+    return data if isinstance(data, dict) else {}
+
+
+def _first_value(place: Path, name: str) -> object:
+    """Return the first value in a column of a table, or of an array; None if there is none."""
+    if place.suffix.lower() == '.npz':
+        try:
+            with np.load(place, allow_pickle=False) as arrays:
+                values = arrays[name].reshape(-1) if name in arrays.files else []
+                return values[0] if len(values) else None
+        except (OSError, ValueError, KeyError) as error:
+            raise AllanError(f'{place}: cannot be read ({error}): copy it again') from error
+    if place.suffix.lower() not in ('.csv', '.tsv'):
+        raise AllanError(f'{place}: a serial from a column needs a table or an .npz file')
+    with open_regular(place) as file:
+        lines: list[str] = []
+        while len(lines) < 2 and (line := file.readline(LONGEST_LINE)):
+            text = line.decode('utf-8-sig', 'replace').strip()
+            lines += [text] if text and not text.startswith('#') else []
+    if len(lines) < 2:
+        return None
+    delimiter = max(',;\t', key=lines[0].count)
+    names, values = (next(csv.reader([line], delimiter=delimiter)) for line in lines)
+    known = dict(zip((each.strip() for each in names), values))
+    return known.get(name)

@@ -1,0 +1,289 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The summary of several units: ``summary.csv`` for programs and ``index.html`` for readers."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from urllib.parse import quote
+
+import numpy as np
+
+from .. import __version__
+from ..core.allan.curve import AxisCurve
+from ..core.estimate import Estimate
+from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
+from ..core.number_text import significant
+from ..results.plan import Limits
+from ..results.results import Results
+from ..results.unit_check import UnitCheck
+from .table import Cell, Heading, Record, Table, csv_text, html_table
+
+SUMMARY, INDEX = 'summary.csv', 'index.html'
+"""Files of the summary, next to the folders of the units."""
+
+TERMS = ('N', 'B', 'K')
+"""Coefficients of each axis in the summary, also without limits."""
+
+
+@dataclass(frozen=True)
+class UnitRow:
+    """What the summary states about one unit.
+
+    Attributes
+    ----------
+    name, serial : str
+        Name of the unit in the batch, and its serial number; '' if unknown.
+    word : str
+        The decision or verdict, such as 'healthy'.
+    reason : str
+        One line.
+    results : Results or None
+        None if the unit could not be read.
+    check : UnitCheck or None
+        None if the unit could not be read.
+    report : str
+        Path of the report, relative to the summary; '' if there is none.
+    exit_code : int
+        Exit code of the unit.
+    """
+
+    name: str
+    serial: str
+    word: str
+    reason: str
+    results: Results | None
+    check: UnitCheck | None
+    report: str = ''
+    exit_code: int = 0
+
+
+def summary_csv(rows: Sequence[UnitRow], units: str) -> str:
+    """Return a CSV table with one row for each unit.
+
+    Each quantity has columns for its value, its interval and its limits, such as
+    ``gyro_x N [deg/sqrt(h)]``, ``gyro_x N low95``, ``gyro_x N upper limit``. Columns that are empty
+    for all units are omitted. ``units`` is 'deg/h' or 'SI'; quantities with limits have the units
+    of the plan.
+    """
+    found = [_record(row, units) for row in rows]
+    names = dict.fromkeys(name for record in found for name in record)
+    known = [n for n in names if any(record.get(n) not in (None, '') for record in found)]
+    return csv_text([{n: record.get(n) for n in known} for record in found], known)
+
+
+def _record(row: UnitRow, units: str) -> Record:
+    record: dict[str, float | int | str | None] = {
+        'unit': row.name,
+        'serial': row.serial,
+        'verdict': row.word,
+        'exit_code': row.exit_code,
+        'reason': row.reason,
+    }
+    if row.results is None or row.check is None:
+        return record
+    record['hours'] = row.results.duration_s / 3600.0
+    record['rate [Hz]'] = row.results.rate_hz
+    limited = {(check.axis, check.quantity): check for check in row.check.checks}
+    for axis, result in row.results.axes.items():
+        for term in TERMS:
+            if (axis, term) not in limited:
+                unit = shown_unit(axis, term, units)
+                known = result.fit.noise[term].magnitude
+                limits = Limits(None, None, unit.name, 1.0 / unit.factor)
+                record |= _columns(f'{axis} {term}', known, limits)
+    for (axis, quantity), check in limited.items():
+        record |= _columns(f'{axis} {quantity}'.strip(), check.measured, check.limits)
+    return record
+
+
+def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[str, float | None]]:
+    """Yield the columns of one quantity in the unit of its limits."""
+    unit = f' [{limits.unit}]' if limits.unit else ''
+    low, high = (measured.resolved and measured.ci95) or (None, measured.upper95)
+    for end, value in (
+        (unit, measured.value if measured.resolved else None),
+        (' low95', low),
+        (' high95', high),
+        (' lower limit', limits.lower),
+        (' upper limit', limits.upper),
+    ):
+        known = value is not None and math.isfinite(value)
+        yield f'{name}{end}', value / limits.scale if known and value is not None else None
+
+
+# --- the page -------------------------------------------------------------------------------------
+
+WIDTH, HEIGHT = 110, 44
+"""Size of a small curve in pixels."""
+
+COLORS = ('#c0504d', '#4f9a57', '#4f72c0')
+"""Colors of the axes x, y and z."""
+
+STYLE = """
+:root { color-scheme: light dark; font: 15px/1.4 system-ui, sans-serif; }
+body { margin: 1.5rem; }
+h1 { font-size: 1.3rem; }
+table { border-collapse: collapse; }
+th, td { padding: .3rem .6rem; text-align: left; vertical-align: top;
+  border-bottom: 1px solid #8884; }
+thead th { cursor: pointer; white-space: nowrap; }
+thead th[aria-sort=ascending]::after { content: ' \\25b4'; }
+thead th[aria-sort=descending]::after { content: ' \\25be'; }
+td.failed, td.error { color: #c0392b; font-weight: 600; }
+td.attention, td.unknown { color: #a06000; font-weight: 600; }
+td.healthy { color: #2e7d32; font-weight: 600; }
+small { display: block; opacity: .75; }
+svg { display: block; }
+.wide { overflow-x: auto; }
+"""
+
+SCRIPT = """
+'use strict';
+for (const table of document.querySelectorAll('table')) {
+  const body = table.tBodies[0];
+  const content = (row, i) => row.cells[i].textContent.trim();
+  [...table.tHead.rows[0].cells].forEach((head, i) => {
+    head.tabIndex = 0;
+    const sort = () => {
+      const down = head.ariaSort === 'ascending';
+      for (const other of table.tHead.rows[0].cells) other.ariaSort = null;
+      head.ariaSort = down ? 'descending' : 'ascending';
+      const order = new Intl.Collator('en', {numeric: true});
+      const rows = [...body.rows].sort((a, b) => order.compare(content(a, i), content(b, i)));
+      body.append(...(down ? rows.reverse() : rows));
+    };
+    head.addEventListener('click', sort);
+    head.addEventListener('keydown', (event) => { if (event.key === 'Enter') sort(); });
+  });
+}
+"""
+
+CLASSES = {
+    'healthy': 'healthy',
+    'usable with care': 'attention',
+    'not judged': 'unknown',
+    'failed': 'failed',
+    'error': 'error',
+}
+"""Word of a verdict -> class in the style sheet."""
+
+
+def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
+    """Return a page with a sortable table of the units, small curves, and links to the reports.
+
+    The curves are the Allan deviations of the axes of a sensor over the averaging time, both on
+    logarithmic scales, which are equal for all units. A band shows the limits of N. ``plan`` is the
+    name of the plan, '' for none.
+    """
+    sensors = [s for s in SENSORS if any(_curves(row, s) for row in rows)]
+    columns = [Heading('verdict'), Heading('serial'), Heading('reason'), Heading('h at rest')]
+    columns += [Heading(f'{sensor} deviation') for sensor in sensors]
+    frames = {sensor: _frame(rows, sensor) for sensor in sensors}
+    table_rows, drawings = [], {}
+    for i, row in enumerate(rows):
+        hours = '' if row.results is None else significant(row.results.duration_s / 3600.0, 3)
+        cells = [
+            Cell(row.word, status=CLASSES.get(row.word, 'measured')),
+            Cell(row.serial),
+            Cell(row.reason),
+            Cell(hours),
+        ]
+        for sensor in sensors:
+            place = f'\ue000{i} {sensor}\ue000'
+            drawings[place] = _drawing(row, sensor, frames[sensor])
+            cells.append(Cell(place))
+        link = Cell(row.name, link=quote(row.report))
+        table_rows.append((Heading(str(i + 1)), [link, *cells]))
+    table = Table(Heading('no.'), [Heading('unit'), *columns], table_rows)
+    body = html_table('units', lambda units: table)
+    for place, drawing in drawings.items():
+        body = body.replace(place, drawing)
+    words = [row.word for row in rows]
+    counts = ', '.join(f'{words.count(word)} {word}' for word in dict.fromkeys(words))
+    against = f' against the plan {escape(plan)}' if plan else ''
+    digest = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
+    policy = (
+        "default-src 'none'; base-uri 'none'; form-action 'none'; "
+        f"style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f'<title>{len(rows)} units</title>\n<style>{STYLE}</style>\n</head>\n<body>\n'
+        f'<h1>{len(rows)} units{against}: {escape(counts)}</h1>\n'
+        f'<div class="wide">{body}</div>\n'
+        f'<p><a href="{SUMMARY}">{SUMMARY}</a> has the numbers. allan_ros {__version__}</p>\n'
+        f'<script>{SCRIPT}</script>\n</body>\n</html>\n'
+    )
+
+
+def _curves(row: UnitRow, sensor: str) -> dict[str, AxisCurve]:
+    """Return the measured curves of a sensor: axis -> curve."""
+    if row.results is None:
+        return {}
+    axes = {axis: row.results.axes[axis] for axis in AXES[SENSORS[sensor]] if axis in row.results}
+    return {name: axis.curve for name, axis in axes.items() if axis.curve is not None}
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Ranges of log10 of averaging time and deviation that the curves of a sensor share."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+    def points(self, tau: np.ndarray, adev: np.ndarray) -> str:
+        some = (adev > 0.0) & np.isfinite(adev) & (tau > 0.0)
+        x = (np.log10(tau[some]) - self.left) / max(self.right - self.left, 1e-9) * WIDTH
+        y = (self.top - np.log10(adev[some])) / max(self.top - self.bottom, 1e-9) * HEIGHT
+        return ' '.join(f'{a:.1f},{min(max(b, -99.0), 199.0):.1f}' for a, b in zip(x, y))
+
+
+def _frame(rows: Sequence[UnitRow], sensor: str) -> _Frame:
+    curves = [curve for row in rows for curve in _curves(row, sensor).values()]
+    tau = np.concatenate([curve.tau for curve in curves])
+    adev = np.concatenate([curve.adev for curve in curves])
+    some = (adev > 0.0) & np.isfinite(adev)
+    if not some.any():
+        return _Frame(0.0, 1.0, 0.0, 1.0)
+    x, y = np.log10(tau[some]), np.log10(adev[some])
+    # a unit with a wrong unit of measurement would make all other curves flat
+    bottom, top = np.percentile(y, [1.0, 99.0])
+    return _Frame(float(x.min()), float(x.max()), float(bottom) - 0.1, float(top) + 0.1)
+
+
+def _drawing(row: UnitRow, sensor: str, frame: _Frame) -> str:
+    """Return the curves of a sensor, and the band of the limits of N, as SVG; '' without curves."""
+    curves = _curves(row, sensor)
+    if not curves:
+        return ''
+    parts = []
+    for check in row.check.checks if row.check else ():
+        if check.quantity == 'N' and sensor_of(check.axis or 'unit') == sensor:
+            tau = np.logspace(frame.left, frame.right, 2)
+            low = np.full(2, 10.0**frame.bottom)
+            if check.limits.lower:
+                low = check.limits.lower / np.sqrt(tau)
+            high = np.full(2, 10.0**frame.top)
+            if check.limits.upper:
+                high = check.limits.upper / np.sqrt(tau)
+            area = f'{frame.points(tau, low)} {frame.points(tau[::-1], high[::-1])}'
+            parts = [f'<polygon points="{area}" fill="#8883"/>']
+    for axis, curve in curves.items():
+        color = COLORS['xyz'.index(axis[-1])]
+        line = frame.points(curve.tau, curve.adev)
+        parts.append(f'<polyline points="{line}" fill="none" stroke="{color}"/>')
+    title = f'Allan deviation of the {sensor}: x red, y green, z blue'
+    return (
+        f'<svg width="{WIDTH}" height="{HEIGHT}" role="img"><title>{title}</title>'
+        f'{"".join(parts)}</svg>'
+    )
