@@ -307,7 +307,8 @@ def used_share(results: Results) -> float | None:
     """Return the share of the samples that were used, of those that were received or lost."""
     c = results.provenance.counts
     excluded = c.skipped + c.other_frame + c.not_finite + c.duplicate + c.backward + c.untimed
-    excluded += c.moving + c.stuck + c.noise_increased + max(c.lost - c.interpolated, 0)
+    excluded += c.moving + c.stuck + c.noise_increased + c.noise_decreased
+    excluded += max(c.lost - c.interpolated, 0)
     total = c.used + excluded
     return c.used / total if total else None
 
