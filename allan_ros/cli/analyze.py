@@ -48,6 +48,7 @@ from .batch import (
     Unit,
     exit_code_of,
     fit_and_write,
+    names_of,
     on_cluster,
     run_batch,
     run_check,
@@ -242,7 +243,9 @@ def check(args: argparse.Namespace) -> int:
             '--hardware-id is the number of one IMU: check each unit by itself, or use '
             '--serial-from'
         )
-    return run_check([Unit(name, read_jobs(paths, args)) for name, paths in units.items()], args)
+    jobs = [read_jobs(paths, args, bool(args.output)) for paths in units.values()]
+    short = names_of([of_unit[0] for of_unit in jobs])
+    return run_check([Unit(*unit) for unit in zip(units, jobs, short)], args)
 
 
 CHECK = """

@@ -50,10 +50,19 @@ MOST_NAMED = 10
 
 @dataclass(frozen=True)
 class Unit:
-    """One IMU in a batch: its name in the summary, and the jobs that read its recordings."""
+    """One IMU in a batch: its name in the summary, and the jobs that read its recordings.
+
+    ``short`` is another unique name, from which that of its folder is made; '' if it is ``name``.
+    """
 
     name: str
     jobs: Sequence[ReadJob]
+    short: str = ''
+
+    @property
+    def folder(self) -> str:
+        """Name of the folder for its files."""
+        return folder_name(self.short or self.name)
 
     @property
     def path(self) -> str:
@@ -248,7 +257,7 @@ def _write_summary(
     rows = []
     for one, code in zip(units, codes):
         results = one.outcome.results
-        report = f'{folder_name(one.name)}/{REPORT}' if results else ''
+        report = f'{one.outcome.unit.folder}/{REPORT}' if results else ''
         name, known = one_line(one.name), (one.check, report, int(code))
         rows.append(UnitRow(name, one.serial, one.word, one.reason, results, *known))
     folder = Path(args.output)
@@ -374,7 +383,7 @@ def outcome_of(
             raise AllanError(str(recorded))
         if serial:
             recorded = recorded.with_serial(serial)
-        folder = Path(output) / folder_name(unit.name) if output else None
+        folder = Path(output) / unit.folder if output else None
         return Outcome(unit, fit_and_write(recorded, args, folder)[0])
     except AllanError as error:
         return Outcome(unit, error=str(error))
