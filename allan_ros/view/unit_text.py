@@ -13,7 +13,7 @@ from ..core.number_text import LIMIT_DIGITS, significant
 from ..results.plan import Limits, PlanCheck
 from ..results.results import Results
 from ..results.unit_check import UnitCheck
-from ..results.verdict import finding_text, verdict_of
+from ..results.verdict import finding_text
 
 SHOWN_CHECKS = 4
 """Largest number of quantities that a summary names."""
@@ -88,7 +88,7 @@ def unit_sentences(check: UnitCheck, results: Results, plan: str, units: str) ->
         said.append(f'Beyond {plan}: {checks_text(beyond)}.')
     compared = results.comparisons or not plan
     if compared:
-        said.append(verdict_of(results, units=units).summary)
+        said.append(results.verdicts[units].summary)
     for i, each in enumerate(grouped(check.suspect)):
         known = any(each.texts(units).message in sentence for sentence in said)
         if each.id != 'exceeds_limit' and not known:
