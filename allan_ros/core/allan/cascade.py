@@ -20,6 +20,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,27 +118,38 @@ def _half_tapers(o: int, kind: str) -> NDArray[np.floating]:
 
 
 @dataclass(frozen=True)
-class _Half:
-    """Last half block of an octave: the first half of the next block."""
+class _HalfBlock:
+    """Last half block of an octave. It is also the first half of the next block."""
 
-    product: NDArray[np.floating]  # (axes, 1, 2 bins) product with the first half of the tapers
+    early: NDArray[np.floating]  # (axes, 1, 2 bins) product with the first half of the tapers
     interpolated: float  # number of its samples that are interpolated
     used: bool  # whether the block that ends with it is not excluded
+
+
+class _OctaveSums(NamedTuple):
+    """Power of the blocks of one octave that end in some samples, and the last half block."""
+
+    power: Floats  # (bins, axes)
+    blocks: int
+    pairs: int  # of overlapping blocks
+    last: _HalfBlock | None
 
 
 class _RunningLevel:
     """Points of one level of the open segment that are not summed yet.
 
     ``points`` contains the last `_KEPT` points up to the last summed one, then the first ``fill``
-    points of the current block. The last row is the number of interpolated samples so far.
+    points of the current block. The last row is the number of interpolated samples so far. A point
+    is the phase minus ``origin``, (rows, 1): second differences do not depend on it.
     """
 
     def __init__(self, level: int, rows: int) -> None:
         self.level = level
         self.points = np.zeros((rows, _KEPT + level_of(level).block))
+        self.origin = np.zeros((rows, 1))
         self.fill = 0
         self.summed = 0  # number of summed points after the first, theta(0)
-        self.halves: tuple[_Half | None, ...] = (None,) * len(level_of(level).octaves)
+        self.halves: tuple[_HalfBlock | None, ...] = (None,) * len(level_of(level).octaves)
 
     def append(self, points: Floats) -> None:
         """Append points to the current block."""
@@ -149,6 +161,11 @@ class _RunningLevel:
         """Number of points of the current block when it is full."""
         return min(max(self.summed, FIRST_BLOCK), level_of(self.level).block)
 
+    def phase(self, more: Floats) -> Floats:
+        """Return the phase from the last summed point to the end of the block and ``more``."""
+        own = self.points[:, _KEPT - 1 : _KEPT + self.fill]
+        return np.concatenate([own, more], axis=1) + self.origin
+
     def close(self) -> LevelSums:
         """Return the sums of the full block, and begin a new one."""
         sums, self.halves = self.sums_of(self.points[:, : _KEPT + self.fill])
@@ -157,7 +174,16 @@ class _RunningLevel:
         self.fill = 0
         return sums
 
-    def sums_of(self, points: Floats) -> tuple[LevelSums, tuple[_Half | None, ...]]:
+    def move_origin(self) -> None:
+        """Move the origin to the last point of a block that was just closed.
+
+        The numbers remain as small as the phase of one block, so that no digits are lost.
+        """
+        last = self.points[:, _KEPT - 1 : _KEPT].copy()
+        self.points[:, :_KEPT] -= last
+        self.origin += last
+
+    def sums_of(self, points: Floats) -> tuple[LevelSums, tuple[_HalfBlock | None, ...]]:
         """Return the sums of a block, and its last half blocks.
 
         ``points`` are (rows, n): `_KEPT` earlier points, then the points of the block.
@@ -167,12 +193,14 @@ class _RunningLevel:
         squares, groups, number = _second_differences(
             points[:-1], kept, self.summed + 1 - kept, level_of(self.level).factors
         )
-        power, blocks, halves = self._spectra(points[:, kept - 1 :])
-        values = np.concatenate([*squares, *groups, *power])
-        return LevelSums(self.level, values, np.array([*number, *blocks], np.int64)), halves
+        octaves = self._spectra(points[:, kept - 1 :])
+        values = np.concatenate([*squares, *groups, *(each.power for each in octaves)])
+        counts = [*number, *(o.blocks for o in octaves), *(o.pairs for o in octaves)]
+        sums = LevelSums(self.level, values, np.array(counts, np.int64))
+        return sums, tuple(each.last for each in octaves)
 
-    def _spectra(self, points: Floats) -> tuple[list[Floats], list[int], tuple[_Half | None, ...]]:
-        """Return powers of each octave, (bins, axes), numbers of blocks, of pairs, and halves."""
+    def _spectra(self, points: Floats) -> list[_OctaveSums]:
+        """Return the spectra of each octave in a block; ``points`` begin with the one before it."""
         level = level_of(self.level)
         # the rounding errors of float32 are much smaller than the noise of single samples, but
         # not than the noise of long means
@@ -181,60 +209,59 @@ class _RunningLevel:
             samples = np.subtract(points[:-1, 1:], points[:-1, :-1], dtype=float).astype(kind)
         if self.level:
             samples /= level.stride
-        some = points[-1, -1] > points[-1, 0]
-        power, blocks, pairs, halves = [], [], [], []
-        for o, before in zip(level.octaves, self.halves):
-            found = _octave_power(samples, points[-1] if some else None, o, before)
-            power.append(found[0])
-            blocks.append(found[1])
-            pairs.append(found[2])
-            halves.append(found[3])
-        return power, blocks + pairs, tuple(halves)
+        found = zip(level.octaves, self.halves)
+        return [_octave_sums(samples, points[-1], o, before) for o, before in found]
 
 
-def _octave_power(
-    samples: NDArray[np.floating], interpolated: Floats | None, o: int, before: _Half | None
-) -> tuple[Floats, int, int, _Half | None]:
-    """Return the power of octave o, (bins, axes), the numbers of blocks and pairs, and a half.
+def _octave_sums(
+    samples: NDArray[np.floating], interpolated: Floats, o: int, before: _HalfBlock | None
+) -> _OctaveSums:
+    """Return the power of octave o in samples or means, (axes, n).
 
-    ``samples`` are (axes, n), and ``interpolated`` is the cumulative number of interpolated
-    samples, (n + 1,), or None if none is. ``before`` is the half block before the first sample.
+    ``interpolated`` is the cumulative number of interpolated samples, (n + 1,), and ``before`` the
+    half block before the first sample.
     """
     axes, n = samples.shape
-    step, size, bins = octave(o)
+    _, size, bins = octave(o)
     half, columns = size // 2, 2 * len(bins)
     number = n // half
     if not number:
-        return np.zeros((len(bins), axes)), 0, 0, before
-    matrix = _half_tapers(o, samples.dtype.str)
+        return _OctaveSums(np.zeros((len(bins), axes)), 0, 0, before)
+    # a tapered block is the sum of the products of its two halves
     with np.errstate(invalid='ignore'):  # no sensor has values above 1e38; the fit refuses them
-        products = samples[:, : number * half].reshape(axes * number, half) @ matrix
+        products = samples[:, : number * half].reshape(axes * number, half) @ _half_tapers(
+            o, samples.dtype.str
+        )
     products = products.reshape(axes, number, 2 * columns)
-    # the tapered block is the sum of the products of its two halves
     late = products[:, 0 if before else 1 :, columns:]
     early = products[:, : number - 1, :columns]
     if before:
-        early = np.concatenate([before.product, early], axis=1)
+        early = np.concatenate([before.early, early], axis=1)
+    used, missing = _used_blocks(np.diff(interpolated[: number * half + 1 : half]), o, before)
     amplitudes = early + late
-    last = products[:, -1:, :columns].copy()
-    if interpolated is None and (before is None or not before.interpolated):
-        blocks = amplitudes.shape[1]
-        pairs = max(blocks - 1, 0) + bool(before and before.used and blocks)
-        after = _Half(last, 0.0, blocks > 0)
-    else:
-        if interpolated is None:
-            interpolated = np.zeros(n + 1)
-        missing = np.diff(interpolated[: number * half + 1 : half])
-        missing = np.concatenate([[before.interpolated] if before else [], missing])
-        used = missing[:-1] + missing[1:] <= MAX_INTERPOLATED * size * step
+    if not used.all():
         amplitudes = amplitudes[:, used]
-        blocks = int(used.sum())
-        pairs = int((used[:-1] & used[1:]).sum())
-        pairs += bool(before and before.used and len(used) and used[0])
-        after = _Half(last, float(missing[-1]), bool(len(used) and used[-1]))
     exact = amplitudes.astype(float)  # squares of large samples exceed the range of float32
     power = np.einsum('akc,akc->ac', exact, exact).T
-    return power[: len(bins)] + power[len(bins) :], blocks, pairs, after
+    pairs = int(np.count_nonzero(used[:-1] & used[1:]))
+    pairs += bool(before and before.used and len(used) and used[0])
+    last = _HalfBlock(products[:, -1:, :columns].copy(), missing, bool(len(used) and used[-1]))
+    return _OctaveSums(
+        power[: len(bins)] + power[len(bins) :], int(np.count_nonzero(used)), pairs, last
+    )
+
+
+def _used_blocks(
+    interpolated: Floats, o: int, before: _HalfBlock | None
+) -> tuple[NDArray[np.bool_], float]:
+    """Return which blocks of octave o are used, and the interpolated samples of the last half.
+
+    ``interpolated``, (halves,), is the number of interpolated samples in each half block.
+    """
+    if before:
+        interpolated = np.concatenate([[before.interpolated], interpolated])
+    used = interpolated[:-1] + interpolated[1:] <= MAX_INTERPOLATED * octave(o).length
+    return np.asarray(used), float(interpolated[-1])
 
 
 def _second_differences(
@@ -283,13 +310,9 @@ class Cascade:
     """
 
     def __init__(self, reference: Floats) -> None:
-        rows = len(reference) + 1
         self.reference = reference
         self.samples = 0
-        # phase at the end of level 0 = base (phase before its current block) + theta
-        self._base = np.zeros((rows, 1))
-        self._theta = np.zeros(rows)
-        self._levels = [_RunningLevel(0, rows)]
+        self._levels = [_RunningLevel(0, len(reference) + 1)]
 
     def feed(self, samples: Floats, interpolated: NDArray[np.bool_] | None) -> Iterator[Block]:
         """Add samples, (axes, n), and yield the blocks that become full."""
@@ -301,10 +324,10 @@ class Cascade:
             phase = bottom.points[:, begin : begin + take]
             np.subtract(samples[:, at : at + take], self.reference[:, None], out=phase[:-1])
             phase[-1] = 0.0 if interpolated is None else interpolated[at : at + take]
-            # adding theta before cumsum makes the order of additions the same for any chunking
-            phase[:, 0] += self._theta
+            # adding the last point before cumsum makes the order of additions the same for any
+            # chunking
+            phase[:, 0] += bottom.points[:, begin - 1]
             np.cumsum(phase, axis=1, out=phase)
-            self._theta = phase[:, -1].copy()
             bottom.fill += take
             at += take
             self.samples += take
@@ -313,22 +336,17 @@ class Cascade:
 
     def _close(self) -> Iterator[Block]:
         """Yield the full blocks, from level 0 on, and begin new ones."""
-        bottom = self._levels[0]
-        phase = bottom.points[:, _KEPT - 1 : _KEPT + bottom.fill] + self._base
-        yield Block(bottom.summed, bottom.close(), phase)
-        last = bottom.points[:, _KEPT - 1 : _KEPT].copy()
-        self._base += last
-        bottom.points[:, :_KEPT] -= last  # a constant in the phase changes no difference
-        self._theta[:] = 0.0
-        for j in itertools.count(1):
-            if j == len(self._levels):
-                self._levels.append(_RunningLevel(j, len(phase)))
+        for j in itertools.count():
             level = self._levels[j]
-            level.append(phase[:, 2::2])
             if level.fill < level.size:
                 return
-            phase = level.points[:, _KEPT - 1 : _KEPT + level.fill].copy()
-            yield Block(level.summed << j, level.close(), phase[:, :0])
+            phase = level.phase(level.points[:, :0])
+            yield Block(level.summed << j, level.close(), phase[:, :0] if j else phase)
+            if j == 0:
+                level.move_origin()
+            if j + 1 == len(self._levels):
+                self._levels.append(_RunningLevel(j + 1, len(phase)))
+            self._levels[j + 1].append(phase[:, 2::2])
 
     def open_blocks(self) -> Iterator[Block]:
         """Yield the blocks that are not full as if the segment ended; the state is unchanged."""
@@ -337,9 +355,9 @@ class Cascade:
             if j >= len(self._levels) and not new.shape[1]:
                 return
             level = self._levels[j] if j < len(self._levels) else _RunningLevel(j, len(new))
-            points = np.concatenate([level.points[:, : _KEPT + level.fill], new], axis=1)
-            phase = points[:, _KEPT - 1 :] + (0.0 if j else self._base)
+            phase = level.phase(new)
             if phase.shape[1] > 1:
+                points = np.concatenate([level.points[:, : _KEPT + level.fill], new], axis=1)
                 sums = level.sums_of(points)[0]
                 yield Block(level.summed << j, sums, phase[:, :0] if j else phase)
             new = phase[:, 2::2]
