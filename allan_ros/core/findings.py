@@ -20,6 +20,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from .errors import one_line
+from .estimate import Ends, Estimate
 from .imu import SI_UNITS, sensor_of, shown_unit
 from .number_text import duration_text, prefixed, significant
 
@@ -32,26 +33,27 @@ QUANTITIES = ('Q', 'N', 'B', 'K', 'R', 'signal')
 """Quantities of a sensor: the coefficients, and its samples (also the Allan deviation)."""
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A coefficient or a signal of a sensor in SI, with its interval.
+def quantity(
+    value: float | None,
+    sensor: str,
+    name: str,
+    ci95: Ends | None = None,
+    upper95: float | None = None,
+) -> Estimate:
+    """Return a coefficient or a signal of a sensor in SI, for a finding.
 
-    ``value`` is None if only the upper limit ``high`` is known. ``term`` is one of `QUANTITIES`.
+    ``name`` is one of `QUANTITIES`; ``upper95`` is the limit of a quantity without a value.
+
+    >>> quantity_text(quantity(1e-4, 'gyro', 'N', (0.9e-4, 1.1e-4)))
+    '0.344 deg/sqrt(h) (0.309 to 0.378)'
     """
+    unit = SI_UNITS[sensor][_coefficient(name)]
+    return Estimate(value, ci95, upper95, name=name, unit=unit, axis=sensor)
 
-    value: float | None
-    sensor: str
-    term: str
-    low: float | None = None
-    high: float | None = None
 
-    def text(self, units: str = 'deg/h', digits: int = 3) -> str:
-        """Return the value with its unit and its interval, or ``< limit``."""
-        return _quantities_text([self], digits, units, str)
-
-    def document(self) -> dict[str, Any]:
-        """Return the quantity as a JSON object."""
-        return {**vars(self), 'unit': SI_UNITS[self.sensor][_coefficient(self.term)]}
+def quantity_text(known: Estimate, units: str = 'deg/h', digits: int = 3) -> str:
+    """Return a quantity with its unit and its interval, or ``< limit``."""
+    return _quantities_text([known], digits, units, str)
 
 
 class Texts(NamedTuple):
@@ -72,7 +74,7 @@ class Finding:
     severity : 'error', 'warning' or 'info'
     axes : tuple of str
         The affected axes; empty for all of them.
-    values : mapping of str to int, float, str or Quantity
+    values : mapping of str to int, float, str or Estimate
         The numbers of the texts: quantities in SI, times in s, frequencies in Hz, shares of 1. In
         a merged finding, a tuple contains the different values of its axes.
     """
@@ -156,7 +158,8 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
 
     ``axes`` are the affected axes; empty for all. ``values`` must contain every field of the
     templates that is not in an optional part. Only ``when``, a text such as ' in the last minute',
-    is '' by default. A quantity is a `Quantity`, or a number in SI for the sensor of the axes.
+    is '' by default. A quantity is an `Estimate` of `quantity`, or a number in SI for the sensor of
+    the axes.
     """
     values = {'when': '', **values}
     known, used = CATALOG[id], {}
@@ -164,7 +167,7 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
         value = values.get(name)
         if spec.rstrip('0123456789') in QUANTITIES and isinstance(value, (int, float)):
             sensor = str(values['sensor'] if 'sensor' in values else sensor_of(axes[0]))
-            value = Quantity(value, sensor, spec.rstrip('0123456789'))
+            value = quantity(value, sensor, spec.rstrip('0123456789'))
         used[name] = _value(value)
     if missing := [name for name in required(known) if used[name] is None]:
         raise KeyError(f'{id}: {", ".join(missing)}')
@@ -176,9 +179,9 @@ def _value(value: Any) -> Any:
     """Return a value as it is stored: a number, a quantity, quantities, or text."""
     if isinstance(value, np.generic):
         return value.item()
-    if isinstance(value, tuple) and all(isinstance(each, Quantity) for each in value):
+    if isinstance(value, tuple) and all(isinstance(each, Estimate) for each in value):
         return value
-    known = isinstance(value, (int, float, Quantity)) or value is None
+    known = isinstance(value, (int, float, Estimate)) or value is None
     return value if known else str(value)
 
 
@@ -221,10 +224,10 @@ def _filled(
 
 def _text_of(values: Sequence[Any], spec: str, units: str, spelled: Callable[[str], str]) -> str:
     """Return a value as text, or the range of several values."""
-    if all(isinstance(value, Quantity) for value in values):
+    if all(isinstance(value, Estimate) for value in values):
         return _quantities_text(values, int(spec.lstrip('QNBKRsignal') or 3), units, spelled)
     if isinstance(values[0], tuple):
-        return ', '.join(f'{q.term} {_text_of([q], spec, units, spelled)}' for q in values[0])
+        return ', '.join(f'{q.name} {_text_of([q], spec, units, spelled)}' for q in values[0])
     texts = [_plain_text(value, spec) for value in (min(values), max(values))]
     low, high = texts if len(values) > 1 else (texts[0], texts[0])
     number, _, unit = low.partition(' ')
@@ -244,25 +247,28 @@ def _plain_text(value: Any, spec: str) -> str:
 
 
 def _quantities_text(
-    quantities: Sequence[Quantity], digits: int, units: str, spelled: Callable[[str], str]
+    quantities: Sequence[Estimate], digits: int, units: str, spelled: Callable[[str], str]
 ) -> str:
     """Return quantities of one kind as one text, such as '2 to 3 deg/h (1.5 to 4.1)'."""
     known = [q.value for q in quantities if q.value is not None]
-    lows = [q.low for q in quantities if q.low is not None]
-    highs = [q.high for q in quantities if q.high is not None]
-    first, size = quantities[0], max(map(abs, known or highs), default=0.0)
-    unit = prefixed(shown_unit(first.sensor, _coefficient(first.term), units), size)
-    if first.term == 'signal' and unit.name == 'deg/h' and size * unit.factor >= FAST_DEG_H:
-        unit = shown_unit(first.sensor, 'signal', units)
+    ends = [q.ci95 for q in quantities if q.ci95 is not None]
+    limits = [q.upper95 for q in quantities if q.upper95 is not None]
+    first, size = quantities[0], max(map(abs, known or limits), default=0.0)
+    unit = prefixed(shown_unit(first.axis, _coefficient(first.name), units), size)
+    if first.name == 'signal' and unit.name == 'deg/h' and size * unit.factor >= FAST_DEG_H:
+        unit = shown_unit(first.axis, 'signal', units)
 
     def text(value: float) -> str:
         return significant(value * unit.factor, digits)
 
     if not known:
         return f'< {text(size)} {spelled(unit.name)}'
-    ends = dict.fromkeys(text(value) for value in (min(known), max(known)))
-    interval = f' ({text(min(lows))} to {text(max(highs))})' if lows and highs else ''
-    return f'{" to ".join(ends)} {spelled(unit.name)}{interval}'
+    values = dict.fromkeys(text(value) for value in (min(known), max(known)))
+    interval = ''
+    if ends:
+        lowest, highest = min(low for low, _ in ends), max(high for _, high in ends)
+        interval = f' ({text(lowest)} to {text(highest)})'
+    return f'{" to ".join(values)} {spelled(unit.name)}{interval}'
 
 
 def _coefficient(term: str) -> str:
@@ -287,8 +293,8 @@ def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 def _kind(value: Any) -> Hashable:
     """Return what must be equal in the values of findings that are merged."""
-    if isinstance(value, Quantity):
-        return value.sensor, value.term, value.value is None
+    if isinstance(value, Estimate):
+        return value.axis, value.name, value.value is None
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     return int if is_number else value
 
@@ -328,8 +334,10 @@ def _rank(finding: Finding) -> tuple[int, int]:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Quantity):
-        return value.document()
+    if isinstance(value, Estimate):
+        low, high = value.ci95 or (None, value.upper95)
+        known = {'value': value.value, 'sensor': value.axis, 'term': value.name}
+        return {**known, 'low': low, 'high': high, 'unit': value.unit}
     if isinstance(value, tuple):
         return [_plain(each) for each in value]
     return value if not isinstance(value, float) or math.isfinite(value) else None

@@ -19,7 +19,7 @@ from ..core.allan.sums import AllanSums
 from ..core.compare import Check
 from ..core.errors import one_line
 from ..core.estimate import Estimate, value_text
-from ..core.findings import Finding, Quantity, by_consequence, finding
+from ..core.findings import Finding, by_consequence, finding, quantity
 from ..core.fit.interpretation import recommended_duration
 from ..core.fit.model import TERMS
 from ..core.imu import sensor_of, shown_unit
@@ -233,9 +233,9 @@ def _term_pairs(axis: str, term: str, c: Estimate) -> list[tuple[str, object]]:
 
 def _limit_findings(view: AxisView) -> list[Finding]:
     """Return a finding for each coefficient that exceeds its limit."""
-    noise = view.result.fit.noise if view.result else {}
-    beyond = [c for c in view.comparisons if c.verdict == 'exceeds' and noise]
-    return [exceeds_limit(c, noise.get(c.quantity), view.margin, ()) for c in beyond]
+    if view.result is None:
+        return []
+    return [exceeds_limit(c, view.margin, ()) for c in view.comparisons if c.verdict == 'exceeds']
 
 
 def _change_findings(view: AxisView) -> list[Finding]:
@@ -256,8 +256,8 @@ def _change_findings(view: AxisView) -> list[Finding]:
         'noise_fell' if step.ratio < 1.0 else 'noise_changed',
         what=what,
         tau=tau,
-        before=Quantity(before, *kind),
-        after=Quantity(before * step.ratio, *kind),
+        before=quantity(before, *kind),
+        after=quantity(before * step.ratio, *kind),
         ago=step.since_s,
         low=low,
         high=high,

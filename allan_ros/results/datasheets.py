@@ -23,7 +23,7 @@ from ..core.compare import Check, Judgement, check_limits
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.fields import Fields, located, plain
-from ..core.findings import Finding, Quantity, finding
+from ..core.findings import Finding, finding, quantity
 from ..core.fit import TERMS
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import FLICKER_FLOOR
@@ -220,29 +220,26 @@ def against_datasheet(
     return DatasheetComparison(datasheet, margin, tuple(found))
 
 
-def exceeds_limit(
-    check: Check, coefficient: Estimate | None, margin: float, axes: tuple[str, ...]
-) -> Finding:
+def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding:
     """Return the finding that a coefficient or an Allan deviation exceeds a limit.
 
-    The check contains the limit and the measured ratio. ``coefficient`` is the measured value;
-    None if only the ratio is known. The text states the fraction ``margin``, and ``axes`` are the
-    axes to which the finding applies.
+    The text states the measured coefficient, or the least deviation if only the ratio is known, and
+    the fraction ``margin``; ``axes`` are the axes to which the finding applies.
     """
-    c = check
-    kind = (sensor_of(c.axis), 'B' if c.tau is not None else c.quantity)
+    is_term, measured = check.tau is None, check.measured
+    kind = (sensor_of(check.axis), check.quantity if is_term else 'B')
     value = None
-    if c.tau is None and coefficient is not None and coefficient.value is not None:
-        value = Quantity(coefficient.value, *kind, *(coefficient.ci95 or ()))
+    if is_term and measured.value is not None:
+        value = quantity(measured.value, *kind, measured.ci95)
     return finding(
         'exceeds_limit',
         axes,
-        term=c.quantity if c.tau is None else 'The Allan deviation',
-        tau=c.tau,
+        term=check.quantity if is_term else 'The Allan deviation',
+        tau=check.tau,
         value=value,
-        least=None if value else Quantity(c.at_least * c.limit, *kind),
-        limit=Quantity(c.limit, *kind),
-        reference=c.reference,
+        least=None if value else quantity(check.at_least * check.limit, *kind),
+        limit=quantity(check.limit, *kind),
+        reference=check.reference,
         margin=margin,
     )
 

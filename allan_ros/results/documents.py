@@ -27,7 +27,7 @@ from ..core.compare import MARGIN
 from ..core.errors import AllanError, one_line
 from ..core.estimate import Ends, Estimate, Status
 from ..core.fields import MAX_FLOAT, Fields, plain
-from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, Quantity, required
+from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, quantity, required
 from ..core.fit import TERMS, AxisFit, Processes
 from ..core.fit.model import Covariance
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
@@ -276,13 +276,14 @@ def _value_from_document(fields: Fields, name: str) -> Any:
     return fields.number(name) if isinstance(value, float) else value
 
 
-def _quantity_from_document(fields: Fields) -> Quantity:
+def _quantity_from_document(fields: Fields) -> Estimate:
     value, low, high = (
         None if fields.value(key) is None else fields.number(key)
         for key in ('value', 'low', 'high')
     )
     sensor, term = fields.choice('sensor', tuple(SENSORS)), fields.choice('term', QUANTITIES)
-    return Quantity(value, sensor, term, low, high)
+    ends = None if low is None or high is None else (low, high)
+    return quantity(value, sensor, term, ends, None if ends else high)
 
 
 def _settings_from_document(fields: Fields) -> Mapping[str, Any]:

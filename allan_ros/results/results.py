@@ -185,7 +185,7 @@ class Results:
         others = (f for f in self.findings if f.id != 'exceeds_limit')
         comparison = against_datasheet(self.noise, datasheet, margin)
         found = (
-            exceeds_limit(c, self.noise[c.axis][c.quantity], margin, (c.axis,))
+            exceeds_limit(c, margin, (c.axis,))
             for c in self.undecided_if_short(comparison.comparisons)
             if c.verdict == 'exceeds'
         )

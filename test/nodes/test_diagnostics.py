@@ -100,7 +100,8 @@ def test_only_relevant_terms_are_recommended(sums):
 
 
 def test_a_coefficient_above_its_limit_is_a_warning_with_advice(sums):
-    beyond = Check('gyro_z', 'N', 'ADIS', upper=0.1 * DEG_PER_SQRT_H, verdict='exceeds')
+    limit, measured = 0.1 * DEG_PER_SQRT_H, Estimate(N, (0.95 * N, 1.05 * N))
+    beyond = Check('gyro_z', 'N', 'ADIS', measured, upper=limit, verdict='exceeds')
     within = Check('gyro_z', 'B', 'ADIS', upper=1.0, verdict='within')
     status = status_of(sums, comparisons=(within, beyond))
     assert status.level == DiagnosticStatus.WARN

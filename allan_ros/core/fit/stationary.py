@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..allan.sums import AllanSums, part
-from ..findings import Finding, Quantity, finding
+from ..findings import Finding, finding, quantity
 from ..imu import sensor_of
 from ..number_text import duration_text
 from . import NoiseModel, fit_noise
@@ -139,7 +139,7 @@ def _without_warm_up(
     axis, largest = max(
         ((a, s) for w in warming for a, s in zip(w.axes, w.sizes)), key=lambda each: abs(each[1])
     )
-    size = Quantity(abs(largest), sensor_of(sums.axes[axis]), 'signal')
+    size = quantity(abs(largest), sensor_of(sums.axes[axis]), 'signal')
     if settle and remaining >= LEAST_REMAINING * sums.samples:
         if not any(first):
             return sums, []
