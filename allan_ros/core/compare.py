@@ -230,14 +230,14 @@ def check_limits(
     return Check(axis, quantity, reference, measured, lower, upper, ratio, verdict, note=note)
 
 
-class Measured(NamedTuple):
+class AxisNoise(NamedTuple):
     """The coefficients of one axis by term, and its Allan deviation curve; each None if unknown."""
 
     noise: Mapping[str, Estimate] | None
     curve: AxisCurve | None
 
 
-Run = Mapping[str, Measured]
+Run = Mapping[str, AxisNoise]
 """Axis -> its coefficients and curve in one recording."""
 
 

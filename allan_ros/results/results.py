@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
-from ..core.compare import MARGIN, Check, Measured, Run, differences
+from ..core.compare import MARGIN, AxisNoise, Check, Run, differences
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.findings import Finding
@@ -132,7 +132,7 @@ class Results:
     @property
     def measured(self) -> Run:
         """The coefficients and the curve of each axis, for comparing recordings."""
-        return {name: Measured(axis.fit.noise, axis.curve) for name, axis in self.axes.items()}
+        return {name: AxisNoise(axis.fit.noise, axis.curve) for name, axis in self.axes.items()}
 
     @property
     def temperature_models(self) -> dict[str, dict[str, TemperatureModel]]:

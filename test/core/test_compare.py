@@ -12,8 +12,8 @@ import pytest
 from allan_ros.core.allan.curve import AxisCurve, chi_squared_limits
 from allan_ros.core.compare import (
     FAMILY_ERROR,
+    AxisNoise,
     Check,
-    Measured,
     _with_verdicts,
     check_limits,
     differences,
@@ -29,13 +29,13 @@ def compare(first: Estimate, second: Estimate) -> Check:
     tests.
     """
     others = {term: Estimate(None) for term in TERMS}
-    runs = ({'gyro_x': Measured(others | {'N': c}, None)} for c in (first, second))
+    runs = ({'gyro_x': AxisNoise(others | {'N': c}, None)} for c in (first, second))
     [found] = differences([('May', *runs)])
     return next(d for d in found if d.quantity == 'N')
 
 
 def of_curves(*curves: AxisCurve) -> tuple[Check, ...]:
-    [found] = differences([('May', *({'gyro_x': Measured(None, c)} for c in curves))])
+    [found] = differences([('May', *({'gyro_x': AxisNoise(None, c)} for c in curves))])
     return found
 
 
@@ -138,7 +138,7 @@ def test_all_pairs_are_one_family():
     edf = np.array([200.0, 200.0])
     a, b = curve(np.ones(2), edf, tau), curve(np.array([1.2, 1.0]), edf, tau)
     assert [d.verdict for d in of_curves(a, b)] == ['higher', 'alike']
-    pair = 'May', {'gyro_x': Measured(None, a)}, {'gyro_x': Measured(None, b)}
+    pair = 'May', {'gyro_x': AxisNoise(None, a)}, {'gyro_x': AxisNoise(None, b)}
     assert {d.verdict for of_pair in differences([pair] * 10) for d in of_pair} == {'alike'}
 
 
