@@ -185,6 +185,7 @@ class StreamHealth:
     dropped_frames: int = 0  # number of frame_ids whose sums were dropped
     # axis -> smallest ratio of its noise to the noise floor; empty if none decreased much
     largest_decrease: Mapping[str, float] = field(default_factory=dict)
+    stuck_axes: tuple[str, ...] = ()  # axes that repeated one value
 
     @property
     def still_share(self) -> float | None:
@@ -297,7 +298,10 @@ def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -
     """
     now: dict[str, Any] = {'frame_id': health.frame_id, 'rate': health.rate_hz or 0.0, 'when': when}
     present = [id for id in events(health) if counts[id] > 0]
-    return [finding(id, count=counts[id], times=counts[id], **now) for id in present]
+    axes = {'stuck': health.stuck_axes}
+    return [
+        finding(id, axes.get(id, ()), count=counts[id], times=counts[id], **now) for id in present
+    ]
 
 
 def stream_findings(

@@ -38,7 +38,8 @@ from .health import (
     StreamHealth,
     stream_findings,
 )
-from .motion import Change, MotionGate
+from .motion import MotionGate
+from .rest_filter import Change
 from .sensors import SensorPlan, plan_sensors
 from .timing import LEARN, SampleClock
 
@@ -192,6 +193,7 @@ class ImuStream:
             tuple(event for sensor in frame.sensors for event in sensor.events.items),
             self._dropped_frames,
             {axis: ratio for gate in gates for axis, ratio in gate.decreases.items()},
+            tuple(axis for gate in gates for axis in gate.stuck),
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
         found = [*notes, *stream_findings(health, longest, self._settings)]
@@ -428,43 +430,30 @@ class SensorStream:
         if self._restarted:  # the gate released samples of the last discarded block again
             self.discarded_s = (int(block.stamps[0]) - self._first_ns) * 1e-9
             self._restarted = False
-        if self._aside is None:
+        if self.gate is None:  # else it counts them
             self.counts.used += len(block)
-        else:
-            self.counts.noise_decreased += len(block)
         self._sums.add(block)
         self._means.update(block.stamps, block.rows)
 
     def _change_floor(self, change: str) -> None:
         """Discard sums, set them aside or continue them, as `Change` states."""
-        self._sums.close()
-        self._means.cut()
-        present, former, counts = self._sums, self._aside, self.counts
+        if change != 'accepted':
+            self._sums.close()
+            self._means.cut()
+        present, former = self._sums, self._aside
         if change == 'resumed':
             assert former is not None
             self._sums, self._aside = former, None
         elif change == 'accepted':
-            assert former is not None
-            counts.noise_decreased -= present.samples
-            counts.used += present.samples - former.samples
-            counts.moving += former.samples
             self._aside = None
             self._note_discarded(present.first_ns)
         else:
             self._sums = FloorSums(self._identity, self._plan.axes, self._with_samples)
             if change == 'set_aside':
                 self._aside = former or present
-                return
-            if former is None:
-                counts.used -= present.samples
+            elif former is None:
                 self._restarted = True
                 self._note_discarded(present.last_ns)  # until the next sample is kept
-            else:  # only the sums of the decreased noise are discarded
-                counts.noise_decreased -= present.samples
-            if change == 'revived':
-                counts.stuck += present.samples
-            else:
-                counts.moving += present.samples
 
     def _note_discarded(self, until_ns: int) -> None:
         """Count that the sums from the start to a stamp were discarded."""

@@ -144,7 +144,7 @@ def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> 
 def has_time(stamps: Stamps) -> bool:
     """Return whether the first stamps of a stream, (n,), advance often enough to show a period."""
     step = np.diff(stamps[stamps >= np.maximum.accumulate(stamps)])
-    return len(step) > 0 and np.count_nonzero(step) >= min(FEWEST_STEPS, len(step))
+    return bool(len(step) > 0 and np.count_nonzero(step) >= min(FEWEST_STEPS, len(step)))
 
 
 def _period_of_runs(step: Floats) -> float:
@@ -398,10 +398,11 @@ class SampleClock:
         if not number or len(step) % CLOCK_BLOCK or (step > long).any() or (steps != 1).any():
             return False
         total = step.reshape(number, CLOCK_BLOCK).sum(axis=1)
-        usual = np.abs(total / (CLOCK_BLOCK * clock.period_ns) - 1.0) <= RATE_CHANGE
-        if usual.all():
-            self._other_period = False
-        return bool(usual.all())
+        unusual = np.abs(total / (CLOCK_BLOCK * clock.period_ns) - 1.0) > RATE_CHANGE
+        if unusual.any():
+            return False
+        self._other_period = False
+        return True
 
     def _count_lost(self, steps: Ints, clock: Clock) -> int:
         """Return how many samples were lost in a pause, from the delays before and after it.

@@ -13,7 +13,8 @@ from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stream.health import Counts, Longest
-from allan_ros.core.stream.motion import Change, MotionGate
+from allan_ros.core.stream.motion import MotionGate
+from allan_ros.core.stream.rest_filter import Change
 
 RATE = 200
 SIGMA = np.array([1e-3] * 3 + [2e-2] * 3)[:, None]
