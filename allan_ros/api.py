@@ -58,6 +58,7 @@ from .results.results import Results as PlainResults
 from .results.verdict import Verdict
 from .view.coefficient_table import coefficient_list
 from .view.format import check_plots
+from .view.notebook import notebook_html
 from .view.settings import ResultSettings
 from .view.table import records
 
@@ -75,6 +76,10 @@ class Results(PlainResults):
         True
         """
         return cls(**{each.name: getattr(results, each.name) for each in fields(results)})
+
+    def _repr_html_(self) -> str:
+        """Return the verdict and the coefficients for the output of a notebook cell."""
+        return notebook_html(self)
 
     def table(self, units: str = 'deg/h') -> Any:
         """Return all coefficients as a table with one row for each axis and term.

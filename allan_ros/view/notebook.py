@@ -1,0 +1,30 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Results as HTML for the output of a notebook cell."""
+
+from __future__ import annotations
+
+from html import escape
+
+from ..core.imu import AXES, SENSORS
+from ..core.settings import UNIT_SYSTEMS
+from ..results.results import Results
+from ..results.verdict import headline
+from .coefficient_table import coefficient_table
+from .table import html_table
+
+STYLE = '.allan_ros small { display: block; opacity: .7; } .allan_ros table { margin: .5em 0; }'
+"""Style sheet of the output: the intervals stand below the values."""
+
+
+def notebook_html(results: Results) -> str:
+    """Return the verdict and the coefficients of each sensor as HTML, in datasheet units."""
+    units = UNIT_SYSTEMS[0]
+    parts = [f'<p>{escape(headline(results))}</p>']
+    parts.append(f'<p><b>{escape(results.verdicts[units].summary)}</b></p>')
+    for rows in SENSORS.values():
+        known = {axis: results.noise[axis] for axis in AXES[rows] if axis in results.axes}
+        if known:
+            table = coefficient_table(known, units, prefixes=True)
+            parts.append(html_table('coefficients', lambda _, table=table: table))  # type: ignore[misc]
+    return f'<div class="allan_ros"><style>{STYLE}</style>{"".join(parts)}</div>'
