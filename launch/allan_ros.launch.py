@@ -30,7 +30,11 @@ ARGUMENTS = {
         'file that keeps the Allan variance sums over a restart; a folder for several IMUs',
     ),
     'hardware_id': ('', 'serial number of each IMU, separated by commas'),
-    'relay': ('false', 'true: republish with covariances, on <imu>_with_covariance'),
+    'relay': (
+        'false',
+        'true: republish with covariances, on imu/data_with_covariance, or on '
+        '<imu>_with_covariance of each of several topics',
+    ),
     'apart': ('false', 'true: accumulator, estimator and relay in separate processes'),
     'use_sim_time': ('false', 'true: time comes from /clock'),
 }

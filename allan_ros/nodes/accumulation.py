@@ -27,7 +27,7 @@ from ..readers import SourceInfo
 from ..readers.recorded import Provenance
 from ..results.checkpoint import Checkpoint, Total
 from .diagnostics import input_status, status_name
-from .imu_input import IMU_TYPE, ImuInput
+from .imu_input import IMU_TYPE, ImuInput, full_name
 from .messages import REPLACED_SHARE, Snapshot, replaced_share
 from .node import AllanNode, Part, Periodic
 from .settings import CheckpointSettings, InputSettings, WatchedImu, home_of
@@ -79,6 +79,7 @@ class ImuWatch(Part):
         self._published_state: object = '', (), False, []  # `_state` of the published sums
         self._faults: tuple[Finding, ...] = ()
         self._received = 0  # number of messages at the last status
+        self._clock_ns = -1  # time of the node at the last status
         self._events: tuple[object, ...]
         self._passes = 0
         self._begin(self._checkpoint.last_stamp_ns)
@@ -126,9 +127,16 @@ class ImuWatch(Part):
         stuck = self._input.constant.stuck(health.rate_hz) if health.rate_hz else ()
         if stuck := tuple(axis for axis in stuck if axis in self._usable_axes):
             stream_findings = (finding('stuck_now', stuck), *stream_findings)
+        if self._is_paused():
+            graph = (*graph, finding('playback_paused', topic=self._input.topic))
         found = self._monitor.observe(
             now, statistics, health, publishers, stale_after, stream_findings, graph
         )
+        own = self._publisher.topic_name
+        if (count := self._node.count_publishers(own)) > 1:  # another node of the same name
+            names = ', '.join(map(full_name, self._node.get_publishers_info_by_topic(own)))
+            shared = finding('relay_several_publishers', count=count, topic=own, names=names)
+            found = *found, shared
         faults = faults_of(found)
         self._faults = tuple(f for f in faults if f.axes)
         if len(self._faults) < len(faults):
@@ -164,6 +172,16 @@ class ImuWatch(Part):
             others=others,
         )
         return [status]
+
+    def _is_paused(self) -> bool:
+        """Return whether the node uses simulated time, and this has not moved since the last call.
+
+        A message after that call shows that time has moved.
+        """
+        now_ns, former_ns = self._node.get_clock().now().nanoseconds, self._clock_ns
+        self._clock_ns = now_ns
+        simulated = bool(self._node.get_parameter('use_sim_time').value)
+        return simulated and now_ns == former_ns and self._received == self._input.received
 
     def close(self) -> None:
         """Accumulate the remaining messages, and write the checkpoint."""

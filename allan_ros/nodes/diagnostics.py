@@ -40,7 +40,8 @@ NUMBER = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
 """Pattern of the values of a status that are written as metrics."""
 
 FINDING = 'finding'
-"""Key of a status with the id of the finding in its message. ``finding: <id>`` has the text."""
+"""Key of a status with the id of the finding in its message. ``finding: <id>`` has the text, which
+begins with 'now' or 'earlier', or states that the event was in the last minute."""
 
 
 def status_name(node: Node, *words: str) -> str:
@@ -61,6 +62,43 @@ def _text(value: object) -> str:
     return 'unknown' if value is None else one_line(str(value))
 
 
+OPTION = re.compile(r'(?P<open>\()?(?P<option>--[a-z-]+)(; in a node, parameter [a-z_.]+)?')
+"""An option of the command line in the text of a finding."""
+
+PARAMETERS = {
+    '--no-motion-gate': 'parameter segmenter.motion_gate:=false',
+    '--stamps': 'parameter segmenter.stamps:=',
+    '--rate': 'parameter segmenter.declared_rate:=',
+    '--skip': 'parameter segmenter.skip:=',
+    '--gyro-unit': 'parameter input.gyro_unit, and restart; with a relay, correct the driver',
+    '--accel-unit': 'parameter input.accel_unit, and restart; with a relay, correct the driver',
+    '--topic': 'parameter input.topics:=',
+    '--accel-topic': 'parameter input.accel_topics:=',
+}
+"""Option of the command line -> what to do in a node. With ``:=``, the value follows."""
+
+
+VALUELESS = re.compile(r':=(?=\W|$)(?!\{)')
+"""The assignment of a parameter that no value follows."""
+
+
+def node_text(found: Finding) -> str:
+    """Return the text of a finding for the operator of a node: parameters instead of options.
+
+    Examples
+    --------
+    >>> from allan_ros.core.findings import finding
+    >>> node_text(finding('stamps_missing', what='zero')).split(', or ')[-1]
+    'declare the sample rate with parameter segmenter.declared_rate.'
+    """
+    text = OPTION.sub(_parameter_text, str(found)).replace(':= ', ':=')
+    return VALUELESS.sub('', text)
+
+
+def _parameter_text(place: re.Match[str]) -> str:
+    return (place['open'] or '') + PARAMETERS.get(place['option'], place['option'])
+
+
 def status_of(
     name: str,
     findings: Sequence[Finding],
@@ -73,18 +111,27 @@ def status_of(
     """Return a status with the level of its most severe finding.
 
     The message is the first warning or error in ``findings``; without one it is ``otherwise``. The
-    values are the id of the finding in the message, ``pairs`` and all findings. Findings in
-    ``noted`` change neither level nor message.
+    values are the id of the finding in the message, ``pairs`` and all findings, with the word 'now'
+    or 'earlier'. Findings in ``noted`` are past and change neither level nor message.
     """
-    shown = [(f'{FINDING}: {f.id}', f) for f in (*findings, *noted)]
+    # the text of an event states that it was in the last minute
+    shown = [(f, '' if f.values.get('when') else 'now: ') for f in findings]
+    shown += [(f, 'earlier: ') for f in noted]
     severe = [f for f in findings if f.severity != 'info']
-    more = f' (and {len(severe) - 1} more)' if len(severe) > 1 else ''
+    others = ', '.join(dict.fromkeys(f.id.replace('_', ' ') for f in severe[1:]))
+    more = f' (also: {others})' if others else ''
     return DiagnosticStatus(
         level=max((LEVELS[f.severity] for f in findings), default=DiagnosticStatus.OK),
         name=name,
-        message=f'{severe[0]}{more}' if severe else otherwise,
+        message=f'{node_text(severe[0])}{more}' if severe else otherwise,
         hardware_id=hardware_id,
-        values=key_values([(FINDING, severe[0].id if severe else 'none'), *pairs, *shown]),
+        values=key_values(
+            [
+                (FINDING, severe[0].id if severe else 'none'),
+                *pairs,
+                *((f'{FINDING}: {f.id}', f'{when}{node_text(f)}') for f, when in shown),
+            ]
+        ),
     )
 
 

@@ -30,7 +30,14 @@ from ..results.datasheets import load_sensor
 from ..results.documents import load, results_to_document
 from ..results.results import Results
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
-from .messages import REPLACED_SHARE, BiasPublisher, ModelListener, Snapshot, replaced_share
+from .messages import (
+    REPLACED_SHARE,
+    BiasPublisher,
+    ModelListener,
+    Snapshot,
+    replaced_because,
+    replaced_share,
+)
 from .node import AllanNode, Part
 from .settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
@@ -93,7 +100,7 @@ class ImuEstimate(Part):
         former, self._faults = self._faults, snapshot.faults
         lost = replaced_share(self._fitted, snapshot.sums)
         if lost > REPLACED_SHARE:
-            self._withdraw(lost)
+            self._withdraw(lost, replaced_because(self._fitted, snapshot))
         window = self._settings.value.recent_window
         self._steps = {a: one for s in snapshot.sums for a, one in noise_steps(s, window).items()}
         self._bias.update(snapshot)
@@ -197,14 +204,14 @@ class ImuEstimate(Part):
         self._failed = finding('fit_failed', reason=reason.rstrip('.'))
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
-    def _withdraw(self, lost: float) -> None:
+    def _withdraw(self, lost: float, cause: str) -> None:
         """Invalidate the model because the share ``lost`` of its samples was removed."""
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
         results, self._results = self._results, None
         if results is None:
             return
-        self._invalidated = finding('model_invalidated', lost=lost)
+        self._invalidated = finding('model_invalidated', lost=lost, cause=cause)
         self._node.get_logger().warning(str(self._invalidated))
         empty = replace(results, axes={}, samples=0, duration_s=0.0, segments=0, datasheet=None)
         self._publish(replace(empty, findings=(self._invalidated,)))

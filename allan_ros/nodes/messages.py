@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from ..core.allan.periods import KEPT_SEGMENTS
 from ..core.allan.sums import AllanSums
-from ..core.errors import AllanError
+from ..core.errors import AllanError, one_line
 from ..core.fields import Fields
 from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
 from ..core.findings import Finding
@@ -150,6 +150,26 @@ def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> f
             return 1.0
         shares.append(_lost(old, same[0]) / max(old.samples, 1))
     return max(shares)
+
+
+REPLACING = ('relearned', 'noise_increased', 'noise_decreased', 'gyro_unit_changed', 'clock_jumps')
+"""Findings of a stream that explain why samples were removed from its sums."""
+
+
+def replaced_because(before: Sequence[AllanSums], snapshot: Snapshot) -> str:
+    """Return why samples of the earlier sums are missing in a snapshot, as a part of a sentence."""
+    connected = ImuIdentity(snapshot.frame_id, snapshot.hardware_id)
+    former = next((s.identity for s in before), connected)
+    if (former.frame_id, former.hardware_id) != (connected.frame_id, connected.hardware_id):
+        one, other = (one_line(str(i.hardware_id or i.frame_id)) for i in (former, connected))
+        return f'messages of "{other}" arrive instead of "{one}"'
+    if not snapshot.sums:
+        return 'the Allan sums were reset'
+    found = [f for f in snapshot.total[1].findings if f.id in REPLACING]
+    if found:
+        message = found[0].message.rstrip('.')
+        return f'{message[0].lower()}{message[1:]}'
+    return 'the IMU moved'
 
 
 def _lost(old: AllanSums, new: AllanSums) -> int:

@@ -20,6 +20,7 @@ is left as it is. A value that the node refuses is not sent again.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import suppress
@@ -272,7 +273,7 @@ class ParameterPush(Part):
         try:
             rows = target_rows(results, plan.target, plan.options)
         except AllanError as error:
-            self._note('', str(error), warning=False)
+            self._note('', f'the noise model is not complete yet: {error}', warning=False)
             return []
         for missing in plan.names.keys() - {row.name for row in rows}:
             self._note(plan.names[missing], f'{plan.target} has no number {missing}')
@@ -281,11 +282,9 @@ class ParameterPush(Part):
             name = plan.names.get(row.name, '') if plan.names else row.name
             low, high = row.interval
             if name and row.ratio > SETTLED_RATIO:
-                why = (
-                    f'between {low:.3g} and {high:.3g}: it will be set when this interval is '
-                    f'within a factor of {SETTLED_RATIO:g}'
-                )
-                self._note(name, why, warning=False)
+                known = f'between {low:.3g} and {high:.3g}' if row.ratio < math.inf else 'not known'
+                why = f'it is set when its 95 % interval is within a factor of {SETTLED_RATIO:g}'
+                self._note(name, f'is {known} yet; {why}', warning=False)
             elif name:
                 proposal = Proposal(name, row.values, row.interval, row.words)
                 held = self._held.get(name)

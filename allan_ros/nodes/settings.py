@@ -185,7 +185,9 @@ class RelaySettings(CheckedSettings):
     """How the relay fills in covariances (group ``relay``)."""
 
     enabled: bool = fixed_parameter(
-        False, 'Whether allan_monitor republishes each Imu, on <topic>_with_covariance.'
+        False,
+        'Whether allan_monitor republishes each Imu with covariances: on imu/data_with_covariance, '
+        'or on <topic>_with_covariance of each of several topics.',
     )
     horizon: float = parameter(
         0.0,

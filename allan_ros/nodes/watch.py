@@ -38,8 +38,12 @@ WEB_PORT = 8095
 REFRESH_S = 0.5
 """Period in s at which the table is redrawn."""
 
-SETTLE_S = 1.5
-"""Time in s from the first status until every node has published once."""
+SETTLE_S, DISCOVERY_S = 1.5, 3.5
+"""Time in s from the first status until every node that is discovered has published once, and time
+from the start until every node is discovered: Fast DDS announces a process every 3 s."""
+
+OWN_TOPICS = ('sums', 'noise_model')
+"""Topics below the name of a node that show that it is an allan_ros node."""
 
 PATIENCE_S, NOBODY_S = 10.0, 6.5
 """Time in s for which ``--once`` waits for the first status: if a node publishes on `TOPIC`, and if
@@ -162,6 +166,7 @@ class Watch(Node):
         self._wanted = f'/{options.node.strip("/")}/' if options.node.strip('/') else ''
         self._levels: dict[tuple[str, str], str] = {}  # of the lines printed so far
         self._hinted = False
+        self._final: list[Row] = []  # rows when the node was closed
         self._console = None if options.json or options.plain else terminal()
         self._live: Live | None = None
         if self._console and not options.once:
@@ -180,15 +185,15 @@ class Watch(Node):
         self.create_timer(REFRESH_S, self._refresh, clock=STEADY)
 
     def exit_code(self) -> int:
-        """Return the exit code; with ``--check``, it depends on the most severe level."""
-        rows = self._rows()
+        """Return the exit code after `close`; ``--check``: by the most severe level."""
+        rows = self._final
         if not rows:
             return EXIT_FAILED
         return max(EXIT_LEVEL[row.level] for row in rows) if self._options.check else 0
 
     def close(self) -> None:
         """Show the final state, and stop serving the page."""
-        rows = self._rows()
+        rows = self._final = self._rows()
         if self._live:
             self._show(self._hint())
             self._live.stop()
@@ -224,6 +229,7 @@ class Watch(Node):
             settled = self._first is not None and now - self._first >= SETTLE_S
             heard = self.count_publishers(TOPIC)
             patience = self._options.seconds or (PATIENCE_S if heard else NOBODY_S)
+            settled = settled and now - self._began >= DISCOVERY_S and not self._missing()
             done = settled or now - self._began >= patience
         else:
             silent = not self._latest and now - self._began >= HINT_S
@@ -248,7 +254,26 @@ class Watch(Node):
 
     def _rows(self) -> list[Row]:
         now = time.monotonic()
-        return most_severe_first(row(status, now - at) for at, status in self._latest.values())
+        rows = [row(status, now - at) for at, status in self._latest.values()]
+        if self._options.once and rows:
+            said = 'runs, but publishes no status'
+            silent = (name.strip('/') for name in self._missing())
+            rows += [Row('STALE', name, 'node', said, now - self._began) for name in silent]
+        return most_severe_first(rows)
+
+    def _missing(self) -> list[str]:
+        """Return the full names of allan_ros nodes that publish statuses, but no status came."""
+        heard = {name.partition(':')[0].strip('/') for name in self._latest}
+        topics = [name for name, _ in self.get_topic_names_and_types()]
+        missing = []
+        for publisher in self.get_publishers_info_by_topic(TOPIC):
+            name = f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
+            owns = any(t.startswith(f'{name}/') and t.endswith(OWN_TOPICS) for t in topics)
+            wanted = f'{name}/'.startswith(self._wanted)
+            known = owns or publisher.node_name.startswith('allan_')
+            if wanted and known and name.strip('/') not in heard:
+                missing.append(name)
+        return missing
 
     def _hint(self) -> str:
         """Return a text that explains what to check if no status is received."""

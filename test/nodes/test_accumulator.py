@@ -399,3 +399,36 @@ def test_the_first_data_at_rest_count_as_an_event(still_imu):
     assert before.health.state == after.health.state == 'learning'
     assert 'nothing_left' in {f.id for f in before.findings} - {f.id for f in after.findings}
     assert _events(before.health) != _events(after.health)
+
+
+def test_paused_playback_is_no_fault_of_the_cable(graph, still_imu):
+    """The simulated time stands still; then it moves, but the messages do not come back."""
+    from builtin_interfaces.msg import Time
+    from rosgraph_msgs.msg import Clock
+
+    graph.run('accumulator', **{'use_sim_time': True, 'input.stale_after': 0.5})
+    clock = graph.node.create_publisher(Clock, '/clock', 1)
+    publisher = graph.publisher()
+    graph.introduce(clock)
+    clock.publish(Clock(clock=Time(sec=1000)))
+    graph.send(publisher, still_imu(10))
+    graph.until(lambda: graph.value('input', 'received') == '10')
+    status = graph.until(
+        lambda: (s := graph.status('input')) and 'playback_paused' in str(s.values) and s
+    )
+    assert status.level == b'\x00'
+
+    def moves() -> bool:
+        moves.now += 1
+        clock.publish(Clock(clock=Time(sec=moves.now)))
+        return graph.status('input').message.startswith('No message on /imu/data')
+
+    moves.now = 1000
+    graph.until(moves)
+
+
+def test_two_nodes_with_one_name_are_reported(graph):
+    graph.run('accumulator')
+    graph.run('accumulator')
+    graph.until(lambda: graph.value('input', 'finding: relay_several_publishers'))
+    assert '2 publishers on /allan_accumulator/sums' in graph.status('input').message

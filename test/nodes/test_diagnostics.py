@@ -20,7 +20,7 @@ from allan_ros.core.allan.recent import NoiseStep, noise_steps
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.compare import Check
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.findings import finding
+from allan_ros.core.findings import CATALOG, finding
 from allan_ros.core.fit.model import TERMS, AxisFit
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import NoiseTerms, ProcessModel
@@ -28,7 +28,7 @@ from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.core.stream.transport import TransportStatistics
 from allan_ros.nodes import diagnostics
-from allan_ros.nodes.diagnostics import AxisView, axis_status, input_status, metrics_text
+from allan_ros.nodes.diagnostics import AxisView, axis_status, input_status, metrics_text, node_text
 from allan_ros.readers.recorded import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.axis_result import AxisResult
@@ -139,8 +139,31 @@ def test_the_message_of_the_input_is_its_most_severe_finding():
     status = of_input(StreamHealth(Counts()), (silent, several))
     assert status.level == DiagnosticStatus.ERROR
     assert status.message.startswith('No message on /imu for 3.2 s')
-    assert status.message.endswith('(and 1 more)')
-    assert values(status)['finding: several_publishers'].startswith('2 publishers')
+    assert status.message.endswith('(also: several publishers)')
+    assert values(status)['finding: several_publishers'].startswith('now: 2 publishers')
+    earlier = of_input(StreamHealth(Counts()), (), (finding('gaps', lost=3, splits=1),))
+    assert values(earlier)['finding: gaps'].startswith('earlier: 3 samples')
+
+
+NOT_LIVE = {
+    'unit_assumed',
+    'stamp_unit_assumed',
+    'columns_unrecognized',
+    'rate_implausible',
+    'export_no_gauss_markov',
+    'export_two_numbers',
+}
+"""Findings of files and exports, which no node has."""
+
+
+def test_a_node_names_parameters_not_options():
+    for id, one in CATALOG.items():
+        assert id in NOT_LIVE or not re.search(r'--[a-z]', node_text(one)), id
+    gate = finding('never_still', seconds=60.0)
+    assert node_text(gate).endswith('gate off (parameter segmenter.motion_gate:=false).')
+    unit = finding('accel_unit', ('accel_z',), norm=1.0, unit='g')
+    assert 'input.accel_unit, and restart; with a relay, correct the driver' in node_text(unit)
+    assert of_input(StreamHealth(Counts()), (unit,)).message == node_text(unit)
 
 
 def test_moving_is_ok_and_foreign_text_is_escaped():

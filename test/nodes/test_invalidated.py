@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,10 @@ pytest.importorskip('rclpy')
 
 from std_msgs.msg import String
 
+from allan_ros.core.findings import finding
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.stream.pipeline import ImuStream
-from allan_ros.nodes.messages import Snapshot, replaced_share
+from allan_ros.nodes.messages import Snapshot, replaced_because, replaced_share
 from allan_ros.nodes.shell import LATCHED
 from allan_ros.readers.recorded import Provenance
 
@@ -115,6 +117,30 @@ def test_no_sums_document_stops_the_estimator(graph, still_imu) -> None:
         graph.until(lambda: (s := graph.status('sums')) and s.level == OK)
     graph.until(lambda: models and models[-1]['samples'] == 4000)
     assert graph.status('allan_estimator: node') is None  # no internal error
+
+
+def test_why_a_model_is_invalidated_is_said(graph, still_imu) -> None:
+    graph.run('monitor')
+    publisher = graph.publisher()
+    graph.send(publisher, still_imu(4000))
+    graph.model_of(4000)
+    graph.call('/allan_monitor/reset')
+    status = graph.until(
+        lambda: (s := graph.status('imu gyro x')) and 'invalidated' in s.message and s
+    )
+    assert 'invalidated, because the Allan sums were reset: 100 % of their data' in status.message
+
+
+def test_another_imu_and_a_finding_of_the_stream_explain_missing_samples(still_imu) -> None:
+    sums = sums_of(still_imu(4000))
+    empty = Provenance()
+    assert replaced_because(sums, Snapshot(((), empty), 'imu')) == 'the Allan sums were reset'
+    other = Snapshot((sums, empty), 'other')
+    assert replaced_because(sums, other) == 'messages of "other" arrive instead of "imu"'
+    moved = finding('relearned', seconds=12.0)
+    snapshot = Snapshot((sums, replace(empty, findings=(moved,))), 'imu')
+    assert 'the first 12 s were excluded' in replaced_because(sums, snapshot)
+    assert replaced_because(sums, Snapshot((sums, empty), 'imu')) == 'the IMU moved'
 
 
 def test_the_axes_have_a_status_from_the_first_message(graph, still_imu) -> None:

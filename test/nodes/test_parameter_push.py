@@ -78,7 +78,7 @@ def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, cap
     assert node.get_parameter('density').value == pytest.approx(N, rel=0.15)
     status = said(graph, 'fixed for you')
     assert status.level == WARN
-    for text in ('(was 0.1)', 'missing: kalibr has no number nothing', 'later: between'):
+    for text in ('(was 0.1)', 'missing: kalibr has no number nothing', 'later: is '):
         assert text in status.message
     assert any(v.key == 'origin of density' and 'gyro' in v.value for v in status.values)
     monitor.set_parameters([Parameter('push.enabled', value=False)])

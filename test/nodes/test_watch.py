@@ -95,3 +95,30 @@ def test_the_watcher_shows_each_status(graph, still_imu):
     graph.until(lambda: 'imu gyro x: N 0.172 deg/sqrt(h)' in watch.output)
     assert watch.stop() == 0
     assert 'ERROR input: nothing comes' in watch.output and 'battery' not in watch.output
+
+
+def test_a_check_waits_for_every_node(graph):
+    """The first node says that all is well; the second one needs some seconds to start."""
+    first, late = graph.add_node('allan_monitor'), graph.add_node('allan_imu_relay')
+    publishers = [n.create_publisher(DiagnosticArray, '/diagnostics', 10) for n in (first, late)]
+    watch = graph.start('watch', '--check', '--seconds', str(PATIENCE_S))
+    for publisher in publishers:
+        graph.introduce(publisher, wanted=2)
+    publishers[0].publish(DiagnosticArray(status=[status('allan_monitor: imu input')]))
+    graph.spin(5.0)
+    assert watch.poll() is None
+    bad = status('allan_imu_relay: relay', DiagnosticStatus.ERROR, 'no model')
+    publishers[1].publish(DiagnosticArray(status=[bad]))
+    assert watch.wait() == 4, watch.output
+    assert 'no model' in watch.output
+
+
+def test_a_node_without_a_status_is_no_success(graph):
+    first, late = graph.add_node('allan_monitor'), graph.add_node('allan_imu_relay')
+    publishers = [n.create_publisher(DiagnosticArray, '/diagnostics', 10) for n in (first, late)]
+    watch = graph.start('watch', '--check', '--seconds', '8')
+    for publisher in publishers:
+        graph.introduce(publisher, wanted=2)
+    publishers[0].publish(DiagnosticArray(status=[status('allan_monitor: imu input')]))
+    assert watch.wait() == 4, watch.output
+    assert 'allan_imu_relay: node: runs, but publishes no status' in watch.output

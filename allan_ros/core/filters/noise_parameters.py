@@ -34,7 +34,7 @@ def axis_level(axis: str, fit: AxisFit, term: str) -> Level:
         return Level(axis, term, value, coefficient.ci95)
     if limit is None or not 0.0 < limit < math.inf:
         raise AllanError(
-            f'{term} of {axis} has neither a value nor a limit: record longer, or fit with '
+            f'{term} of {axis} is not known, not even as a limit: record longer, or fit with '
             'method likelihood'
         )
     return Level(axis, term, limit, is_limit=True)

@@ -48,7 +48,7 @@ def test_no_level_is_ever_zero_negative_or_infinite(
     value: float | None, limit: float | None, status: str
 ) -> None:
     fit = AxisFit({'N': Estimate(value, None, limit, status)})  # type: ignore[arg-type]
-    with pytest.raises(AllanError, match='neither a value nor a limit'):
+    with pytest.raises(AllanError, match='not even as a limit'):
         axis_level('accel_y', fit, 'N')
 
 
