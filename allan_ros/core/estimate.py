@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from .fields import MAX_FLOAT, Fields
 from .imu import UNITS, ShownUnit, to_si
 from .number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from .settings import expect
@@ -65,6 +66,8 @@ class Estimate:
     True
     >>> likely.document()
     {'value': 0.5, 'ci95': None, 'upper95': 2.0, 'status': 'likely'}
+    >>> Estimate.from_document(Fields(likely.document(), 'file')) == likely
+    True
     """
 
     value: float | None
@@ -147,6 +150,25 @@ class Estimate:
         if self.lower95 is not None:
             known['lower95'] = self.lower95
         return {**known, 'upper95': self.upper95, 'status': self.status}
+
+    @classmethod
+    def from_document(cls, fields: Fields, signed: bool = False) -> Estimate:
+        """Read the object of `document`; with ``signed``, its numbers may be negative."""
+        least = -MAX_FLOAT if signed else 0.0
+
+        def number(key: str, least: float = 0.0) -> float | None:
+            known = key in fields and fields.value(key) is not None
+            return fields.number(key, least) if known else None
+
+        predictive = 'recording_ci95' in fields
+        return cls(
+            number('value', least),
+            fields.typed('recording_ci95' if predictive else 'ci95', Ends | None),
+            number('upper95'),
+            fields.typed('status', Status),
+            number('lower95', least),
+            fields.typed('ci95', Ends) if predictive else None,
+        )
 
     def __repr__(self) -> str:
         plain = ShownUnit(self.unit, 1.0)

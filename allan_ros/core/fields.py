@@ -213,9 +213,13 @@ class Fields:
     def record(self, kind: type[T], **known: Any) -> T:
         """Return a dataclass or named tuple whose fields are the keys of this object.
 
-        Each field is read as its annotated type. Fields in ``known`` are not read but get the given
-        values, and fields with a default may be missing.
+        A class with a method ``from_document`` reads itself. Otherwise each field is read as its
+        annotated type. Fields in ``known`` are not read but get the given values, and fields with a
+        default may be missing.
         """
+        if (from_document := getattr(kind, 'from_document', None)) is not None:
+            read: T = from_document(self)
+            return read
         defaults = getattr(kind, '_field_defaults', vars(kind))
         for name, hint in _hints(kind).items():  # type: ignore[arg-type]
             key = name if name in self else self._record_rules[1].get(name, name)

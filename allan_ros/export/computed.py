@@ -82,11 +82,11 @@ def _gazebo(noise: FilterNoise) -> Iterator[Row]:
             variance = white.value[i] ** 2
             stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
             yield Row((*path, white.key), rounded(stddev), white_words, levels=white.levels)
-            if turn_on and turn_on.std:
+            if turn_on and turn_on.scatter.value:
                 words = (
                     f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
                 )
-                sigma = rounded(noise.options.inflate * turn_on.std)
+                sigma = rounded(noise.options.inflate * turn_on.scatter.value)
                 yield Row((*path, 'bias_stddev'), sigma, words)
             yield replace(
                 bias, path=(*path, bias.key), value=bias.value[i], words=bias_words, unit=''

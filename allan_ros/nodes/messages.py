@@ -248,9 +248,11 @@ class BiasPublisher:
             (f'bias at rest [{unit}]', bias.estimate.value),
             (f'bias 95 % interval [{unit}]', f'{low:.6g} .. {high:.6g}'),
         ]
-        if (turn_on := self._turn_on.get(axis)) and turn_on.std:
+        if (turn_on := self._turn_on.get(axis)) and turn_on.scatter.value:
             count = turn_on.recordings
-            pairs.append((f'bias scatter between {count} recordings [{unit}]', turn_on.std))
+            pairs.append(
+                (f'bias scatter between {count} recordings [{unit}]', turn_on.scatter.value)
+            )
         return pairs
 
     def _known(self) -> dict[str, AxisBias]:

@@ -110,7 +110,7 @@ def bias_in_model(results: Results) -> dict[str, BiasAtRest]:
     It is used until the bias of the present run is known.
     """
     return {
-        name: BiasAtRest(axis.at_rest.mean, (axis.turn_on and axis.turn_on.std) or 0.0)
+        name: BiasAtRest(axis.at_rest.mean, (axis.turn_on and axis.turn_on.scatter.value) or 0.0)
         for name, axis in results.axes.items()
         if axis.at_rest is not None
     }

@@ -25,8 +25,8 @@ from ..core.allan.document import sums_from_document, sums_to_document
 from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN
 from ..core.errors import AllanError, one_line
-from ..core.estimate import Ends, Estimate, Status
-from ..core.fields import MAX_FLOAT, Fields, plain
+from ..core.estimate import Estimate
+from ..core.fields import Fields, plain
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, quantity, required
 from ..core.fit import TERMS, AxisFit, Processes
 from ..core.fit.model import Covariance
@@ -343,7 +343,7 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         covariance = Covariance(names, stated.table('matrix', len(names), len(names)))
     fit = fields.record(
         AxisFit,
-        noise={t: _estimate_from_document(noise.fields(t), signed=t == 'R') for t in TERMS},
+        noise={t: Estimate.from_document(noise.fields(t), signed=t == 'R') for t in TERMS},
         m_min=fields.integer('m_min', least=1),
         processes=fields.fields('processes').record(Processes),
         covariance=covariance,
@@ -354,23 +354,6 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         fit=fit,
         curve=_curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
         name=name,
-    )
-
-
-def _estimate_from_document(fields: Fields, signed: bool = False) -> Estimate:
-    """Read an estimate; with ``signed``, its value may be negative."""
-
-    def number(key: str, least: float = 0.0) -> float | None:
-        known = key in fields and fields.value(key) is not None
-        return fields.number(key, least) if known else None
-
-    return Estimate(
-        number('value', -MAX_FLOAT if signed else 0.0),
-        fields.typed('recording_ci95' if 'recording_ci95' in fields else 'ci95', Ends | None),
-        number('upper95'),
-        fields.typed('status', Status),
-        number('lower95'),
-        fields.typed('ci95', Ends) if 'recording_ci95' in fields else None,
     )
 
 

@@ -45,7 +45,7 @@ def test_a_fitted_process_is_the_bias_of_an_ins_and_of_a_simulator(known_results
 
 def with_rounding(results: Results) -> Results:
     """Return results of samples in steps of 0.02, with a turn-on bias on gyro_x."""
-    turn_on = TurnOnBias(3, 0.0, 2e-3, (1e-3, 1e-2))
+    turn_on = TurnOnBias(3, 0.0, Estimate(2e-3, (1e-3, 1e-2)))
     axes = {name: replace(axis, rounding=0.02) for name, axis in results.axes.items()}
     return replace(results, axes={**axes, 'gyro_x': replace(axes['gyro_x'], turn_on=turn_on)})
 

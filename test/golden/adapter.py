@@ -139,9 +139,9 @@ def _turn_on(found: Any) -> dict[str, Any] | None:
     return {
         'recordings': found.recordings,
         'mean': found.mean,
-        'std': found.std,
-        'ci95': _interval(found.ci95),
-        'upper95': found.upper95,
+        'std': found.scatter.value,
+        'ci95': _interval(found.scatter.ci95),
+        'upper95': found.scatter.upper95,
     }
 
 

@@ -34,9 +34,9 @@ def test_the_bias_scatters_between_recordings(merged: ar.Results) -> None:
     assert turn_on.recordings == 3
     # the mean of a recording has an error of 1e-3 / sqrt(6000) = 1.3e-5
     assert turn_on.mean == pytest.approx(OFFSETS.mean(), abs=5e-5)
-    assert turn_on.std == pytest.approx(OFFSETS.std(ddof=1), abs=8e-5)
-    low, high = turn_on.ci95
-    assert low < turn_on.std < high
+    assert turn_on.scatter.value == pytest.approx(OFFSETS.std(ddof=1), abs=8e-5)
+    low, high = turn_on.scatter.ci95
+    assert low < turn_on.scatter.value < high
 
 
 def test_rounded_samples_have_their_step() -> None:

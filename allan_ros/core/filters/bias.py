@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
+from ..estimate import Estimate
 from ..fit.model import Z_95, AxisFit
 from ..noise import ProcessModel
 from .growth import drift_model
@@ -50,21 +51,15 @@ class TurnOnBias:
     mean : float
         Mean of the biases of the recordings (the means of their samples), in the unit of the
         samples.
-    std : float or None
-        Standard deviation of the biases, with the noise subtracted; None if it is not resolved:
-        the noise alone may explain the scatter.
-    ci95 : (low, high) or None
-        95 % interval of ``std``, for normally distributed biases.
-    upper95 : float or None
-        Upper end of this interval, above 0, if ``std`` is not resolved; None if the scatter is
-        improbably small for the noise alone.
+    scatter : Estimate
+        Standard deviation of the biases, with the noise subtracted. It is not resolved if the noise
+        alone may explain the scatter; then its limit is None if the scatter is improbably small
+        for the noise alone. The interval is for normally distributed biases.
     """
 
     recordings: int
     mean: float
-    std: float | None
-    ci95: tuple[float, float] | None
-    upper95: float | None = None
+    scatter: Estimate
 
 
 def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
@@ -85,8 +80,10 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
     low, high = (total * free / quantile for quantile in chdtri(free, [0.025, 0.975]))
     center, ends = float(np.mean(means)), [math.sqrt(max(v - variance, 0.0)) for v in (low, high)]
     if total <= variance or (variance and chdtrc(free, free * total / variance) > 0.01):
-        return TurnOnBias(len(means), center, None, None, ends[1] or None)
-    return TurnOnBias(len(means), center, math.sqrt(total - variance), (ends[0], ends[1]))
+        limit = Estimate(None, None, ends[1] or None, 'not_observable')
+        return TurnOnBias(len(means), center, limit)
+    scatter = Estimate(math.sqrt(total - variance), (ends[0], ends[1]))
+    return TurnOnBias(len(means), center, scatter)
 
 
 @dataclass(frozen=True)

@@ -154,7 +154,7 @@ def test_the_interval_of_the_turn_on_bias_covers_its_std(noise: float) -> None:
     for means in rng.normal(3.0, math.hypot(2.0, noise), size=(2000, 5)):
         found = turn_on_bias(means, noise**2)
         assert found is not None
-        low, high = found.ci95 or (0.0, found.upper95 or 0.0)
+        low, high = found.scatter.ci95 or (0.0, found.scatter.upper95 or 0.0)
         hits += low < 2.0 < high
     assert 1860 <= hits <= 1940
     assert turn_on_bias(np.array([1.0])) is None
@@ -164,6 +164,6 @@ def test_noise_alone_is_no_turn_on_bias() -> None:
     # 1 % of 2000 +- 4.4: 4 standard deviations
     means = np.random.default_rng(10).normal(3.0, 2.0, size=(2000, 5))
     found = [turn_on_bias(each, 4.0) for each in means]
-    assert sum(one is not None and one.std is not None for one in found) <= 38
-    limits = [one.upper95 for one in found if one is not None]
+    assert sum(one is not None and one.scatter.resolved for one in found) <= 38
+    limits = [one.scatter.upper95 for one in found if one is not None]
     assert None in limits and all(limit is None or limit > 0.0 for limit in limits)

@@ -61,7 +61,7 @@ def test_of_terms_that_are_not_resolved_only_a_limit_is_given() -> None:
 
 
 def test_the_scatter_of_the_bias_is_named(small_results: Results) -> None:
-    turn_on = TurnOnBias(3, 0.0, 0.01 / DEG, (0.005 / DEG, 0.06 / DEG))
+    turn_on = TurnOnBias(3, 0.0, Estimate(0.01 / DEG, (0.005 / DEG, 0.06 / DEG)))
     axes = {'gyro_x': replace(small_results.axes['gyro_x'], turn_on=turn_on)}
     html = ''.join(growth_html(axes))
     assert 'Bias of x between 3 recordings: standard deviation' in html
