@@ -66,6 +66,7 @@ setup(
         PACKAGE: [
             'py.typed',
             'core/findings.txt',
+            'view/findings.md',
             'view/report/*.css',
             'view/report/*.js',
         ]

@@ -9,15 +9,17 @@ functions of this file, too, so both give the same results.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
+from functools import wraps
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from .core.compare import MARGIN
 from .core.errors import AllanError
 from .core.filters.noise_parameters import measure_inflation
+from .core.findings import grouped
 from .core.imu import sensor_of
 from .core.settings import (
     LIST,
@@ -33,7 +35,8 @@ from .core.settings import (
 )
 from .export import ExportOptions, make_export, target_of
 from .readers import ReadOptions, Recording, topics_of
-from .readers.files import PATH, public, write_atomic
+from .readers.files import PATH, write_atomic
+from .readers.files import public as with_checked_paths
 from .readers.recorded import (
     Observer,
     ReadJob,
@@ -55,16 +58,55 @@ from .results.documents import load as load_results
 from .results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
 from .results.references import compared
 from .results.results import Results as PlainResults
-from .results.verdict import Verdict
 from .view.coefficient_table import coefficient_list
+from .view.finding_text import explained, finding_line
 from .view.format import check_plots
 from .view.notebook import notebook_html
 from .view.settings import ResultSettings
 from .view.table import records
+from .view.verdict_text import Verdict, summary_lines, verdict_of
+
+P = ParamSpec('P')
+T = TypeVar('T')
+
+
+def public(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorate a public function: its errors are AllanErrors with complete texts."""
+    checked = with_checked_paths(function)
+
+    @wraps(function)
+    def told(*args: P.args, **given: P.kwargs) -> T:
+        try:
+            return checked(*args, **given)
+        except AllanError as error:
+            raise explained(error) from error.__cause__
+
+    return told
 
 
 class Results(PlainResults):
     __doc__ = PlainResults.__doc__
+
+    def __repr__(self) -> str:
+        return '\n'.join(summary_lines(self))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the IMU is healthy (``level``), with the reasons and the next steps."""
+        return verdict_of(self)
+
+    def messages(self, units: str = 'deg/h') -> list[str]:
+        """Return the texts of the findings, the most important first.
+
+        ``units`` is 'deg/h' or 'SI'.
+
+        >>> import allan_ros as ar
+        >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50, vibration_gyro=3e-4))
+        >>> any('Vibration' in message for message in results.messages())
+        True
+        """
+        choose(UNIT_SYSTEMS, units=units)
+        return [finding_line(each, units) for each in grouped(self.findings)]
 
     @classmethod
     def of(cls, results: PlainResults) -> Results:
@@ -161,7 +203,7 @@ class Results(PlainResults):
             measured, or the file cannot be written.
         """
         expect(str, target=target)
-        text = make_export(self, target, settings_from(ExportOptions, options)).text
+        text = make_export(self, target, settings_from(ExportOptions, options), finding_line).text
         if path is not None:
             expect(PATH, 'a path', path=path)
             place = Path(path)

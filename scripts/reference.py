@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write docs/parameters.md, options.md, api.md and the messages quoted in docs/messages.md.
+"""Write docs/parameters.md, options.md, api.md and the findings in docs/messages.md.
 
 usage: reference.py
 
@@ -24,9 +24,10 @@ import allan_ros
 from allan_ros.cli.console import OPTIONS
 from allan_ros.cli.main import EXITS, VERBS, command_of
 from allan_ros.cli.options import add_options
-from allan_ros.core.findings import CATALOG, FIELD
+from allan_ros.core.findings import CATALOG
 from allan_ros.core.settings import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS
+from allan_ros.view.finding_text import FIELD, words
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / 'docs'
@@ -289,28 +290,18 @@ def _members(thing: type) -> Iterator[str]:
 
 
 def messages_page(text: str) -> str:
-    """Return the page with the current messages of all findings below their headings.
-
-    Raises
-    ------
-    SystemExit
-        If a finding has no heading or two, or a heading has no finding.
-    """
-    head, *entries = re.split(r'^### ', text, flags=re.MULTILINE)
-    ids = [entry.split('\n', 1)[0].strip() for entry in entries]
-    wrong = sorted({id for id in ids if ids.count(id) > 1} | (set(ids) ^ set(CATALOG)))
-    if wrong:
-        raise SystemExit(f'docs/messages.md: each finding once, as ### id: {wrong}')
-    return head + ''.join(f'### {_with_words(entry)}' for entry in entries)
-
-
-def _with_words(entry: str) -> str:
-    """Return an entry with the current message below its heading."""
-    id, _, rest = entry.partition('\n')
-    rest = '\n'.join(line for line in rest.lstrip('\n').split('\n') if not line.startswith('> '))
-    words = CATALOG[id.strip()]
-    message, remedy = map(_without_numbers, (words.message_template, words.remedy_template))
-    return f'{id}\n> *{words.severity}:* {message} **{remedy}**\n\n{rest.lstrip()}'
+    """Return the page of messages with the current findings between its first and last section."""
+    head, tail = text.partition('## ')[0], text[text.rindex('\n## ') + 1 :]
+    parts = []
+    section = ''
+    for id, known in words().items():
+        if known.section != section:
+            section = known.section
+            parts.append(f'## {section}\n')
+        message, remedy = map(_without_numbers, (known.message, known.remedy))
+        parts.append(f'### {id}\n> *{CATALOG[id].severity}:* {message} **{remedy}**\n')
+        parts += [f'{known.explanation}\n'] if known.explanation else []
+    return '\n'.join([head.rstrip(), '', *parts, tail])
 
 
 def _without_numbers(template: str) -> str:
@@ -321,12 +312,11 @@ def _without_numbers(template: str) -> str:
 
 def pages() -> dict[str, str]:
     """Return file in docs -> its generated text."""
-    findings = DOCS / 'messages.md'
     return {
         'parameters.md': parameters_page(),
         'options.md': cli_page(),
         'api.md': api_page(),
-        findings.name: messages_page(findings.read_text(encoding='utf-8')),
+        'messages.md': messages_page((DOCS / 'messages.md').read_text(encoding='utf-8')),
     }
 
 

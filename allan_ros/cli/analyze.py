@@ -38,10 +38,13 @@ from ..readers.recorded import (
 )
 from ..readers.serials import SerialRule
 from ..results.datasheets import load_sensor
-from ..results.documents import RESULTS, load, load_sums, results_to_document
+from ..results.documents import RESULTS, load, load_sums
 from ..results.plan import load_plan
 from ..view.batch_files import SUMMARY
+from ..view.finding_text import finding_line
+from ..view.result_document import result_document
 from ..view.settings import ResultSettings
+from ..view.verdict_text import verdict_of
 from .batch import (
     EXIT_FAILED,
     EXIT_UNJUDGED,
@@ -168,7 +171,7 @@ def run(args: argparse.Namespace) -> int:
     failed = [outcome for outcome in outcomes if isinstance(outcome, Finding)]
     recordings = [outcome for outcome in outcomes if not isinstance(outcome, Finding)]
     if not recordings and not stored:
-        raise AllanError('; '.join(str(finding) for finding in failed))
+        raise AllanError('; '.join(finding_line(finding) for finding in failed))
     return show_results(add_recordings([*recordings, *stored]).with_findings(failed), args)
 
 
@@ -191,14 +194,14 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
     refused = [name for name in args.export if target_of(name).file_name not in names]
     written = one_line(f'written to {args.output}: {", ".join(names)}') if names else ''
     if console.json:
-        console.document(results_to_document(results, units=settings.units))
+        console.document(result_document(results, settings.units))
         if not console.quiet:
             lines = findings_lines(results, settings.units, width(), colored(sys.stderr), True)
             print('\n'.join(lines).strip(), file=sys.stderr)
         if written:
             console.say(written)
     elif not (console.quiet and written):
-        verdict = results.verdicts[settings.units]
+        verdict = verdict_of(results, settings.units)
         style = width(), colored(sys.stdout), console.verbose
         print('\n'.join(results_lines(results, verdict, settings.units, *style)))
         if written:

@@ -27,15 +27,17 @@ from ..readers.files import write_atomic
 from ..readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
 from ..readers.serials import SerialRule
 from ..results.analysis import analyze_recorded
-from ..results.documents import load, load_sums, results_to_document
+from ..results.documents import load, load_sums
 from ..results.plan import Plan, PlanCheck, load_plan
 from ..results.references import compared
 from ..results.results import Results
 from ..results.unit_check import WORDS as UNIT_WORDS
 from ..results.unit_check import Decision, UnitCheck, check_unit, worst
-from ..results.verdict import WORDS
+from ..view.finding_text import explained, finding_line
+from ..view.result_document import result_document
 from ..view.settings import ResultSettings
 from ..view.unit_text import unchecked_text, unit_sentences
+from ..view.verdict_text import WORDS, verdict_of
 from .console import EXIT_ERROR, EXIT_FAULT, Console, colored, fault_text, painted
 from .options import settings_of
 from .tables import LEVEL_COLORS
@@ -133,7 +135,7 @@ class Judge:
             decision = Decision.NOT_JUDGED  # one of the two was not measured
         word = UNIT_WORDS[decision]
         if not self._decides:
-            word = WORDS[results.verdict.level].lower()
+            word = WORDS[results.level].lower()
         sentences = unit_sentences(check, results, self._plan.name if self._plan else '', units)
         return Judged(outcome, decision, word, sentences, check, note)
 
@@ -168,7 +170,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
         elif not (console.quiet and args.output):
             _print_unit(one, args)
     for elsewhere in [f for f in found if f.id == 'sensor_elsewhere'][:1]:
-        console.say(str(elsewhere))
+        console.say(finding_line(elsewhere))
     _write_summary(units, codes, args, '')
     return int(worst(codes))
 
@@ -283,9 +285,9 @@ def _check_document(one: Judged) -> dict[str, Any]:
     levels = {Decision.EXCEEDS: 'failed', Decision.NOT_JUDGED: 'unknown'}
     units = {sensor: SI_UNITS[sensor] for sensor in SENSORS}
     return document | {
-        'level': levels.get(one.decision, results.verdict.level),
+        'level': levels.get(one.decision, results.level),
         'reasons': [one_line(text) for text in one.sentences],
-        'next_steps': list(results.verdict.next_steps),
+        'next_steps': list(verdict_of(results).next_steps),
         'note': one.note,
         'hours': results.duration_s / 3600.0,
         'rate_hz': results.rate_hz,
@@ -327,7 +329,7 @@ def fails(results: Results, severity: str | None) -> bool:
     if severity is None:
         return False
     enough = SEVERITIES[: SEVERITIES.index(severity) + 1]
-    return results.verdict.level == 'failed' or any(f.severity in enough for f in results.findings)
+    return results.level == 'failed' or any(f.severity in enough for f in results.findings)
 
 
 def exit_code_of(results: Results, fail_on: str | None) -> int:
@@ -380,13 +382,13 @@ def outcome_of(
         elif isinstance(recorded, Exception):
             raise recorded
         elif isinstance(recorded, Finding):
-            raise AllanError(str(recorded))
+            raise AllanError(finding_line(recorded))
         if serial:
             recorded = recorded.with_serial(serial)
         folder = Path(output) / unit.folder if output else None
         return Outcome(unit, fit_and_write(recorded, args, folder)[0])
     except AllanError as error:
-        return Outcome(unit, error=str(error))
+        return Outcome(unit, error=str(explained(error)))
     except OSError as error:
         return Outcome(unit, error=one_line(f'{unit.path}: {error}: check the path and the disk'))
     except MemoryError:
@@ -451,8 +453,8 @@ def folder_name(name: str) -> str:
 def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:
     if outcome.results is None:
         return {'path': outcome.unit.path, 'name': outcome.unit.name, 'error': outcome.error}
-    verdict = plain(outcome.results.verdicts[units])
-    results = results_to_document(outcome.results, curves=False)
+    verdict = plain(verdict_of(outcome.results, units))
+    results = result_document(outcome.results, units, curves=False)
     named = {'path': outcome.unit.path, 'name': outcome.unit.name}
     return {**named, 'verdict': verdict, 'results': results}
 

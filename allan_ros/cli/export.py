@@ -28,6 +28,7 @@ from ..results.datasheets import Datasheet, Limit, load_sensor, sensor_names
 from ..results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
 from ..results.measured import measured_entry, measured_lines
 from ..results.plan import plan_text
+from ..view.finding_text import finding_document, finding_line
 from .console import Console, width, wrapped
 from .options import Command, Settings, settings_of
 
@@ -69,20 +70,20 @@ def run(args: argparse.Namespace) -> int:
         else:
             print('\n'.join([*map(str, drifts), *verdicts(drifts)]))
         return 0
-    made = make_export(results, args.to, options)
+    made = make_export(results, args.to, options, finding_line)
     path = Path(args.output) if args.output else None
     if path is not None:
         path = path / target.file_name if path.is_dir() else path
         write_atomic(path, made.text)
     if console.json:
-        findings = [finding.document() for finding in made.findings]
+        findings = [finding_document(finding) for finding in made.findings]
         to = {'path': str(path)} if path else {'text': made.text}
         console.document({'target': args.to, **to, 'findings': findings})
     elif path is None:
         sys.stdout.write(made.text)
     said = results.findings if args.sensor else ()
     for finding in (*said, *made.findings):
-        console.say(str(finding))
+        console.say(finding_line(finding))
     return 0
 
 

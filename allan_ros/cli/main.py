@@ -171,7 +171,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except AllanError as error:
-        return _print_error(f'{name}: {error}', EXIT_ERROR)
+        from ..view.finding_text import explained
+
+        return _print_error(f'{name}: {explained(error)}', EXIT_ERROR)
     except KeyboardInterrupt:
         if argv is None and hasattr(signal, 'pthread_sigmask'):  # not on Windows
             # After an interrupt within an import, Python sends itself the signal at exit. It ends

@@ -17,21 +17,21 @@ from ..export import RAISED
 from ..results.datasheets import DatasheetComparison
 from ..results.measured import measured_check_text
 from ..results.results import Results
-from ..results.verdict import (
+from ..results.verdict import Level, too_short
+from ..view.coefficient_table import coefficient_cell, coefficient_table
+from ..view.comparison_table import runs_table
+from ..view.finding_text import texts_of
+from ..view.format import deviation_text, temperature_text
+from ..view.model_table import filter_table, has_raised_numbers
+from ..view.table import Cell, Heading, Table, terminal_lines
+from ..view.verdict_text import (
     WORDS,
-    Level,
     Verdict,
     finding_text,
     findings_and_notes,
     further_steps,
     headline,
-    too_short,
 )
-from ..view.coefficient_table import coefficient_cell, coefficient_table
-from ..view.comparison_table import runs_table
-from ..view.format import deviation_text, temperature_text
-from ..view.model_table import filter_table, has_raised_numbers
-from ..view.table import Cell, Heading, Table, terminal_lines
 from .console import SEVERITY_COLORS, painted, wrapped
 
 if TYPE_CHECKING:
@@ -160,7 +160,9 @@ def findings_lines(
     if first:
         yield ''
     for each in first:
-        text = f'{each.severity}: {finding_text(each, results, units)} {each.texts(units).remedy}'
+        text = (
+            f'{each.severity}: {finding_text(each, results, units)} {texts_of(each, units).remedy}'
+        )
         lines = wrapped(text, columns, '  ')
         color = SEVERITY_COLORS[each.severity]
         yield from (painted(lines[0], each.severity, color, colors), *lines[1:])

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The error class of the package, and text that is safe to print."""
 
+from typing import Any
+
 SHOWN_START, SHOWN_END = 1500, 500
 """Number of characters that are kept at the start and at the end of a line that is too long."""
 
@@ -26,6 +28,11 @@ class AllanError(Exception):
     The message is one line with the cause, the numbers and the next step. The command line and
     the nodes print it without a traceback.
 
+    Attributes
+    ----------
+    findings : tuple
+        Findings that explain the error; their texts are added to the message at the output.
+
     Examples
     --------
     >>> import allan_ros as ar
@@ -36,5 +43,9 @@ class AllanError(Exception):
     missing.mcap: no such file or folder: check the path
     """
 
-    def __init__(self, message: str) -> None:
+    def __init__(self, message: str, findings: tuple[Any, ...] = ()) -> None:
         super().__init__(one_line(message))
+        self.findings = findings
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.findings)

@@ -279,10 +279,16 @@ def target_rows(
     return tuple(row for row in rows if row.unit)
 
 
-def make_export(results: Results, name: str, options: ExportOptions = ExportOptions()) -> Export:
+def make_export(
+    results: Results,
+    name: str,
+    options: ExportOptions = ExportOptions(),
+    words: Callable[[Finding], str] = str,
+) -> Export:
     """Return the text of a file with the measured noise for a filter or simulator.
 
-    ``name`` is one of `TARGETS`. Raises AllanError when the target is unknown, an option does not
+    ``name`` is one of `TARGETS`, and ``words`` returns the text of a finding for the header. Raises
+    AllanError when the target is unknown, an option does not
     apply to it, the results lack a required number, or their units are wrong.
     """
     from .model import FilterNoise
@@ -291,7 +297,7 @@ def make_export(results: Results, name: str, options: ExportOptions = ExportOpti
     target = target_of(name)
     noise = FilterNoise(results, options, target)
     rows = noise.rows()
-    text = target.form(rows, header_lines(name, noise, rows))
+    text = target.form(rows, header_lines(name, noise, rows, words))
     findings = [note for row in rows for note in row.findings] + noise.findings()
     for id, keys in (
         ('export_limits', [row.key for row in rows if row.is_limit]),

@@ -116,7 +116,9 @@ class FilterNoise:
         wrong = [each for each in results.findings if each.id in REFUSED]
         if wrong and not options.force:
             raise AllanError(
-                f'{wrong[0]} Then analyze again; --force writes these numbers nevertheless.'
+                'the numbers are wrong; analyze again after the correction, or give --force to '
+                'write them nevertheless:',
+                (wrong[0],),
             )
         self.results = results
         self.options = options

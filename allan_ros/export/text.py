@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,6 +17,7 @@ from .. import __version__
 from ..core.errors import AllanError, one_line
 from ..core.filters.growth import growth_table, predicted_growth
 from ..core.filters.reductions import horizon_text
+from ..core.findings import Finding
 from ..core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
 from ..core.noise import NoiseTerms, ProcessModel
 from ..core.number_text import duration_text, significant
@@ -33,11 +34,13 @@ NAMED_SOURCES = 3
 """Largest number of recordings that the header comment names; others are counted."""
 
 
-def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str]:
+def header_lines(
+    name: str, noise: FilterNoise, rows: Sequence[Row], words: Callable[[Finding], str]
+) -> list[str]:
     """Return the lines of the header comment, without comment marks.
 
     They state source, date, convention, units, rate, axes, intervals and warnings. ``name`` is the
-    target, ``rows`` are the keys of the file.
+    target, ``rows`` are the keys of the file; ``words`` returns the text of a finding.
     """
     results, target, inflate = noise.results, noise.target, noise.options.inflate
     limits = dict.fromkeys(row.key for row in rows if row.is_limit)
@@ -60,7 +63,7 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
     rule = 'each (x, y, z)' if target.three else 'worst (the largest of x, y, z)'
     inflation = f'x{inflate:g} on every N, K and bias; the levels below are without it'
     lines = [
-        *(f'warning: {note}' for note in results.findings if note.id in first),
+        *(f'warning: {words(note)}' for note in results.findings if note.id in first),
         *title,
         f'convention: {target.convention}',
         f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
@@ -80,10 +83,10 @@ def header_lines(name: str, noise: FilterNoise, rows: Sequence[Row]) -> list[str
         f'upper limits instead of measurements: {", ".join(limits) or "none"}',
         *([f'values without a 95 % interval: {", ".join(unsure)}'] if unsure else []),
         *(f'note: {note}' for note in target.notes),
-        *dict.fromkeys(f'note: {note}' for row in rows for note in row.findings),
-        *(f'warning: {note}' for note in noise.findings()),
+        *dict.fromkeys(f'note: {words(note)}' for row in rows for note in row.findings),
+        *(f'warning: {words(note)}' for note in noise.findings()),
         *(
-            f'warning: {", ".join(note.axes)}{": " if note.axes else ""}{note.message}'
+            f'warning: {words(note)}'
             for note in results.findings
             if note.severity != 'info' and note.id not in first
         ),

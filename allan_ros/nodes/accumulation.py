@@ -26,6 +26,7 @@ from ..core.stream.transport import TransportMonitor, faults_of
 from ..readers import SourceInfo
 from ..readers.recorded import Provenance
 from ..results.checkpoint import Checkpoint, Total
+from ..view.finding_text import finding_line
 from .diagnostics import input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput, full_name
 from .messages import REPLACED_SHARE, Snapshot, replaced_share
@@ -68,7 +69,7 @@ class ImuWatch(Part):
             accel._listener = lambda _: self._publish(self._total())
         self._log = node.get_logger()
         self._input = ImuInput(node, imu.topic, self._settings.value)
-        self._checkpoint = Checkpoint(imu.checkpoint, self._log)
+        self._checkpoint = Checkpoint(imu.checkpoint, self._log, finding_line)
         self._noted: tuple[Finding, ...] = ()
         now = time.monotonic()
         self._monitor = TransportMonitor(self._input.topic, now)
@@ -337,7 +338,7 @@ class ImuWatch(Part):
         samples = max((s.samples for s in total[0]), default=0)
         lines = [
             f'{self._checkpoint.path}: {samples} samples',
-            *map(str, self._checkpoint.findings),
+            *map(finding_line, self._checkpoint.findings),
         ]
         if self._accel is not None:
             accel = self._accel._on_save(_request, Trigger.Response())
@@ -355,7 +356,7 @@ class ImuWatch(Part):
             self._accel._on_reset(_request, Trigger.Response())
         self._publish(self._total())
         kept = [f'the previous sums are in {where}'] if where else []
-        lines = ['the sums start from zero', *kept, *map(str, self._checkpoint.findings)]
+        lines = ['the sums start from zero', *kept, *map(finding_line, self._checkpoint.findings)]
         response.success, response.message = True, '; '.join(lines)
         return response
 

@@ -28,6 +28,7 @@ from ..core.stream.health import StreamHealth
 from ..core.stream.transport import TransportStatistics
 from ..results.axis_result import AxisResult
 from ..results.datasheets import exceeds_limit
+from ..view.finding_text import finding_line
 
 LEVELS: Mapping[str, bytes] = {
     'info': DiagnosticStatus.OK,
@@ -91,7 +92,7 @@ def node_text(found: Finding) -> str:
     >>> node_text(finding('stamps_missing', what='zero')).split(', or ')[-1]
     'declare the sample rate with parameter segmenter.declared_rate.'
     """
-    text = OPTION.sub(_parameter_text, str(found)).replace(':= ', ':=')
+    text = OPTION.sub(_parameter_text, finding_line(found)).replace(':= ', ':=')
     return VALUELESS.sub('', text)
 
 

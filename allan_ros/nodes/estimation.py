@@ -27,8 +27,9 @@ from ..core.stream.transport import faults_of
 from ..results.analysis import analyze_sums
 from ..results.checkpoint import Total
 from ..results.datasheets import load_sensor
-from ..results.documents import load, results_to_document
+from ..results.documents import load
 from ..results.results import Results
+from ..view.result_document import result_document
 from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
 from .messages import (
     REPLACED_SHARE,
@@ -221,7 +222,7 @@ class ImuEstimate(Part):
         if self._snapshot is not None:  # before the model: a variance must cover the bias
             self._bias.update(self._snapshot)
         results = self._with_faults(results)
-        document = results_to_document(results, curves=False)
+        document = result_document(results, curves=False)
         text = json.dumps(document, separators=(',', ':'), allow_nan=False)
         self._publisher.publish(String(data=text))
         self._tell(results)

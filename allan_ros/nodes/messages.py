@@ -31,6 +31,7 @@ from ..results.documents import (
     sums_file_to_document,
 )
 from ..results.results import Results
+from ..view.finding_text import texts_of
 from .shell import LATCHED
 
 REPLACED_SHARE = 0.1
@@ -167,7 +168,7 @@ def replaced_because(before: Sequence[AllanSums], snapshot: Snapshot) -> str:
         return 'the Allan sums were reset'
     found = [f for f in snapshot.total[1].findings if f.id in REPLACING]
     if found:
-        message = found[0].message.rstrip('.')
+        message = texts_of(found[0]).message.rstrip('.')
         return f'{message[0].lower()}{message[1:]}'
     return 'the IMU moved'
 

@@ -26,6 +26,7 @@ from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from ..core.settings import CheckedSettings, ParameterInfo, describe
 from ..readers.files import write_atomic
+from ..view.finding_text import finding_line
 from .diagnostics import metrics_text, status_name, status_of
 from .settings import GROUPS, PublishSettings
 from .shell import STEADY
@@ -255,7 +256,9 @@ class AllanNode(Node):
         found = finding('internal_error', where=where, error=repr(error))
         kind = where, type(error).__name__
         if kind not in self._faults:
-            self.get_logger().error(f'{found}\n{"".join(traceback.format_exception(error))}')
+            self.get_logger().error(
+                f'{finding_line(found)}\n{"".join(traceback.format_exception(error))}'
+            )
         self._faults[kind] = time.monotonic(), found
 
     def _tick(self) -> None:

@@ -39,6 +39,7 @@ from ..core.imu import AXES, SENSORS
 from ..core.stream.transport import faults_of
 from ..export import Row, target_rows
 from ..results.results import Results
+from ..view.finding_text import explained
 from .diagnostics import key_values, status_name
 from .former_values import Former, FormerValues
 from .messages import BiasAtRest
@@ -273,7 +274,9 @@ class ParameterPush(Part):
         try:
             rows = target_rows(results, plan.target, plan.options)
         except AllanError as error:
-            self._note('', f'the noise model is not complete yet: {error}', warning=False)
+            self._note(
+                '', f'the noise model is not complete yet: {explained(error)}', warning=False
+            )
             return []
         for missing in plan.names.keys() - {row.name for row in rows}:
             self._note(plan.names[missing], f'{plan.target} has no number {missing}')

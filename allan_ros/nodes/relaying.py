@@ -36,6 +36,7 @@ from ..results.datasheets import load_sensor
 from ..results.documents import results_from_document
 from ..results.from_datasheet import results_of_datasheet
 from ..results.results import Results
+from ..view.finding_text import finding_line
 from .diagnostics import status_name, status_of
 from .imu_input import QUEUE_DEPTH, full_name, qos_text, subscribe_raw
 from .messages import BiasAtRest, ModelListener, bias_of
@@ -176,7 +177,8 @@ class ModelInput:
             results = results_from_document(parse_json(message.data, 'noise model'), 'noise model')
         except AllanError as error:
             self._unreadable = finding('relay_model_unreadable', topic=self.topic, reason=error)
-            self._node.get_logger().warning(str(self._unreadable), throttle_duration_sec=60.0)
+            text = finding_line(self._unreadable)
+            self._node.get_logger().warning(text, throttle_duration_sec=60.0)
             return
         self._results, self._unreadable = results, None
         self.listener(results, self._bias)
@@ -324,7 +326,8 @@ class ImuRelay(Part):
         identity = self._results.identity if self._results else ImuIdentity()
         hardware_id = self._imu.hardware_id or identity.hardware_id or identity.frame_id
         name = status_name(self._node, self._imu.label, 'relay')
-        text = filled if self._variances else str(findings[0]) if findings else 'nothing to fill'
+        otherwise = finding_line(findings[0]) if findings else 'nothing to fill'
+        text = filled if self._variances else otherwise
         return [status_of(name, findings, text, pairs, hardware_id=one_line(hardware_id))]
 
     def close(self) -> None:

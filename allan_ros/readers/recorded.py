@@ -197,7 +197,7 @@ def _read_topic(
     findings += _other_topic(recording, findings)
     counts = known.health.counts
     if not known.sums:
-        raise AllanError(_no_data(job, recording.info.topic, counts, findings))
+        raise _no_data(job, recording.info.topic, counts, findings)
     settings = {
         **asdict(job.segmenter),
         **asdict(recording.options),
@@ -241,16 +241,19 @@ def _other_topic(recording: Recording, findings: Sequence[Finding]) -> tuple[Fin
     return (finding('sensor_elsewhere', axes, sensor=sensor, other=there, gyro=gyro, accel=accel),)
 
 
-def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Finding]) -> str:
+def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Finding]) -> AllanError:
     causes = [f for f in findings if f.id not in ('nothing_left', 'unit_assumed')]
     worst = min((SEVERITIES.index(f.severity) for f in causes), default=0)
-    why = ' '.join(str(f) for f in causes if SEVERITIES.index(f.severity) == worst)
+    named = tuple(f for f in causes if SEVERITIES.index(f.severity) == worst)
+    why = ''
     if counts.skipped and counts.skipped == counts.received:
-        why = f'--skip {job.segmenter.skip:g} (s) excludes the complete recording: reduce it'
-    why = why or ('it is too short' if counts.received else 'it has no samples')
+        named = ()
+        why = f' --skip {job.segmenter.skip:g} (s) excludes the complete recording: reduce it'
+    elif not named:
+        why = ' it is too short' if counts.received else ' it has no samples'
     samples = f'{counts.received:,} sample' + 's' * (counts.received != 1)
     where = f'{job.path}: topic {topic}' if job.reading.accel_topic else job.path
-    return f'{where}: no static data in {samples}: {why}'
+    return AllanError(f'{where}: no static data in {samples}:{why}', named)
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:

@@ -48,6 +48,8 @@ class Checkpoint:
         The file; missing folders are created. With '', nothing is loaded or saved.
     log : object
         Logger with the methods ``info`` and ``warning``.
+    words : function
+        Returns the text of a finding for the log.
 
     Attributes
     ----------
@@ -59,12 +61,14 @@ class Checkpoint:
         The reason why the file cannot be replaced at present.
     """
 
-    def __init__(self, path: str | os.PathLike[str], log: Any) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], log: Any, words: Callable[[Finding], str] = str
+    ) -> None:
         self.path = os.fspath(path)
         self.earlier = NOTHING
         self.loaded: Finding | None = None
         self.refused: Finding | None = None
-        self._file, self._log = Path(path), log
+        self._file, self._log, self._words = Path(path), log, words
         self._lock = PathLock(self._file) if self.path else None
         self._owned = False  # whether a path is given that no other node has locked
         self._content: Total | None = NOTHING  # content of the file; None if it cannot be read
@@ -274,5 +278,5 @@ class Checkpoint:
     def _report_unwritable(self, error: AllanError) -> None:
         found = finding('checkpoint_unwritable', reason=error)
         if self._unsaved is None:
-            self._log.warning(str(found))
+            self._log.warning(self._words(found))
         self._unsaved = found

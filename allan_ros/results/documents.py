@@ -27,7 +27,7 @@ from ..core.compare import MARGIN
 from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
 from ..core.fields import Fields, plain
-from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, quantity, required
+from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, missing_values, quantity
 from ..core.fit import TERMS, AxisFit, Processes
 from ..core.fit.model import Covariance
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
@@ -74,15 +74,11 @@ NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'region
 """Field of a dataclass -> its key in results.json, where these differ."""
 
 
-def results_to_document(
-    results: Results, curves: bool = True, units: str = 'deg/h'
-) -> dict[str, Any]:
-    """Return the results as the document ``allan_ros/results/3`` (results.json).
+def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
+    """Return the results as the document ``allan_ros/results/3`` in SI, without texts.
 
-    Without ``curves``, the curves and the verdict are left out, which gives a short document.
-    ``units`` ('deg/h' or 'SI') are the units in the texts of the verdict; numbers are in SI.
+    Without ``curves``, the curves are left out, which gives a short document.
     """
-    judged = {'verdict': plain(results.verdicts[units])} if curves else {}
     return {
         'schema': RESULTS_SCHEMA,
         'tool': TOOL,
@@ -95,8 +91,7 @@ def results_to_document(
         'duration_s': plain(results.duration_s),
         'segment_count': results.segments,
         **_provenance_to_document(results.provenance),
-        **judged,
-        'findings': [each.document(units) for each in results.findings],
+        'findings': [each.document() for each in results.findings],
         'datasheet': comparison_to_document(results.datasheet) if results.datasheet else None,
         'axes': {
             name: _axis_to_document(name, axis, curves) for name, axis in results.axes.items()
@@ -256,15 +251,14 @@ def finding_from_document(fields: Fields) -> Finding:
     """Return a finding; one of another version, which lacks values, keeps its stated texts."""
     stated = fields.optional_fields('values')
     values = {name: _value_from_document(stated, name) for name in stated} if stated else {}
-    texts = (one_line(fields.text('message')), one_line(fields.text('remedy')))
     known = CATALOG.get(fields.text('id'))
-    if known is not None and all(values.get(name) is not None for name in required(known)):
-        texts = known.message_template, known.remedy_template
-    else:
+    texts = None
+    if known is None or missing_values(known, values):
+        texts = one_line(fields.text('message')), one_line(fields.text('remedy'))
         values = {}
     axes = fields.typed('axes', tuple[str, ...])
     severity: Any = fields.choice('severity', SEVERITIES)
-    return Finding(one_line(fields.text('id')), severity, *texts, axes, values)
+    return Finding(one_line(fields.text('id')), severity, axes, values, texts)
 
 
 def _value_from_document(fields: Fields, name: str) -> Any:

@@ -15,11 +15,10 @@ from ..core.estimate import Estimate
 from ..core.findings import Finding
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of
-from ..core.settings import UNIT_SYSTEMS
 from ..readers.recorded import Provenance, RecordingSums
 from .axis_result import AxisResult
 from .datasheets import Datasheet, DatasheetComparison, against_datasheet, exceeds_limit
-from .verdict import TOO_SHORT_S, Verdict, summary_lines, verdict_of
+from .verdict import TOO_SHORT_S, Level, level_of
 
 R = TypeVar('R', bound='Results')
 
@@ -80,7 +79,7 @@ class Results:
     True
     >>> results.temperature_models  # no temperature was recorded
     {}
-    >>> results.verdicts['SI'].level, results.undecided_if_short([])
+    >>> results.level, results.undecided_if_short([])
     ('measured', ())
     """
 
@@ -115,14 +114,9 @@ class Results:
         return 1.0 / self.tau0
 
     @cached_property
-    def verdicts(self) -> Mapping[str, Verdict]:
-        """The verdict on the IMU with its texts in each system of units, 'deg/h' and 'SI'."""
-        return {units: verdict_of(self, units) for units in UNIT_SYSTEMS}
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether the IMU is healthy (``level``), with the reasons and the next steps."""
-        return self.verdicts['deg/h']
+    def level(self) -> Level:
+        """Whether the IMU is healthy."""
+        return level_of(self)
 
     @property
     def noise(self) -> dict[str, Mapping[str, Estimate]]:
@@ -173,9 +167,6 @@ class Results:
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.axes)
-
-    def __repr__(self) -> str:
-        return '\n'.join(summary_lines(self))
 
     def against_datasheet(self: R, datasheet: Datasheet, margin: float) -> R:
         """Return a copy that is compared with this datasheet instead of any earlier one.

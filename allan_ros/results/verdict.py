@@ -1,33 +1,20 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on an IMU, its sentences for all outputs, and the summary of results as text."""
+"""The level of an IMU: whether it is healthy, and which recording would say more."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Literal, Protocol
 
 from ..core.compare import Check
-from ..core.estimate import value_text
-from ..core.findings import Finding, by_consequence, grouped, is_note
-from ..core.fit.interpretation import ADVISED_TERMS, longest_recommended, recommended_duration
-from ..core.imu import AXES, SENSORS, ImuIdentity, sensor_of, shown_unit
-from ..core.number_text import duration_text, significant
+from ..core.findings import Finding
+from ..core.fit.interpretation import longest_recommended, recommended_duration
 from ..readers.recorded import Provenance
 from .axis_result import AxisResult
 from .datasheets import DatasheetComparison
 
 Level = Literal['healthy', 'attention', 'measured', 'unknown', 'failed']
-
-WORDS: dict[Level, str] = {
-    'healthy': 'Healthy',
-    'attention': 'Usable with care',
-    'measured': 'Measured',
-    'unknown': 'Not judged',
-    'failed': 'Failed',
-}
-"""Level of a verdict -> its text."""
 
 SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
 """Ids of findings that indicate a broken sensor."""
@@ -38,26 +25,14 @@ WRONG_UNITS = ('gyro_unit', 'gyro_unit_changed', 'accel_unit')
 TOO_SHORT_S = 20.0
 """Time at rest in s below which no verdict is given."""
 
-NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
-"""Ids of findings whose remedy is not a next step: they need no action, or only a longer recording,
-which is a separate step."""
-
 
 class Judged(Protocol):
     """Results on which a verdict is given, such as `allan_ros.results.results.Results`."""
 
     @property
-    def identity(self) -> ImuIdentity: ...
-    @property
     def method(self) -> str: ...
     @property
-    def rate_hz(self) -> float: ...
-    @property
-    def samples(self) -> int: ...
-    @property
     def duration_s(self) -> float: ...
-    @property
-    def segments(self) -> int: ...
     @property
     def axes(self) -> Mapping[str, AxisResult]: ...
     @property
@@ -70,40 +45,6 @@ class Judged(Protocol):
     def comparisons(self) -> tuple[Check, ...]: ...
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Summary of an analysis: level, reasons and next steps.
-
-    Attributes
-    ----------
-    level : 'healthy', 'attention', 'measured', 'unknown' or 'failed'
-        'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably
-        wrong units, another error, or no decided comparison; 'measured' without a datasheet or
-        earlier run to compare with; 'attention' for a warning.
-    summary : str
-        One sentence.
-    reasons : tuple of str
-        Sentences, the most important first.
-    next_steps : tuple of str
-        Recommended actions, the most urgent first.
-    """
-
-    level: Level
-    summary: str
-    reasons: tuple[str, ...]
-    next_steps: tuple[str, ...]
-
-
-def verdict_of(results: Judged, units: str = 'deg/h') -> Verdict:
-    """Return the verdict on the IMU of the results; ``units`` of its texts is 'deg/h' or 'SI'."""
-    comparisons = results.comparisons
-    level = _level(results, comparisons)
-    summary = _summary(results, comparisons, units)
-    reasons = tuple(finding_text(f, results, units) for f in warnings_and_errors(results))
-    steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
-    return Verdict(level, summary, reasons, steps)
-
-
 def measured(results: Judged) -> bool:
     """Return whether any coefficient of any axis has a value."""
     return any(
@@ -113,7 +54,14 @@ def measured(results: Judged) -> bool:
     )
 
 
-def _level(results: Judged, comparisons: Sequence[Check]) -> Level:
+def level_of(results: Judged) -> Level:
+    """Return the level of the IMU.
+
+    'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably wrong
+    units, another error, or no decided comparison; 'measured' without a datasheet or earlier run to
+    compare with; 'attention' for a warning.
+    """
+    comparisons = results.comparisons
     severities = {finding.severity for finding in results.findings}
     if {finding.id for finding in results.findings} & set(SENSOR_FAULTS):
         return 'failed'
@@ -137,94 +85,6 @@ def too_short(results: Judged) -> bool:
     return not measured(results) or results.duration_s < TOO_SHORT_S
 
 
-def _summary(results: Judged, comparisons: Sequence[Check], units: str) -> str:
-    faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
-    wrong = [f for f in grouped(results.findings) if f.id in WRONG_UNITS]
-    if wrong and not faults and not too_short(results):
-        return finding_text(wrong[0], results, units)
-    beyond = [c for c in comparisons if c.verdict == 'exceeds']
-    if beyond and not too_short(results):
-        excesses = list(_excesses(results, beyond, units))
-        return f'Above {_references(beyond)}: {_joined(excesses)}.'
-    if faults:
-        return finding_text(faults[0], results, units)
-    if not measured(results):
-        errors = [f for f in results.findings if f.severity == 'error']
-        why = errors[0].message if errors else 'No coefficient is resolved.'
-        return f'Nothing could be measured. {why}'
-    if results.duration_s < TOO_SHORT_S:
-        return f'Too short to judge: {duration_text(results.duration_s, 3)} at rest.'
-    if not comparisons:
-        return quality(results)
-    unsettled = [c for c in comparisons if c.verdict == 'undecided']
-    if not unsettled:
-        return f'All {len(comparisons)} numbers are within {_references(comparisons)}.'
-    terms: dict[str, list[str]] = {}
-    for c in unsettled:
-        terms.setdefault(c.quantity, []).append(c.axis)
-    named = [f'{term} of {_axes_text(axes, results)}' for term, axes in terms.items()]
-    return (
-        f'{len(comparisons) - len(unsettled)} of {len(comparisons)} numbers are within '
-        f'{_references(comparisons)}, none is above; undecided: {_joined(named)}.'
-    )
-
-
-def quality(results: Judged) -> str:
-    """Return a sentence on the precision of N, B and K: 'N to 0.4 %, B to 8 %, K needs 3 h.'
-
-    The percentage is half the width of the 95 % interval, on the axis where it is largest.
-    """
-    if not any(c.ci95 or c.upper95 for a in results.axes.values() for c in a.fit.noise.values()):
-        return f'Method {results.method} gives no intervals.'
-    advice = time_to_record(results)
-    parts: list[str] = []
-    needs: list[str] = []
-    limits: list[str] = []
-    for term in ADVISED_TERMS:
-        known = [axis.fit.noise[term] for axis in results.axes.values()]
-        widths = [
-            (c.ci95[1] - c.ci95[0]) / (2.0 * c.value)
-            for c in known
-            if c.status == 'estimated' and c.value and c.ci95
-        ]
-        where = '' if len(widths) == len(known) else f' on {len(widths)} of {len(known)} axes'
-        if where and advice and term in advice[1]:
-            needs.append(term)
-        elif widths:
-            parts.append(f'{term} to {float(f"{100.0 * max(widths):.2g}"):g} %{where}')
-        else:
-            limits.append(term)
-    if advice and needs:
-        parts.append(f'{_joined(needs)} need{"s" * (len(needs) == 1)} {duration_text(advice[0])}')
-    if limits:
-        parts.append(f'only a limit of {_joined(limits)}')
-    text = ', '.join(parts)
-    return f'{text[0].upper()}{text[1:]}.'
-
-
-def _references(comparisons: Sequence[Check]) -> str:
-    return _joined(list(dict.fromkeys(c.reference for c in comparisons)))
-
-
-def _excesses(results: Judged, beyond: Sequence[Check], units: str) -> Iterator[str]:
-    groups: dict[tuple[str, str, float | None], list[Check]] = {}
-    for c in beyond:
-        groups.setdefault((sensor_of(c.axis), c.quantity, c.tau), []).append(c)
-    for (sensor, term, tau), group in groups.items():
-        unit = shown_unit(sensor, 'B' if tau else term, units)
-        where = _axes_text([c.axis for c in group], results)
-        ratios = [c.at_least for c in group]
-        times = dict.fromkeys(f'{ratio:.2g}' for ratio in (min(ratios), max(ratios)))
-        limit = significant(max(c.limit for c in group) * unit.factor, 3)
-        what = f'deviation at {significant(tau, 2)} s' if tau else term
-        yield f'{what} of {where} (at least {" to ".join(times)} times {limit} {unit.name})'
-
-
-def warnings_and_errors(results: Judged) -> list[Finding]:
-    """Return the warnings and errors, one for each cause."""
-    return [found for found in grouped(results.findings) if found.severity != 'info']
-
-
 def time_to_record(results: Judged) -> tuple[float, tuple[str, ...]] | None:
     """Return the recommended length of a recording in s and the terms that it resolves.
 
@@ -241,106 +101,3 @@ def time_to_record(results: Judged) -> tuple[float, tuple[str, ...]] | None:
         recommended_duration(axis.fit, longest or results.duration_s, limits.get(name))
         for name, axis in results.axes.items()
     )
-
-
-def _steps(level: Level, results: Judged, comparisons: Sequence[Check]) -> Iterator[str]:
-    remedies: dict[str, list[str]] = {}
-    for finding in by_consequence(results.findings):
-        if finding.severity != 'info' and finding.id not in NO_STEP:
-            remedies.setdefault(finding.remedy, []).extend(finding.axes)
-    for remedy, axes in remedies.items():
-        where = f' ({_axes_text(axes, results)})' if axes else ''
-        yield f'{remedy.rstrip(".")}{where}.'
-    advice = time_to_record(results)
-    if advice is not None:
-        seconds, terms = advice
-        time = duration_text(seconds)
-        yield f'Record {time} at rest, warmed up, to resolve or bound {_joined(terms)}.'
-    elif too_short(results) and level == 'unknown' and not remedies:
-        yield 'Record at least a minute at rest.'
-    if not comparisons and measured(results):
-        yield 'Compare with a datasheet (--sensor NAME) or an earlier run (--baseline FILE).'
-    if level in ('healthy', 'attention', 'measured'):
-        yield 'Write a file for a filter: allan export FOLDER --to openvins.'
-
-
-def further_steps(results: Judged, verdict: Verdict) -> list[str]:
-    """Return the next steps of a verdict that are not remedies of its findings."""
-    remedies = tuple(r for f in results.findings if (r := f.remedy.rstrip('.')))
-    return [step for step in verdict.next_steps if not step.startswith(remedies)]
-
-
-def findings_and_notes(results: Judged) -> tuple[list[Finding], list[Finding]]:
-    """Return the findings that affect the data or the numbers, and the notes.
-
-    Equal findings of several axes are merged. Both are in the order of their consequence.
-    """
-    found = grouped(results.findings)
-    return [f for f in found if not is_note(f)], [f for f in found if is_note(f)]
-
-
-def finding_text(finding: Finding, results: Judged, units: str) -> str:
-    """Return the axes and the message of a finding: 'gyro x, accel: Vibration at ...'."""
-    return where(finding, results) + finding.texts(units).message
-
-
-def where(finding: Finding, results: Judged) -> str:
-    """Return the axes of a finding as the start of its text: 'gyro x, accel: ', or ''."""
-    return f'{_axes_text(finding.axes, results)}: ' if finding.axes else ''
-
-
-def _axis(axis: str) -> str:
-    return f'{sensor_of(axis)} {axis.rsplit("_", 1)[1]}'
-
-
-def _axes_text(axes: Sequence[str], results: Judged) -> str:
-    """Return the names of axes: 'gyro x', 'gyro' for all its axes, or 'all axes'."""
-    if set(axes) >= set(results.axes):
-        return 'all axes'
-    words: list[str] = []
-    for sensor, where in SENSORS.items():
-        have = [axis for axis in AXES[where] if axis in results.axes]
-        named = [axis for axis in AXES[where] if axis in axes]
-        words += [sensor] if len(named) == len(have) > 1 else map(_axis, named)
-    return ', '.join(words)
-
-
-def _joined(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f'{", ".join(words[:-1])} and {words[-1]}'
-
-
-REPORTED_LEFT_OUT = 0.01
-"""Fraction of unused samples above which the number of received samples is shown."""
-
-
-def used_samples(results: Judged) -> str:
-    """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part is left out."""
-    used, counts = results.samples, results.provenance.counts
-    # the counts of two topics are sums, and `used` is the number of samples of one
-    two_topics = used < (1.0 - REPORTED_LEFT_OUT) * counts.used
-    reported = not two_topics and used < (1.0 - REPORTED_LEFT_OUT) * counts.received
-    total = f' of {counts.received:,}' if reported else ''
-    return f'{used:,}{total} samples'
-
-
-def headline(results: Judged) -> str:
-    """Return one line: name of the IMU, number and rate of samples, time at rest, and method."""
-    name = results.identity.label or 'IMU'
-    return (
-        f'{name}: {used_samples(results)} at {results.rate_hz:.5g} Hz, '
-        f'{duration_text(results.duration_s, 3)} of static data in {results.segments:,} '
-        f'segment{"" if results.segments == 1 else "s"}, fitted by {results.method}'
-    )
-
-
-def summary_lines(results: Judged) -> Iterator[str]:
-    """Yield the lines of a text summary: headline, N, B and K of each axis, warnings, errors."""
-    yield headline(results)
-    for name, axis in results.axes.items():
-        cells = []
-        for term in ADVISED_TERMS:
-            unit = shown_unit(name, term, 'deg/h')
-            cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
-        yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
-    for each in warnings_and_errors(results):
-        yield f'  {each.severity}: {each}'

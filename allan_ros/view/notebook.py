@@ -9,9 +9,9 @@ from html import escape
 from ..core.imu import AXES, SENSORS
 from ..core.settings import UNIT_SYSTEMS
 from ..results.results import Results
-from ..results.verdict import headline
 from .coefficient_table import coefficient_table
 from .table import html_table
+from .verdict_text import headline, verdict_of
 
 STYLE = '.allan_ros small { display: block; opacity: .7; } .allan_ros table { margin: .5em 0; }'
 """Style sheet of the output: the intervals stand below the values."""
@@ -21,7 +21,7 @@ def notebook_html(results: Results) -> str:
     """Return the verdict and the coefficients of each sensor as HTML, in datasheet units."""
     units = UNIT_SYSTEMS[0]
     parts = [f'<p>{escape(headline(results))}</p>']
-    parts.append(f'<p><b>{escape(results.verdicts[units].summary)}</b></p>')
+    parts.append(f'<p><b>{escape(verdict_of(results, units).summary)}</b></p>')
     for rows in SENSORS.values():
         known = {axis: results.noise[axis] for axis in AXES[rows] if axis in results.axes}
         if known:

@@ -23,11 +23,12 @@ from ..results.documents import (
     RESULTS,
     SUMS,
     fingerprint,
-    results_to_document,
     sums_file_to_document,
 )
+from .finding_text import explained, finding_line
 from .format import FORMATS
 from .report import render_report
+from .result_document import result_document
 
 if TYPE_CHECKING:
     from ..results.results import Results
@@ -81,7 +82,7 @@ def write_result_files(
     contents: dict[str, str | bytes] = {**drawn, REPORT: report, **filters}
     files = sorted({*contents, RESULTS, SUMS})
     document = {
-        **results_to_document(results, units=units),
+        **result_document(results, units),
         'files': files,
         'fingerprint': digest,
     }
@@ -143,9 +144,9 @@ def _filter_files(results: Results, targets: Sequence[str]) -> tuple[dict[str, s
     for name in dict.fromkeys(('kalibr', *targets)):
         target = target_of(name)
         try:
-            files[target.file_name] = make_export(results, name).text
+            files[target.file_name] = make_export(results, name, words=finding_line).text
         except AllanError as error:
-            omitted = finding('file_left_out', file=target.file_name, why=str(error))
+            omitted = finding('file_left_out', file=target.file_name, why=str(explained(error)))
             results = replace(results, findings=(*results.findings, omitted))
     return files, results
 

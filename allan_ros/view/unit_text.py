@@ -13,7 +13,8 @@ from ..core.number_text import LIMIT_DIGITS, significant
 from ..results.plan import Limits, PlanCheck
 from ..results.results import Results
 from ..results.unit_check import UnitCheck
-from ..results.verdict import finding_text
+from .finding_text import texts_of
+from .verdict_text import finding_text, verdict_of
 
 SHOWN_CHECKS = 4
 """Largest number of quantities that a summary names."""
@@ -88,13 +89,13 @@ def unit_sentences(check: UnitCheck, results: Results, plan: str, units: str) ->
         said.append(f'Beyond {plan}: {checks_text(beyond)}.')
     compared = results.comparisons or not plan
     if compared:
-        said.append(results.verdicts[units].summary)
+        said.append(verdict_of(results, units).summary)
     for i, each in enumerate(grouped(check.suspect)):
-        known = any(each.texts(units).message in sentence for sentence in said)
+        known = any(texts_of(each, units).message in sentence for sentence in said)
         if each.id != 'exceeds_limit' and not known:
             said.append(finding_text(each, results, units))
         if i == 0 and each.id != 'exceeds_limit':
-            said.append(each.texts(units).remedy)
+            said.append(texts_of(each, units).remedy)
     if undecided:
         said.append(f'Not decided by {plan}: {checks_text(undecided)}.')
     if check.checks and not beyond and not undecided:

@@ -132,7 +132,7 @@ def test_a_recording_that_kills_all_workers_is_a_finding(
     work, jobs = deadly(recordings[1], tmp_path, 100), jobs_of(recordings[1:2])
     (lost,) = on_cluster(jobs, cluster.scheduler_address, Console(), work)
     assert isinstance(lost, Finding) and lost.id == 'recording_lost'
-    assert lost.message.startswith(recordings[1])
+    assert lost.values['path'] == recordings[1]
 
 
 def test_a_scheduler_that_does_not_answer_is_reported(

@@ -24,10 +24,11 @@ from allan_ros.export import origin_text, target_rows
 from allan_ros.results.comparison import Subject, compare_runs
 from allan_ros.results.datasheets import load_sensor
 from allan_ros.results.results import Results
-from allan_ros.results.verdict import headline, summary_lines, verdict_of
 from allan_ros.view.coefficient_table import coefficient_table
+from allan_ros.view.finding_text import texts_of
+from allan_ros.view.verdict_text import headline, summary_lines, verdict_of
 
-LONG = Finding('x', 'warning', 'word ' * 40 + 'end', 'do this', ('gyro_x',))
+LONG = Finding('x', 'warning', ('gyro_x',), stated=('word ' * 40 + 'end', 'do this'))
 
 
 def lines_of(results: Results, units: str, width: int, complete: bool = False) -> list[str]:
@@ -52,7 +53,7 @@ def test_no_finding_is_cut_or_wider_than_80_columns(
     narrow, wide = (list(findings_lines(results, units, w, False, False)) for w in (80, 10_000))
     assert max(map(len, narrow)) <= 80
     assert ' '.join(line.strip() for line in narrow) == ' '.join(wide)
-    assert '...' not in wide[1] and wide[1].endswith(found.texts(units).remedy)
+    assert '...' not in wide[1] and wide[1].endswith(texts_of(found, units).remedy)
 
 
 def test_the_prefix_of_a_row_fits_its_largest_value() -> None:
@@ -157,11 +158,11 @@ def test_five_findings_at_most_and_all_on_demand(small_results: Results) -> None
     axes = tuple(small_results.axes)
     first = finding('settled_part', ('gyro_x',), early=7200.0, size=1.0)
     many = tuple(
-        Finding(f'kind_{i}', 'warning', f'Cause {"abcdefgh"[i]}.', f'Do {i}.', (axis,))
+        Finding(f'kind_{i}', 'warning', (axis,), stated=(f'Cause {"abcdefgh"[i]}.', f'Do {i}.'))
         for i in range(8)
         for axis in axes[:2]
     )
-    note = Finding('n', 'info', 'Note.', 'Nothing.')
+    note = Finding('n', 'info', stated=('Note.', 'Nothing.'))
     results = replace(small_results, findings=(*many, note, first))
     short = lines_of(results, 'SI', 100)
     shown = [line for line in short if line.startswith(('warning', 'info', 'and '))]

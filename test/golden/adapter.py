@@ -38,7 +38,7 @@ def numbers(results: ar.Results) -> dict[str, Any]:
         'duration_s': results.duration_s,
         'segments': results.segments,
         'rate_hz': results.rate_hz,
-        'verdict': results.verdict.level,
+        'verdict': results.level,
         'axes': {name: _axis(results[name]) for name in results},
         'findings': _findings(results.findings),
         'checks': {

@@ -31,7 +31,7 @@ from allan_ros.results.documents import (
     sums_file_from_document,
     sums_file_to_document,
 )
-from allan_ros.results.verdict import verdict_of
+from allan_ros.view.verdict_text import verdict_of
 
 ABSURD = [0, -1, 1, 1e-300, 1e12, 1e150, -1e150, 2**61, None, '\x1b[31m', [], {}, True]
 

@@ -248,7 +248,7 @@ def test_the_complete_interval_decides(small_results, share, verdict):
     assert (entry.axis, entry.quantity, entry.verdict) == ('gyro_x', 'N', verdict)
     new = against.findings[len(small_results.findings) :]
     assert [f.id for f in new] == ['exceeds_limit'] * (verdict == 'exceeds')
-    assert all(f.axes == ('gyro_x',) and 'of X-1' in f.message for f in new)
+    assert all(f.axes == ('gyro_x',) and f.values['reference'] == 'X-1' for f in new)
 
 
 def test_a_second_datasheet_replaces_the_findings_of_the_first(small_results):

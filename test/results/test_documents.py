@@ -43,7 +43,9 @@ def through_text(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_the_round_trip_of_results_is_complete(small_results: Results) -> None:
-    finding = Finding('short', 'warning', 'only 3 s', 'record longer', ('gyro_x', 'accel_z'))
+    finding = Finding(
+        'unheard', 'warning', ('gyro_x', 'accel_z'), stated=('only 3 s', 'record longer')
+    )
     results = replace(
         small_results,
         findings=(finding,),
@@ -196,7 +198,7 @@ def test_a_file_that_is_not_json_is_reported(tmp_path: Path, content: str, said:
 
 def test_a_finding_of_two_runs_is_reported_once(small_run) -> None:
     _, provenance = small_run
-    one = replace(provenance, findings=(Finding('a', 'info', 'm', 'r'),))
+    one = replace(provenance, findings=(Finding('a', 'info', stated=('m', 'r')),))
     both = one + one
     assert both.findings == one.findings
     assert len(both.sources) == 2

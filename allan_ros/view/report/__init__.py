@@ -30,17 +30,19 @@ from ...core.number_text import duration_text, significant
 from ...core.settings import UNIT_SYSTEMS
 from ...core.stream.signal import SignalSummary
 from ...results.axis_result import AxisResult
-from ...results.verdict import (
+from ...results.verdict import too_short
+from ..finding_text import texts_of
+from ..format import SENSOR_NAMES, pretty_unit
+from ..table import in_units
+from ..verdict_text import (
     WORDS,
     Verdict,
     findings_and_notes,
     further_steps,
-    too_short,
     used_samples,
+    verdict_of,
     where,
 )
-from ..format import SENSOR_NAMES, pretty_unit
-from ..table import in_units
 from .chart_data import sensor_charts, temperature_chart, times, to_script
 from .sensor_tables import (
     baseline_html,
@@ -94,7 +96,7 @@ def render_report(
         'temperature': temperature_chart(signal),
         'sensors': charts,
     }
-    verdict = results.verdicts[units]
+    verdict = verdict_of(results, units)
     body = [
         *_header(results, name, units),
         '<main>',
@@ -205,7 +207,7 @@ def _items(texts: Iterable[str]) -> str:
 
 
 def _verdict_section(results: Results, verdict: Verdict) -> str:
-    summary = in_units(lambda system: escape(results.verdicts[system].summary))
+    summary = in_units(lambda system: escape(verdict_of(results, system).summary))
     found = findings_and_notes(results)
     counts = [
         f'{n} {word}{"" if n == 1 else "s"}'
@@ -294,8 +296,8 @@ def _findings_section(results: Results) -> Iterator[str]:
 
 
 def _block(finding: Finding, results: Results) -> str:
-    message = in_units(lambda units: escape(finding.texts(units, pretty_unit).message))
-    remedy = in_units(lambda units: escape(finding.texts(units, pretty_unit).remedy))
+    message = in_units(lambda units: escape(texts_of(finding, units, pretty_unit).message))
+    remedy = in_units(lambda units: escape(texts_of(finding, units, pretty_unit).remedy))
     return (
         f'<div class="finding {finding.severity}">'
         f'<span class="severity">{finding.severity}</span>'

@@ -20,6 +20,7 @@ from ...results.axis_result import AxisResult
 from ...results.datasheets import DatasheetComparison
 from ..coefficient_table import Coefficients, coefficient_table
 from ..comparison_table import baseline_table, limit_table, stated_limits
+from ..finding_text import explained
 from ..format import pretty_unit
 from ..model_table import filter_table, growth_table, has_raised_numbers, parts_table, size_cell
 from ..table import Cell, Heading, Table, html_table, in_units
@@ -59,7 +60,7 @@ def filter_html(results: Results) -> str:
     try:
         table = filter_table(results)
     except AllanError as error:
-        return _note(f'imu.yaml is not written: {error}.')
+        return _note(f'imu.yaml is not written: {explained(error)}.')
     note = f'{RAISED} ' if has_raised_numbers(results) else ''
     return html_table('filter', lambda _: table) + _note(
         f'{note}In SI, the worst axis of each sensor, for integration up to '

@@ -9,6 +9,7 @@ from allan_ros.core.findings import finding
 from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.findings import common_step, line_finding, merge_equal, with_harmonics
 from allan_ros.core.fit.model import Sinusoid
+from allan_ros.view.finding_text import texts_of
 
 
 def test_equal_findings_are_joined():
@@ -31,7 +32,7 @@ def test_equal_findings_are_joined():
 def test_the_finding_of_a_sinusoid_depends_on_its_frequency(hertz, id, words):
     line = Sinusoid(0.01, (0.009, 0.011), hertz, (hertz, hertz))
     found = line_finding(('accel_x',), [line], 0.01)
-    assert found.id == id and found.message.startswith(words)
+    assert found.id == id and texts_of(found).message.startswith(words)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +81,9 @@ def test_a_sinusoid_and_its_harmonics_are_one_finding():
     lines = [Sinusoid(a, (a, a), f, (f, f)) for a, f in ((0.3, 15.0), (0.4, 30.0))]
     found = line_finding(('accel_x',), lines, 0.01)
     assert found.values['amplitude'].value == pytest.approx(0.5)
-    assert found.message.startswith('Vibration at 15 Hz') and '30' in found.message
+    assert (
+        texts_of(found).message.startswith('Vibration at 15 Hz') and '30' in texts_of(found).message
+    )
 
 
 @pytest.mark.parametrize(

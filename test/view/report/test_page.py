@@ -110,7 +110,7 @@ def test_texts_of_a_recording_stay_text(small_results: Results) -> None:
     results = replace(
         small_results,
         identity=ImuIdentity(HOSTILE, HOSTILE),
-        findings=(Finding('x', 'warning', HOSTILE, HOSTILE, ('gyro_x',)),),
+        findings=(Finding('x', 'warning', ('gyro_x',), stated=(HOSTILE, HOSTILE)),),
         provenance=replace(
             small_results.provenance, sources=(source,), settings={HOSTILE: HOSTILE}
         ),

@@ -12,14 +12,14 @@ import pytest
 from support.exports import scaled
 
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.findings import Finding
+from allan_ros.core.findings import Finding, finding
 from allan_ros.core.fit import AxisFit
 from allan_ros.core.imu import AXES
 from allan_ros.results.comparison import Subject, compare_runs
 from allan_ros.results.datasheets import Datasheet, Limit, against_datasheet
 from allan_ros.results.documents import results_to_document
 from allan_ros.results.results import Results
-from allan_ros.results.verdict import verdict_of
+from allan_ros.view.verdict_text import verdict_of
 
 
 def against_itself(results: Results, factor: float) -> Results:
@@ -78,23 +78,23 @@ def test_without_a_reference_the_precision_is_stated(small_results: Results) -> 
 
 def test_the_remedies_of_warnings_come_first(small_results: Results) -> None:
     warnings = tuple(
-        Finding('x', 'warning', 'It hums at {f} Hz.', 'Silence the fan.', (axis,), {'f': f})
+        finding('vibration', (axis,), frequency=f, amplitude=1e-4)
         for f, axis in ((50, 'gyro_x'), (51, 'gyro_y'))
     )
     within = against_itself(small_results, 1.01)
     verdict = verdict_of(replace(within, findings=warnings))
     assert verdict.level == 'attention'
-    assert 'gyro x, gyro y: It hums at 50 to 51 Hz.' in verdict.reasons
-    assert verdict.next_steps[0] == 'Silence the fan (gyro x, gyro y).'
+    assert verdict.reasons[0].startswith('gyro x, gyro y: Vibration at 50 to 51 Hz')
+    assert verdict.next_steps[0] == 'Isolate or move the sensor (gyro x, gyro y).'
     for axes, words in ((tuple(small_results.axes), 'all axes'), (AXES[:4], 'gyro, accel x')):
         named = replace(small_results, findings=(replace(warnings[0], axes=axes),))
-        assert verdict_of(named).next_steps[0] == f'Silence the fan ({words}).'
+        assert verdict_of(named).next_steps[0] == f'Isolate or move the sensor ({words}).'
 
 
 def test_an_error_gives_no_verdict_and_a_dead_sensor_fails(small_results: Results) -> None:
     within = against_itself(small_results, 1.01)
-    error = Finding('never_still', 'error', 'Never still.', 'Let it rest.')
-    dead = Finding('no_noise', 'error', 'No noise.', 'Check it.', ('gyro_x',))
+    error = Finding('never_still', 'error', stated=('Never still.', 'Let it rest.'))
+    dead = Finding('no_noise', 'error', ('gyro_x',), stated=('No noise.', 'Check it.'))
     assert verdict_of(replace(within, findings=(error,))).level == 'unknown'
     verdict = verdict_of(replace(within, findings=(dead,)))
     assert (verdict.level, verdict.summary) == ('failed', 'gyro x: No noise.')

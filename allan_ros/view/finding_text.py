@@ -1,0 +1,173 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The texts of findings: the message states the cause with its numbers, the remedy the next step.
+
+The texts are in ``findings.md``, below the ids of the findings.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from pkgutil import get_data
+from typing import Any, NamedTuple
+
+from ..core.errors import AllanError, one_line
+from ..core.estimate import Estimate
+from ..core.findings import QUANTITIES, Finding, Several, unit_term
+from ..core.imu import shown_unit
+from ..core.number_text import duration_text, prefixed, significant
+
+FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')
+"""A template field ``{name}`` or ``{name:format}``. The format is one of Python, ``duration`` for a
+time in s, one of `QUANTITIES` with the number of digits (3 by default), or ``singular|plural``: the
+first text if the value is 1."""
+
+OPTIONAL = re.compile(r'\[\[(.*?)\]\]')
+"""A part of a template that is omitted if one of its values is missing."""
+
+
+class Words(NamedTuple):
+    """The templates of one finding, and what the documentation explains beyond them."""
+
+    section: str
+    message: str
+    remedy: str
+    explanation: str
+
+
+class Texts(NamedTuple):
+    """Message and remedy of a finding, with its numbers filled in."""
+
+    message: str
+    remedy: str
+
+
+@cache
+def words() -> dict[str, Words]:
+    """Return the words of each finding of ``findings.md`` by id, in the order of the file."""
+    text = (get_data(__package__, 'findings.md') or b'').decode()
+    return dict(_entries(re.sub(r'(?s)<!--.*?-->', '', text)))
+
+
+def _entries(text: str) -> Iterator[tuple[str, Words]]:
+    for section in re.split(r'(?m)^## ', text)[1:]:
+        title, *entries = re.split(r'(?m)^### ', section)
+        for entry in entries:
+            id, _, rest = entry.partition('\n')
+            first, _, explanation = rest.strip().partition('\n\n')
+            lines = first.split('\n')
+            message = ' '.join(line for line in lines if not line.startswith('> '))
+            remedy = ' '.join(line[2:] for line in lines if line.startswith('> '))
+            yield id.strip(), Words(title.strip(), message, remedy, explanation.strip())
+
+
+def texts_of(finding: Finding, units: str = 'deg/h', spelled: Callable[[str], str] = str) -> Texts:
+    """Return message and remedy of a finding in 'deg/h' or 'SI'.
+
+    ``spelled`` returns the spelling of a unit.
+
+    Examples
+    --------
+    >>> from allan_ros.core.findings import finding
+    >>> texts_of(finding('gaps', lost=1, splits=1)).message
+    '1 sample is missing; 1 gap splits the recording.'
+    """
+    if finding.stated is not None:
+        return Texts(*finding.stated)
+    known = words()[finding.id]
+    return Texts(
+        *(_filled(each, finding.values, units, spelled) for each in (known.message, known.remedy))
+    )
+
+
+def finding_line(finding: Finding, units: str = 'deg/h') -> str:
+    """Return the axes, the message and the remedy of a finding as one line."""
+    where = f'{", ".join(finding.axes)}: ' if finding.axes else ''
+    return where + ' '.join(texts_of(finding, units))
+
+
+def finding_document(finding: Finding, units: str = 'deg/h') -> dict[str, Any]:
+    """Return a finding as a JSON object: its texts, and its values in SI."""
+    return {**finding.document(), **texts_of(finding, units)._asdict()}
+
+
+def explained(error: AllanError) -> AllanError:
+    """Return an error with the texts of the findings that explain it."""
+    if not error.findings:
+        return error
+    return AllanError(' '.join([str(error), *map(finding_line, error.findings)]))
+
+
+def _filled(
+    template: str, values: Mapping[str, Any], units: str, spelled: Callable[[str], str]
+) -> str:
+    """Return a template with its values inserted."""
+
+    def optional(part: re.Match[str]) -> str:
+        names = [name for name, _ in FIELD.findall(part[1])]
+        return '' if any(values.get(name) is None for name in names) else part[1]
+
+    def inserted(place: re.Match[str]) -> str:
+        name, spec = place[1], place[2] or ''
+        value = values[name]
+        if '|' in spec:
+            one, many = spec.split('|')
+            return one if value == 1 else many
+        return _text_of(value if isinstance(value, Several) else [value], spec, units, spelled)
+
+    return FIELD.sub(inserted, OPTIONAL.sub(optional, template))
+
+
+def _text_of(values: Sequence[Any], spec: str, units: str, spelled: Callable[[str], str]) -> str:
+    """Return a value as text, or the range of several values."""
+    if all(isinstance(value, Estimate) for value in values):
+        return _quantities_text(values, int(spec.lstrip('QNBKRsignal') or 3), units, spelled)
+    if isinstance(values[0], tuple):
+        return ', '.join(f'{q.name} {_text_of([q], spec, units, spelled)}' for q in values[0])
+    texts = [_plain_text(value, spec) for value in (min(values), max(values))]
+    low, high = texts if len(values) > 1 else (texts[0], texts[0])
+    number, _, unit = low.partition(' ')
+    if low == high:
+        return low
+    return f'{number if high.endswith(f" {unit}") else low} to {high}'
+
+
+def _plain_text(value: Any, spec: str) -> str:
+    if value is None or isinstance(value, str):
+        return one_line(value or '')
+    if spec == 'duration':
+        return duration_text(value)
+    if spec.rstrip('0123456789') in QUANTITIES:
+        spec = '.3g'
+    return format(value, spec).replace('%', ' %')
+
+
+def _quantities_text(
+    quantities: Sequence[Estimate], digits: int, units: str, spelled: Callable[[str], str]
+) -> str:
+    """Return quantities of one kind as one text, such as '2 to 3 deg/h (1.5 to 4.1)'."""
+    known = [q.value for q in quantities if q.value is not None]
+    ends = [q.ci95 for q in quantities if q.ci95 is not None]
+    limits = [q.upper95 for q in quantities if q.upper95 is not None]
+    first, size = quantities[0], max(map(abs, known or limits), default=0.0)
+    unit = prefixed(shown_unit(first.axis, unit_term(first.name), units), size)
+    if first.name == 'signal' and unit.name == 'deg/h' and size * unit.factor >= FAST_DEG_H:
+        unit = shown_unit(first.axis, 'signal', units)
+
+    def text(value: float) -> str:
+        return significant(value * unit.factor, digits)
+
+    if not known:
+        return f'< {text(size)} {spelled(unit.name)}'
+    values = dict.fromkeys(text(value) for value in (min(known), max(known)))
+    interval = ''
+    if ends:
+        lowest, highest = min(low for low, _ in ends), max(high for _, high in ends)
+        interval = f' ({text(lowest)} to {text(highest)})'
+    return f'{" to ".join(values)} {spelled(unit.name)}{interval}'
+
+
+FAST_DEG_H = 36.0
+"""Angular rate in deg/h from which a signal is printed in deg/s."""
