@@ -38,7 +38,7 @@ class AllanCommand(Base):  # type: ignore[misc]
 
         width = max(map(len, (*VERBS, *NODE_VERBS)))
         lines = ['recordings and results:']
-        lines += [f'  {name:{width}}  {text}' for name, text in VERBS.items()]
+        lines += [f'  {name:{width}}  {verb.help}' for name, verb in VERBS.items()]
         lines += ['', 'running nodes:']
         lines += [f'  {name:{width}}  {text}' for name, text in NODE_VERBS.items()]
         lines += ['', 'Options of a verb: ros2 allan VERB --help']

@@ -23,7 +23,7 @@ from typing import Any
 import allan_ros
 from allan_ros.cli.console import OPTIONS
 from allan_ros.cli.main import EXITS, VERBS, command_of
-from allan_ros.cli.options import add_options
+from allan_ros.cli.options import declare
 from allan_ros.core.findings import CATALOG
 from allan_ros.core.settings import ParameterInfo, describe
 from allan_ros.nodes.settings import GROUPS
@@ -162,7 +162,7 @@ def _launch_rows() -> Iterator[str]:
 def cli_page() -> str:
     """Return the page of the command line's options."""
     common = argparse.ArgumentParser(add_help=False)
-    add_options(common, OPTIONS)
+    declare(common, OPTIONS)
     every = EVERY_VERB.format(
         options='\n'.join(_option_row(action) for action in common._actions),
         exits='\n'.join(f'| {code} | {what} |' for code, what in EXITS.items()),
@@ -175,7 +175,8 @@ def cli_page() -> str:
         if len(verbs) > 1
     )
     parts = [WRITTEN_BY, CLI_HEAD, every, f'{SHARED_HEAD}{shared}\n']
-    for verb, what in VERBS.items():
+    for verb, known in VERBS.items():
+        what = known.help
         own = '\n'.join(row for row in rows[verb] if len(users[row]) == 1)
         head = f'## `allan {verb}`\n\n{what[0].upper()}{what[1:]}.\n\n'
         parts.append(f'{head}| option | |\n|---|---|\n{own}\n')
@@ -184,7 +185,7 @@ def cli_page() -> str:
 
 def _option_rows(verb: str) -> list[str]:
     parser = argparse.ArgumentParser(prog=f'allan {verb}', add_help=False)
-    command_of(verb).declare(parser)
+    declare(parser, command_of(verb).options)
     return [_option_row(each) for each in parser._actions if each.help != argparse.SUPPRESS]
 
 

@@ -58,35 +58,57 @@ from .batch import (
     split_by_topic,
 )
 from .console import EXIT_ERROR, Console, colored, width
-from .options import Command, Settings, settings_of
+from .options import Command, Option, Settings, settings_of
 from .tables import findings_lines, results_lines
 
 EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
 """Exit codes that only this verb has."""
 
-FAIL_ON = f"""
---fail-on {{warning,error}}  exit with {EXIT_FAILED} at a finding of this severity, or if a limit of
-    the datasheet or the earlier run is exceeded
-"""
+FAIL_ON = (
+    Option(
+        ('--fail-on',),
+        f'exit with {EXIT_FAILED} at a finding of this severity, or if a limit of the datasheet '
+        'or the earlier run is exceeded',
+        '{warning,error}',
+        choices=('warning', 'error'),
+    ),
+)
 
-READ = (
-    """
-    --rate HZ [0]  sample rate, to check the stamps, or to replace missing stamps
-    --hardware-id TEXT []  serial number of the IMU; sums with different numbers are never added
-    """,
+READ: tuple[Option | Settings, ...] = (
+    Option(
+        ('--rate',),
+        'sample rate, to check the stamps, or to replace missing stamps',
+        'HZ',
+        parse=float,
+        default=0.0,
+    ),
+    Option(
+        ('--hardware-id',),
+        'serial number of the IMU; sums with different numbers are never added',
+        'TEXT',
+        default='',
+    ),
     Settings('data at rest', SegmenterSettings, ['declared_rate', 'motion_ratio', 'rate_limit']),
     Settings('reading', ReadOptions, ['rate_hz', 'trust_covariance']),
 )
 """Options for reading recordings and selecting the data at rest."""
 
-INPUTS = """
-inputs INPUT...  recording, earlier sums, or a folder of recordings
--o --output DIR  folder for the results and the report (default: none)
---overwrite  replace results of another recording in this folder
---jobs N [1]  read N recordings in parallel
---scheduler ADDRESS  read on the Dask cluster of this scheduler, for example tcp://host:8786; its
-    workers must see the same paths
-"""
+INPUTS = (
+    Option(('inputs',), 'recording, earlier sums, or a folder of recordings', 'INPUT', nargs='+'),
+    Option(
+        ('-o', '--output'),
+        'folder for the results and the report (default: none)',
+        'DIR',
+    ),
+    Option(('--overwrite',), 'replace results of another recording in this folder'),
+    Option(('--jobs',), 'read N recordings in parallel', 'N', parse=int, default=1),
+    Option(
+        ('--scheduler',),
+        'read on the Dask cluster of this scheduler, for example tcp://host:8786; its workers '
+        'must see the same paths',
+        'ADDRESS',
+    ),
+)
 
 RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
 """Suffixes of the recordings that `analyze` reads."""
@@ -251,7 +273,7 @@ def check(args: argparse.Namespace) -> int:
     return run_check([Unit(*unit) for unit in zip(units, jobs, short)], args)
 
 
-CHECK = """
+CHECK_TEXT = """
 Check IMUs for production tests and continuous integration: one line for each unit, the totals, and
 an exit code. A unit passes only if every limit is met and nothing makes it suspect.
 
@@ -266,41 +288,59 @@ with the datasheet of --sensor, and with the accepted earlier run of --baseline,
   allan check units --sensor my_imu.yaml --json > verdicts.jsonl
 """
 
-SERIAL_FROM = """
---serial-from RULE []  serial numbers of several units: name:PATTERN (a regular expression for the
-    file name, of which the first group is used), column:NAME (of a table), or metadata:KEY (custom
-    data of a rosbag2)
-"""
-
-CHECK_INPUTS = """
-inputs INPUT...  recording of one unit, its results, or a folder of units
---plan FILE []  test plan: a YAML file with limits of N, B, K, bias, rate ...
--o --output DIR []  folder for the results of each unit, summary.csv and index.html (default: none)
---overwrite  replace results of another recording in this folder
---jobs N [1]  check N units in parallel
-"""
-
-COMMANDS = {
-    'analyze': Command(
-        __doc__ or '',
-        [INPUTS, SERIAL_FROM, Settings('result', ResultSettings), FAIL_ON, *READ],
-        run,
-        EXITS,
+SERIAL_FROM = (
+    Option(
+        ('--serial-from',),
+        'serial numbers of several units: name:PATTERN (a regular expression for the file name, '
+        'of which the first group is used), column:NAME (of a table), or metadata:KEY (custom '
+        'data of a rosbag2)',
+        'RULE',
+        default='',
     ),
-    'check': Command(
-        CHECK,
-        [
-            *(CHECK_INPUTS, SERIAL_FROM),
-            Settings('result', ResultSettings, ['export', 'plots']),
-            *(FAIL_ON, *READ),
-        ],
-        check,
-        {
-            0: 'every unit meets every limit, and nothing makes it suspect',
-            EXIT_FAILED: 'a unit failed; of several units, the first of 70, 3, 1 and 4 that occurs '
-            'is the exit code',
-            EXIT_UNJUDGED: 'a unit is not judged because of the data: too few, a warning, or '
-            'nothing to compare with',
-        },
+)
+
+CHECK_INPUTS = (
+    Option(
+        ('inputs',), 'recording of one unit, its results, or a folder of units', 'INPUT', nargs='+'
     ),
-}
+    Option(
+        ('--plan',),
+        'test plan: a YAML file with limits of N, B, K, bias, rate ...',
+        'FILE',
+        default='',
+    ),
+    Option(
+        ('-o', '--output'),
+        'folder for the results of each unit, summary.csv and index.html (default: none)',
+        'DIR',
+        default='',
+    ),
+    Option(('--overwrite',), 'replace results of another recording in this folder'),
+    Option(('--jobs',), 'check N units in parallel', 'N', parse=int, default=1),
+)
+
+ANALYZE = Command(
+    __doc__ or '',
+    [*INPUTS, *SERIAL_FROM, Settings('result', ResultSettings), *FAIL_ON, *READ],
+    run,
+    EXITS,
+)
+
+CHECK = Command(
+    CHECK_TEXT,
+    [
+        *CHECK_INPUTS,
+        *SERIAL_FROM,
+        Settings('result', ResultSettings, ['export', 'plots']),
+        *FAIL_ON,
+        *READ,
+    ],
+    check,
+    {
+        0: 'every unit meets every limit, and nothing makes it suspect',
+        EXIT_FAILED: 'a unit failed; of several units, the first of 70, 3, 1 and 4 that occurs '
+        'is the exit code',
+        EXIT_UNJUDGED: 'a unit is not judged because of the data: too few, a warning, or '
+        'nothing to compare with',
+    },
+)

@@ -24,7 +24,7 @@ from ..results.common_noise import common_lines
 from ..results.comparison import comparison_document, inflation_document
 from ..view.settings import ResultSettings
 from .console import Console, width
-from .options import Command, Settings
+from .options import Command, Option, Settings, percent, seconds
 from .tables import comparison_lines
 
 SENSOR_PREFIX = 'sensor:'
@@ -91,7 +91,7 @@ def inflate(args: argparse.Namespace) -> int:
     return 0
 
 
-INFLATE = """
+INFLATE_TEXT = """
 Measure what running motors add to the noise of a robot at rest.
 
 REST is the robot at rest with its motors off, RUNNING the robot at rest with its motors on, each as
@@ -102,26 +102,54 @@ increase as a factor, and the ratio of the Allan deviations.
   allan inflate rest_bag motors_on_bag --json > inflation.json
 """
 
-COMPARE_OPTIONS = f"""
-inputs INPUT...  recording or its results, or sensor:NAME for a datasheet
---within PERCENT  also test whether the coefficients are the same up to this, such as 5%%
---common  separate the noise that IMUs on one body have in common (vibration) from the noise of
-    each; the inputs are recordings made at the same time, or a bag with several Imu topics
---topic TOPIC []  with --common: Imu topic, if a bag has several (default: all of them are IMUs)
---accel-topic TOPIC []  with --common: topic of the accelerometer, if the gyro has another topic
---fail-on-difference  exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a
-    datasheet is exceeded; with --within, if N is not shown to be the same, or another term differs
-"""
+COMPARE_OPTIONS = (
+    Option(
+        ('inputs',), 'recording or its results, or sensor:NAME for a datasheet', 'INPUT', nargs='+'
+    ),
+    Option(
+        ('--within',),
+        'also test whether the coefficients are the same up to this, such as 5%%',
+        'PERCENT',
+        parse=percent,
+    ),
+    Option(
+        ('--common',),
+        'separate the noise that IMUs on one body have in common (vibration) from the noise of '
+        'each; the inputs are recordings made at the same time, or a bag with several Imu topics',
+    ),
+    Option(
+        ('--topic',),
+        'with --common: Imu topic, if a bag has several (default: all of them are IMUs)',
+        'TOPIC',
+        default='',
+    ),
+    Option(
+        ('--accel-topic',),
+        'with --common: topic of the accelerometer, if the gyro has another topic',
+        'TOPIC',
+        default='',
+    ),
+    Option(
+        ('--fail-on-difference',),
+        f'exit with {EXIT_DIFFERENT} if a difference is significant, or a limit of a datasheet is '
+        'exceeded; with --within, if N is not shown to be the same, or another term differs',
+    ),
+)
 
-INFLATE_OPTIONS = """
-rest REST  the robot at rest, motors off
-running RUNNING  the robot at rest, motors on
---horizon SECONDS [30]  longest time that the filter integrates without correction
-"""
+INFLATE_OPTIONS = (
+    Option(('rest',), 'the robot at rest, motors off', 'REST'),
+    Option(('running',), 'the robot at rest, motors on', 'RUNNING'),
+    Option(
+        ('--horizon',),
+        'longest time that the filter integrates without correction',
+        'SECONDS',
+        parse=seconds,
+        default=30.0,
+    ),
+)
 
 RESULT = Settings('result', ResultSettings, ['sensor', 'baseline', 'export', 'plots'])
 
-COMMANDS = {
-    'compare': Command(__doc__ or '', [COMPARE_OPTIONS, RESULT], run, EXITS),
-    'inflate': Command(INFLATE, [INFLATE_OPTIONS], inflate),
-}
+COMPARE = Command(__doc__ or '', [*COMPARE_OPTIONS, RESULT], run, EXITS)
+
+INFLATE = Command(INFLATE_TEXT, INFLATE_OPTIONS, inflate)

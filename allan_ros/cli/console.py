@@ -18,6 +18,7 @@ from typing import Any, TextIO
 
 from .. import __version__
 from ..core.errors import one_line
+from .options import Group, Option
 
 EXIT_ERROR, EXIT_FAULT = 1, 70
 """Exit codes: an error that the user can fix, and a bug."""
@@ -77,12 +78,24 @@ NARROWEST = 40
 SEVERITY_COLORS = {'info': '36', 'warning': '33', 'error': '31'}
 """ANSI colors (ECMA-48) of the severity of a finding: cyan, yellow, red."""
 
-OPTIONS = """
-terminal:
-  --json  print one JSON document to stdout; messages go to stderr
-  | -q --quiet  print errors only; print the result only if it is not written to files
-  | -v --verbose  print every finding with its remedy
-"""
+OPTIONS: tuple[Group, ...] = (
+    Group(
+        'terminal',
+        (
+            Option(('--json',), 'print one JSON document to stdout; messages go to stderr'),
+            Option(
+                ('-q', '--quiet'),
+                'print errors only; print the result only if it is not written to files',
+                exclusive=True,
+            ),
+            Option(
+                ('-v', '--verbose'),
+                'print every finding with its remedy',
+                exclusive=True,
+            ),
+        ),
+    ),
+)
 """Options of every verb."""
 
 

@@ -30,7 +30,7 @@ from ..results.measured import measured_entry, measured_lines
 from ..results.plan import plan_text
 from ..view.finding_text import finding_document, finding_line
 from .console import Console, width, wrapped
-from .options import Command, Settings, settings_of
+from .options import Command, Option, Settings, settings_of
 
 
 def run(args: argparse.Namespace) -> int:
@@ -187,7 +187,7 @@ def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
         yield from wrapped(f'{key}: {"; ".join(filter(None, parts))}', columns, '  ')
 
 
-SENSORS = """
+SENSORS_TEXT = """
 List the IMU datasheets that are known, or show one of them.
 
 A name refers to a file of the package or to your own file in ~/.config/allan_ros/sensors; anything
@@ -200,23 +200,46 @@ that ends in .yaml is a path.
   allan analyze my_bag --sensor icm-42688-p
 """
 
-EXPORT_OPTIONS = """
-results RESULTS?  results.json, or its folder
---sensor NAME  the noise of this datasheet (allan sensors) instead of results; it is not measured
---to TARGET []  filter or simulator that reads the file (--list)
---list  list the targets, one per line
--o --output FILE  file to write (default: standard output)
---against EXISTING  your own file for TARGET: print the drift that a filter expects with it after 1,
-    10 and 60 s, and the measured drift, and write nothing
-"""
+EXPORT_OPTIONS = (
+    Option(('results',), 'results.json, or its folder', 'RESULTS', nargs='?'),
+    Option(
+        ('--sensor',),
+        'the noise of this datasheet (allan sensors) instead of results; it is not measured',
+        'NAME',
+    ),
+    Option(('--to',), 'filter or simulator that reads the file (--list)', 'TARGET', default=''),
+    Option(('--list',), 'list the targets, one per line'),
+    Option(
+        ('-o', '--output'),
+        'file to write (default: standard output)',
+        'FILE',
+    ),
+    Option(
+        ('--against',),
+        'your own file for TARGET: print the drift that a filter expects with it after 1, 10 and '
+        '60 s, and the measured drift, and write nothing',
+        'EXISTING',
+    ),
+)
 
-SENSOR_OPTIONS = """
-name NAME?  sensor to show with its sources and measured values (default: list all)
---from RESULTS  results.json or its folder: print an entry "measured" for the file of a sensor
---as-plan  print a test plan with the limits of the datasheet, for `allan check --plan`
-"""
+SENSOR_OPTIONS = (
+    Option(
+        ('name',),
+        'sensor to show with its sources and measured values (default: list all)',
+        'NAME',
+        nargs='?',
+    ),
+    Option(
+        ('--from',),
+        'results.json or its folder: print an entry "measured" for the file of a sensor',
+        'RESULTS',
+    ),
+    Option(
+        ('--as-plan',),
+        'print a test plan with the limits of the datasheet, for `allan check --plan`',
+    ),
+)
 
-COMMANDS = {
-    'export': Command(__doc__ or '', [EXPORT_OPTIONS, Settings('numbers', ExportOptions)], run),
-    'sensors': Command(SENSORS, [SENSOR_OPTIONS], sensors),
-}
+EXPORT = Command(__doc__ or '', [*EXPORT_OPTIONS, Settings('numbers', ExportOptions)], run)
+
+SENSORS = Command(SENSORS_TEXT, SENSOR_OPTIONS, sensors)

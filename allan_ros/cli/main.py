@@ -16,29 +16,47 @@ import signal
 import sys
 import textwrap
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from .. import __version__, keep_to_one_thread
 from ..core.errors import AllanError
 from .console import EXIT_ERROR, EXIT_FAULT, OPTIONS, fault_text
-from .options import Command, add_options
+from .options import Command, declare
 
 HELP_COLUMN = 26
 """Column at which the help texts of options begin."""
 
-VERBS = {
-    'analyze': 'compute coefficients, curves, plots and a report from recordings',
-    'check': 'check IMUs: one line for each, and an exit code',
-    'compare': 'list significant differences between recordings, or from a datasheet',
-    'sensors': 'list the known datasheets of IMUs, or show one with its sources',
-    'export': 'write the measured noise to a file for a filter or simulator',
-    'inflate': 'measure how much running motors raise the noise of a robot at rest',
-    'simulate': 'write a recording of an IMU with known noise',
-}
-"""Verb -> description."""
 
-MODULES = {'check': 'analyze', 'inflate': 'compare', 'sensors': 'export'}
-"""Verb -> its module in this package, if the module has another name."""
+class Verb(NamedTuple):
+    """Where the command of a verb is defined, and what it does."""
+
+    module: str  # in this package
+    command: str  # name of the `Command` in the module
+    help: str
+
+
+VERBS = {
+    'analyze': Verb(
+        'analyze', 'ANALYZE', 'compute coefficients, curves, plots and a report from recordings'
+    ),
+    'check': Verb('analyze', 'CHECK', 'check IMUs: one line for each, and an exit code'),
+    'compare': Verb(
+        'compare',
+        'COMPARE',
+        'list significant differences between recordings, or from a datasheet',
+    ),
+    'sensors': Verb(
+        'export', 'SENSORS', 'list the known datasheets of IMUs, or show one with its sources'
+    ),
+    'export': Verb(
+        'export', 'EXPORT', 'write the measured noise to a file for a filter or simulator'
+    ),
+    'inflate': Verb(
+        'compare', 'INFLATE', 'measure how much running motors raise the noise of a robot at rest'
+    ),
+    'simulate': Verb('simulate', 'SIMULATE', 'write a recording of an IMU with known noise'),
+}
+"""Verb -> its command."""
 
 DESCRIPTION = """
 Measure the noise of an IMU by its Allan variance.
@@ -135,22 +153,21 @@ def build_parser(verb: str = '') -> AllanParser:
         version=f'allan_ros {__version__}',
         help='show the version and exit',
     )
-    for name, what in VERBS.items():
-        sub = verbs.add_parser(name, help=what)
+    for name, known in VERBS.items():
+        sub = verbs.add_parser(name, help=known.help)
         if name == verb:
             command = command_of(name)
             sub.description = command.description
             sub.epilog = _exits_text({**EXITS, **command.exits})
-            command.declare(sub)
-            add_options(sub, OPTIONS)
+            declare(sub, (*command.options, *OPTIONS))
             sub.shorten_usage()
     return parser
 
 
 def command_of(verb: str) -> Command:
     """Import the module of a verb, and return its command."""
-    module = importlib.import_module(f'.{MODULES.get(verb, verb)}', __package__)
-    command: Command = module.COMMANDS[verb]
+    module = importlib.import_module(f'.{VERBS[verb].module}', __package__)
+    command: Command = getattr(module, VERBS[verb].command)
     return command
 
 

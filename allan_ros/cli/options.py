@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import inspect
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple, TypeVar
@@ -24,26 +22,75 @@ class Settings(NamedTuple):
     without: Collection[str] = ()  # fields that get no option
 
 
+class Option(NamedTuple):
+    """One option, or an argument if its name does not begin with a dash."""
+
+    names: tuple[str, ...]
+    help: str
+    value: str = ''  # placeholder of the value; '' for a switch
+    parse: Callable[[str], Any] = str
+    default: Any = None
+    choices: tuple[str, ...] | None = None
+    nargs: str | None = None  # of an argument: '+' for several values, '?' if it is optional
+    exclusive: bool = False  # whether it excludes the other exclusive options of its group
+
+
+class Group(NamedTuple):
+    """Options below one heading in the help."""
+
+    title: str
+    options: tuple[Option, ...]
+
+
+Declared = Sequence[Option | Group | Settings]
+
+
 @dataclass(frozen=True)
 class Command:
     """One verb of the command line."""
 
     description: str  # the first part of its help text, with examples
-    options: Sequence[str | Settings]  # texts for `add_options`, or settings classes
+    options: Declared
     run: Callable[[argparse.Namespace], int]  # does the work and returns the exit code
     # exit codes in addition to the common ones
     exits: Mapping[int, str] = field(default_factory=dict)
 
-    def declare(self, parser: argparse.ArgumentParser) -> None:
-        """Add the options to the parser of the verb."""
-        for options in self.options:
-            if isinstance(options, str):
-                add_options(parser, options)
-            else:
-                add_settings(parser, *options)
+
+def declare(parser: argparse.ArgumentParser, options: Declared) -> None:
+    """Add options to a parser."""
+    for one in options:
+        if isinstance(one, Settings):
+            add_settings(parser, *one)
+        elif isinstance(one, Group):
+            group = parser.add_argument_group(one.title)
+            exclusive = group.add_mutually_exclusive_group()
+            for each in one.options:
+                _add(exclusive if each.exclusive else group, each)
+        else:
+            _add(parser, one)
 
 
-def _terms(text: str) -> dict[str, float]:
+def _add(parser: argparse._ActionsContainer, option: Option) -> None:
+    if not option.value:
+        parser.add_argument(*option.names, action='store_true', help=option.help)
+        return
+    given: dict[str, Any] = {} if option.nargs is None else {'nargs': option.nargs}
+    shown = ''
+    if option.default:
+        number = isinstance(option.default, (int, float))
+        shown = f' (default {f"{option.default:.12g}" if number else option.default})'
+    parser.add_argument(
+        *option.names,
+        metavar=option.value,
+        type=option.parse,
+        default=option.default,
+        choices=option.choices,
+        help=option.help + shown,
+        **given,
+    )
+
+
+def terms(text: str) -> dict[str, float]:
     """Parse ``N=0.3,B=7`` to term -> number."""
     try:
         pairs = [part.split('=') for part in text.split(',')]
@@ -52,7 +99,7 @@ def _terms(text: str) -> dict[str, float]:
         raise argparse.ArgumentTypeError(f'{text!r}: write terms as N=0.3,B=7') from None
 
 
-def _percent(text: str) -> float:
+def percent(text: str) -> float:
     """Parse ``5%`` or ``0.05`` to the fraction 0.05; a number above 1 needs the sign."""
     number, sign, rest = text.partition('%')
     try:
@@ -68,7 +115,7 @@ TIME_UNITS = {'': 1.0, 's': 1.0, 'm': 60.0, 'min': 60.0, 'h': 3600.0, 'd': 86400
 """Unit of a time on the command line -> s."""
 
 
-def _seconds(text: str) -> float:
+def seconds(text: str) -> float:
     """Parse ``300``, ``300s``, ``5min`` or ``2h`` to s."""
     number = text.rstrip('smindh')
     try:
@@ -77,60 +124,6 @@ def _seconds(text: str) -> float:
         raise argparse.ArgumentTypeError(
             f'{text!r}: write a time in seconds, or with a unit: 300, 5min, 2h'
         ) from None
-
-
-TYPES: dict[str, Callable[[str], Any]] = {
-    **dict.fromkeys(('HZ', 'HOURS'), float),
-    'SECONDS': _seconds,
-    'PERCENT': _percent,
-    'N': int,
-    'N=..,B=..': _terms,
-}
-"""Placeholder of an option in `add_options` -> function that parses its value; others are text."""
-
-
-def add_options(parser: argparse.ArgumentParser, text: str) -> None:
-    """Add the options that a text declares to a parser.
-
-    Each line declares one option: its names, the placeholder of its value, and after two spaces the
-    help, which continues on lines with deeper indentation. A positional argument has its name
-    before the placeholder. ``...`` permits several values of an argument, ``?`` makes it optional.
-    A line that ends with a colon begins a group. Options with ``|`` are mutually exclusive.
-
-        inputs INPUT...             an argument
-        group:
-          | -q --quiet              a switch
-          | --level {low,high}      one of several words
-          --rate HZ [100]           a number, and its default
-    """
-    group: Any = parser
-    exclusive: Any = None
-    for item in re.sub(r'\n {4,}', ' ', inspect.cleandoc(text)).splitlines():
-        if item.endswith(':'):
-            group, exclusive = parser.add_argument_group(item[:-1]), None
-            continue
-        head, _, words = item.strip().partition('  ')
-        names = [word for word in head.split() if word.startswith('-')]
-        mark, *rest = ['', *(word for word in head.split() if word not in names)]
-        if rest and rest[0] == '|':
-            mark, *rest = rest
-            exclusive = exclusive or group.add_mutually_exclusive_group()
-        given: dict[str, Any] = {'help': words.strip()}
-        positional = [] if names else [rest.pop(0)]
-        if not rest:
-            given['action'] = 'store_true'
-        else:
-            word = rest[0].removesuffix('...').removesuffix('?')
-            given.update(metavar=word, type=TYPES.get(word, str))
-            if word.startswith('{'):
-                given['choices'] = word[1:-1].split(',')
-            if positional:
-                given['nargs'] = {'...': '+', '?': '?'}.get(rest[0][len(word) :])
-        if rest[1:]:
-            default = rest[1][1:-1]
-            given['default'] = given['type'](default)
-            given['help'] += f' (default {default})' if default not in ('', '0') else ''
-        (exclusive if mark else group).add_argument(*names, *positional, **given)
 
 
 def add_settings(
@@ -197,10 +190,10 @@ def _parser_of(info: ParameterInfo, default: object) -> Callable[[str], Any]:
     if isinstance(default, tuple):
         return _words
     if info.auto:
-        return lambda text: AUTO if text == 'auto' else _seconds(text)
+        return lambda text: AUTO if text == 'auto' else seconds(text)
     if info.percent:
-        return _percent
-    return _seconds if info.unit == 's' else type(default)
+        return percent
+    return seconds if info.unit == 's' else type(default)
 
 
 def _words(text: str) -> tuple[str, ...]:

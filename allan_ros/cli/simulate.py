@@ -28,7 +28,7 @@ from ..core.errors import one_line
 from ..core.imu import AXES, HOUR, NANOSECONDS, SENSORS
 from ..core.simulate import PRESETS, Faults, samples_in, simulate_imu
 from .console import Console
-from .options import Command
+from .options import Command, Group, Option, seconds, terms
 
 if TYPE_CHECKING:
     from ..core.imu import ImuBatch
@@ -39,26 +39,58 @@ NOISES = {
 }
 """Option for noise terms -> axes to which they apply, as text."""
 
-NOISE_OPTIONS = '\n  '.join(
-    f'--{name.replace("_", "-")} N=..,B=..  noise terms of {what}' for name, what in NOISES.items()
+OPTIONS = (
+    Option(('output',), 'recording to write', 'OUT'),
+    Group(
+        'noise',
+        (
+            Option(
+                ('--preset',),
+                'noise of a known IMU; paper: ADIS16475-3',
+                f'{{{",".join(PRESETS)}}}',
+                choices=tuple(PRESETS),
+                exclusive=True,
+            ),
+            Option(
+                ('--sensor',),
+                'N and B at the limits of this datasheet; a name of `allan sensors`, or a file',
+                'NAME',
+                exclusive=True,
+            ),
+            *(
+                Option(
+                    (f'--{name.replace("_", "-")}',), f'noise terms of {what}', 'N=..,B=..', terms
+                )
+                for name, what in NOISES.items()
+            ),
+            Option(
+                ('--spec',),
+                'YAML file of noise terms and faults, or the truth file of an earlier simulation',
+                'FILE',
+            ),
+        ),
+    ),
+    Group(
+        'recording',
+        (
+            Option(('--hours',), 'length in hours', 'HOURS', parse=float, default=2.0),
+            Option(('--rate',), 'samples per second', 'HZ', parse=float, default=100.0),
+            Option(
+                ('--seed',), 'seed of the random numbers (default 0)', 'N', parse=int, default=0
+            ),
+            Option(
+                ('--start',),
+                'first stamp in Unix time, by default 2020-01-01',
+                'SECONDS',
+                parse=seconds,
+                default=1577836800.0,
+            ),
+            Option(('--frame-id',), 'frame_id of the messages', 'TEXT', default='imu_link'),
+            Option(('--topic',), 'topic of a bag', 'TEXT', default='/imu/data'),
+            Option(('--overwrite',), 'replace an existing recording'),
+        ),
+    ),
 )
-
-OPTIONS = f"""
-output OUT  recording to write
-noise:
-  | --preset {{{','.join(PRESETS)}}}  noise of a known IMU; paper: ADIS16475-3
-  | --sensor NAME  N and B at the limits of this datasheet; a name of `allan sensors`, or a file
-  {NOISE_OPTIONS}
-  --spec FILE  YAML file of noise terms and faults, or the truth file of an earlier simulation
-recording:
-  --hours HOURS [2]  length in hours
-  --rate HZ [100]  samples per second
-  --seed N [0]  seed of the random numbers (default 0)
-  --start SECONDS [1577836800]  first stamp in Unix time, by default 2020-01-01
-  --frame-id TEXT [imu_link]  frame_id of the messages
-  --topic TEXT [/imu/data]  topic of a bag
-  --overwrite  replace an existing recording
-"""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -116,6 +148,4 @@ def _tracked(batches: Iterator[ImuBatch], samples: int, console: Console) -> Ite
             progress.advance(len(batch))
 
 
-COMMANDS = {
-    'simulate': Command(__doc__ or '', [OPTIONS], run),
-}
+SIMULATE = Command(__doc__ or '', OPTIONS, run)

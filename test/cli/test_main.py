@@ -58,7 +58,7 @@ def test_the_version_and_every_verb_are_named(capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out == f'allan_ros {allan_ros.__version__}\n'
     assert exit_code(['--help']) == 0
     said = ' '.join(capsys.readouterr().out.split())
-    assert all(f'{verb} {what}' in said for verb, what in VERBS.items())
+    assert all(f'{verb} {known.help}' in said for verb, known in VERBS.items())
     assert all(what in said for what in EXITS.values())
 
 
@@ -116,9 +116,7 @@ def test_errors_give_one_line_and_no_traceback(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setitem(
-        analyze.COMMANDS, 'check', replace(analyze.COMMANDS['check'], run=fails(error))
-    )
+    monkeypatch.setattr(analyze, 'CHECK', replace(analyze.CHECK, run=fails(error)))
     assert main(['check', 'x', '--verbose']) == code
     line = capsys.readouterr().err.strip()
     assert line.startswith('allan check: ') and said in line and '\n' not in line

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import pytest
 
 from allan_ros.cli.main import build_parser
-from allan_ros.cli.options import add_options, add_settings, settings_of
+from allan_ros.cli.options import Group, Option, add_settings, declare, settings_of
 from allan_ros.core.errors import AllanError
 from allan_ros.core.settings import CheckedSettings, SegmenterSettings, parameter
 
@@ -57,20 +57,23 @@ def test_a_list_of_columns_may_begin_with_a_dash() -> None:
     assert (args.inputs, args.output) == (['a.csv'], 'out')
 
 
-TEXT = """
-inputs INPUT...  one or several
-group:
-  | -q --quiet  a switch of
-    two lines
-  | --level {low,high}  a word
-  --rate HZ [100]  a number
-  --to TARGET []  a text
-"""
+DECLARED = (
+    Option(('inputs',), 'one or several', 'INPUT', nargs='+'),
+    Group(
+        'group',
+        (
+            Option(('-q', '--quiet'), 'a switch', exclusive=True),
+            Option(('--level',), 'a word', 'LEVEL', choices=('low', 'high'), exclusive=True),
+            Option(('--rate',), 'a number', 'HZ', float, 100.0),
+            Option(('--to',), 'a text', 'TARGET', default=''),
+        ),
+    ),
+)
 
 
-def test_options_are_read_from_a_text() -> None:
+def test_options_and_groups_are_declared() -> None:
     parser = argparse.ArgumentParser()
-    add_options(parser, TEXT)
+    declare(parser, DECLARED)
     none = argparse.Namespace(inputs=['a'], quiet=False, level=None, rate=100.0, to='')
     assert parser.parse_args(['a']) == none
     words = ['a', 'b', '--level=low', '--rate=2', '--to=z']
@@ -80,7 +83,7 @@ def test_options_are_read_from_a_text() -> None:
         with pytest.raises(SystemExit):
             parser.parse_args(['a', *wrong])
     said = ' '.join(parser.format_help().split())
-    assert 'a switch of two lines' in said and 'a number (default 100)' in said
+    assert 'group: -q' in said and 'a number (default 100)' in said and 'a text (' not in said
 
 
 @pytest.mark.parametrize(
