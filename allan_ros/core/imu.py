@@ -37,11 +37,14 @@ MAX_NAME = 1000
 class ImuBatch:
     """Consecutive samples of an IMU, in the order received.
 
+    A reader yields batches of six axes. `SampleClock` and the stages after it make batches of some
+    axes that are evenly spaced.
+
     Attributes
     ----------
     stamps_ns : (n,) int64 array
-        Header stamps in nanoseconds. They may repeat, go back or be 0.
-    samples : (n, 6) float64 array
+        Stamps in nanoseconds. The header stamps may repeat, go back or be 0.
+    samples : (n, axes) float64 array
         Angular rate in rad/s and specific force in m/s^2, in the order of `AXES`. NaN where a
         sensor is absent (covariance[0] is -1) or a value is not a number.
     record_ns : (n,) int64 array or None
@@ -49,16 +52,23 @@ class ImuBatch:
         unusable. None if the source has no such time.
     frame_id : str
         ``header.frame_id`` of all samples of this batch; '' if the source has none.
+    cut : str
+        '' if the batch directly follows the previous one, else the reason for the gap between them.
+    filled : (axes, n) int32 array or None
+        0 for measured values, else the level of the stretch (see `allan.replaced`) in which a value
+        was replaced; None if all are measured.
     """
 
     stamps_ns: NDArray[np.int64]
     samples: NDArray[np.float64]
     record_ns: NDArray[np.int64] | None = None
     frame_id: str = ''
+    cut: str = ''
+    filled: Ints | None = None
 
     def __post_init__(self) -> None:
         n = len(self.stamps_ns)
-        if self.samples.shape != (n, len(AXES)):
+        if self.samples.ndim != 2 or len(self.samples) != n or self.samples.shape[1] > len(AXES):
             raise AllanError(
                 f'a batch of {n} stamps needs samples of shape ({n}, {len(AXES)}), '
                 f'got {self.samples.shape}: pass one row of six axes per stamp'
@@ -76,80 +86,69 @@ class ImuBatch:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def __getitem__(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> ImuBatch:
-        """Return some of the samples as a batch (views for a slice, else copies)."""
-        record = None if self.record_ns is None else self.record_ns[rows]
-        return ImuBatch(self.stamps_ns[rows], self.samples[rows], record, self.frame_id)
-
-
-def joined(batches: Sequence[ImuBatch]) -> ImuBatch:
-    """Concatenate batches; the result has the frame_id of the last one.
-
-    Its record times are None unless all batches have record times.
-    """
-    records = [batch.record_ns for batch in batches if batch.record_ns is not None]
-    return ImuBatch(
-        np.concatenate([batch.stamps_ns for batch in batches]),
-        np.concatenate([batch.samples for batch in batches]),
-        np.concatenate(records) if len(records) == len(batches) else None,
-        batches[-1].frame_id,
-    )
-
-
-@dataclass(frozen=True)
-class Block:
-    """Samples: stamps in ns, (n,), and values, (axes, n).
-
-    The blocks of `SampleClock` and of later stages are evenly spaced. ``cut`` is '' if the block
-    directly follows the previous one, else the reason for the gap between them. ``filled``, (axes,
-    n), is 0 for measured values, and the level of the stretch for replaced ones (see
-    `allan.replaced`); None if all are measured.
-    """
-
-    stamps: Stamps
-    rows: Floats
-    cut: str = ''
-    filled: Ints | None = None
-
-    def __len__(self) -> int:
-        return len(self.stamps)
-
     @classmethod
-    def empty(cls, axes: int) -> Block:
-        """Return a block without samples."""
-        return cls(np.empty(0, np.int64), np.empty((axes, 0)))
+    def of_rows(
+        cls, stamps_ns: Stamps, rows: Floats, cut: str = '', filled: Ints | None = None
+    ) -> ImuBatch:
+        """Return a batch with the samples of each axis in one row, (axes, n), which are not copied.
 
-    def part(self, which: slice | Flags, cut: str = '') -> Block:
-        """Return some samples (views for a slice); ``cut`` is the reason for a gap before them."""
-        filled = None if self.filled is None else self.filled[:, which]
-        return Block(self.stamps[which], self.rows[:, which], cut, filled)
-
-    def copy(self) -> Block:
-        """Return a block that shares no memory with this one, with contiguous rows."""
-        filled = None if self.filled is None else self.filled.copy()
-        return Block(self.stamps.copy(), self.rows.copy(), self.cut, filled)
-
-    @classmethod
-    def joined(cls, parts: list[Block], copy: bool = False) -> Block:
-        """Concatenate consecutive blocks, at least one; the result has the ``cut`` of the first.
-
-        A single block that has samples is returned itself, or as a copy if ``copy`` is set.
+        >>> import numpy as np
+        >>> ImuBatch.of_rows(np.arange(3), np.zeros((6, 3))).samples.shape
+        (3, 6)
         """
-        parts = [part for part in parts if len(part)] or parts[:1]
-        if len(parts) == 1:
-            return parts[0].copy() if copy else parts[0]
-        filled = None
-        if any(part.filled is not None for part in parts):
-            none = [
-                np.zeros(p.rows.shape, np.int32) if p.filled is None else p.filled for p in parts
-            ]
-            filled = np.concatenate(none, axis=1)
-        return cls(
-            np.concatenate([part.stamps for part in parts]),
-            np.concatenate([part.rows for part in parts], axis=1),
-            parts[0].cut,
-            filled,
-        )
+        return cls(stamps_ns, rows.T, None, '', cut, filled)
+
+    @classmethod
+    def empty(cls, axes: int) -> ImuBatch:
+        """Return a batch without samples."""
+        return cls(np.empty(0, np.int64), np.empty((0, axes)))
+
+    @property
+    def rows(self) -> Floats:
+        """The samples of each axis in one row, (axes, n): a view."""
+        return self.samples.T
+
+    def __getitem__(self, which: slice | NDArray[np.intp] | Flags) -> ImuBatch:
+        """Return some of the samples as a batch (views for a slice, else copies), without a cut."""
+        return self.part(which)
+
+    def part(self, which: slice | NDArray[np.intp] | Flags, cut: str = '') -> ImuBatch:
+        """Return some samples (views for a slice); ``cut`` is the reason for a gap before them."""
+        record = None if self.record_ns is None else self.record_ns[which]
+        filled = None if self.filled is None else self.filled[:, which]
+        rows = self.samples.T[:, which]  # keeps the samples of an axis together
+        return ImuBatch(self.stamps_ns[which], rows.T, record, self.frame_id, cut, filled)
+
+    def copy(self) -> ImuBatch:
+        """Return a batch that shares no memory with this one; each axis is contiguous."""
+        return joined([self], copy=True)
+
+
+def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
+    """Concatenate consecutive batches, at least one; each axis of the result is contiguous.
+
+    The result has the ``cut`` of the first batch and the frame_id of the last one. Its record times
+    are None unless all batches have record times. If only one batch has samples, it is returned
+    itself, or as a copy if ``copy`` is set.
+    """
+    parts = [part for part in batches if len(part)] or list(batches[:1])
+    if len(parts) == 1 and not copy:
+        return parts[0]
+    records = [part.record_ns for part in parts if part.record_ns is not None]
+    filled = None
+    if any(part.filled is not None for part in parts):
+        none = [np.zeros(p.rows.shape, np.int32) if p.filled is None else p.filled for p in parts]
+        filled = np.concatenate(none, axis=1)
+    rows = np.empty((parts[0].samples.shape[1], sum(map(len, parts))))
+    np.concatenate([part.rows for part in parts], axis=1, out=rows)
+    return ImuBatch(
+        np.concatenate([part.stamps_ns for part in parts]),
+        rows.T,
+        np.concatenate(records) if len(records) == len(parts) else None,
+        parts[-1].frame_id,
+        parts[0].cut,
+        filled,
+    )
 
 
 DEGREE = math.pi / 180.0

@@ -18,7 +18,6 @@ from ..imu import (
     LARGEST,
     NANOSECONDS,
     STAMP_UNITS,
-    Block,
     Flags,
     Floats,
     ImuBatch,
@@ -87,7 +86,8 @@ class StampChoice:
         equal = 'all equal' if len(stamps) < 2 or stamps.min() == stamps.max() else 'mostly equal'
         what = equal if stamps.any() else 'all zero'
         if len(stamps) < 2 or has_time(np.sort(stamps)):
-            backward = np.diff(StampSorter.all_sorted(Block(stamps, first.samples.T)).stamps) < 0
+            ordered = StampSorter.all_sorted(ImuBatch(stamps, first.samples)).stamps_ns
+            backward = np.diff(ordered) < 0
             if np.count_nonzero(backward) <= DISORDERED_SHARE * len(stamps):
                 unit = unit_of_stamps(stamps)
                 self._unit = STAMP_UNITS[unit]
@@ -101,7 +101,7 @@ class StampChoice:
             return [finding('stamps_from_rate', what=what, rate=self._rate)]
         return [finding('stamps_missing', what=what)]
 
-    def of(self, batch: ImuBatch) -> Block:
+    def of(self, batch: ImuBatch) -> ImuBatch:
         """Return the next samples with the chosen stamps."""
         stamps = batch.stamps_ns
         if self.use_record and batch.record_ns is not None:
@@ -113,7 +113,7 @@ class StampChoice:
             stamps = np.zeros_like(stamps)  # `SampleClock` counts them as untimed
         elif self._unit > 1:
             stamps = stamps * self._unit
-        return Block(stamps, batch.samples.T)
+        return ImuBatch(stamps, batch.samples)
 
 
 class StampSorter:
@@ -131,28 +131,28 @@ class StampSorter:
         ordered = np.sort(stamps)
         # largest delay that is sorted
         self._longest_ns = np.median(ordered[places:] - ordered[:-places]) if places > 0 else 0.0
-        self._pending = Block.empty(len(AXES))
+        self._pending = ImuBatch.empty(len(AXES))
         self._latest: int | None = None  # the last stamp that was returned
 
-    def feed(self, samples: Block) -> Block:
+    def feed(self, samples: ImuBatch) -> ImuBatch:
         """Add samples of the six axes, and return all samples whose place is known."""
         # a new array, which is sorted in place
-        self._pending = Block.joined([self._pending, samples], copy=True)
+        self._pending = joined([self._pending, samples], copy=True)
         return self._take((len(self._pending) // REORDER - 1) * REORDER)
 
-    def flush(self) -> Block:
+    def flush(self) -> ImuBatch:
         """Return the buffered samples at the end of the input."""
         return self._take(len(self._pending))
 
     @classmethod
-    def all_sorted(cls, samples: Block) -> Block:
+    def all_sorted(cls, samples: ImuBatch) -> ImuBatch:
         """Return complete data sorted in the same way."""
-        sorter = cls(samples.stamps)
-        return Block.joined([sorter.feed(samples), sorter.flush()])
+        sorter = cls(samples.stamps_ns)
+        return joined([sorter.feed(samples), sorter.flush()])
 
-    def _take(self, number: int) -> Block:
+    def _take(self, number: int) -> ImuBatch:
         """Return the first buffered samples, sorted."""
-        stamps, rows = self._pending.stamps, self._pending.rows
+        stamps, rows = self._pending.stamps_ns, self._pending.rows
         if number < 1:
             return self._pending.part(slice(0))
         latest = int(stamps[0]) if self._latest is None else self._latest
@@ -192,10 +192,10 @@ class SampleFilter:
         self._needed = BACKWARD_RUN
         self._position = self._last_jump = 0  # number of samples
 
-    def feed(self, samples: Block) -> Block:
+    def feed(self, samples: ImuBatch) -> ImuBatch:
         """Return the samples to keep of the next ones of the six-axis stream."""
         if len(self._axes) < len(AXES):
-            samples = Block(samples.stamps, samples.rows[self._axes])
+            samples = ImuBatch.of_rows(samples.stamps_ns, samples.rows[self._axes])
         if self._drop == 'zero':
             samples = samples.part(np.asarray(samples.rows.any(axis=0)))
         elif self._drop and len(samples):
@@ -210,19 +210,19 @@ class SampleFilter:
             samples = samples.part(finite)
         if not len(samples):
             return samples
-        stamps, number = samples.stamps, len(samples)
+        stamps, number = samples.stamps_ns, len(samples)
         last = int(stamps[-1]), samples.rows[:, -1].copy()
         latest = stamps[0] - 1 if self._latest is None else self._latest
         if stamps[0] <= latest or (stamps[1:] <= stamps[:-1]).any() or self._backward:
             samples = samples.part(self._select(samples))
         self._last, self._position = last, self._position + number
         if len(samples):
-            self._latest = int(samples.stamps[-1])
+            self._latest = int(samples.stamps_ns[-1])
         return samples
 
-    def _select(self, samples: Block) -> Flags:
+    def _select(self, samples: ImuBatch) -> Flags:
         """Return which of the samples to keep, (n,), if the stamps may repeat or decrease."""
-        stamps, rows = samples.stamps, samples.rows
+        stamps, rows = samples.stamps_ns, samples.rows
         stamp, row = self._last
         equal = (rows == np.column_stack([row, rows[:, :-1]])).all(axis=0)
         duplicate = equal & (np.diff(stamps, prepend=stamp) == 0)
@@ -260,25 +260,25 @@ class RepeatFilter:
 
     def __init__(self, groups: list[list[int]], axes: int) -> None:
         self._groups = groups
-        self._empty = self._samples = Block.empty(axes)
+        self._empty = self._samples = ImuBatch.empty(axes)
         self._past = 0  # number of samples that were already returned
 
-    def feed(self, blocks: list[Block]) -> list[Block]:
+    def feed(self, blocks: list[ImuBatch]) -> list[ImuBatch]:
         """Add blocks, and return the samples whose interpolation is complete."""
-        out: list[Block] = []
+        out: list[ImuBatch] = []
         for block in filter(len, blocks):
             out += self.flush() if block.cut else []
-            self._samples = Block.joined([self._samples, block])
+            self._samples = joined([self._samples, block])
             out += self._take(LONGEST_REPEAT)
         return out
 
-    def flush(self) -> list[Block]:
+    def flush(self) -> list[ImuBatch]:
         """Return the buffered samples at the end of a segment; the last repeats are kept."""
         out = self._take(0)
         self._samples, self._past = self._empty, 0
         return out
 
-    def _take(self, look_ahead: int) -> list[Block]:
+    def _take(self, look_ahead: int) -> list[ImuBatch]:
         """Return the samples before the look-ahead, with repeated samples interpolated."""
         have, begin = self._samples, self._past
         n, end = len(have), len(have) - look_ahead
@@ -298,7 +298,7 @@ class RepeatFilter:
                 first = have.rows[axis, low]
                 rows[axis, at] = first + fraction * (have.rows[axis, high] - first)
                 filled[axis, at] = 1
-        done = Block(have.stamps, rows, filled=filled if filled.any() else None)
+        done = ImuBatch.of_rows(have.stamps_ns, rows, filled=filled if filled.any() else None)
         # a run that begins earlier is too long to be interpolated
         old = max(0, end - LONGEST_REPEAT - 1)
         self._samples, self._past = have.part(slice(old, None)).copy(), end - old

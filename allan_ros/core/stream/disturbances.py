@@ -14,7 +14,7 @@ from collections import deque
 
 import numpy as np
 
-from ..imu import Block, Flags, Floats
+from ..imu import Flags, Floats, ImuBatch, joined
 from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, NoiseFloor, Windows
 
 SPIKE_SIGMAS = 7.0
@@ -44,8 +44,8 @@ REPLACED_SHARE = 0.5
 
 
 def without_spikes(
-    block: Block, size: int, before: Floats, after: Floats, floor: NoiseFloor
-) -> tuple[Block, Windows, int]:
+    block: ImuBatch, size: int, before: Floats, after: Floats, floor: NoiseFloor
+) -> tuple[ImuBatch, Windows, int]:
     """Replace isolated spikes by the mean of the two samples next to them.
 
     ``size`` is the number of samples in a window. ``before`` and ``after``, (axes, n), are up to
@@ -88,7 +88,8 @@ def without_spikes(
     known = 0 if block.filled is None else block.filled
     filled = np.where(found, 1, known).astype(np.int32)
     replaced = np.where(found, without, rows)
-    return Block(block.stamps, replaced, block.cut, filled), windows, int(np.count_nonzero(found))
+    block = ImuBatch.of_rows(block.stamps_ns, replaced, block.cut, filled)
+    return block, windows, int(np.count_nonzero(found))
 
 
 def _is_isolated(far: Flags, at: int) -> bool:
@@ -132,11 +133,11 @@ class Motion:
         self._samples = 0
         self._total: float | Floats = 0.0  # sum of the samples
 
-    def add(self, window: Block, mean: Floats, quiet: bool) -> None:
+    def add(self, window: ImuBatch, mean: Floats, quiet: bool) -> None:
         """Add the next window and its mean, (axes,)."""
         self.quiet = self.quiet + 1 if quiet else 0
         if not quiet:
-            self.ended_ns = int(window.stamps[-1])
+            self.ended_ns = int(window.stamps_ns[-1])
         self._after.append(mean)
         self.windows += 1
         self._samples += len(window)
@@ -157,7 +158,7 @@ class Motion:
         change = after - self.before.mean(axis=0)
         return np.asarray(np.where(np.abs(change) > limit, change, 0.0))
 
-    def replaced(self, held: list[Block], floor: NoiseFloor, period_s: float) -> list[Block]:
+    def replaced(self, held: list[ImuBatch], floor: NoiseFloor, period_s: float) -> list[ImuBatch]:
         """Return the windows with the samples of the shock replaced; empty if it is no shock.
 
         ``held`` are its windows and the one before it. All are replaced except the last quiet ones.
@@ -168,7 +169,7 @@ class Motion:
         level = min(len(self.before), len(kept))
         first, last = (np.mean(w, axis=0) for w in (self.before[-level:], kept[:level]))
         turned = (self._total - self._samples * first)[floor.gyro] * period_s
-        block = Block.joined(held[: 1 - self.quiet])
+        block = joined(held[: 1 - self.quiet])
         n = len(block)
         allowed = REPLACED_SHARE * self.level.rest - self.level.replaced
         if np.linalg.norm(turned) > TURNED or n > allowed:
@@ -177,4 +178,4 @@ class Motion:
         rows = first[:, None] + (last - first)[:, None] * share
         self.level.replaced += n
         levels = np.full(rows.shape, level * floor.size, np.int32)
-        return [Block(block.stamps, rows, block.cut, levels), *held[1 - self.quiet :]]
+        return [ImuBatch.of_rows(block.stamps_ns, rows, block.cut, levels), *held[1 - self.quiet :]]

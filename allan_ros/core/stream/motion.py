@@ -24,7 +24,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..imu import Block, Flags, Floats
+from ..imu import Flags, Floats, ImuBatch, joined
 from ..settings import SegmenterSettings
 from .disturbances import SPIKE_NEIGHBORS, without_spikes
 from .floor_counts import FloorCounts
@@ -56,7 +56,7 @@ MOST_FILLED = 0.1
 class _Part(NamedTuple):
     """Consecutive windows of the current block: samples, statistics and classification."""
 
-    samples: Block
+    samples: ImuBatch
     windows: Windows
     still: Flags
     found: WindowClass
@@ -137,9 +137,9 @@ class MotionGate:
         self._rest = RestFilter(self.size, period_ns * 1e-9, axes, self._counts, events)
         self._ratios = NoiseRatios(len(axes))
         self._former: _Former | None = None  # while the noise is decreased
-        self._learning: list[Block] = []  # buffered until the noise floor is known
+        self._learning: list[ImuBatch] = []  # buffered until the noise floor is known
         # buffered until they fill a window, with their look-ahead
-        self._pending = Block.empty(len(axes))
+        self._pending = ImuBatch.empty(len(axes))
         self._before = self._pending.rows  # the last samples before them
         self._block: list[_Part] = []
 
@@ -180,7 +180,7 @@ class MotionGate:
             return 'noise_decreased'
         return 'learning' if self._rest.floor is None else 'at_rest'
 
-    def feed(self, blocks: list[Block]) -> list[Block]:
+    def feed(self, blocks: list[ImuBatch]) -> list[ImuBatch]:
         """Add consecutive blocks, and return the samples that are confirmed to be at rest."""
         for block in blocks:
             while self._rest.floor is None and len(block):
@@ -193,7 +193,7 @@ class MotionGate:
                 self._add(block)
         return self._rest.take()
 
-    def flush(self) -> list[Block]:
+    def flush(self) -> list[ImuBatch]:
         """Return the buffered blocks that are at rest, at the end of the input."""
         if self._learning:
             self._learn()
@@ -218,7 +218,7 @@ class MotionGate:
         for part in parts:
             self._add(part)
 
-    def _learned_floor(self, parts: Iterable[Block]) -> NoiseFloor:
+    def _learned_floor(self, parts: Iterable[ImuBatch]) -> NoiseFloor:
         """Return the noise floor of some windows; there may be a gap between two parts."""
         gyro = np.array([axis.startswith('gyro') for axis in self._axes])
         rows = [part.rows for part in _without_gaps(parts)]
@@ -226,11 +226,11 @@ class MotionGate:
 
     # --- windows ----------------------------------------------------------------------------------
 
-    def _add(self, block: Block) -> None:
+    def _add(self, block: ImuBatch) -> None:
         """Classify the complete windows of the buffered samples and the next block."""
         if block.cut:
             self._flush_pending()
-        have = Block.joined([self._pending, block])
+        have = joined([self._pending, block])
         ready = max(0, len(have) - SPIKE_NEIGHBORS) // self.size * self.size
         self._classify(have, ready, self.size)
         self._pending = have.part(slice(ready, None), '' if ready else have.cut).copy()
@@ -245,7 +245,7 @@ class MotionGate:
         self._before = self._before[:, :0]
         self._rest.end_segment()
 
-    def _classify(self, have: Block, samples: int, size: int) -> None:
+    def _classify(self, have: ImuBatch, samples: int, size: int) -> None:
         """Classify the first ``samples`` samples, in windows of ``size``."""
         at = 0
         while at < samples:
@@ -264,7 +264,7 @@ class MotionGate:
             if size == self.size and in_block + k == BLOCK_WINDOWS:
                 self._end_block()
 
-    def _pass(self, block: Block, windows: Windows, size: int) -> None:
+    def _pass(self, block: ImuBatch, windows: Windows, size: int) -> None:
         """Pass windows through the filter, and add complete ones to the block of windows."""
         if not self._block:
             self._counts.begin_block(self._rest.held)
@@ -281,7 +281,7 @@ class MotionGate:
         block, self._block = self._block, []
         windows = Windows.joined(part.windows for part in block)
         still = np.concatenate([part.still for part in block])
-        samples = Block.joined([part.samples for part in block])
+        samples = joined([part.samples for part in block])
         if self._change_floor(block, windows, still, samples):
             return
         rotating = all(part.found.rotating.all() for part in block)
@@ -297,7 +297,7 @@ class MotionGate:
                 self._rest.motion.kind = 'noise_increased'
 
     def _change_floor(
-        self, block: list[_Part], windows: Windows, still: Flags, samples: Block
+        self, block: list[_Part], windows: Windows, still: Flags, samples: ImuBatch
     ) -> bool:
         """Change the noise floor after a block if another one fits better; return whether it did.
 
@@ -346,7 +346,7 @@ class MotionGate:
         """Set the sums aside, and classify windows of decreased noise with their noise floor."""
         motion, floor = self._rest.motion, self._rest.floor
         assert floor is not None
-        began_ns = motion.began_ns if motion is not None else int(quiet[0].samples.stamps[0])
+        began_ns = motion.began_ns if motion is not None else int(quiet[0].samples.stamps_ns[0])
         self._rest.end_segment()
         stuck = self.size * sum(int(part.found.stuck.sum()) for part in quiet)
         decreased = self.size * sum(int(part.found.decreased.sum()) for part in quiet) - stuck
@@ -364,12 +364,12 @@ class MotionGate:
         self._rest.end_segment()
         self._counts.remove_block()
         self._counts.resume()
-        seconds = (int(block[0].samples.stamps[0]) - former.decreased_ns) * 1e-9
+        seconds = (int(block[0].samples.stamps_ns[0]) - former.decreased_ns) * 1e-9
         self._events.add(seconds, Event('noise_decreased', former.decreased_ns, seconds))
         self._former = None
         self._again(block, 'resumed', former.floor, 'noise_decreased')
 
-    def _accept(self, samples: Block) -> None:
+    def _accept(self, samples: ImuBatch) -> None:
         """Regard the decreased noise as normal, and discard the data before it."""
         self._former = None
         self._rest.mark('accepted', samples)
@@ -396,17 +396,17 @@ def _last_windows(parts: list[_Part], number: int) -> list[_Part]:
     return out
 
 
-def _without_gaps(blocks: Iterable[Block]) -> list[Block]:
+def _without_gaps(blocks: Iterable[ImuBatch]) -> list[ImuBatch]:
     """Join the blocks that have no gap between them."""
-    groups: list[list[Block]] = []
+    groups: list[list[ImuBatch]] = []
     for block in blocks:
         if block.cut or not groups:
             groups.append([])
         groups[-1].append(block)
-    return [Block.joined(group) for group in groups]
+    return [joined(group) for group in groups]
 
 
-def _usable(block: Block, size: int, chosen: Flags) -> Floats:
+def _usable(block: ImuBatch, size: int, chosen: Flags) -> Floats:
     """Return the chosen windows that do not contain many interpolated samples."""
     samples = len(chosen) * size
     cube = block.rows[:, :samples].reshape(len(block.rows), -1, size)

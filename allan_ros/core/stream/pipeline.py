@@ -21,7 +21,7 @@ from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
 from ..errors import AllanError
 from ..findings import Finding
-from ..imu import AXES, Block, Floats, ImuBatch, ImuIdentity, Stamps, joined
+from ..imu import AXES, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
 from .cleaning import RepeatFilter, SampleFilter, StampChoice, StampSorter
 from .health import (
@@ -108,9 +108,9 @@ class ImuStream:
         result is empty unless requested.
         """
         frame = max(self._frames.values(), key=lambda each: each.counts.used, default=self._present)
-        whole = [(s.axes, Block.joined(s.kept)) for s in frame.sensors if s.kept]
+        whole = [(s.axes, joined(s.kept)) for s in frame.sensors if s.kept]
         return {
-            axis: (block.stamps, row)
+            axis: (block.stamps_ns, row)
             for axes, block in whole
             for axis, row in zip(axes, block.rows)
         }
@@ -269,19 +269,19 @@ class FrameStream:
         samples = self.stamps.of(first)
         plans, findings = plan_sensors(StampSorter.all_sorted(samples), self._sensor)
         self.notes += [note for note in (*notes, *findings) if note not in self.notes]
-        self._sorter = StampSorter(samples.stamps)
+        self._sorter = StampSorter(samples.stamps_ns)
         self.sensors = tuple(
             SensorStream(p, self.identity, self._settings, self._with_samples) for p in plans
         )
         self._feed(self._sorter.feed(samples))
 
-    def _feed(self, samples: Block) -> None:
+    def _feed(self, samples: ImuBatch) -> None:
         if not len(samples):
             return
         if self.first_ns is None:
-            self.first_ns = int(samples.stamps[0])
+            self.first_ns = int(samples.stamps_ns[0])
         if self._skip_ns:
-            late = samples.stamps >= self.first_ns + self._skip_ns
+            late = samples.stamps_ns >= self.first_ns + self._skip_ns
             start = int(np.argmax(late)) if late.any() else len(samples)
             self._skip_ns *= not late.any()
             self._skipped += start
@@ -343,7 +343,7 @@ class SensorStream:
         self._means = RunningMeans(self._plan.axes)
 
     @property
-    def kept(self) -> list[Block]:
+    def kept(self) -> list[ImuBatch]:
         """The samples at rest, if they are requested."""
         return (self._aside or self._sums).kept
 
@@ -376,7 +376,7 @@ class SensorStream:
         """The latest one-second means of static data."""
         return self._means.means
 
-    def feed(self, samples: Block) -> None:
+    def feed(self, samples: ImuBatch) -> None:
         """Process samples of the six-axis stream."""
         self._pass_on(self.clock.feed(self._filter.feed(samples)))
         while self.clock.rate_changed:
@@ -389,7 +389,7 @@ class SensorStream:
             self._pass_on(self._change_rate() + self.clock.flush())
         self._end_segment()
 
-    def _change_rate(self) -> list[Block]:
+    def _change_rate(self) -> list[ImuBatch]:
         """Store the sums at the previous rate; return the blocks of the samples at the new one."""
         self._end_segment()
         self.counts.splits['rate change'] += 1
@@ -399,7 +399,7 @@ class SensorStream:
         self._start()
         return self.clock.feed(pending)
 
-    def _pass_on(self, blocks: list[Block], at_end: bool = False) -> None:
+    def _pass_on(self, blocks: list[ImuBatch], at_end: bool = False) -> None:
         """Pass evenly spaced blocks through the stages to the sums."""
         if blocks and self.gate is None and self._settings.motion_gate:
             period, axes = self.clock.learned_ns, self._plan.axes
@@ -416,7 +416,7 @@ class SensorStream:
         self._sums.close()
         self._means.cut()
 
-    def _accumulate(self, block: Block) -> None:
+    def _accumulate(self, block: ImuBatch) -> None:
         """Add a block at rest to the sums."""
         if block.cut in get_args(Change):
             self._change_floor(block.cut)
@@ -426,14 +426,14 @@ class SensorStream:
         if not len(block):
             return
         if self._first_ns is None:
-            self._first_ns = int(block.stamps[0])
+            self._first_ns = int(block.stamps_ns[0])
         if self._restarted:  # the gate released samples of the last discarded block again
-            self.discarded_s = (int(block.stamps[0]) - self._first_ns) * 1e-9
+            self.discarded_s = (int(block.stamps_ns[0]) - self._first_ns) * 1e-9
             self._restarted = False
         if self.gate is None:  # else it counts them
             self.counts.used += len(block)
         self._sums.add(block)
-        self._means.update(block.stamps, block.rows)
+        self._means.update(block.stamps_ns, block.rows)
 
     def _change_floor(self, change: str) -> None:
         """Discard sums, set them aside or continue them, as `Change` states."""
@@ -465,7 +465,7 @@ class FloorSums:
     """Sums of the samples at rest at one noise floor, and their segments."""
 
     def __init__(self, identity: ImuIdentity, axes: tuple[str, ...], with_samples: bool) -> None:
-        self.kept: list[Block] = []
+        self.kept: list[ImuBatch] = []
         self.first_ns = self.last_ns = 0
         self._with_samples = with_samples
         self._engine = RunningSums(identity, axes)
@@ -484,16 +484,16 @@ class FloorSums:
         sums = replace(self._engine.sums, replaced=self._replaced.table)
         return StreamSums(sums, self._segments.items)
 
-    def add(self, block: Block) -> None:
+    def add(self, block: ImuBatch) -> None:
         """Add samples that directly follow the previous ones unless the segment was closed."""
         if not self._engine.open_samples:
-            self._start_ns, self._cut = int(block.stamps[0]), block.cut
+            self._start_ns, self._cut = int(block.stamps_ns[0]), block.cut
         if not self._engine.samples:
             self.first_ns = self._start_ns
-        self.last_ns = int(block.stamps[-1])
+        self.last_ns = int(block.stamps_ns[-1])
         self._replaced.add(block.filled)
         interpolated = None if block.filled is None else np.asarray(block.filled.any(axis=0))
-        self._engine.update(block.rows.T, int(block.stamps[0]), self.last_ns, interpolated)
+        self._engine.update(block.samples, int(block.stamps_ns[0]), self.last_ns, interpolated)
         if self._with_samples:
             self.kept.append(block.copy())
 

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..imu import Block, Flags, Floats
+from ..imu import Flags, Floats, ImuBatch
 from .disturbances import LEAST_LEVEL, LONGEST_SHOCK_S, Level, Motion
 from .floor_counts import FloorCounts
 from .health import Event, Longest
@@ -54,20 +54,20 @@ class RestFilter:
         self._level, self._last_mean = Level(), np.full(len(axes), np.nan)
         self._cut = ''  # reason for the gap before the next still block
         # the last still window, because a motion may follow, and the windows of a possible shock
-        self._held: list[Block] = []
-        self._out: list[Block] = []  # confirmed to be at rest
+        self._held: list[ImuBatch] = []
+        self._out: list[ImuBatch] = []  # confirmed to be at rest
 
     @property
     def held(self) -> int:
         """Number of samples that are neither passed on nor dropped yet."""
         return count_samples(self._held)
 
-    def take(self) -> list[Block]:
+    def take(self) -> list[ImuBatch]:
         """Return the samples that were confirmed to be at rest since the last call."""
         out, self._out = self._out, []
         return out
 
-    def add(self, block: Block, windows: Windows, size: int) -> tuple[Flags, WindowClass]:
+    def add(self, block: ImuBatch, windows: Windows, size: int) -> tuple[Flags, WindowClass]:
         """Pass on or drop windows of ``size`` samples; return which are at rest, and their class.
 
         ``block`` contains their samples, and ``windows`` their statistics.
@@ -100,23 +100,23 @@ class RestFilter:
         self.drop_shock()
         self._pass_held()
 
-    def drop(self, samples: list[Block], cut: str) -> None:
+    def drop(self, samples: list[ImuBatch], cut: str) -> None:
         """Drop samples of a motion before a noise floor is known."""
         self._counts.add('moving', count_samples(samples))
         if self.motion is None:
-            self.motion = Motion(cut, int(samples[0].stamps[0]))
+            self.motion = Motion(cut, int(samples[0].stamps_ns[0]))
             self._counts.total.splits[cut] += 1
-        self.motion.ended_ns = int(samples[-1].stamps[-1])
+        self.motion.ended_ns = int(samples[-1].stamps_ns[-1])
         self._cut = cut
 
-    def change_floor(self, floor: NoiseFloor, change: Change, first: Block, cut: str) -> None:
+    def change_floor(self, floor: NoiseFloor, change: Change, first: ImuBatch, cut: str) -> None:
         """Continue with another noise floor and other sums; ``first`` is the next block."""
         self.floor, self._cut = floor, cut
         self._forget_level()
         self.mark(change, first)
-        self.motion = Motion(cut, int(first.stamps[0])) if cut == 'motion' else None
+        self.motion = Motion(cut, int(first.stamps_ns[0])) if cut == 'motion' else None
 
-    def mark(self, change: Change, block: Block) -> None:
+    def mark(self, change: Change, block: ImuBatch) -> None:
         """Tell `SensorStream` what to do with the sums before the next samples."""
         self._pass_held()
         self._out.append(block.part(slice(0), change))
@@ -139,7 +139,7 @@ class RestFilter:
             changed = {axis: change for axis, change in changes if abs(change) > 0.0}
             self._events.add(seconds, Event(motion.kind, motion.began_ns, seconds, changed))
 
-    def _step(self, window: Block, mean: Floats, found: WindowClass) -> None:
+    def _step(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
         """Update the state from one window and its class, and keep it if it is at rest."""
         if self.motion is None and not found.moving:
             self._release(window, mean[:, None], len(window))
@@ -147,7 +147,7 @@ class RestFilter:
         if self.motion is None:
             kind = 'noise_decreased' if found.decreased else 'motion'
             kind = 'stuck' if found.stuck else kind
-            self.motion = Motion(kind, int(window.stamps[0]), self._level)
+            self.motion = Motion(kind, int(window.stamps_ns[0]), self._level)
         motion = self.motion
         if found.decreased:
             self.drop_shock()
@@ -179,7 +179,7 @@ class RestFilter:
         for window in kept[1:]:
             self._release(window, window.rows.mean(axis=1)[:, None], len(window))
 
-    def _release(self, block: Block, means: Floats, size: int) -> None:
+    def _release(self, block: ImuBatch, means: Floats, size: int) -> None:
         """Pass on still windows except for the last one, because a motion may follow.
 
         ``means``, (axes, k), are the means of the windows of ``size`` samples.
@@ -197,7 +197,7 @@ class RestFilter:
         self._pass_on(self._held)
         self._held = []
 
-    def _pass_on(self, blocks: list[Block]) -> None:
+    def _pass_on(self, blocks: list[ImuBatch]) -> None:
         self._out += blocks
         self._counts.add('used', count_samples(blocks))
 
@@ -205,6 +205,6 @@ class RestFilter:
         self._level, self._last_mean = Level(), np.full(len(self._axes), np.nan)
 
 
-def count_samples(blocks: Iterable[Block]) -> int:
+def count_samples(blocks: Iterable[ImuBatch]) -> int:
     """Return the number of samples of all blocks."""
     return sum(map(len, blocks))

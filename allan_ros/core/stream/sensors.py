@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ..findings import Finding, finding
-from ..imu import AXES, LARGEST, SENSORS, Block, Flags, Floats
+from ..imu import AXES, LARGEST, SENSORS, Flags, Floats, ImuBatch
 
 REPEATED_SHARE = 0.1
 """Smallest share of repeated or zero samples that indicates a sample-and-hold or zero-filled
@@ -137,7 +137,7 @@ def are_interleaved(rows: Floats) -> bool:
     return False
 
 
-def plan_sensors(first: Block, only: str = '') -> tuple[list[SensorPlan], list[Finding]]:
+def plan_sensors(first: ImuBatch, only: str = '') -> tuple[list[SensorPlan], list[Finding]]:
     """Decide from the first samples, at least one, whether the sensors need separate streams.
 
     Returns a plan for each stream, and the findings about the sensors. The six axes are NaN where a
@@ -145,7 +145,7 @@ def plan_sensors(first: Block, only: str = '') -> tuple[list[SensorPlan], list[F
     """
     # without duplicate messages, which are dropped later
     rows = first.rows
-    duplicate = (np.diff(first.stamps) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
+    duplicate = (np.diff(first.stamps_ns) == 0) & (rows[:, 1:] == rows[:, :-1]).all(axis=0)
     rows = rows[:, np.concatenate([[True], ~duplicate])]
     repeats = rows[:, 1:] == rows[:, :-1]
     findings: list[Finding] = []

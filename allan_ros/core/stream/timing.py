@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..imu import Block, Flags, Floats, Stamps
+from ..imu import Flags, Floats, ImuBatch, Stamps, joined
 from ..settings import SegmenterSettings
 from .health import RATE_CHANGE, Counts
 
@@ -263,7 +263,7 @@ class SampleClock:
         self._counts = counts
         self._reach = 0
         # the first `_past` samples, at most `_reach`, are already processed
-        self._samples = Block.empty(axes)
+        self._samples = ImuBatch.empty(axes)
         self._past = 0
         self._steps: Ints = np.empty(0, np.int64)  # index steps of the processed samples
         self._blocks = 0
@@ -273,18 +273,18 @@ class SampleClock:
         self._tracked_steps = 0
 
     @property
-    def pending(self) -> Block:
+    def pending(self) -> ImuBatch:
         """Samples that are not processed yet."""
         return self._samples.part(slice(self._past, None))
 
-    def feed(self, samples: Block) -> list[Block]:
+    def feed(self, samples: ImuBatch) -> list[ImuBatch]:
         """Add samples, and return the blocks whose look-ahead is complete."""
-        self._samples = Block.joined([self._samples, samples])
+        self._samples = joined([self._samples, samples])
         while self.clock is None and len(self._samples) >= LEARN:
             self._learn()
         return self._process_ready(self._reach)
 
-    def flush(self) -> list[Block]:
+    def flush(self) -> list[ImuBatch]:
         """Return the blocks of all buffered samples at the end of the input."""
         while self.clock is None and len(self._samples):
             self._learn()
@@ -292,7 +292,7 @@ class SampleClock:
 
     def _learn(self) -> None:
         """Learn the period from the first samples; drop those that contain no time."""
-        first = self._samples.stamps[:LEARN]
+        first = self._samples.stamps_ns[:LEARN]
         equal = int(np.argmax(first != first[0])) or len(first)
         if equal <= LEARN // FEWEST_STEPS:
             self.clock = learn_clock(first, self._polled, self._settings.declared_rate)
@@ -304,7 +304,7 @@ class SampleClock:
         else:
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead
 
-    def _process_ready(self, look_ahead: int) -> list[Block]:
+    def _process_ready(self, look_ahead: int) -> list[ImuBatch]:
         """Process the samples before the look-ahead: complete blocks, or all if it is 0."""
         begin, steps = self._past, [np.empty(0, np.int64)]
         while self.clock is not None and not self.rate_changed:
@@ -330,7 +330,7 @@ class SampleClock:
         Returns the steps of the sample index up to a change: above 1 where samples are
         interpolated, 0 where the data are split.
         """
-        begin, stamps = self._past, self._samples.stamps
+        begin, stamps = self._past, self._samples.stamps_ns
         before = stamps[begin - 1] if begin else stamps[0] - round(clock.period_ns)
         step = np.diff(stamps[begin : begin + n], prepend=before)
         lost, split = self._find_gaps(step, clock)
@@ -414,7 +414,7 @@ class SampleClock:
             return 0
         steps = np.concatenate([self._steps, steps])[-self._reach :]
         index = np.cumsum(steps[int(np.argmax(np.cumsum(steps == 0))) :])  # since the last gap
-        stamps = self._samples.stamps
+        stamps = self._samples.stamps_ns
         after = stamps[at : at + self._reach]
         jumps = np.flatnonzero(np.diff(after) < 0)
         after = after[: int(jumps[0]) + 1 if len(jumps) else None]
@@ -426,35 +426,35 @@ class SampleClock:
         pause = (stamps[at] - origin) / period - 1.0
         return round(increase) if increase > max(0.5 * pause, clock.smallest_loss) else 0
 
-    def _blocks_of(self, begin: int, steps: Ints) -> list[Block]:
+    def _blocks_of(self, begin: int, steps: Ints) -> list[ImuBatch]:
         """Return the samples from buffer position ``begin`` on as blocks, with gaps interpolated.
 
         ``steps``, (n,), are their index steps.
         """
         n = len(steps)
         samples = self._samples.part(slice(begin, begin + n))
-        groups: list[list[Block]] = []  # a list for each block, with the parts to be joined
+        groups: list[list[ImuBatch]] = []  # a list for each block, with the parts to be joined
         edges = sorted({0, *np.flatnonzero(steps != 1).tolist(), n})
         for first, last in itertools.pairwise(edges):
             cut = ''
             if steps[first] == 0:
-                before, here = self._samples.stamps[begin + first - 1 : begin + first + 1]
+                before, here = self._samples.stamps_ns[begin + first - 1 : begin + first + 1]
                 cut = 'clock jump' if here < before else 'gap'
             if cut or not groups:
                 groups.append([])
             if steps[first] > 1:
                 groups[-1].append(self._interpolated(begin + first, int(steps[first])))
             groups[-1].append(samples.part(slice(first, last), cut))
-        return [Block.joined(parts) for parts in groups]
+        return [joined(parts) for parts in groups]
 
-    def _interpolated(self, at: int, step: int) -> Block:
+    def _interpolated(self, at: int, step: int) -> ImuBatch:
         """Return the step - 1 samples lost before the sample at buffer position ``at``."""
         fraction = np.arange(1, step) / step
-        first, last = self._samples.stamps[at - 1 : at + 1]
+        first, last = self._samples.stamps_ns[at - 1 : at + 1]
         stamps = first + np.rint(fraction * (last - first)).astype(np.int64)
         left, right = self._samples.rows[:, at - 1, None], self._samples.rows[:, at, None]
         rows = left + fraction * (right - left)
-        return Block(stamps, rows, filled=np.ones(rows.shape, np.int32))
+        return ImuBatch.of_rows(stamps, rows, filled=np.ones(rows.shape, np.int32))
 
     def _track(self, stamps: Stamps, steps: Ints, clock: Clock) -> None:
         """Update the sample period after every `TRACK_BLOCKS` blocks unless the data were split."""

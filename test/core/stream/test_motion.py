@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from allan_ros.core.imu import AXES, Block
+from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.noise import NoiseTerms
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_axis
@@ -31,7 +31,7 @@ def gate(rows, events=None):
     counts = Counts()
     stage = MotionGate(1e9 / RATE, AXES, counts, events or Longest(200), SegmenterSettings())
     index = np.arange(rows.shape[1])
-    out = stage.feed([Block(index, rows)]) + stage.flush()
+    out = stage.feed([ImuBatch.of_rows(index, rows)]) + stage.flush()
     passed, aside = np.zeros(len(index), bool), None
     for r in out:
         if r.cut == 'set_aside':
@@ -42,8 +42,8 @@ def gate(rows, events=None):
             aside = None
         elif r.cut in get_args(Change):
             passed[:] = False
-        passed[r.stamps] = True
-        same = r.rows == rows[:, r.stamps]
+        passed[r.stamps_ns] = True
+        same = r.rows == rows[:, r.stamps_ns]
         assert same.all() if r.filled is None else (same | r.filled).all()
     return out, counts, passed if aside is None else aside
 
@@ -87,8 +87,8 @@ def test_isolated_spikes_are_replaced_by_the_mean_of_their_neighbors():
     assert passed.all() and counts.moving == 0
     # a spike is missed when its own noise is below -3.3 deviations: 30 of them, chance 0.015
     assert counts.spikes == 31
-    (block,) = [b for b in out if b.stamps[0] <= 99 <= b.stamps[-1]]
-    at = 99 - int(block.stamps[0])
+    (block,) = [b for b in out if b.stamps_ns[0] <= 99 <= b.stamps_ns[-1]]
+    at = 99 - int(block.stamps_ns[0])
     assert block.rows[2, at] == 0.5 * (block.rows[2, at - 1] + block.rows[2, at + 1])
 
 
@@ -139,7 +139,7 @@ def flagged(out, samples):
     flags = np.zeros(samples, bool)
     for block in out:
         if block.filled is not None:
-            flags[block.stamps] = block.filled.any(axis=0)
+            flags[block.stamps_ns] = block.filled.any(axis=0)
     return flags
 
 
@@ -206,7 +206,7 @@ def states(rows):
     out = []
     for at in range(0, rows.shape[1], RATE):
         part = slice(at, at + RATE)
-        stage.feed([Block(np.arange(at, at + RATE), rows[:, part])])
+        stage.feed([ImuBatch.of_rows(np.arange(at, at + RATE), rows[:, part])])
         out.append(stage.state)
     return out
 

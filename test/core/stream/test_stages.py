@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from allan_ros.core.imu import Block, ImuBatch
+from allan_ros.core.imu import ImuBatch, joined
 from allan_ros.core.stream.cleaning import (
     BACKWARD_RUN,
     LONGEST_REPEAT,
@@ -67,14 +67,14 @@ def filtered(rows, groups, lengths):
     stamps = np.arange(rows.shape[1])
     for length in [*lengths, rows.shape[1]]:
         part = slice(at, at + length)
-        blocks += repeats.feed([Block(stamps[part], rows[:, part])])
+        blocks += repeats.feed([ImuBatch.of_rows(stamps[part], rows[:, part])])
         at += length
         # what is not returned yet is buffered
         assert min(at, rows.shape[1]) - sum(map(len, blocks)) <= LONGEST_REPEAT
-    joined = Block.joined(blocks + repeats.flush())
-    assert (joined.stamps == stamps).all()
-    filled = np.zeros(rows.shape, bool) if joined.filled is None else joined.filled
-    return joined.rows, filled
+    whole = joined(blocks + repeats.flush())
+    assert (whole.stamps_ns == stamps).all()
+    filled = np.zeros(rows.shape, bool) if whole.filled is None else whole.filled
+    return whole.rows, filled
 
 
 @given(

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.imu import Block
+from allan_ros.core.imu import ImuBatch, joined
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.stream import timing
 from allan_ros.core.stream.health import Counts
@@ -29,13 +29,13 @@ def run(stamps, rows=None, max_bridge=3):
     counts = Counts()
     rows = np.arange(float(len(stamps)))[None, :] if rows is None else rows
     stage = SampleClock(len(rows), SegmenterSettings(max_bridge=max_bridge), False, counts)
-    runs = stage.feed(Block(stamps, rows)) + stage.flush()
-    joined = []
+    runs = stage.feed(ImuBatch.of_rows(stamps, rows)) + stage.flush()
+    segments = []
     for r in runs:
-        if joined and not r.cut:
-            r = Block.joined([joined.pop(), r])
-        joined.append(r)
-    return joined, counts, stage
+        if segments and not r.cut:
+            r = joined([segments.pop(), r])
+        segments.append(r)
+    return segments, counts, stage
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_isolated_losses_are_bridged_on_the_line_between_their_neighbors():
     lost = np.array([500, 501, 1700])
     keep = np.delete(np.arange(3000), lost)
     (one,), counts, _ = run(stamps[keep], np.stack([keep * 1.0, keep * -2.0]))
-    assert np.array_equal(one.stamps, stamps)
+    assert np.array_equal(one.stamps_ns, stamps)
     assert one.rows == pytest.approx(np.stack([np.arange(3000.0), np.arange(3000) * -2.0]))
     assert (counts.lost, counts.interpolated, counts.splits) == (3, 3, {})
 
@@ -142,7 +142,7 @@ def test_losses_with_jitter_are_not_a_change_of_the_rate(day):
     runs, counts, stage = run(stamps[rng.random(n) > 0.03])
     assert stage.clock.jitter and not stage.rate_changed
     assert stage.clock.period_ns == pytest.approx(10 * MS, rel=1e-3)
-    assert sum(len(r.stamps) for r in runs) == pytest.approx(n, rel=0.01)
+    assert sum(len(r.stamps_ns) for r in runs) == pytest.approx(n, rel=0.01)
     assert counts.splits['gap'] <= 1 + day
 
 
@@ -168,7 +168,7 @@ def test_a_late_sample_is_not_a_lost_one():
     stamps = even(3000)
     stamps[1500] += 9 * MS
     (one,), counts, _ = run(stamps)
-    assert len(one.stamps) == 3000 and counts.lost == 0
+    assert len(one.stamps_ns) == 3000 and counts.lost == 0
 
 
 @pytest.mark.parametrize('silence_ms', [300, 500, 1500])
@@ -186,7 +186,7 @@ def test_a_pause_in_bursty_stamps_without_a_burst_is_a_gap():
     stamps = bursts(6000)
     stamps[3000:] += 1000 * MS
     runs, counts, _ = run(stamps)
-    assert [len(r.stamps) for r in runs] == [3000, 3000]
+    assert [len(r.stamps_ns) for r in runs] == [3000, 3000]
     assert counts.lost == pytest.approx(100, abs=5)
 
 
@@ -205,7 +205,7 @@ def test_another_rate_is_reported(factor):
     stamps = np.concatenate([even(3000), even(3000)[-1] + even(2000, round(10 * MS * factor), 0)])
     runs, _, stage = run(np.unique(stamps))
     assert stage.rate_changed
-    assert 3000 - 256 <= sum(len(r.stamps) for r in runs) <= 3256
+    assert 3000 - 256 <= sum(len(r.stamps_ns) for r in runs) <= 3256
     assert len(stage.pending) > 1700
 
 
