@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,11 @@ MAX_TEXT = 100_000
 
 MAX_ITEMS = 1_000_000
 """Longest list, unless a smaller limit is given for a key."""
+
+Signed = Annotated[float, 'may be negative']
+SignedInt = Annotated[int, 'may be negative']
+"""Types of the fields of a dataclass that may be negative in a document; numbers of the types float
+and int are 0 or above."""
 
 _REQUIRED = object()
 
@@ -80,8 +85,6 @@ class Fields:
         The parsed JSON value; AllanError is raised if it is not an object.
     where : str
         Name of the document or position in it, for messages.
-    signed : collection of str
-        Keys of numbers that may be negative when they are read by `typed` or `record`.
     names : mapping of str to str
         Name of a field of a dataclass -> its key in the document, where these differ.
     """
@@ -90,13 +93,12 @@ class Fields:
         self,
         document: object,
         where: str,
-        signed: Collection[str] = (),
         names: Mapping[str, str] = {},
     ) -> None:
         if not isinstance(document, dict):
             raise AllanError(f'{where}: a JSON object is expected, not {_shown(document)}')
         self._document: dict[str, Any] = document
-        self._record_rules = signed, names
+        self._names = names
         self.where = where
 
     def __iter__(self) -> Iterator[str]:
@@ -199,7 +201,7 @@ class Fields:
 
     def fields(self, key: str) -> Fields:
         """Return the JSON object under a key."""
-        return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}', *self._record_rules)
+        return Fields(self._get(key, dict, 'an object'), f'{self.where}.{key}', self._names)
 
     def optional_fields(self, key: str) -> Fields | None:
         """Return the JSON object under a key; None if it is null or missing."""
@@ -208,7 +210,7 @@ class Fields:
     def each(self, key: str, most: int = MAX_ITEMS) -> Iterator[Fields]:
         """Yield the items of a list of at most ``most`` JSON objects."""
         for i, item in enumerate(self.sequence(key, most)):
-            yield Fields(item, f'{self.where}.{key}[{i}]', *self._record_rules)
+            yield Fields(item, f'{self.where}.{key}[{i}]', self._names)
 
     def record(self, kind: type[T], **known: Any) -> T:
         """Return a dataclass or named tuple whose fields are the keys of this object.
@@ -222,7 +224,7 @@ class Fields:
             return read
         defaults = getattr(kind, '_field_defaults', vars(kind))
         for name, hint in _hints(kind).items():  # type: ignore[arg-type]
-            key = name if name in self else self._record_rules[1].get(name, name)
+            key = name if name in self else self._names.get(name, name)
             if name not in known and (key in self or name not in defaults):
                 known[name] = self.typed(key, hint)
         return kind(**known)
@@ -230,12 +232,14 @@ class Fields:
     def typed(self, key: str, hint: Any) -> Any:
         """Return the value of a key as the type of an annotation.
 
-        Possible types are str, bool, int, float, a pair of floats, Literal, an array, a mapping of
-        names to floats, a dataclass or named tuple, a tuple of strings, of tuples of floats or of
-        dataclasses, and each of these or None.
+        Possible types are str, bool, int, float, `Signed`, `SignedInt`, a pair of floats, Literal,
+        an array, a mapping of names to floats, a dataclass or named tuple, a tuple of strings, of
+        tuples of floats or of dataclasses, and each of these or None.
         """
+        signed = get_origin(hint) is Annotated
+        hint = get_args(hint)[0] if signed else hint
         origin, args = get_origin(hint), get_args(hint)
-        least = -MAX_FLOAT if key in self._record_rules[0] else 0.0
+        least = -MAX_FLOAT if signed else 0.0
         if type(None) in args:
             return None if self._document.get(key) is None else self.typed(key, args[0])
         if origin is Literal:
@@ -305,7 +309,7 @@ class Fields:
 
 @lru_cache(maxsize=100)
 def _hints(kind: type) -> dict[str, Any]:
-    return get_type_hints(kind)
+    return get_type_hints(kind, include_extras=True)
 
 
 def _shown(value: object) -> str:

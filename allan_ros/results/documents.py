@@ -26,7 +26,7 @@ from ..core.allan.sums import AllanSums
 from ..core.compare import MARGIN
 from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
-from ..core.fields import Fields, plain
+from ..core.fields import Fields, SignedInt, plain
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, missing_values, quantity
 from ..core.fit import TERMS, AxisFit, Processes
 from ..core.fit.model import Covariance
@@ -58,13 +58,6 @@ MAX_SETTINGS = 100
 
 LISTED_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
-
-SIGNED = (
-    *('last_stamp_ns', 'start_ns', 'gof_z', 'relative', 'mean', 'R', 'low_pass'),
-    *('reference', 'lowest', 'highest', 'b0', 'b1', 'b2', 'hysteresis'),
-    *('slope', 'slope_ci95', 'temperature'),
-)
-"""Keys of numbers that may be negative."""
 
 FIT = ('model', 'm_min', 'filtered', 'gof_z', 'lack_of_fit')
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
@@ -104,7 +97,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
 
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
-    fields = Fields(document, where, SIGNED, NAMES)
+    fields = Fields(document, where, NAMES)
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
     stated = fields.fields('axes')
@@ -152,7 +145,7 @@ def sums_file_from_document(
 
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
-    fields = Fields(document, where, SIGNED, NAMES)
+    fields = Fields(document, where, NAMES)
     fields.schema(SUMS_SCHEMA)
     return (
         tuple(sums_from_document(s, f'{where}: sums') for s in fields.sequence('sums')),
@@ -243,7 +236,7 @@ def _provenance_from_document(fields: Fields) -> Provenance:
         tuple(finding_from_document(each) for each in fields.each('findings')),
         fields.fields('counts').record(Counts, splits=split_counts),
         _settings_from_document(fields.fields('settings')),
-        fields.typed('last_stamp_ns', int | None),
+        fields.typed('last_stamp_ns', SignedInt | None),
     )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..fields import Signed
 from .curve import Spectra, pooled_spectra
 from .grid import octave
 from .sums import AllanSums
@@ -55,10 +56,10 @@ class AtRest:
         without a low-pass filter. None if N or the spectrum is unknown.
     """
 
-    mean: float
+    mean: Signed
     drift: float | None = None
-    temperature: float | None = None
-    slope: float | None = None
+    temperature: Signed | None = None
+    slope: Signed | None = None
     slope_ci95: tuple[float, float] | None = None
     bandwidth: float | None = None
 

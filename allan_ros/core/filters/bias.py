@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..estimate import Estimate
+from ..fields import Signed
 from ..fit.model import Z_95, AxisFit
 from ..noise import ProcessModel
 from .growth import drift_model
@@ -58,7 +59,7 @@ class TurnOnBias:
     """
 
     recordings: int
-    mean: float
+    mean: Signed
     scatter: Estimate
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..estimate import Estimate
+from ..fields import Signed
 from ..findings import Finding
 from ..noise import NoiseTerms, ProcessModel
 
@@ -155,7 +156,7 @@ class Deviation(NamedTuple):
         Averaging time of the point in s.
     """
 
-    relative: float
+    relative: Signed
     tau: float
 
 
@@ -227,7 +228,7 @@ class AxisFit:
     processes: Processes = Processes()
     m_min: int = 1
     filtered: bool = False
-    gof_z: float | None = None
+    gof_z: Signed | None = None
     lack_of_fit: tuple[LackOfFit, ...] = ()
     deviation: Deviation | None = None
     covariance: Covariance | None = field(default=None, compare=False)

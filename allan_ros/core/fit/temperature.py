@@ -18,6 +18,7 @@ import numpy as np
 
 from ..allan.sums import AllanSums
 from ..estimate import Estimate
+from ..fields import Signed
 from ..findings import Finding, finding
 from ..noise import gamma_of
 from .likelihood import AxisData, Columns, Fit, LowBand, inverse, profile_interval
@@ -89,16 +90,16 @@ class TemperatureModel:
         change.
     """
 
-    reference: float
-    lowest: float
-    highest: float
-    b0: float
+    reference: Signed
+    lowest: Signed
+    highest: Signed
+    b0: Signed
     b0_ci95: tuple[float, float]
-    b1: float
+    b1: Signed
     b1_ci95: tuple[float, float]
-    b2: float
+    b2: Signed
     b2_ci95: tuple[float, float]
-    hysteresis: float
+    hysteresis: Signed
     hysteresis_ci95: tuple[float, float]
     resolved: bool
     explained: float | None

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import AllanError
+from ..fields import Signed
 
 Floats = NDArray[np.float64]
 Gamma = Callable[[ArrayLike, ArrayLike], Floats]
@@ -200,7 +201,7 @@ class NoiseTerms:
     N: float = 0.0
     B: float = 0.0
     K: float = 0.0
-    R: float = 0.0
+    R: Signed = 0.0
 
     def __post_init__(self) -> None:
         for name, value in zip('QNBKR', astuple(self)):
@@ -286,7 +287,7 @@ class ProcessModel:
     terms: NoiseTerms = field(default_factory=NoiseTerms)
     gauss_markov: tuple[tuple[float, float], ...] = ()
     sinusoids: tuple[tuple[float, float], ...] = ()
-    low_pass: float = 0.0
+    low_pass: Signed = 0.0
     resonances: tuple[tuple[float, float, float], ...] = ()
 
     def avar(self, tau: ArrayLike, tau0: float = 0.0) -> Floats:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.sums import AllanSums
+from ..fields import SignedInt
 from ..findings import Finding, finding
 from ..imu import AXES, NANOSECONDS, SAMPLE_UNITS, SENSORS, STANDARD_GRAVITY, UNITS, sensor_of
 from ..settings import SegmenterSettings
@@ -119,7 +120,7 @@ class Event(NamedTuple):
     """
 
     kind: str
-    start_ns: int
+    start_ns: SignedInt
     duration_s: float
     changes: Mapping[str, float] = {}
 
@@ -130,7 +131,7 @@ class Segment(NamedTuple):
     ``cut`` is the reason for the gap before it, such as 'gap' or 'motion'; '' for the first one.
     """
 
-    start_ns: int
+    start_ns: SignedInt
     samples: int
     duration_s: float
     cut: str = ''
