@@ -66,9 +66,17 @@ def test_samples_of_any_size_give_numbers(
     curve = allan_curve(sums)
     assert np.all(curve.adev >= 0.0) and np.all(np.isfinite(curve.adev))
     for fit in fit_noise(sums, method).axes.values():
-        for coefficient in fit.noise.values():
+        for term, coefficient in fit.noise.items():
             known = (coefficient.value, coefficient.upper95, *(coefficient.ci95 or ()))
-            assert all(v is None or 0.0 <= v < np.inf for v in known)
+            least = -np.inf if term == 'R' else 0.0
+            assert all(v is None or least <= v < np.inf for v in known)
+
+
+def test_a_signal_that_repeats_exactly_has_no_noise() -> None:
+    y = np.sin(0.7 * np.arange(1000.0))[:, None]
+    model = fit_noise(sums_of(y, axes=AXES[:1]))
+    assert [f.id for f in model.findings] == ['no_noise']
+    assert all(c.value is None for c in model.axes[AXES[0]].noise.values())
 
 
 def test_tiny_samples_give_exactly_scaled_variances() -> None:

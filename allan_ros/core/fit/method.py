@@ -93,9 +93,14 @@ def fit_likelihood(sums: AllanSums, known: Statistics | None = None) -> NoiseMod
         if not np.all(np.isfinite(known.power[:, a])):  # the stream reports impossible units
             axes[name] = without_estimates()
             continue
-        result = estimate(AxisData.of(known, a), candidates, daily)
         brief = sums.samples * tau0 < LEAST_DRIFT_S
-        axes[name] = axis_fit(result, tau0, brief)
+        try:
+            result = estimate(AxisData.of(known, a), candidates, daily)
+            axes[name] = axis_fit(result, tau0, brief)
+        except np.linalg.LinAlgError:  # a periodic signal: all digits beside it are rounding errors
+            axes[name] = without_estimates()
+            findings.append(finding('no_noise', (name,)))
+            continue
         if brief:
             findings.append(finding('rest_too_short', (name,), rest=sums.samples * tau0))
         findings += axis_findings(sums, a, axes[name], tau0)
