@@ -4,14 +4,12 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from ..core.allan.sums import AllanSums
@@ -32,7 +30,7 @@ from .imu_input import IMU_TYPE, ImuInput, full_name
 from .messages import REPLACED_SHARE, Snapshot, replaced_share
 from .node import AllanNode, Part, Periodic
 from .settings import CheckpointSettings, InputSettings, WatchedImu, home_of
-from .shell import LATCHED
+from .sums_output import SumsOutput
 
 UPDATE_S = 0.5
 """Period in s at which fetched messages are decoded and accumulated."""
@@ -44,29 +42,29 @@ NEW_PASS_SHARE = 0.1
 class ImuWatch(Part):
     """Accumulates the sums of one IMU, and continues them from its checkpoint after a restart.
 
-    ``listener`` is called with every snapshot of the sums: periodically, for a new subscriber, and
-    when sums are reset or replaced. ``sensor`` is the only sensor that is used, '' for both.
-    ``accel`` receives the accelerometer on its own topic; then snapshots contain both, and the
-    services apply to both.
+    ``output`` publishes the sums: periodically, for a new subscriber, and when sums are reset or
+    replaced. ``sensor`` is the only sensor that is used, '' for both. ``accel`` receives the
+    accelerometer on its own topic; then each output of either contains both, and the services apply
+    to both.
     """
 
     def __init__(
         self,
         node: AllanNode,
         imu: WatchedImu,
-        listener: Callable[[Snapshot], None] | None = None,
         sensor: str = '',
         accel: ImuWatch | None = None,
     ) -> None:
-        self._node, self._imu, self._listener = node, imu, listener
+        self._node, self._imu = node, imu
         self._settings = node.parameters.group('input', InputSettings)
         self._segmenter = node.parameters.group('segmenter', SegmenterSettings)
         checkpoint = node.parameters.group('checkpoint', CheckpointSettings)
         self._sensor, self._accel = sensor, accel
         self._usable_axes = AXES[SENSORS[sensor]] if sensor else AXES
-        self._latest: Snapshot | None = None
+        home = home_of(imu.label)
+        self.output = SumsOutput(node, home)
         if accel is not None:
-            accel._listener = lambda _: self._publish(self._total())
+            accel.output.add_listener(lambda _: self._publish(self._total()))
         self._log = node.get_logger()
         self._input = ImuInput(node, imu.topic, self._settings.value)
         self._checkpoint = Checkpoint(imu.checkpoint, self._log, finding_line)
@@ -76,8 +74,6 @@ class ImuWatch(Part):
         self._last_stamp_ns: int | None = None
         self.frame_id = ''
         self._axes: tuple[str, ...] = ()  # axes with a finite value so far
-        self._published: tuple[AllanSums, ...] = ()
-        self._published_state: object = '', (), False, []  # `_state` of the published sums
         self._faults: tuple[Finding, ...] = ()
         self._received = 0  # number of messages at the last status
         self._clock_ns = -1  # time of the node at the last status
@@ -85,9 +81,6 @@ class ImuWatch(Part):
         self._passes = 0
         self._begin(self._checkpoint.last_stamp_ns)
 
-        home = home_of(imu.label)
-        self._publisher = node.create_publisher(String, f'{home}sums', LATCHED)
-        self._subscribers = 0
         node.create_service(Trigger, f'{home}reset', self._on_reset)
         node.create_service(Trigger, f'{home}save', self._on_save)
         self._update_due = Periodic(lambda: UPDATE_S)
@@ -106,14 +99,14 @@ class ImuWatch(Part):
         self._monitor.set_received(now, self._input.received)
         if self._update_due.due(now):
             self._update()
+        has_new_subscriber = self.output.has_new_subscriber()
         if self._sums_due.due(now) and self._sensor != 'accel':
             self._update()
             last = self._accel or self  # which publishes the sums of both
             last._update()
             last._publish(last._total())
-        elif self._publisher.get_subscription_count() > self._subscribers:
-            self._publish(self._total())  # a new subscriber does not wait for the period
-        self._subscribers = self._publisher.get_subscription_count()
+        elif has_new_subscriber:  # it does not wait for the period
+            self._publish(self._total())
         if self._save_due.due(now):
             self._update()
             self._checkpoint.save_in_background(self._total())
@@ -133,7 +126,7 @@ class ImuWatch(Part):
         found = self._monitor.observe(
             now, statistics, health, publishers, stale_after, stream_findings, graph
         )
-        own = self._publisher.topic_name
+        own = self.output.topic
         if (count := self._node.count_publishers(own)) > 1:  # another node of the same name
             names = ', '.join(map(full_name, self._node.get_publishers_info_by_topic(own)))
             shared = finding('relay_several_publishers', count=count, topic=own, names=names)
@@ -142,7 +135,7 @@ class ImuWatch(Part):
         self._faults = tuple(f for f in faults if f.axes)
         if len(self._faults) < len(faults):
             self._faults = finding('no_data'), *self._faults
-        if self._state() != self._published_state:
+        if self._state() != self.output.state:
             self._publish(self._total())
         # the findings of a live input replace the findings of a complete stream
         live = {*LIVE, 'gaps', *(f.id for f in found)}
@@ -208,7 +201,7 @@ class ImuWatch(Part):
             if not quiet and self._events == before:
                 return health, findings
             total = self._total()
-            if replaced_share(self._published, total[0]) > REPLACED_SHARE:
+            if replaced_share(self.output.sums, total[0]) > REPLACED_SHARE:
                 self._publish(total)
         return self._result.health, self._result.findings
 
@@ -305,24 +298,12 @@ class ImuWatch(Part):
         return self.frame_id, self._axes, means, [(f.id, f.axes) for f in self._faults]
 
     def _publish(self, total: Total) -> None:
-        """Pass the sums to the listener, and publish them if there is a subscriber."""
-        self._published, self._published_state = total[0], self._state()
-        snapshot = Snapshot(
-            total,
-            self.frame_id,
-            self._imu.hardware_id,
-            self._axes,
-            self._stream.means(),
-            self._faults,
-        )
-        self._latest = snapshot
-        if self._accel is not None and self._accel._latest is not None:
-            snapshot = snapshot.with_accel(self._accel._latest)
-        if self._listener is not None:
-            self._listener(snapshot)
-        if self._publisher.get_subscription_count():
-            text = json.dumps(snapshot.to_document(), separators=(',', ':'), allow_nan=False)
-            self._publisher.publish(String(data=text))
+        """Publish the sums, together with the accelerometer of another topic if there is one."""
+        means, faults = self._stream.means(), self._faults
+        hardware_id = self._imu.hardware_id
+        snapshot = Snapshot(total, self.frame_id, hardware_id, self._axes, means, faults)
+        accel = self._accel.output.latest if self._accel is not None else None
+        self.output.put(snapshot, self._state(), accel)
 
     # --- services ---------------------------------------------------------------------------------
 
@@ -366,11 +347,18 @@ def watches(
     imu: WatchedImu,
     listener: Callable[[Snapshot], None] | None = None,
 ) -> list[ImuWatch]:
-    """Return the input of an IMU, or two if gyro and accelerometer have separate topics."""
-    if not imu.accel_topic:
-        return [ImuWatch(node, imu, listener)]
-    accel = ImuWatch(node, imu.accel, sensor='accel')
-    return [ImuWatch(node, imu, listener, 'gyro', accel), accel]
+    """Return the input of an IMU, or two if gyro and accelerometer have separate topics.
+
+    ``listener`` is called with every snapshot of the IMU.
+    """
+    if imu.accel_topic:
+        accel = ImuWatch(node, imu.accel, 'accel')
+        inputs = [ImuWatch(node, imu, 'gyro', accel), accel]
+    else:
+        inputs = [ImuWatch(node, imu)]
+    if listener is not None:
+        inputs[0].output.add_listener(listener)
+    return inputs
 
 
 def watched_imus(node: AllanNode) -> list[WatchedImu]:

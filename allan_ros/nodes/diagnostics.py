@@ -291,12 +291,9 @@ def _change_findings(view: AxisView) -> list[Finding]:
     step = view.step
     if step is None or not step.beyond(view.margin):
         return []
-    term = _dominant_term(view, step.tau)
-    if term in ('N', 'Q'):
-        # N = sigma sqrt(tau) and Q = sigma tau / sqrt(3): IEEE Std 952-1997, C.1.1 and C.1.2
-        before = step.before * {'N': math.sqrt(step.tau), 'Q': step.tau / math.sqrt(3.0)}[term]
-        what, tau, kind = term, None, (sensor_of(view.axis), term)
-    else:  # the window is too short for K and R, and B has no specific averaging time
+    what: str = _dominant_term(view, step.tau)
+    before, tau, kind = step.coefficient_before(what), None, (sensor_of(view.axis), what)
+    if before is None:
         before, what, tau = step.before, 'the Allan deviation', step.tau
         kind = (sensor_of(view.axis), 'B')
     low, high = step.ci95

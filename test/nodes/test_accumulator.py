@@ -353,7 +353,7 @@ def test_two_topics_are_published_once_per_period(graph):
     node = graph.run('accumulator', **topics, **{'publish.sums_period': 3600.0})
     gyro, accel = node._parts
     published = []
-    gyro._listener = published.append
+    gyro.output.add_listener(published.append)
     for watch in (gyro, accel):
         watch.tick(time.monotonic() + 3600.0)
     assert len(published) == 1

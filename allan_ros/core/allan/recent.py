@@ -62,6 +62,20 @@ class NoiseStep:
         low, high = self.ci95
         return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
 
+    def coefficient_before(self, term: str) -> float | None:
+        """Return N or Q before the first step, if this noise dominates at ``tau``; None for others.
+
+        N = sigma sqrt(tau) and Q = sigma tau / sqrt(3) (IEEE Std 952-1997, C.1.1 and C.1.2). The
+        window is too short for K and R, and B has no specific averaging time.
+
+        Examples
+        --------
+        >>> NoiseStep(4.0, 0.5, 2.0, (1.9, 2.1), 60.0).coefficient_before('N')
+        1.0
+        """
+        factors = {'N': math.sqrt(self.tau), 'Q': self.tau / math.sqrt(3.0)}
+        return self.before * factors[term] if term in factors else None
+
 
 def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     """Return the latest step of the noise level of each axis that has one in the recent window.

@@ -1,0 +1,66 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The sums of one input on its topic, and what was published last."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from ..core.allan.sums import AllanSums
+from .messages import Snapshot
+from .shell import LATCHED
+
+
+class SumsOutput:
+    """Publishes snapshots of the sums on ``<home>sums``, and passes them to listeners.
+
+    Attributes
+    ----------
+    latest : Snapshot or None
+        The latest snapshot of this input alone.
+    state : object
+        What the estimator must know at once when it changes, as of the latest snapshot.
+    """
+
+    def __init__(self, node: Node, home: str) -> None:
+        self.latest: Snapshot | None = None
+        self.state: object = None
+        self._listeners: list[Callable[[Snapshot], None]] = []
+        self._publisher = node.create_publisher(String, f'{home}sums', LATCHED)
+        self._subscribers = 0
+
+    @property
+    def topic(self) -> str:
+        """Full name of the topic."""
+        return str(self._publisher.topic_name)
+
+    @property
+    def sums(self) -> tuple[AllanSums, ...]:
+        """The latest published sums of this input."""
+        return self.latest.sums if self.latest is not None else ()
+
+    def add_listener(self, listener: Callable[[Snapshot], None]) -> None:
+        """Call a function with every snapshot from now on."""
+        self._listeners.append(listener)
+
+    def has_new_subscriber(self) -> bool:
+        """Return whether there are more subscribers than at the last call."""
+        before, self._subscribers = self._subscribers, self._publisher.get_subscription_count()
+        return self._subscribers > before
+
+    def put(self, snapshot: Snapshot, state: object, accel: Snapshot | None) -> None:
+        """Publish a snapshot, united with the accelerometer of another topic if there is one.
+
+        It is written as JSON only if there is a subscriber.
+        """
+        self.latest, self.state = snapshot, state
+        united = snapshot if accel is None else snapshot.with_accel(accel)
+        for listener in self._listeners:
+            listener(united)
+        if self._publisher.get_subscription_count():
+            text = json.dumps(united.to_document(), separators=(',', ':'), allow_nan=False)
+            self._publisher.publish(String(data=text))
