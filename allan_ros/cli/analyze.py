@@ -56,6 +56,7 @@ from .batch import (
     run_batch,
     run_check,
     split_by_topic,
+    unread_units,
 )
 from .console import EXIT_ERROR, Console, colored, width
 from .options import Command, Option, Settings, settings_of
@@ -270,7 +271,8 @@ def check(args: argparse.Namespace) -> int:
         )
     jobs = [read_jobs(paths, args, bool(args.output)) for paths in units.values()]
     short = names_of([of_unit[0] for of_unit in jobs])
-    return run_check([Unit(*unit) for unit in zip(units, jobs, short)], args)
+    unread = [one for given in args.inputs for one in unread_units(given)]
+    return run_check([Unit(*unit) for unit in zip(units, jobs, short)], args, unread)
 
 
 CHECK_TEXT = """

@@ -8,14 +8,18 @@ Recordings are read in this process, in several processes, or on a Dask cluster.
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from ..api import is_document
+from ..core.compare import Check
 from ..core.errors import AllanError, one_line
 from ..core.estimate import value_text
 from ..core.fields import plain
@@ -23,16 +27,17 @@ from ..core.findings import SEVERITIES, Finding, finding
 from ..core.fit.interpretation import ADVISED_TERMS
 from ..core.imu import SENSORS, SI_UNITS, sensor_of, shown_unit
 from ..readers import topics_of
-from ..readers.files import write_atomic
+from ..readers.files import open_regular, write_atomic
 from ..readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
 from ..readers.serials import SerialRule
 from ..results.analysis import analyze_recorded
 from ..results.documents import load, load_sums
-from ..results.plan import Plan, PlanCheck, load_plan
+from ..results.plan import Limits, Plan, load_plan
 from ..results.references import compared
 from ..results.results import Results
 from ..results.unit_check import WORDS as UNIT_WORDS
 from ..results.unit_check import Decision, UnitCheck, check_unit, worst
+from ..view.batch_files import INDEX, SUMMARY
 from ..view.finding_text import explained, finding_line
 from ..view.result_document import result_document
 from ..view.settings import ResultSettings
@@ -45,6 +50,12 @@ from .tables import LEVEL_COLORS
 EXIT_FAILED, EXIT_UNJUDGED = int(Decision.EXCEEDS), int(Decision.NOT_JUDGED)
 
 CHECK_SCHEMA = 'allan_ros/unit_check/1'
+
+UNREAD = (str(int(Decision.UNREADABLE)), str(int(Decision.BUG)))
+"""Exit codes in a summary of units without results."""
+
+MAX_SUMMARY = 100_000_000
+"""Largest number of bytes of a summary that are read."""
 
 MOST_NAMED = 10
 """Largest number of units that are named for each verdict in the totals."""
@@ -136,7 +147,7 @@ class Judge:
         word = UNIT_WORDS[decision]
         if not self._decides:
             word = WORDS[results.level].lower()
-        sentences = unit_sentences(check, results, self._plan.name if self._plan else '', units)
+        sentences = unit_sentences(check, results, units)
         return Judged(outcome, decision, word, sentences, check, note)
 
     def _note(self, name: str, results: Results) -> str:
@@ -175,19 +186,45 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     return int(worst(codes))
 
 
-def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
-    """Print one line for each unit as it finishes, and the totals; return the worst exit code."""
+def unread_units(folder: str) -> list[Outcome]:
+    """Return the units that could not be read when the summary of an archive was written.
+
+    The list is empty if the folder has no summary.
+    """
+    path = Path(folder) / SUMMARY
+    if not path.is_file():
+        return []
+    with open_regular(path) as file:
+        rows = list(csv.DictReader(io.StringIO(file.read(MAX_SUMMARY).decode('utf-8', 'replace'))))
+    return [
+        Outcome(
+            Unit(row['unit'], [ReadJob(row['unit'], hardware_id=row.get('serial') or '')]),
+            error=one_line(f'{row["unit"]}: not read for this archive: {row.get("reason")}'),
+        )
+        for row in rows
+        if row.get('unit') and row.get('exit_code') in UNREAD
+    ]
+
+
+def run_check(
+    units: Sequence[Unit], args: argparse.Namespace, unread: Sequence[Outcome] = ()
+) -> int:
+    """Print one line for each unit as it finishes, and the totals; return the worst exit code.
+
+    ``unread`` are further units, of an archive, whose recordings could not be read.
+    """
     console, done = Console.of(args), []
     plan = load_plan(args.plan) if args.plan else None
     judge = Judge(args, plan, decides=True)
     unchecked: dict[str, None] = {}
+    number = len(units) + len(unread)
     _make_output(args)
-    for outcome in _outcomes(units, args):
+    for outcome in chain(_outcomes(units, args), unread):
         done.append(one := judge.judged(outcome))
         unchecked |= dict.fromkeys(one.check.unchecked if one.check else ())
         if console.json:
             console.line(_check_document(one))
-        elif outcome.results is None and len(units) == 1 and outcome.code == EXIT_ERROR:
+        elif outcome.results is None and number == 1 and outcome.code == EXIT_ERROR:
             raise AllanError(outcome.error)
         elif not console.quiet:
             _print_unit(one, args)
@@ -197,13 +234,13 @@ def run_check(units: Sequence[Unit], args: argparse.Namespace) -> int:
     names: dict[str, list[str]] = {}
     for one in done:
         names.setdefault(one.word, []).append(Path(one.name).name)
-    if len(units) > 1 and console.json:
+    if number > 1 and console.json:
         totals = {word: len(of_word) for word, of_word in names.items()}
-        console.line({'units': len(units), 'totals': totals, 'exit_code': int(code)})
+        console.line({'units': number, 'totals': totals, 'exit_code': int(code)})
     elif not console.json and not console.quiet:
-        if len(units) > 1:
+        if number > 1:
             texts = [_total(*each) for each in sorted(names.items(), key=lambda e: -len(e[1]))]
-            print(f'{len(units)} units: {", ".join(texts)}')
+            print(f'{number} units: {", ".join(texts)}')
         if unchecked:
             print(unchecked_text([*unchecked]))
     _write_summary(done, [one.decision for one in done], args, plan.name if plan else '')
@@ -253,7 +290,7 @@ def _write_summary(
     """Write the summary of all units with their exit codes, if a folder is given."""
     if not args.output:
         return
-    from ..view.batch_files import INDEX, SUMMARY, UnitRow, index_html, summary_csv
+    from ..view.batch_files import UnitRow, index_html, summary_csv
     from ..view.result_files import REPORT
 
     rows = []
@@ -301,14 +338,19 @@ def _check_document(one: Judged) -> dict[str, Any]:
             }
             for axis, result in results.axes.items()
         },
-        'limits': [_limit_document(check) for check in one.check.checks],
+        'limits': [
+            _limit_document(check, plan.limits_of(check))
+            for plan in (one.check.plan,)
+            if plan is not None
+            for check in one.check.checks
+        ],
         'unchecked': list(one.check.unchecked),
     }
 
 
-def _limit_document(check: PlanCheck) -> dict[str, Any]:
+def _limit_document(check: Check, limits: Limits) -> dict[str, Any]:
     """Return one quantity, its limits and its verdict, in the unit of the plan."""
-    limits, known = check.limits, check.measured.times(1.0 / check.limits.scale)
+    known = check.measured.times(1.0 / limits.scale)
     lower, upper = (
         None if end is None else end / limits.scale for end in (limits.lower, limits.upper)
     )

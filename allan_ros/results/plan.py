@@ -21,14 +21,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.allan.at_rest import AtRest
-from ..core.compare import MARGIN
+from ..core.compare import MARGIN, UNKNOWN, Check, check_limits
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.fields import Fields, located
@@ -97,8 +97,6 @@ NEAR_K = 3.0
 """Largest difference in K between the temperature of a limit and that of the recording, if there is
 no model of the bias over temperature."""
 
-CheckVerdict = Literal['within', 'exceeds', 'undecided']
-
 
 @dataclass(frozen=True)
 class Limits:
@@ -113,56 +111,6 @@ class Limits:
     unit: str
     scale: float = 1.0
     at: float | None = None
-
-    def verdict(self, interval: tuple[float, float] | None) -> CheckVerdict:
-        """Return whether an interval lies within the limits.
-
-        'within' if the complete interval lies within, 'exceeds' if the complete interval lies
-        beyond one of them; otherwise, and without an interval (None), 'undecided'.
-
-        Examples
-        --------
-        >>> limits = Limits(1.0, 2.0, 'deg/h')
-        >>> [limits.verdict(each) for each in ((1.2, 1.8), (1.8, 2.2), (2.1, 2.4), (0.0, 0.9))]
-        ['within', 'undecided', 'exceeds', 'exceeds']
-        """
-        if interval is None or math.isnan(interval[0]):
-            return 'undecided'
-        low, high = interval
-        lower = -math.inf if self.lower is None else self.lower
-        upper = math.inf if self.upper is None else self.upper
-        if low > upper or high < lower:
-            return 'exceeds'
-        return 'within' if lower <= low and high <= upper else 'undecided'
-
-
-UNKNOWN = Estimate(None, status='not_observable')
-
-
-@dataclass(frozen=True)
-class PlanCheck:
-    """One quantity, compared with the limits of a plan.
-
-    Attributes
-    ----------
-    axis : str
-        Name of the axis; '' for a quantity of the whole IMU.
-    quantity : str
-        A key of `AXIS_UNITS` or `UNIT_UNITS`, such as 'N', 'bias' or 'rate'.
-    limits : Limits
-    measured : Estimate
-        In the unit of `AXIS_UNITS` or `UNIT_UNITS`; without value and limit if it is unknown.
-    verdict : 'within', 'exceeds' or 'undecided'
-    note : str
-        Why the quantity is unknown; '' if it is known or the cause is not.
-    """
-
-    axis: str
-    quantity: str
-    limits: Limits
-    measured: Estimate
-    verdict: CheckVerdict
-    note: str = ''
 
 
 @dataclass(frozen=True)
@@ -200,19 +148,33 @@ class Plan:
     whole: Mapping[str, Limits] = field(default_factory=dict)
     up: tuple[float, float, float] | None = None
 
-    def checks(self, results: Results) -> tuple[PlanCheck, ...]:
+    def checks(self, results: Results) -> tuple[Check, ...]:
         """Return each limited quantity of the results, compared with its limits.
 
         A quantity that the results do not contain is undecided.
         """
-        found = []
+        found: list[Check] = []
         for axis, quantities in self.axes.items():
             for quantity, limits in quantities.items():
                 known = self._of_axis(results, axis, quantity, limits)
-                found.append(_check(axis, quantity, limits, *known))
+                found.append(self._check(axis, quantity, limits, *known))
         for quantity, limits in self.whole.items():
-            found.append(_check('', quantity, limits, *self._of_unit(results, quantity)))
+            known = self._of_unit(results, quantity)
+            found.append(self._check('', quantity, limits, *known))
         return tuple(found)
+
+    def limits_of(self, check: Check) -> Limits:
+        """Return the limits of a check of this plan, with their unit."""
+        return self.axes[check.axis][check.quantity] if check.axis else self.whole[check.quantity]
+
+    def _check(
+        self, axis: str, quantity: str, limits: Limits, measured: Estimate, note: str
+    ) -> Check:
+        ends = limits.lower, limits.upper
+        found = check_limits(axis, quantity, self.name, measured, *ends, note=note)
+        if found.verdict == 'exceeds' and quantity in ABOUT_THE_DATA:
+            return replace(found, verdict='undecided')
+        return found
 
     def unchecked(self, results: Results) -> list[str]:
         """Return the measured quantities that the plan does not limit: 'gyro B', 'rate' ..."""
@@ -285,22 +247,8 @@ class Plan:
         return _exact(math.degrees(math.acos(max(-1.0, min(1.0, along / size)))) if size else None)
 
 
-def _check(axis: str, quantity: str, limits: Limits, measured: Estimate, note: str) -> PlanCheck:
-    verdict = limits.verdict(_interval(measured))
-    if verdict == 'exceeds' and quantity in ABOUT_THE_DATA:
-        verdict = 'undecided'
-    return PlanCheck(axis, quantity, limits, measured, verdict, note)
-
-
-def _interval(measured: Estimate) -> tuple[float, float] | None:
-    """Return the 95 % interval; its lower end is 0 if there is only an upper limit."""
-    if measured.value is not None and measured.resolved:
-        return measured.ci95 or (measured.value, measured.value)
-    return None if measured.upper95 is None else (0.0, measured.upper95)
-
-
 def _exact(value: float | None) -> tuple[Estimate, str]:
-    return (UNKNOWN if value is None else Estimate(value)), ''
+    return (UNKNOWN if value is None else Estimate(value, (value, value))), ''
 
 
 def used_share(results: Results) -> float | None:

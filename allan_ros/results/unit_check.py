@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from ..core.compare import Check
 from ..core.findings import Finding, by_consequence
-from .plan import Plan, PlanCheck
+from .plan import Plan
 from .verdict import SENSOR_FAULTS, WRONG_UNITS, too_short
 
 if TYPE_CHECKING:
@@ -63,7 +64,9 @@ class UnitCheck:
     ----------
     decision : Decision
         WITHIN only if every limit is met and no finding makes the unit suspect.
-    checks : tuple of PlanCheck
+    plan : Plan or None
+        The test plan; None if there is none.
+    checks : tuple of Check
         All quantities with limits in the plan.
     unchecked : tuple of str
         Measured quantities that the plan does not limit; empty without a plan.
@@ -82,11 +85,12 @@ class UnitCheck:
     """
 
     decision: Decision
-    checks: tuple[PlanCheck, ...] = ()
+    plan: Plan | None = None
+    checks: tuple[Check, ...] = ()
     unchecked: tuple[str, ...] = ()
     suspect: tuple[Finding, ...] = ()
 
-    def of(self, verdict: str) -> list[PlanCheck]:
+    def of(self, verdict: str) -> list[Check]:
         """Return the checks with a verdict: 'within', 'exceeds' or 'undecided'."""
         return [check for check in self.checks if check.verdict == verdict]
 
@@ -115,10 +119,10 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
         decision = Decision.NOT_JUDGED
     else:
         decision = Decision.WITHIN
-    return UnitCheck(decision, checks, unchecked, causes)
+    return UnitCheck(decision, plan, checks, unchecked, causes)
 
 
-def _is_open(results: Results, checks: Sequence[PlanCheck]) -> bool:
+def _is_open(results: Results, checks: Sequence[Check]) -> bool:
     """Return whether nothing was compared, or a datasheet or an earlier run does not decide."""
     comparisons = results.comparisons
     if not comparisons:

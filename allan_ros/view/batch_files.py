@@ -67,8 +67,8 @@ def summary_csv(rows: Sequence[UnitRow], units: str) -> str:
     """Return a CSV table with one row for each unit.
 
     Each quantity has columns for its value, its interval and its limits, such as
-    ``gyro_x N [deg/sqrt(h)]``, ``gyro_x N low95``, ``gyro_x N upper limit``. Columns that are empty
-    for all units are omitted. ``units`` is 'deg/h' or 'SI'; quantities with limits have the units
+    ``gyro_x N [deg/sqrt(h)]``, ``gyro_x N upper limit [deg/sqrt(h)]``. Columns that are empty for
+    all units are omitted. ``units`` is 'deg/h' or 'SI'; quantities with limits have the units
     of the plan.
     """
     found = [_record(row, units) for row in rows]
@@ -89,32 +89,40 @@ def _record(row: UnitRow, units: str) -> Record:
         return record
     record['hours'] = row.results.duration_s / 3600.0
     record['rate [Hz]'] = row.results.rate_hz
-    limited = {(check.axis, check.quantity): check for check in row.check.checks}
+    stated = {
+        (check.axis, check.quantity): (check.measured, row.check.plan.limits_of(check))
+        for check in row.check.checks
+        if row.check.plan is not None
+    }
     for axis, result in row.results.axes.items():
         for term in TERMS:
-            if (axis, term) not in limited:
-                unit = shown_unit(axis, term, units)
-                known = result.fit.noise[term].magnitude
-                limits = Limits(None, None, unit.name, 1.0 / unit.factor)
-                record |= _columns(f'{axis} {term}', known, limits)
-    for (axis, quantity), check in limited.items():
-        record |= _columns(f'{axis} {quantity}'.strip(), check.measured, check.limits)
+            unit = shown_unit(axis, term, units)
+            free = Limits(None, None, unit.name, 1.0 / unit.factor)
+            known = stated.pop((axis, term), (result.fit.noise[term].magnitude, free))
+            record |= _columns(f'{axis} {term}', *known)
+        for quantity in [quantity for of, quantity in stated if of == axis]:
+            record |= _columns(f'{axis} {quantity}', *stated.pop((axis, quantity)))
+    for (axis, quantity), known in stated.items():
+        record |= _columns(f'{axis} {quantity}'.strip(), *known)
     return record
 
 
 def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[str, float | None]]:
     """Yield the columns of one quantity in the unit of its limits."""
     unit = f' [{limits.unit}]' if limits.unit else ''
+    value = measured.value if measured.resolved else None
     low, high = (measured.resolved and measured.ci95) or (None, measured.upper95)
-    for end, value in (
-        (unit, measured.value if measured.resolved else None),
+    if low == high:  # the value is exact
+        low = high = None
+    for end, number in (
+        ('', value),
         (' low95', low),
         (' high95', high),
         (' lower limit', limits.lower),
         (' upper limit', limits.upper),
     ):
-        known = value is not None and math.isfinite(value)
-        yield f'{name}{end}', value / limits.scale if known and value is not None else None
+        known = number is not None and math.isfinite(number)
+        yield f'{name}{end}{unit}', number / limits.scale if known and number is not None else None
 
 
 # --- the page -------------------------------------------------------------------------------------
@@ -271,11 +279,11 @@ def _drawing(row: UnitRow, sensor: str, frame: _Frame) -> str:
         if check.quantity == 'N' and sensor_of(check.axis or 'unit') == sensor:
             tau = np.logspace(frame.left, frame.right, 2)
             low = np.full(2, 10.0**frame.bottom)
-            if check.limits.lower:
-                low = check.limits.lower / np.sqrt(tau)
+            if check.lower:
+                low = check.lower / np.sqrt(tau)
             high = np.full(2, 10.0**frame.top)
-            if check.limits.upper:
-                high = check.limits.upper / np.sqrt(tau)
+            if check.upper:
+                high = check.upper / np.sqrt(tau)
             area = f'{frame.points(tau, low)} {frame.points(tau[::-1], high[::-1])}'
             parts = [f'<polygon points="{area}" fill="#8883"/>']
     for axis, curve in curves.items():

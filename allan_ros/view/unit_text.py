@@ -6,18 +6,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..core.compare import Check
 from ..core.estimate import Estimate
 from ..core.findings import grouped
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..core.number_text import LIMIT_DIGITS, significant
-from ..results.plan import Limits, PlanCheck
+from ..results.plan import Limits, Plan
 from ..results.results import Results
 from ..results.unit_check import UnitCheck
 from .finding_text import texts_of
 from .verdict_text import finding_text, verdict_of
 
-SHOWN_CHECKS = 4
-"""Largest number of quantities that a summary names."""
+SHOWN_CHECKS, SHOWN_FINDINGS = 4, 2
+"""Largest numbers of quantities and of findings that the line of a unit names."""
 
 
 def limits_text(limits: Limits) -> str:
@@ -46,7 +47,7 @@ def measured_text(measured: Estimate, limits: Limits) -> str:
     return f'{sign}{significant(value / limits.scale, LIMIT_DIGITS)}{unit}'
 
 
-def name_of(checks: Sequence[PlanCheck]) -> str:
+def name_of(checks: Sequence[Check]) -> str:
     """Return the name of a quantity of one or more axes: 'gyro x, y N', 'gyro N', 'rate'."""
     axes = [check.axis for check in checks if check.axis]
     quantity = checks[0].quantity.replace('_', ' ')
@@ -57,15 +58,16 @@ def name_of(checks: Sequence[PlanCheck]) -> str:
     return ' '.join(filter(None, (sensor, letters, quantity)))
 
 
-def checks_text(checks: Sequence[PlanCheck]) -> str:
+def checks_text(checks: Sequence[Check], plan: Plan) -> str:
     """Return what was measured of some quantities and what the plan demands.
 
     Axes of one sensor with the same limits are named together.
     """
-    groups: dict[tuple[str, str, Limits, str], list[PlanCheck]] = {}
+    groups: dict[tuple[str, str, Limits, str], list[Check]] = {}
     for check in checks:
         sensor = sensor_of(check.axis) if check.axis else ''
-        groups.setdefault((sensor, check.quantity, check.limits, check.note), []).append(check)
+        key = (sensor, check.quantity, plan.limits_of(check), check.note)
+        groups.setdefault(key, []).append(check)
     texts = []
     for (_, _, limits, note), group in groups.items():
         values = ' '.join(measured_text(check.measured, limits).split(' ')[0] for check in group)
@@ -78,28 +80,30 @@ def checks_text(checks: Sequence[PlanCheck]) -> str:
     return '; '.join([*texts[:SHOWN_CHECKS], *more])
 
 
-def unit_sentences(check: UnitCheck, results: Results, plan: str, units: str) -> list[str]:
+def unit_sentences(check: UnitCheck, results: Results, units: str) -> list[str]:
     """Return the reasons for the decision about a unit, the most important first.
 
-    ``plan`` is the name of the plan, '' without one; ``units`` is 'deg/h' or 'SI'.
+    ``units`` is 'deg/h' or 'SI'.
     """
-    said = []
+    said, plan = [], check.plan
     beyond, undecided = check.of('exceeds'), check.of('undecided')
-    if beyond:
-        said.append(f'Beyond {plan}: {checks_text(beyond)}.')
+    if plan and beyond:
+        said.append(f'Beyond {plan.name}: {checks_text(beyond, plan)}.')
     compared = results.comparisons or not plan
     if compared:
         said.append(verdict_of(results, units).summary)
-    for i, each in enumerate(grouped(check.suspect)):
-        known = any(texts_of(each, units).message in sentence for sentence in said)
-        if each.id != 'exceeds_limit' and not known:
+    suspect = [each for each in grouped(check.suspect) if each.id != 'exceeds_limit']
+    for i, each in enumerate(suspect[:SHOWN_FINDINGS]):
+        if not any(texts_of(each, units).message in sentence for sentence in said):
             said.append(finding_text(each, results, units))
-        if i == 0 and each.id != 'exceeds_limit':
+        if i == 0:
             said.append(texts_of(each, units).remedy)
-    if undecided:
-        said.append(f'Not decided by {plan}: {checks_text(undecided)}.')
-    if check.checks and not beyond and not undecided:
-        said.append(f'All limits of {plan} are met ({len(check.checks)}).')
+    if hidden := len(suspect[SHOWN_FINDINGS:]):
+        said.append(f'{hidden} more finding{"s" * (hidden > 1)}.')
+    if plan and undecided:
+        said.append(f'Not decided by {plan.name}: {checks_text(undecided, plan)}.')
+    if plan and not beyond and not undecided:
+        said.append(f'All limits of {plan.name} are met ({len(check.checks)}).')
     return said
 
 

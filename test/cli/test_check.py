@@ -149,8 +149,8 @@ def test_the_exit_code_is_that_of_the_worst_unit(
     out = str(tmp_path / 'batch')
     assert main(['analyze', str(units), '-o', out, '--method', 'paper']) == 1
     capsys.readouterr()
-    assert main(['check', out, *limit]) == 4  # folders of results, without intervals
-    assert capsys.readouterr().out.splitlines()[-1].startswith('7 units: ')
+    assert main(['check', out, *limit]) == 1  # results without intervals, and an unread unit
+    assert capsys.readouterr().out.splitlines()[-1].startswith('8 units: 7 not judged')
 
 
 def test_every_recording_has_the_exit_code_of_its_state(

@@ -88,7 +88,7 @@ def test_a_suspect_unit_does_not_pass(clean: Results, found: object, decision: D
     assert check.decision is decision
     assert bool(check.suspect) == (decision is not Decision.WITHIN)
     if check.suspect:
-        said = unit_sentences(check, results, 'line 4', 'deg/h')
+        said = unit_sentences(check, results, 'deg/h')
         assert any(found.message in sentence for sentence in said)
 
 
@@ -107,17 +107,16 @@ def test_the_worst_decision_is_that_of_the_batch() -> None:
 
 def test_texts_name_quantity_value_and_limits(clean: Results) -> None:
     check = check_unit(clean, plan(rate=Limits(99.0, 101.0, 'Hz')))
-    (said,) = unit_sentences(check, clean, 'line 4', 'deg/h')
+    (said,) = unit_sentences(check, clean, 'deg/h')
     assert said == 'Beyond line 4: rate 50.0 Hz (limit 99 to 101 Hz).'
     limits = Limits(None, 1e-6, 'deg/h', 4.848e-6)
     axes = Plan('p', {axis: {'bias': limits} for axis in ('gyro_x', 'gyro_y', 'gyro_z')})
-    assert checks_text(axes.checks(clean)).startswith('gyro bias ')
+    assert checks_text(axes.checks(clean), axes).startswith('gyro bias ')
     heat = check_unit(clean, plan(temperature=Limits(20.0, None, 'degC')))
-    assert 'temperature is unknown, because it was not recorded' in checks_text(
-        heat.of('undecided')
-    )
+    said = checks_text(heat.of('undecided'), heat.plan)
+    assert 'temperature is unknown, because it was not recorded' in said
     met = check_unit(clean, plan())
-    assert unit_sentences(met, clean, 'line 4', 'deg/h') == ['All limits of line 4 are met (1).']
+    assert unit_sentences(met, clean, 'deg/h') == ['All limits of line 4 are met (1).']
     assert limits_text(Limits(0.95, None, '%', 0.01)) == 'at least 95 %'
     assert unchecked_text(met.unchecked).startswith('unchecked') and not unchecked_text(())
     assert (

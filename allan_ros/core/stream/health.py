@@ -187,6 +187,8 @@ class StreamHealth:
     # axis -> smallest ratio of its noise to the noise floor; empty if none decreased much
     largest_decrease: Mapping[str, float] = field(default_factory=dict)
     stuck_axes: tuple[str, ...] = ()  # axes that repeated one value
+    # axis -> share of its samples at rest that are at the end of the measurement range
+    clipped: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def still_share(self) -> float | None:
@@ -336,6 +338,8 @@ def stream_findings(
     add('interpolated', many, interpolated=c.interpolated, share=share)
     many = c.spikes >= max(LEAST_SPIKES, LEAST_SPIKE_SHARE * c.used)
     add('spikes', many, count=c.spikes, share=c.spikes / used)
+    for axis, clipped in health.clipped.items():
+        add('clipped', clipped, (axis,), share=clipped)
     heavy = tuple(health.outliers)
     add('outliers', heavy, heavy, share=max(health.outliers.values(), default=0.0))
     shocks = [event for event in health.events if event.kind == 'shock']

@@ -40,7 +40,7 @@ from .health import (
 )
 from .motion import MotionGate
 from .rest_filter import Change
-from .sensors import SensorPlan, plan_sensors
+from .sensors import Clipping, SensorPlan, plan_sensors
 from .timing import LEARN, SampleClock
 
 
@@ -194,8 +194,11 @@ class ImuStream:
             self._dropped_frames,
             {axis: ratio for gate in gates for axis, ratio in gate.decreases.items()},
             tuple(axis for gate in gates for axis in gate.stuck),
+            {axis: share for sensor in frame.sensors for axis, share in sensor.clipped.items()},
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
+        # the share of the first samples is known earlier, that of all samples is better
+        notes = [n for n in notes if n.id != 'clipped' or not set(n.axes) & set(health.clipped)]
         found = [*notes, *stream_findings(health, longest, self._settings)]
         return health, tuple(dict.fromkeys(found))
 
@@ -348,6 +351,11 @@ class SensorStream:
         return (self._aside or self._sums).kept
 
     @property
+    def clipped(self) -> dict[str, float]:
+        """Axis -> share of its samples at rest that are at the end of the measurement range."""
+        return (self._aside or self._sums).clipped
+
+    @property
     def state(self) -> State:
         """'waiting' or 'learning' until the period is known, then the state of `MotionGate`."""
         if self.gate is not None:
@@ -470,6 +478,7 @@ class FloorSums:
         self._with_samples = with_samples
         self._engine = RunningSums(identity, axes)
         self._replaced = RunningStretches(len(axes))
+        self._axes, self._clipping = axes, Clipping(len(axes))
         self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
         self._start_ns, self._cut = 0, ''  # of the segment
 
@@ -477,6 +486,12 @@ class FloorSums:
     def samples(self) -> int:
         """Number of samples."""
         return self._engine.samples
+
+    @property
+    def clipped(self) -> dict[str, float]:
+        """Axis -> share of its samples that are clipped; without axes that are not clipped."""
+        shares = zip(self._axes, self._clipping.shares.tolist())
+        return {axis: share for axis, share in shares if share}
 
     @property
     def result(self) -> StreamSums:
@@ -492,6 +507,7 @@ class FloorSums:
             self.first_ns = self._start_ns
         self.last_ns = int(block.stamps_ns[-1])
         self._replaced.add(block.filled)
+        self._clipping.add(block.rows)
         interpolated = None if block.filled is None else np.asarray(block.filled.any(axis=0))
         self._engine.update(block.samples, int(block.stamps_ns[0]), self.last_ns, interpolated)
         if self._with_samples:

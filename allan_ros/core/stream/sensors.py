@@ -91,6 +91,45 @@ def clipped_share(samples: Floats) -> float:
     return share if share >= MIN_CLIPPED else 0.0
 
 
+CLIPPED_CHUNK = 4096
+"""Number of samples in which `Clipping` looks for clipped values."""
+
+
+class Clipping:
+    """Counts the clipped samples of each axis, in chunks of `CLIPPED_CHUNK` samples.
+
+    >>> import numpy as np
+    >>> noise = np.random.default_rng(0).normal(size=(2, 10_000))
+    >>> noise[1] = np.minimum(noise[1], 1.0)
+    >>> clipping = Clipping(2)
+    >>> clipping.add(noise)
+    >>> [round(float(share), 2) for share in clipping.shares]
+    [0.0, 0.16]
+    """
+
+    def __init__(self, axes: int) -> None:
+        self._pending = np.zeros((axes, 0))
+        self._clipped = np.zeros(axes)
+        self._samples = 0
+
+    def add(self, rows: Floats) -> None:
+        """Add samples, (axes, n)."""
+        rows = np.concatenate([self._pending, rows], axis=1)
+        while rows.shape[1] >= CLIPPED_CHUNK:
+            chunk, rows = rows[:, :CLIPPED_CHUNK], rows[:, CLIPPED_CHUNK:]
+            self._samples += CLIPPED_CHUNK
+            for end in (chunk.max(axis=1), chunk.min(axis=1)):
+                often = (chunk == end[:, None]).mean(axis=1) >= MIN_CLIPPED
+                for axis in np.flatnonzero(often):
+                    self._clipped[axis] += CLIPPED_CHUNK * clipped_share(chunk[axis])
+        self._pending = rows.copy()
+
+    @property
+    def shares(self) -> Floats:
+        """Share of the samples of each axis that are clipped, (axes,)."""
+        return np.asarray(self._clipped / max(self._samples, 1))
+
+
 ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2
 """The samples alternate if the means of even and odd ones differ by this number of standard
 deviations on this number of axes, and by more than `SEPARATION_STEPS` steps of the resolution: a

@@ -176,6 +176,24 @@ def test_units_that_cannot_be_si_are_named(scale, expected):
         )
 
 
+def test_a_stuck_axis_is_named():
+    t, x = still(20_000)
+    x[9_000:12_000, 4] = x[9_000, 4]
+    (found,) = [f for f in accumulate(t, x).findings if f.id == 'stuck']
+    # windows of half a second at the ends may count as moving
+    assert found.axes == ('accel_y',) and found.values['count'] == pytest.approx(3_000, abs=250)
+
+
+@pytest.mark.parametrize('first', [0, 12_000])
+def test_an_axis_that_is_clipped_at_any_time_is_named(first):
+    t, x = still(24_000)
+    x[first:, 1] = np.minimum(x[first:, 1], np.quantile(x[:, 1], 0.8))
+    (found,) = [f for f in accumulate(t, x).findings if f.id == 'clipped']
+    # a fifth of the samples from ``first`` on; the last ones do not fill a chunk
+    share = 0.2 * (1.0 - first / 24_000)
+    assert found.axes == ('gyro_y',) and found.values['share'] == pytest.approx(share, rel=0.2)
+
+
 def test_a_copied_axis_is_named():
     t, x = still(6_000)
     assert 'axes_equal' not in ids(accumulate(t, x))
