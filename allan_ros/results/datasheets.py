@@ -170,6 +170,10 @@ class Datasheet:
         }
 
 
+BELOW = 3.0
+"""Measured white noise below the figure of a datasheet by more than this factor is implausible."""
+
+
 VERDICTS: tuple[Judgement, ...] = ('exceeds', 'undecided', 'within')
 """Verdicts of a comparison, the worst first; an 'undecided' interval contains the limit."""
 
@@ -241,6 +245,22 @@ def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding
         limit=quantity(check.limit, *kind),
         reference=check.reference,
         margin=margin,
+    )
+
+
+def below_typical(check: Check, axes: tuple[str, ...]) -> Finding | None:
+    """Return the finding that N is implausibly far below the figure of a datasheet, or None."""
+    ends = check.ratio.ci95 if check.ratio.resolved else None
+    if check.quantity != 'N' or ends is None or not 0.0 < ends[1] * BELOW < 1.0:
+        return None
+    kind, value = (sensor_of(check.axis), 'N'), check.measured.value
+    return finding(
+        'below_typical',
+        axes,
+        value=quantity(value, *kind, check.measured.ci95),
+        limit=quantity(check.limit, *kind),
+        times=check.limit / value if value else None,
+        reference=check.reference,
     )
 
 

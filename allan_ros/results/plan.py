@@ -43,9 +43,9 @@ from ..core.imu import (
     to_si,
 )
 from ..readers.files import read_yaml
+from .datasheets import BELOW, Datasheet
 
 if TYPE_CHECKING:
-    from .datasheets import Datasheet
     from .results import Results
 
 SCHEMA = 'allan_ros/plan/1'
@@ -89,9 +89,6 @@ ABOUT_THE_DATA = ('duration', 'used', 'temperature')
 
 SIGNED = ('bias', 'temperature_drift')
 """Quantities with a sign, which need both limits."""
-
-BELOW = 3.0
-"""Measured noise below the typical figure of a datasheet by this factor is implausible."""
 
 NEAR_K = 3.0
 """Largest difference in K between the temperature of a limit and that of the recording, if there is

@@ -17,7 +17,13 @@ from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of
 from ..readers.recorded import Provenance, RecordingSums
 from .axis_result import AxisResult
-from .datasheets import Datasheet, DatasheetComparison, against_datasheet, exceeds_limit
+from .datasheets import (
+    Datasheet,
+    DatasheetComparison,
+    against_datasheet,
+    below_typical,
+    exceeds_limit,
+)
 from .verdict import TOO_SHORT_S, Level, level_of
 
 R = TypeVar('R', bound='Results')
@@ -171,13 +177,13 @@ class Results:
     def against_datasheet(self: R, datasheet: Datasheet, margin: float) -> R:
         """Return a copy that is compared with this datasheet instead of any earlier one.
 
-        Each coefficient that exceeds its limit by more than the fraction ``margin`` adds a finding.
+        Each coefficient that exceeds its limit by more than the fraction ``margin`` adds a finding,
+        and each N that is implausibly small.
         """
-        others = (f for f in self.findings if f.id != 'exceeds_limit')
+        others = (f for f in self.findings if f.id not in ('exceeds_limit', 'below_typical'))
         comparison = against_datasheet(self.noise, datasheet, margin)
-        found = (
-            exceeds_limit(c, margin, (c.axis,))
-            for c in self.undecided_if_short(comparison.comparisons)
-            if c.verdict == 'exceeds'
-        )
-        return replace(self, datasheet=comparison, margin=margin, findings=(*others, *found))
+        checks = self.undecided_if_short(comparison.comparisons)
+        found = [exceeds_limit(c, margin, (c.axis,)) for c in checks if c.verdict == 'exceeds']
+        quiet = [f for c in checks if (f := below_typical(c, (c.axis,))) is not None]
+        findings = (*others, *found, *quiet)
+        return replace(self, datasheet=comparison, margin=margin, findings=findings)

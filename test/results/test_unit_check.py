@@ -13,6 +13,7 @@ from allan_ros.core.findings import finding
 from allan_ros.results.plan import Limits, Plan
 from allan_ros.results.results import Results
 from allan_ros.results.unit_check import WORST_FIRST, Decision, UnitCheck, check_unit, worst
+from allan_ros.view.finding_text import texts_of
 from allan_ros.view.unit_text import (
     checks_text,
     limits_text,
@@ -89,7 +90,7 @@ def test_a_suspect_unit_does_not_pass(clean: Results, found: object, decision: D
     assert bool(check.suspect) == (decision is not Decision.WITHIN)
     if check.suspect:
         said = unit_sentences(check, results, 'deg/h')
-        assert any(found.message in sentence for sentence in said)
+        assert any(texts_of(found, 'deg/h').message in sentence for sentence in said)
 
 
 def test_noise_above_a_datasheet_exceeds_without_a_plan(clean: Results) -> None:
