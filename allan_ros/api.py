@@ -60,9 +60,8 @@ from .results.references import compared
 from .results.results import Results as PlainResults
 from .view.coefficient_table import coefficient_list
 from .view.finding_text import explained, finding_line
-from .view.format import check_plots
 from .view.notebook import notebook_html
-from .view.settings import ResultSettings
+from .view.settings import ResultSettings, check_plots
 from .view.table import records
 from .view.verdict_text import Verdict, summary_lines, verdict_of
 

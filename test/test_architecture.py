@@ -217,8 +217,6 @@ STILL_IN_A_CIRCLE = {
     'readers.mcap',
     'readers.rosbag2',
     'readers.sqlite3',
-    'view.format',
-    'view.plots',
 }
 """Modules that import each other in a circle, which is still to be removed."""
 

@@ -5,8 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from importlib import import_module
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,6 @@ from ..core.fit import Deviation
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ShownUnit, shown_unit
 from ..core.number_text import prefixed, significant
-from ..core.settings import choose
 
 if TYPE_CHECKING:
     from ..results.axis_result import AxisResult
@@ -189,11 +187,3 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
     return DrawnCurve(
         curve.tau, adev, low, high, curve.is_uncertain, model, upper, parts, limits, read
     )
-
-
-def check_plots(formats: Sequence[str]) -> None:
-    """Raise AllanError if a format is unknown, or figures are requested without matplotlib."""
-    for form in formats:
-        choose(FORMATS, plots=form)
-    if formats:
-        import_module('.plots', __package__)

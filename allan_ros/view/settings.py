@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 
 from ..core.compare import MARGIN
 from ..core.fit import METHODS
-from ..core.settings import UNIT_SYSTEMS, CheckedSettings, parameter
-from .format import check_plots
+from ..core.settings import UNIT_SYSTEMS, CheckedSettings, choose, parameter
+from .format import FORMATS
 
 
 @dataclass(frozen=True)
@@ -60,3 +62,11 @@ class ResultSettings(CheckedSettings):
     def stated_margin(self) -> float | None:
         """The margin; None if it is the default, so that an earlier comparison keeps its margin."""
         return None if self.margin == MARGIN else self.margin
+
+
+def check_plots(formats: Sequence[str]) -> None:
+    """Raise AllanError if a format is unknown, or figures are requested without matplotlib."""
+    for form in formats:
+        choose(FORMATS, plots=form)
+    if formats:
+        import_module('.plots', __package__)
