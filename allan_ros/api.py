@@ -338,6 +338,11 @@ class Datasheet(PlainDatasheet):
 class CommonResult(PlainCommonResult):
     __doc__ = PlainCommonResult.__doc__
 
+    def __repr__(self) -> str:
+        from .view.common_table import common_lines
+
+        return '\n'.join(common_lines(self))
+
     def plot(self) -> Any:
         """Return a matplotlib Figure of the coherence over the averaging time."""
         from .view.plots import common_figure
@@ -650,6 +655,9 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     from .readers.arrays import recording_in_memory
 
     reading, settings = _settings(options, rate)
+    places = [Path(source).resolve() for source in sources if isinstance(source, PATH)]
+    if len({*places}) < len(places):
+        raise AllanError('a recording is given twice: give one of each IMU')
     recordings: dict[str, Recording] = {}
     paths = [str(s) if isinstance(s, PATH) else chr(ord('A') + i) for i, s in enumerate(sources)]
     for source, path, label in zip(sources, paths, labels_of(paths)):
@@ -662,7 +670,8 @@ def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
             recordings[name] = ReadJob(path, replace(reading, topic=topic)).open()
     if not recordings:
         raise AllanError('no recording is given: give one of each IMU')
-    return CommonResult(common_of(recordings, settings).rows)
+    found = common_of(recordings, settings)
+    return CommonResult(found.rows, found.findings)
 
 
 @public

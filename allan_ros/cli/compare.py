@@ -20,8 +20,8 @@ from typing import Any
 
 from .. import api
 from ..core.errors import AllanError
-from ..results.common_noise import common_lines
 from ..results.comparison import comparison_document, inflation_document
+from ..view.common_table import common_lines
 from ..view.settings import ResultSettings
 from .console import Console, width
 from .options import Command, Option, Settings, percent, seconds

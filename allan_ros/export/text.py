@@ -212,6 +212,9 @@ DIGITS = 2
 ROUNDING = 0.01
 """Relative difference that is due to the rounding of the numbers in a file."""
 
+SMALLEST, LARGEST = 1e-30, 1e15
+"""Range of plausible numbers in a file, in any unit; their squares are finite."""
+
 COMMENT = re.compile(r'(?m)^\s*(?:#|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
 """Comments of YAML, Python and JSON, and strings with a space."""
 
@@ -339,8 +342,11 @@ def _numbers(plain: str, key: Key) -> list[float]:
         raise AllanError(
             f'your file {what} of {name}: give the file of the filter that --to names, with one IMU'
         )
-    if not all((value > 0.0 or key.what == 'K') and value < math.inf for value in numbers[0]):
-        raise AllanError(f'{name} of your file is {values[0]}: give a number above 0')
+    least = 0.0 if key.what == 'K' else SMALLEST
+    if not all(least <= value <= LARGEST for value in numbers[0]):
+        raise AllanError(
+            f'{name} of your file is {values[0]}: give a number from {least:g} to {LARGEST:g}'
+        )
     return numbers[0]
 
 

@@ -233,8 +233,8 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
     """Return samples as a float64 array (n, k); raise AllanError when this is impossible."""
     try:
         values = np.asarray(np.ma.filled(samples, np.nan) if np.ma.is_masked(samples) else samples)
-        if values.dtype.kind == 'c':
-            raise TypeError('complex values')
+        if values.dtype.kind in 'cmM':
+            raise TypeError('complex values' if values.dtype.kind == 'c' else 'dates or durations')
         values = np.asarray(values, float)
     except (TypeError, ValueError) as error:
         raise AllanError(

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding, finding
-from ..core.imu import NANOSECONDS, ImuIdentity, sensor_of
+from ..core.imu import MAX_NAME, NANOSECONDS, ImuIdentity, sensor_of
 from ..core.settings import SegmenterSettings
 from ..core.stream.health import Counts, Event, Segment
 from ..core.stream.pipeline import ImuStream
@@ -153,6 +153,13 @@ class ReadJob:
     segmenter: SegmenterSettings = field(default_factory=SegmenterSettings)
     hardware_id: str = ''
     with_context: bool = False
+
+    def __post_init__(self) -> None:
+        if len(self.hardware_id) > MAX_NAME:
+            raise AllanError(
+                f'the hardware id has {len(self.hardware_id)} characters, '
+                f'{self.hardware_id[:20]!r} ...: give the serial number of the IMU'
+            )
 
     def open(self) -> Recording:
         """Open the recording without reading its samples."""

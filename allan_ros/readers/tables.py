@@ -58,8 +58,12 @@ QUOTED = re.compile('"[^"]*"')
 DATE = re.compile(r'\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d')
 """Start of a date with a time (ISO 8601)."""
 
-TIME_ZONE = re.compile(r'([+-])(\d\d):?(\d\d)$|Z$')
-"""End of a date with a time zone."""
+WHOLE_DATE = re.compile(
+    r'\s*(?P<minute>\d{4}-\d\d-\d\d[T ]\d\d:\d\d)'
+    r'(?::(?P<second>\d\d)(?:\.(?P<part>\d*))?)?'
+    r'\s*(?:Z|UTC|GMT|(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d)?)?\s*'
+)
+"""A date with a time and perhaps a time zone."""
 
 TOPIC_NAMES = ('sec', 'nanosec', LEFT_OUT, *[LEFT_OUT] * 13, 'angular_velocity_x')
 TOPIC_NAMES += ('angular_velocity_y', 'angular_velocity_z', *[LEFT_OUT] * 9)
@@ -370,10 +374,11 @@ class _Rows:
 
 def _date(text: str) -> int:
     """Convert a date with a time (ISO 8601) to ns since 1970; raise ValueError if it is invalid."""
-    if not DATE.match(text):
+    found = WHOLE_DATE.fullmatch(text)
+    if not found:
         raise ValueError('not a date')
-    zone = TIME_ZONE.search(text)
-    stamp = int(np.datetime64(TIME_ZONE.sub('', text), 'ns').astype(np.int64))
-    if zone and zone[1]:
-        stamp -= int(zone[1] + '1') * (60 * int(zone[2]) + int(zone[3])) * 60 * 10**9
-    return stamp
+    minute = int(np.datetime64(found['minute'].replace(' ', 'T'), 'm').astype(np.int64))
+    if found['sign']:
+        minute -= int(f'{found["sign"]}1') * (60 * int(found['hours']) + int(found['minutes'] or 0))
+    part = f'{found["part"] or "":0<9}'[:9]
+    return (60 * minute + int(found['second'] or 0)) * 10**9 + int(part)

@@ -74,6 +74,10 @@ def test_a_file_with_a_hundredth_of_the_noise_is_overconfident(known_results: Re
     [
         ('gyr_n: 0.1\nacc_n: 0.1\nacc_w: 0.1\n', 'contains no number of gyr_w'),
         ('gyr_n: 0.1\nacc_n: 0\ngyr_w: 1\nacc_w: 1', r'acc_n of your file is 0: give'),
+        (
+            'gyr_n: 1e200\nacc_n: 1e200\ngyr_w: 1e200\nacc_w: 1e200',
+            r'of your file is 1e200: give',
+        ),
         ('acc_n: 0.1\nother:\n  acc_n: 0.2\n', 'contains several values of acc_n'),
         ('acc_n: [0.1, 0.2]\n', 'contains several values of acc_n'),
         ('\0\1', 'contains no number of acc_n'),

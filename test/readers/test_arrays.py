@@ -28,6 +28,12 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readers, 'BATCH', 300)
 
 
+def test_dates_are_not_samples() -> None:
+    dates = np.arange(300).astype('datetime64[s]')
+    with pytest.raises(AllanError, match='not numbers'):
+        arrays.recording_in_memory({'gx': dates}, ReadOptions(rate_hz=100.0))
+
+
 @pytest.mark.parametrize('order', ['C', 'F'])
 @pytest.mark.parametrize('save', [np.savez, np.savez_compressed])
 def test_npz_with_time_in_seconds(save: Any, order: Any, tmp_path: Path) -> None:

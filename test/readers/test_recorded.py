@@ -68,6 +68,11 @@ def test_two_topics_give_the_sums_of_each(tmp_path: Path, storage: str, unused: 
     assert both.sums == read(path, accel_topic=ACCEL.lstrip('/')).sums  # the only other topic
 
 
+def test_a_serial_number_is_short() -> None:
+    with pytest.raises(AllanError, match='10000 characters'):
+        ReadJob('imu.csv', hardware_id='1' * 10_000)
+
+
 def test_the_other_fields_of_both_topics_are_ignored(tmp_path: Path) -> None:
     clean, disturbed = camera(70.0), camera(70.0)
     disturbed[GYRO].samples[3000:9000, 3:] = np.random.default_rng(4).normal(size=(6000, 3))

@@ -16,6 +16,7 @@ from support.recordings import read, refused
 
 from allan_ros.core.imu import STANDARD_GRAVITY, ImuBatch
 from allan_ros.readers import tables, writing
+from allan_ros.view.finding_text import finding_line
 
 DEG = np.pi / 180
 ROW = '1,2,3,4,5,6'
@@ -207,7 +208,8 @@ def test_columns_that_are_not_recognized_are_listed(tmp_path: Path) -> None:
     text = 't,gx [rad/s],gy [rad/s],yaw rate,p,q,r\n0,1,2,3,4,5,6\n'
     (found,) = read(table(tmp_path, text)).findings
     assert found.id == 'columns_unrecognized'
-    assert 'yaw rate, p, q, r' in str(found) and '--columns' in str(found)
+    assert found.values['names'] == 'yaw rate, p, q, r'
+    assert '--columns' in finding_line(found)
 
 
 @pytest.mark.parametrize(
@@ -258,6 +260,30 @@ def test_each_date_has_its_own_time_zone(tmp_path: Path) -> None:
     assert np.diff(read(path).stamps_ns).tolist() == [10**9, 10**9]
     path.write_text(text + ',1\n')
     assert "line 5, column 1 (t): '' is not a number" in refused(path)
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize(
+    'date, seconds',
+    [
+        ('2026-01-31T12:00:00.5 +01:00', 1_769_857_200.5),
+        ('2026-01-31T12:00:00+01', 1_769_857_200.0),
+        ('2026-01-31 12:00 UTC', 1_769_860_800.0),
+        ('2262-04-11T23:47:16Z', 9_223_372_036.0),
+        ('1969-12-31T23:59:59', -1.0),
+    ],
+)
+def test_dates_with_zones_are_read_without_warnings(
+    date: str, seconds: float, tmp_path: Path
+) -> None:
+    assert read(table(tmp_path, f't,gx\n{date},1\n')).stamps_ns.tolist() == [int(seconds * 1e9)]
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('date', ['2262-04-12T00:00:00', '9999-01-01T00:00Z', '2026-13-01T00:00'])
+def test_dates_out_of_range_are_refused(date: str, tmp_path: Path) -> None:
+    said = refused(table(tmp_path, f't,gx\n{date},1\n'))
+    assert ('does not fit the range' in said) == ('13' not in date)
 
 
 def test_a_column_can_have_record_times(tmp_path: Path) -> None:

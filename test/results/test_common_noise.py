@@ -48,6 +48,27 @@ def common(three: list[ImuBatch]) -> CommonResult:
     return ar.common(*three)
 
 
+def test_findings_of_each_recording_are_part_of_the_result(three: list[ImuBatch]) -> None:
+    first, second, third = three
+    in_g = ImuBatch(first.stamps_ns, first.samples / np.repeat([1.0, 9.80665], 3))
+    flipped = ImuBatch(second.stamps_ns, second.samples * [1, -1, 1, 1, 1, 1])
+    dead = ImuBatch(third.stamps_ns, third.samples * [1, 1, 1, 1, np.nan, 1])
+    common = ar.common(in_g, flipped, dead)
+    ids = {label: {f.id for f in found} for label, found in common.findings.items()}
+    assert 'accel_unit' in ids['A'] and 'axis_absent' in ids['C']
+    (opposite,) = (f for f in common.findings['B'] if f.id == 'axis_opposite')
+    assert opposite.axes == ('gyro_y',)
+    assert not any('axis_opposite' in ids[label] for label in 'AC')
+    assert 'error: B: gyro_y: The axis points in the opposite' in repr(common)
+    assert {f['id'] for f in common.document()['findings']['B']} == ids['B']
+
+
+def test_the_same_recording_twice_is_refused(three: list[ImuBatch], tmp_path: Path) -> None:
+    write_recording(tmp_path / 'a.npz', [three[0]])
+    with pytest.raises(AllanError, match='given twice'):
+        ar.common(tmp_path / 'a.npz', str(tmp_path / 'a.npz'))
+
+
 def test_the_own_noise_of_each_imu(common: CommonResult) -> None:
     assert [(row.axis, row.label) for row in common.rows] == [(a, i) for a in AXES for i in 'ABC']
     for row in common.rows:
