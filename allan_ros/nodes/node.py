@@ -92,7 +92,8 @@ class Parameters:
         Raises AllanError if a value given at start is invalid or has the wrong type, and
         ParameterException (rclpy) if it is outside its range.
         """
-        group = self._groups.setdefault(prefix, ParameterGroup(prefix, settings_type()))
+        # rclpy calls `_on_set` for each declaration, but the values are only valid together
+        group = self._groups.pop(prefix, ParameterGroup(prefix, settings_type()))
         given = {}
         for name, info in describe(settings_type).items():
             full = f'{prefix}.{name}'
@@ -109,6 +110,7 @@ class Parameters:
                 ) from error
             given[name] = _from_ros(declared.value)
         group.value = replace(group.value, **given)
+        self._groups[prefix] = group
         return group
 
     def unknown(self) -> list[str]:
