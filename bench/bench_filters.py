@@ -159,7 +159,7 @@ def growth() -> None:
         results = ar.analyze(settled, rate=RATE, skip=0.0)
         print(f'{name}: {len(settled) / RATE / 3600:.2f} h; horizons {GROWTH_S} s', flush=True)
         for i, axis in enumerate(AXES):
-            predicted = {one.horizon: one.std for one in results[axis].growth}
+            predicted = {one.horizon: one.std.value for one in results[axis].growth}
             bands = _growth_band(results[axis], len(settled) / RATE)
             cells = []
             for horizon, (low, high) in zip(GROWTH_S, bands):
@@ -189,10 +189,10 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
             for i in range(BAND_RECORDS)
         ]
         low, high = np.log(np.quantile(ratios, [0.025, 0.975]))
-        if (growth := known.get(horizon)) is not None and growth.ci95 is not None:
+        if (growth := known.get(horizon)) is not None and growth.std.ci95 is not None:
             # errors of the measurement and of the prediction (an excess of the prediction lowers
             # the ratio)
-            below, above = np.log(np.array(growth.ci95) / growth.std)
+            below, above = np.log(np.array(growth.std.ci95) / growth.std.value)
             low, high = min(low, 0.0), max(high, 0.0)
             low, high = -np.hypot(low, above), np.hypot(high, below)
         bands.append((float(np.exp(low)), float(np.exp(high))))

@@ -287,7 +287,8 @@ def against(
         for believed, growth in zip(
             grown, growth_table(results.axes[axis].fit, horizons=AFTER_S, window=window)
         ):
-            found.append(Drift(axis, growth.horizon, float(believed), growth.std, growth.ci95))
+            size, ends = growth.std.value or 0.0, growth.std.ci95
+            found.append(Drift(axis, growth.horizon, float(believed), size, ends))
     return tuple(found)
 
 

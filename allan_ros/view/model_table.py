@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..core.estimate import NOTHING_KNOWN
+from ..core.estimate import NOTHING_KNOWN, Estimate
 from ..core.fit import TERMS
 from ..core.imu import ShownUnit, sensor_of
 from ..core.number_text import VALUE_DIGITS, significant
@@ -110,20 +110,21 @@ def growth_table(axes: Axes, units: str) -> Table:
     rows = [
         (
             Heading(f'after {growth[0].horizon:g}{NO_BREAK}s'),
-            [size_cell(g.std, g.ci95, unit.factor) for g in growth],
+            [size_cell(g.std, unit.factor) for g in growth],
         )
         for growth in zip(*(axis.growth for axis in axes.values()))
     ]
     return Table(Heading(f'{WALKS[sensor][0]} error', unit.name), axis_headings(axes), rows)
 
 
-def size_cell(size: float, interval: tuple[float, float] | None, factor: float) -> Cell:
+def size_cell(known: Estimate, factor: float) -> Cell:
     """Return a standard deviation (SI) with its 95 % interval, times ``factor``.
 
     If the interval begins at 0, no term is resolved, and only its upper end is stated.
     """
-    low, high = interval or (size, size)
+    size = known.value or 0.0
+    low, high = known.ci95 or (size, size)
     if not low > 0.0:
         return Cell(f'< {significant(high * factor, 2)}' if high > 0.0 else NOTHING_KNOWN)
-    ends = '..'.join(significant(end * factor, 2) for end in interval or ())
+    ends = '..'.join(significant(end * factor, 2) for end in known.ci95 or ())
     return Cell(significant(size * factor, 2), ends, size * factor)

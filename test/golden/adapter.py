@@ -89,7 +89,7 @@ def _axis(axis: Any) -> dict[str, Any]:
             'model': axis.model_line().adev,
         },
         'regions': {f'{i} {r.term}': [r.tau_low, r.tau_high] for i, r in enumerate(axis.regions)},
-        'growth': {f'{g.horizon:g} s': [g.std, *(g.ci95 or ())] for g in axis.growth},
+        'growth': {f'{g.horizon:g} s': [g.std.value, *(g.std.ci95 or ())] for g in axis.growth},
         'fit': {
             'm_min': fit.m_min,
             'filtered': fit.filtered,

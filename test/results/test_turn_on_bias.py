@@ -53,7 +53,7 @@ def test_the_document_keeps_them(merged: ar.Results) -> None:
     axis = document['axes']['gyro_y']
     assert axis['turn_on']['recordings'] == 3
     assert [growth['horizon'] for growth in axis['growth']] == [1.0, 10.0, 30.0, 100.0, 300.0]
-    assert all(low < high for low, high in (growth['ci95'] for growth in axis['growth']))
+    assert all(low < high for low, high in (growth['std']['ci95'] for growth in axis['growth']))
     read = results_from_document(document)['gyro_y']
     assert read.turn_on == merged['gyro_y'].turn_on
     assert read.rounding == merged['gyro_y'].rounding

@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..estimate import Estimate
 from ..fit.model import AxisFit
 from ..noise import NoiseTerms, ProcessModel
 
@@ -102,16 +103,14 @@ class Growth:
         Time since the last correction in s.
     window : float
         Time in s before the correction, over which the bias was averaged.
-    std : float
-        Predicted standard deviation of the error, in the unit of the samples times s.
-    ci95 : (low, high) or None
-        95 % interval of ``std``; None if a term of the model has no interval.
+    std : Estimate
+        Predicted standard deviation of the error, in the unit of the samples times s. It has no
+        interval if a term of the model has none.
     """
 
     horizon: float
     window: float
-    std: float
-    ci95: tuple[float, float] | None
+    std: Estimate
 
 
 def growth_table(
@@ -149,7 +148,7 @@ def growth_table(
         bounds = np.sqrt(np.maximum(total - below, 0.0)), np.sqrt(total + above)
         intervals = [(float(bottom), float(top)) for bottom, top in zip(*bounds)]
     return tuple(
-        Growth(float(one), window, float(value), ci95)
+        Growth(float(one), window, Estimate(float(value), ci95))
         for one, value, ci95 in zip(h, std, intervals)
     )
 

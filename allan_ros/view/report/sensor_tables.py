@@ -93,7 +93,7 @@ def _scatter(name: str, axis: AxisResult, units: str) -> str:
     if known is None or not known.scatter.value:
         return 'not resolved'
     unit = shown_unit(name, 'B', units)
-    cell = size_cell(known.scatter.value, known.scatter.ci95, unit.factor)
+    cell = size_cell(known.scatter, unit.factor)
     ends = f' ({cell.detail})' if cell.detail else ''
     return escape(f'{cell.text} {pretty_unit(unit.name)}{ends}')
 

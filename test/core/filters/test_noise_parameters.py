@@ -105,19 +105,21 @@ def test_a_raised_limit_of_n_stays_a_limit() -> None:
 def test_the_predicted_growth_has_an_interval() -> None:
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-4), K=hidden(1e-5), R=hidden(1e-9))
     for growth in growth_table(fit):
-        assert growth.ci95 is not None
-        low, high = growth.ci95
-        assert low < growth.std < high
+        assert growth.std.ci95 is not None and growth.std.value is not None
+        low, high = growth.std.ci95
+        assert low < growth.std.value < high
     # of white noise, B and K alone, after 100 s: only the limit of K widens it to one side
-    assert high / growth.std > growth.std / low
-    assert growth_table(fit_with(N=resolved(1e-3), B=Estimate(1e-4)))[0].ci95 is None
+    assert high / growth.std.value > growth.std.value / low
+    assert growth_table(fit_with(N=resolved(1e-3), B=Estimate(1e-4)))[0].std.ci95 is None
 
 
 def test_a_term_that_is_not_resolved_is_included_with_its_estimate() -> None:
     likely = Estimate(1e-5, None, 3e-5, 'not_observable')
     fit = fit_with(N=resolved(1e-3), B=resolved(1e-6), K=likely)
     last = growth_table(fit)[-1]
-    assert last.std == pytest.approx(float(predicted_growth(fit.model, last.horizon, last.window)))
+    assert last.std.value == pytest.approx(
+        float(predicted_growth(fit.model, last.horizon, last.window))
+    )
     assert pytest.approx(1e-5, rel=1e-2) == reduce_axis('gyro_x', fit, 'processes').model.terms.K
 
 

@@ -46,17 +46,17 @@ def test_the_growth_is_that_of_the_axis(small_results: Results, units: str, fact
     for row in zip(*(axis.growth for axis in axes.values())):
         assert f'after {row[0].horizon:g}{NO_BREAK}s' in html
         for growth in row:
-            low, high = (significant(end * factor, 2) for end in growth.ci95)
-            expected.append(f'{significant(growth.std * factor, 2)} {low} ..{high}')
+            low, high = (significant(end * factor, 2) for end in growth.std.ci95)
+            expected.append(f'{significant(growth.std.value * factor, 2)} {low} ..{high}')
     assert cells(html, units) == expected
 
 
 def test_of_terms_that_are_not_resolved_only_a_limit_is_given() -> None:
     limits = {term: Estimate(None, None, 1e-3, 'not_observable') for term in 'NBK'}
     axis = axis_of(**limits)
-    assert all(growth.ci95[0] == 0.0 for growth in axis.growth)
+    assert all(growth.std.ci95[0] == 0.0 for growth in axis.growth)
     shown = cells(''.join(growth_html({'gyro_x': axis})), 'SI')
-    highs = [significant(growth.ci95[1], 2) for growth in axis.growth]
+    highs = [significant(growth.std.ci95[1], 2) for growth in axis.growth]
     assert shown == [f'&lt; {high}' for high in highs]
 
 
