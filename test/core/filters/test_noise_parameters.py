@@ -41,7 +41,7 @@ def test_a_term_has_its_estimate_or_its_upper_limit() -> None:
     assert axis_level('gyro_x', fit, 'K') == known
 
 
-@pytest.mark.parametrize('value', [None, 0.0, -1e-9, math.inf, math.nan])
+@pytest.mark.parametrize('value', [None, 0.0, math.inf, math.nan])
 @pytest.mark.parametrize('limit', [None, 0.0, math.inf, math.nan])
 @pytest.mark.parametrize('status', ['estimated', 'not_observable'])
 def test_no_level_is_ever_zero_negative_or_infinite(
@@ -50,6 +50,11 @@ def test_no_level_is_ever_zero_negative_or_infinite(
     fit = AxisFit({'N': Estimate(value, None, limit, status)})  # type: ignore[arg-type]
     with pytest.raises(AllanError, match='not even as a limit'):
         axis_level('accel_y', fit, 'N')
+
+
+def test_the_level_of_a_negative_ramp_is_its_magnitude() -> None:
+    fit = AxisFit({'R': Estimate(-4e-7, (-5e-7, -3e-7))})
+    assert axis_level('gyro_x', fit, 'R') == Level('gyro_x', 'R', 4e-7, (3e-7, 5e-7))
 
 
 def resolved(value: float) -> Estimate:
