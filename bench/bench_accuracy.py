@@ -32,7 +32,8 @@ from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.fit import TERMS, AxisFit, fit_noise
 from allan_ros.core.imu import from_datasheet, shown_unit
-from allan_ros.core.noise import NoiseTerms, gamma_of, gauss_markov_avar, term_avar
+from allan_ros.core.noise import PROCESSES, GaussMarkov, Model
+from allan_ros.core.noise.derived import avar
 from allan_ros.core.simulate import simulate_axis
 
 AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
@@ -41,11 +42,11 @@ AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
 CONFIDENCE = 0.95
 
 
-def gyro(**datasheet: float) -> NoiseTerms:
+def gyro(**datasheet: float) -> Model:
     """Return noise terms of a gyro; Q, N, B, K, R are in urad, deg/sqrt h, deg/h, deg/h^1.5,
     deg/h^2.
     """
-    return NoiseTerms(**{k: from_datasheet(k, 'gyro', v) for k, v in datasheet.items()})
+    return Model.of(**{k: from_datasheet(k, 'gyro', v) for k, v in datasheet.items()})
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Scenario:
 
     Attributes
     ----------
-    truth : NoiseTerms
+    truth : Model
     rate, seconds : float
         In Hz and s.
     seed : int
@@ -71,7 +72,7 @@ class Scenario:
         A Butterworth filter of the samples, and Hz; order 0: none.
     """
 
-    truth: NoiseTerms
+    truth: Model
     rate: float
     seconds: float
     seed: int
@@ -91,12 +92,12 @@ class Scenario:
         y = simulate_axis(n, 1.0 / self.rate, self.truth, rng)
         for amplitude, frequency in self.lines:
             turns = frequency / self.rate * np.arange(n) + rng.uniform()
-            y += amplitude * self.truth.N * self.rate**0.5 * np.sin(2.0 * np.pi * turns)
+            y += amplitude * self.truth.value('N') * self.rate**0.5 * np.sin(2.0 * np.pi * turns)
         size, time = self.hump
         if size > 0.0:
             m = np.unique(np.geomspace(1.0, 100.0 * time * self.rate, 300).round())
-            rest = term_avar(m, 1.0 / self.rate, self.truth).sum(axis=1)
-            sigma = size / math.sqrt((gauss_markov_avar(m, time * self.rate) / rest).max())
+            rest = self.truth.avar(m / self.rate, 1.0 / self.rate)
+            sigma = size / math.sqrt((avar(GaussMarkov(time * self.rate), m) / rest).max())
             keep = math.exp(-1.0 / (self.rate * time))
             steps = sigma * rng.standard_normal(n)
             steps[1:] *= math.sqrt(1.0 - keep * keep)
@@ -247,8 +248,8 @@ def table(scenario: str, fits: list[AxisFit]) -> str:
 
 def processes_found(fits: list[AxisFit]) -> str:
     """Return how often processes, a filter and lack of fit were found, and in what number."""
-    kinds = ('gauss_markov', 'sinusoid', 'resonance')
-    numbers = {k: Counter(len(getattr(fit.processes, k)) for fit in fits) for k in kinds}
+    kinds = [name for name, one in PROCESSES.items() if one.parameters]
+    numbers = {k: Counter(len(fit.model[k]) for fit in fits) for k in kinds}
     parts = [f'{k} {dict(sorted(n.items()))}' for k, n in numbers.items()]
     parts.append(f'filtered {np.mean([fit.filtered for fit in fits]):.1%}')
     parts.append(f'lack of fit {np.mean([bool(fit.lack_of_fit) for fit in fits]):.1%}')
@@ -272,13 +273,10 @@ def differences(axis: ar.AxisResult, step: int) -> np.ndarray:
     """
     model, tau0, lag = axis.fit.model, axis.tau0, np.arange(POINTS)
     gamma = sum(
-        value * gamma_of(term)(step, lag)
-        for term, value in zip('QNBK', model.terms.in_sample_units(tau0))
+        process.variance_of(value, tau0) * process.in_unit(tau0).gamma(step, lag)
+        for process, value, *_ in model.parts
+        if not process.is_regressor
     )
-    for sigma, constant in model.gauss_markov:
-        gamma = gamma + sigma**2 * gamma_of('gauss_markov', constant / tau0)(step, lag)
-    for amplitude, frequency in model.sinusoids:
-        gamma = gamma + amplitude**2 * gamma_of('sinusoid', frequency * tau0)(step, lag)
     rows = gamma[np.abs(lag[:, None] - lag)]
     return np.diff(np.diff(rows, axis=0), axis=1)
 
@@ -290,7 +288,7 @@ def beyond(axis: ar.AxisResult, seconds: float) -> tuple[int, int]:
     step = int(seconds / axis.tau0) // POINTS
     root = np.linalg.cholesky(differences(axis, step))
     noise = root @ np.random.default_rng(1).standard_normal((POINTS - 1, RECORDS))
-    drift = axis.fit.model.terms.R * step * axis.tau0
+    drift = axis.fit.model.value('R') * step * axis.tau0
     phase = np.cumsum(
         np.cumsum(np.pad(noise, ((2, 0), (0, 0))), 0) + drift * np.arange(513)[:, None], 0
     )

@@ -35,7 +35,7 @@ from allan_ros.core.filters.bias import BiasFilter, BiasModel
 from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.reductions import reduce_model
 from allan_ros.core.imu import AXES
-from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.core.noise import GaussMarkov, Model
 from allan_ros.export import ExportOptions, make_export
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -177,9 +177,10 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
     model = axis.fit.model
     known = {growth.horizon: growth for growth in axis.growth if growth.window == WINDOW_S}
     rng, n = np.random.default_rng(9), round(seconds)
-    terms = {name: getattr(model.terms, name) for name in 'NBK'}
-    records = REALITY['draw'](n, 1.0, {**terms, 'R': model.terms.R}, rng, BAND_RECORDS)
-    for sigma, tau in model.gauss_markov:
+    terms = {name: model.value(name) for name in 'NBKR'}
+    records = REALITY['draw'](n, 1.0, terms, rng, BAND_RECORDS)
+    for process, sigma, *_ in model['gauss_markov']:
+        tau = process.correlation_time
         records += REALITY['gauss_markov'](n, 1.0, sigma, tau, rng, BAND_RECORDS)
     bands = []
     for horizon in GROWTH_S:
@@ -340,7 +341,8 @@ def figure() -> None:
     styles = {'N, K as measured': 'C3--', 'N, raised K': 'C0-', 'state space': 'C2-'}
     for name, style in styles.items():
         one = models[name]
-        model = ProcessModel(NoiseTerms(N=one['N'], K=one['K']), tuple(one.get('gms', ())))
+        bias = [(sigma, GaussMarkov(tau)) for sigma, tau in one.get('gms', ())]
+        model = Model.of(*bias, N=one['N'], K=one['K'])
         predicted = predicted_growth(model, times, window) * scale
         axes.loglog(times, predicted, style, label=name)
     axes.axvspan(1.0, 30.0, color='C0', alpha=0.08, lw=0.0)

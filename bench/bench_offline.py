@@ -44,14 +44,14 @@ STORAGES = {'mcap zstd': ('mcap', 'storage'), 'sqlite3': ('sqlite3', 'none')}
 
 def bag(folder: Path, name: str, messages: int) -> Path:
     """Return a simulated bag of this storage and length; an existing one is reused."""
-    from allan_ros.core.noise import NoiseTerms
+    from allan_ros.core.noise import Model
     from allan_ros.core.simulate import simulate_imu
     from fuzz.reading import write_bag
 
     storage, compression = STORAGES[name]
     path = folder / f'{storage}_{messages}'
     if not path.exists():
-        gyro, accel = NoiseTerms(N=7e-5, B=2.5e-5, K=4e-6), NoiseTerms(N=2e-4, B=4e-5)
+        gyro, accel = Model.of(N=7e-5, B=2.5e-5, K=4e-6), Model.of(N=2e-4, B=4e-5)
         batches = simulate_imu(messages / RATE_HZ, RATE_HZ, [gyro] * 3, [accel] * 3, seed=5)
         write_bag(path, batches, storage, compression)
     return path

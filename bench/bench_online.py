@@ -19,7 +19,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from online_nodes import EMPTY_SUBSCRIBER, Client, Process, node
 
-from allan_ros.core.simulate import NoiseTerms, simulate_imu
+from allan_ros.core.noise import Model
+from allan_ros.core.simulate import simulate_imu
 from allan_ros.readers.cdr import encode_imus
 
 RATES_HZ = (200, 1000, 4000)
@@ -68,7 +69,7 @@ def cpu(client: Client) -> None:
 
 def bursts(client: Client) -> None:
     """Print the number of messages in bursts of 400 that arrive with the default QoS."""
-    terms = [NoiseTerms(N=5e-5)] * 3
+    terms = [Model.of(N=5e-5)] * 3
     client.spin(2.0)
     client.statuses.clear()
     with node('monitor'):

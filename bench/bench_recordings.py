@@ -19,7 +19,7 @@ from bench_accuracy import Outcome, clopper_pearson
 
 import allan_ros as ar
 from allan_ros.core.imu import AXES, from_datasheet, sensor_of
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import LEVEL, PRESETS, simulate_axis
 
 RATE, SECONDS = 50.0, 900.0
@@ -40,7 +40,7 @@ SCENARIOS = {
 """Number of shocks, or correlation time in samples of a Gauss-Markov process that is added."""
 
 TRUTH = {
-    axis: NoiseTerms(
+    axis: Model.of(
         **{t: from_datasheet(t, sensor_of(axis), PRESETS['paper'][axis][t]) for t in 'NB'}
     )
     for axis in AXES
@@ -53,7 +53,7 @@ def recording(rng: np.random.Generator, shocks: int = 0, time: float = 0.0) -> n
 
     n = round(RATE * SECONDS)
     y = np.stack([simulate_axis(n, 1.0 / RATE, TRUTH[axis], rng) for axis in AXES], axis=1)
-    white = np.array([TRUTH[axis].N for axis in AXES]) * RATE**0.5
+    white = np.array([TRUTH[axis].value('N') for axis in AXES]) * RATE**0.5
     if time:
         keep = math.exp(-1.0 / time)
         steps = rng.standard_normal((n, len(AXES)))
@@ -80,10 +80,10 @@ def run(scenario: str, axes: int) -> str:
             fit = results[axis].fit
             for term in inside:
                 outcome = Outcome.of(fit.noise[term])
-                inside[term] += outcome.low <= getattr(TRUTH[axis], term) <= outcome.high
-            off.append((fit.noise['N'].value or math.nan) / TRUTH[axis].N - 1.0)
+                inside[term] += outcome.low <= TRUTH[axis].value(term) <= outcome.high
+            off.append((fit.noise['N'].value or math.nan) / TRUTH[axis].value('N') - 1.0)
             for kind in found:
-                found[kind] += bool(getattr(fit.processes, kind))
+                found[kind] += bool(fit.model[kind])
             filtered += fit.filtered
             lack += bool(fit.lack_of_fit)
             number += 1

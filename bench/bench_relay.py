@@ -25,7 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 from online_nodes import EMPTY_SUBSCRIBER, Client, Process, node
 
-from allan_ros.core.simulate import NoiseTerms, simulate_imu
+from allan_ros.core.noise import Model
+from allan_ros.core.simulate import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.readers.cdr import CovariancePatch, encode_imus
 from allan_ros.readers.recorded import Provenance
@@ -36,7 +37,7 @@ RATES_HZ = (200, 1000)
 MEASURE_S = 10.0
 SETTLE_S = 2.0
 BURST, BURST_PERIOD_S, BURSTS = 400, 0.2, 50
-SIMULATED = [NoiseTerms(N=1e-4)] * 3
+SIMULATED = [Model.of(N=1e-4)] * 3
 OUT = 'imu/data_with_covariance'
 
 

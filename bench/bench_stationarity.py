@@ -23,7 +23,7 @@ from allan_ros.core.fit import NoiseModel, bias_changes, fit_noise
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.imu import AXES, from_datasheet
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 
 Floats = NDArray[np.float64]
@@ -41,9 +41,9 @@ TESTS = (EARLY, {'bias_steps'}, LEVEL)
 """Findings of each test."""
 
 
-def gyro(terms: str) -> NoiseTerms:
+def gyro(terms: str) -> Model:
     """Return the noise of gyro X with only the given terms."""
-    return NoiseTerms(**{t: from_datasheet(t, 'gyro', TRUTH[t]) for t in terms})
+    return Model.of(**{t: from_datasheet(t, 'gyro', TRUTH[t]) for t in terms})
 
 
 def draw(terms: str, hours: float, rate: float, rng: np.random.Generator) -> Floats:

@@ -21,7 +21,7 @@ from scipy import fft
 from scipy.linalg import toeplitz
 
 from allan_ros.core.fit.model import RANDOM_TERMS
-from allan_ros.core.noise import gamma_of
+from allan_ros.core.noise import TERMS
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def second_difference_covariance(lags: int, step: int) -> Floats:
     """
     lag = np.abs(np.arange(-1, lags + 1))
     second = np.array([-1.0, 2.0, -1.0]) * step**2
-    rows = [np.convolve(gamma_of(t)(step, lag), second, mode='valid') for t in RANDOM_TERMS]
+    rows = [np.convolve(t.gamma(step, lag), second, mode='valid') for t in TERMS]
     if step == 1:
         # For large lags the difference of t^2 ln t / (2 pi) loses its digits: use an expansion.
         t = np.arange(lags, dtype=float)

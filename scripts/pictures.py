@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 import allan_ros as ar
 from allan_ros.core.imu import UNITS
-from allan_ros.core.noise import NoiseTerms, term_avar
+from allan_ros.core.noise import Model
 from allan_ros.view.format import TERM_STYLES
 from allan_ros.view.plots import LIMIT_ALPHA
 
@@ -41,7 +41,7 @@ GRAY = '0.6'
 ON_WHITE = {'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}
 """Background of text that is drawn on lines."""
 
-ALL_FIVE = NoiseTerms(Q=2.4e-6, N=7e-6, B=7e-6, K=2.4e-7, R=2.4e-9)
+ALL_FIVE = Model.of(Q=2.4e-6, N=7e-6, B=7e-6, K=2.4e-7, R=2.4e-9)
 """A fictitious gyro on whose curve every term is visible."""
 
 
@@ -120,7 +120,7 @@ def five_slopes() -> Figure:
     """Draw the curve of a gyro with all five terms, and mark where each is read."""
     figure, (panel,) = new_figure(6.4, 4.2)
     tau = np.geomspace(0.01, 1e5, 400)
-    avar = DEG_H**2 * term_avar(tau * RATE, 1.0 / RATE, ALL_FIVE)
+    avar = DEG_H**2 * np.stack([*ALL_FIVE.contributions(tau, 1.0 / RATE).values()], axis=-1)
     panel.plot(tau, np.sqrt(avar.sum(axis=1)), color='black', lw=2.2)
     names = {
         'Q': ('Q  quantization\nslope −1', 0.03, 50.0),

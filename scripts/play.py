@@ -33,14 +33,14 @@ from sensor_msgs.msg import Imu
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_imu
 from allan_ros.readers import ReadOptions, open_recordings
 from allan_ros.readers.cdr import encode_imus
 
 # noise terms of a good MEMS IMU
-GYRO = [NoiseTerms(N=5e-5, B=2e-5, K=2e-6)] * 3
-ACCEL = [NoiseTerms(N=8e-4, B=3e-4, K=2e-5)] * 3
+GYRO = [Model.of(N=5e-5, B=2e-5, K=2e-6)] * 3
+ACCEL = [Model.of(N=8e-4, B=3e-4, K=2e-5)] * 3
 
 DISCOVERY_S = 1.0
 """Time in s after its discovery in which a subscriber discovers the publisher in turn."""

@@ -19,7 +19,7 @@ from allan_ros.api import Results
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import NoiseModel
 from allan_ros.core.fit.stationary import fit_stationary
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.readers import SourceInfo
@@ -103,8 +103,8 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
     chromium.close()
 
 
-GYRO = NoiseTerms(N=7e-5, B=2.5e-5, K=4e-6)
-ACCEL = NoiseTerms(N=2e-4, B=4e-5)
+GYRO = Model.of(N=7e-5, B=2.5e-5, K=4e-6)
+ACCEL = Model.of(N=2e-4, B=4e-5)
 
 
 @pytest.fixture(scope='session')

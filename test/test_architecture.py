@@ -135,9 +135,9 @@ import numpy as np
 allan_ros.analyze(np.random.default_rng(0).normal(size=4000), rate=100)
 """
 BIAS = """
-from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.core.noise import Model
 from allan_ros.core.filters.reductions import state_space
-assert state_space(ProcessModel(NoiseTerms(N=1.0, B=1.0))).gauss_markov
+assert state_space(Model.of(N=1.0, B=1.0)).gauss_markov
 """
 CHECKPOINT = """
 import numpy as np

@@ -4,10 +4,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from dataclasses import dataclass, make_dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,16 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import AllanError, one_line
 from .imu import AXES, SENSORS, STANDARD_GRAVITY, ImuBatch
-from .noise import NoiseTerms
+from .noise import SEARCHED, Model, Process
+from .noise.derived import simulate
+from .noise.process import Parameter
 from .settings import LIST, CheckedSettings, check_range, expect, parameter
 
 Floats = NDArray[np.float64]
 
 BATCH_SAMPLES = 32768
 """Number of samples in one batch."""
-
-ASYMPTOTIC_LAG = 20
-"""Lag from which the series of `_flicker_autocovariance` is more precise than the difference."""
 
 LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY)
 """Mean of the six axes of an IMU at rest and level, with z up, in rad/s and m/s^2."""
@@ -55,9 +53,38 @@ _frequency = partial(parameter, unit='Hz', low=1e-9)
 _periods = partial(parameter, (), unit='s')
 
 
+ADDED = {one.name: one for one in SEARCHED if not one.is_line}
+"""Name -> process that may be added to the noise of all axes of a sensor."""
+
+
+def _process_options() -> Iterator[tuple[str, type, Any]]:
+    """Yield the options of each process: its coefficient for each sensor, and its shape."""
+    for name, one in ADDED.items():
+        meaning = f'of an added {one.name.replace("_", " ")} process'
+        yield f'{name}_gyro', float, _gyro(0.0, f'standard deviation {meaning}')
+        yield f'{name}_accel', float, _accel(0.0, f'standard deviation {meaning}')
+        for number in one.parameters:
+            what, (option, default) = number.name.replace('_', ' '), DEFAULT_SHAPE[number.unit]
+            yield _option(name, number), float, option(default, f'{what} {meaning}')
+
+
+def _option(name: str, number: Parameter) -> str:
+    return f'{name}_{number.name.removeprefix("correlation_")}'
+
+
+DEFAULT_SHAPE = {'s': (_time, 300.0), 'Hz': (_frequency, 10.0)}
+
+AddedProcesses = make_dataclass(
+    'AddedProcesses', _process_options(), bases=(CheckedSettings,), frozen=True
+)
+
+
 @dataclass(frozen=True)
-class Faults(CheckedSettings):
+class Faults(AddedProcesses):  # type: ignore[misc, valid-type]
     """Imperfections of a simulated IMU and of its recording; none by default.
+
+    In addition to the fields below, every process that a fit searches for has options, such as
+    ``gauss_markov_gyro``, ``gauss_markov_accel`` and ``gauss_markov_time``.
 
     Raises
     ------
@@ -70,9 +97,6 @@ class Faults(CheckedSettings):
     warmup_time: float = parameter(
         300.0, 'time in which the warm-up offset decays to 1/e', unit='s', low=1e-3
     )
-    gauss_markov_gyro: float = _gyro(0.0, 'standard deviation of an added Gauss-Markov noise')
-    gauss_markov_accel: float = _accel(0.0, 'standard deviation of an added Gauss-Markov noise')
-    gauss_markov_time: float = _time(300.0, 'correlation time of the added Gauss-Markov noise')
     vibration_gyro: float = _gyro(0.0, 'amplitude of a vibration line on each gyro axis')
     vibration_accel: float = _accel(0.0, 'amplitude of a vibration line on each accelerometer axis')
     vibration_frequency: float = _frequency(1.0, 'frequency of the vibration line')
@@ -125,82 +149,26 @@ def samples_in(seconds: float, rate: float) -> int:
     return round(seconds * rate)
 
 
-def simulate_axis(n: int, tau0: float, terms: NoiseTerms, rng: np.random.Generator) -> Floats:
-    """Return n simulated samples of one axis with the noise ``terms``, in SI, (n,).
+def simulate_axis(n: int, tau0: float, model: Model, rng: np.random.Generator) -> Floats:
+    """Return n simulated samples of one axis with the noise of a model, in SI, (n,).
 
     The samples are ``tau0`` s apart, and the first one is 0. Their expected Allan variance is
     exact at every averaging time.
     """
-    from scipy import fft  # slow to import, and rarely needed
-
-    q, w, b, k, r = terms.in_sample_units(tau0)
-    half = fft.next_fast_len(max(n - 1, ASYMPTOTIC_LAG), real=True)
-    # squared gain of a difference, (2 sin(pi f))^2, at the frequencies of the circulant matrix
-    step = 4.0 * np.sin(np.pi * np.arange(half + 1) / (2 * half)) ** 2
-    # In the differences dy, Q is white noise that is differenced twice, N is white noise that is
-    # differenced once, and K is white noise.
-    eigenvalues = (q * step + w) * step + k
-    if b > 0.0:
-        eigenvalues += b * _flicker_eigenvalues(half)
-    dy = _draw(eigenvalues, rng)[: n - 1]
-    y = np.zeros(n)
-    np.cumsum(dy, out=y[1:])
-    if r != 0.0:
-        y += r * np.arange(n)
-    return y
+    y = simulate(_in_samples(model, tau0), n, rng)
+    return np.asarray(y - y[0])
 
 
-def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
-    """Return a random stationary sequence by circulant embedding, (2 half,).
-
-    ``eigenvalues``, (half + 1,), are the spectrum at frequencies from 0 to 1/2. Only the first
-    half + 1 values of the result have the autocovariance that the eigenvalues represent.
-    """
-    from scipy import fft
-
-    size = 2 * (len(eigenvalues) - 1)
-    spectrum = rng.standard_normal(2 * len(eigenvalues)).view(complex)
-    # A real sequence has real values, with the full variance, at the frequencies 0 and 1/2.
-    spectrum[[0, -1]] = spectrum.real[[0, -1]] * math.sqrt(2.0)
-    spectrum *= np.sqrt(eigenvalues * (size / 2.0))
-    return np.asarray(fft.irfft(spectrum, size, overwrite_x=True))
-
-
-@lru_cache(maxsize=1)
-def _flicker_eigenvalues(half: int) -> Floats:
-    """Return the circulant eigenvalues of the differences of flicker noise, B = 1, (half + 1,)."""
-    # cached for one length, because all axes of an IMU have the same length
-    from scipy import fft
-
-    # The Fourier transform of an even sequence is the cosine transform of half of it.
-    eigenvalues = fft.dct(_flicker_autocovariance(half), type=1, overwrite_x=True)
-    eigenvalues.flags.writeable = False
-    return np.asarray(eigenvalues)
-
-
-def _flicker_autocovariance(lags: int) -> Floats:
-    """Return the autocovariance of the differences of flicker noise, B = 1, at lags 0 to ``lags``.
-
-    The phase has the generalized autocovariance G(t) = t^2 ln|t| / (2 pi) (Greenhall, 34th PTTI,
-    2002: flicker FM; scaled to an Allan variance of 2 ln2/pi). The differences of the samples are
-    second differences of the phase. Their autocovariance is therefore the fourth central difference
-    of G. At long lags this difference loses precision, so its expansion in derivatives is used
-    there: f'''' + f''''''/6 + f^(8)/80 + 17 f^(10)/30240 with f = t^2 ln t (relative error 1e-9 at
-    the first such lag).
-    """
-    t = np.arange(-2.0, ASYMPTOTIC_LAG + 3.0)
-    square_log = t**2 * np.log(np.maximum(np.abs(t), 1.0))
-    near = np.convolve(square_log, [1.0, -4.0, 6.0, -4.0, 1.0], mode='valid')
-    u = 1.0 / np.arange(ASYMPTOTIC_LAG + 1.0, lags + 1.0) ** 2
-    far = -u * (2.0 + u * (2.0 + u * (3.0 + u * 17.0 / 3.0)))
-    return np.concatenate([near, far]) / (2.0 * np.pi)
+def _in_samples(model: Model, tau0: float) -> list[tuple[float, Process]]:
+    """Return coefficients and processes with the sample period as the time unit."""
+    return [(p.process.in_samples(p.value, tau0), p.process.in_unit(tau0)) for p in model.parts]
 
 
 def simulate_imu(
     seconds: float,
     rate: float,
-    gyro: Sequence[NoiseTerms],
-    accel: Sequence[NoiseTerms],
+    gyro: Sequence[Model],
+    accel: Sequence[Model],
     *,
     mean: ArrayLike = LEVEL,
     seed: int = 0,
@@ -216,7 +184,7 @@ def simulate_imu(
     ----------
     seconds, rate : float
         Duration in s, and sample rate in Hz.
-    gyro, accel : three NoiseTerms each
+    gyro, accel : three Model each
         Noise of x, y and z, in SI.
     mean : (6,) array
         Means to which the noise is added, in rad/s and m/s^2; by default, the IMU is level.
@@ -274,7 +242,7 @@ def _disturb_samples(
     # one generator per fault: adding a fault does not change the others
     rngs = {
         name: np.random.default_rng([*seed.generate_state(4).tolist(), number])
-        for name, number in (('gauss_markov', 0), ('vibration', 1), ('motion', 3))
+        for name, number in (('vibration', 1), ('motion', 3))
     }
 
     def amplitudes(fault: str) -> Floats:
@@ -283,11 +251,13 @@ def _disturb_samples(
 
     if np.any(amplitudes('warmup')):
         samples += amplitudes('warmup') * np.exp(-times / faults.warmup_time)[:, None]
-    if np.any(amplitudes('gauss_markov')):
-        white = np.concatenate(rngs['gauss_markov'].standard_normal((2, len(samples), 3)), axis=1)
-        correlation = np.exp(-tau0 / faults.gauss_markov_time)
-        white[1:] *= np.sqrt(1.0 - correlation**2)
-        samples += amplitudes('gauss_markov') * _recursion(correlation, white)
+    for name, kind in ADDED.items():
+        if np.any(amplitudes(name)):
+            process = kind(*(getattr(faults, _option(name, p)) for p in kind.parameters))
+            rng = np.random.default_rng([*seed.generate_state(4).tolist(), *name.encode()])
+            for axis, sigma in enumerate(amplitudes(name).tolist()):
+                added = _in_samples(Model.of((sigma, process)), tau0)
+                samples[:, axis] += simulate(added, len(samples), rng)
     if np.any(amplitudes('vibration')):
         phases = rngs['vibration'].uniform(0.0, 2.0 * np.pi, len(AXES))
         angle = 2.0 * np.pi * faults.vibration_frequency * times[:, None]

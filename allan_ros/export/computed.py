@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Export targets whose rows are computed: state space, Gazebo, Madgwick filter, temperature.
 
-The document ``allan_ros/state_space/2`` has for each axis under ``axes``: the levels ``white``,
-``walk`` and ``gauss_markov`` in SI, and the matrices of
-`allan_ros.core.filters.reductions.StateSpace` at one rate. A simulator with a single Gauss-Markov
+The document ``allan_ros/state_space/3`` has for each axis under ``axes``: the levels ``white``,
+``walk`` and ``processes`` in SI, and the matrices of
+`allan_ros.core.filters.state_space.StateSpace` at one rate. A simulator with a single Gauss-Markov
 bias gets the process whose error growth is closest to the model.
 """
 
@@ -15,16 +15,17 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from ..core.errors import AllanError
-from ..core.filters.growth import drift_model, interval_models
-from ..core.filters.reductions import Level, StateSpace
+from ..core.filters.growth import interval_models
+from ..core.filters.reductions import Level
+from ..core.filters.state_space import StateSpace
 from ..core.imu import AXES, SI_UNITS, sensor_of
-from ..core.noise import ProcessModel
+from ..core.noise import Model
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from . import ANY_NODE, INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
 from .model import FilterNoise, Notation, clamped, rounded
 from .text import json_form, xml_form, yaml_form
 
-SCHEMA = 'allan_ros/state_space/2'
+SCHEMA = 'allan_ros/state_space/3'
 
 MATRIX_DIGITS = 12
 """Significant digits of the matrices: diagonal elements of Phi are close to 1."""
@@ -37,15 +38,21 @@ def _document(noise: FilterNoise) -> Iterator[Row]:
     for axis, result in noise.results.axes.items():
         reduction = noise.reduction(axis, 'processes')
         model, levels = reduction.model, tuple(reduction.levels.values())
-        processes = [[rounded(inflate * sigma), rounded(tau)] for sigma, tau in model.gauss_markov]
-        white, walk = (rounded(inflate * level) for level in (model.terms.N, model.terms.K))
-        space = StateSpace(white, walk, tuple((sigma, tau) for sigma, tau in processes))
+        processes = [
+            (rounded(inflate * part.value), type(part.process)(*rounded(part.process.shape)))
+            for part in model.shaped.parts
+        ]
+        white, walk = (rounded(inflate * model.value(term)) for term in 'NK')
+        space = StateSpace(white, walk, tuple(processes))
         document = {
             'unit': SI_UNITS[sensor_of(axis)]['B'],
             'white': white,
             'walk': walk,
-            'gauss_markov': processes,
-            'ramp': rounded(result.fit.model.terms.R),
+            'processes': [
+                {'process': process.name, process.coefficient: value, **process.numbers}
+                for value, process in processes
+            ],
+            'ramp': rounded(result.fit.model.value('R')),
             'limits': [level.term for level in levels if level.is_limit],
             'Phi': rounded(space.transition(step).tolist(), MATRIX_DIGITS),
             'Qd': rounded(space.noise(step).tolist(), MATRIX_DIGITS),
@@ -117,9 +124,9 @@ def _madgwick(noise: FilterNoise) -> Iterator[Row]:
     for axis, result in axes.items():
         bias, white = noise.bias.get(axis, 0.0), noise.level(axis, 'N')
 
-        def gain(model: ProcessModel, n: float, bias: float = bias) -> float:
-            drift = drift_model(replace(model, terms=replace(model.terms, N=n)))
-            return factor * math.hypot(math.sqrt(float(drift.avar([horizon])[0])), bias)
+        def gain(model: Model, n: float, bias: float = bias) -> float:
+            variance = float(model.changed(N=n).drift.avar([horizon])[0])
+            return factor * math.hypot(math.sqrt(variance), bias)
 
         ends = interval_models(result.fit)
         low, high = map(gain, ends, white.interval) if ends else (0.0, math.inf)
@@ -177,7 +184,7 @@ COMPUTED = {
     'state_space': Target(
         'state_space.json',
         'exact discrete state space of the fitted processes (IEEE Std 952; van Loan 1978); '
-        'Phi, Qd: a step of 1/rate_hz of (integral, walk, Gauss-Markov ...); '
+        'Phi, Qd: a step of 1/rate_hz of (integral, walk, states of the processes); '
         'R = N^2 f: variance of a sample',
         json_form,
         rows=_document,

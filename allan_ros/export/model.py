@@ -22,6 +22,7 @@ from ..core.filters.noise_parameters import axis_level, reduce_axis
 from ..core.filters.reductions import Level, Reduction, States, closest_process, horizon_text
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
+from ..core.noise import GaussMarkov, Part
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..results.from_datasheet import FROM_DATASHEET
 from . import ExportOptions, Key, Row, Target
@@ -202,10 +203,10 @@ class FilterNoise:
         walks, pairs = {}, []
         for name, axis in axes.items():
             model = axis.fit.model
-            if not model.gauss_markov:
+            if not any(map(has_time, model.parts)):
                 reduction = self.reduction(name, 'processes')
                 model, walks[name] = reduction.model, reduction.levels['K']
-            pair = closest_process(model, self.horizon, tau, self.target.bound)
+            pair = closest_process(model, GaussMarkov, self.horizon, tau, self.target.bound)
             assert pair is not None  # both sensors drift
             pairs.append(pair)
         taus = [pair[1] for pair in pairs]
@@ -256,7 +257,7 @@ class FilterNoise:
         poor = {
             axis: one.ratio[1]
             for axis, one in self.used.items()
-            if one.poor or self.results.axes[axis].fit.model.gauss_markov
+            if one.poor or any(map(has_time, self.results.axes[axis].fit.model.parts))
         }
         if not poor:
             return []
@@ -267,8 +268,14 @@ class FilterNoise:
     def common_tau(self) -> float:
         """Geometric mean in s of the correlation times that describe the drift of all axes."""
         models = [self.reduction(name, 'processes').model for name in self.results.axes]
-        taus = [pair[1] for one in models if (pair := closest_process(one, self.horizon))]
+        pairs = (closest_process(one, GaussMarkov, self.horizon) for one in models)
+        taus = [pair[1] for pair in pairs if pair]
         return math.exp(sum(math.log(tau) for tau in taus) / len(taus))
+
+
+def has_time(part: Part) -> bool:
+    """Return whether a part is a drift with a correlation time, which N and K cannot describe."""
+    return bool(part.process.parameters) and part.process.is_drift and not part.process.is_line
 
 
 def level_words(level: Level) -> str:

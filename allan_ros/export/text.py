@@ -19,7 +19,7 @@ from ..core.filters.growth import growth_table, predicted_growth
 from ..core.filters.reductions import horizon_text
 from ..core.findings import Finding
 from ..core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
-from ..core.noise import NoiseTerms, ProcessModel
+from ..core.noise import GaussMarkov, Model
 from ..core.number_text import duration_text, significant
 from ..results.from_datasheet import FROM_DATASHEET
 from . import ExportOptions, Form, Key, Row, Target, Value, target_of
@@ -307,7 +307,7 @@ def verdicts(drifts: tuple[Drift, ...]) -> list[str]:
     return lines
 
 
-def file_models(target: Target, text: str, rate: float) -> Mapping[str, ProcessModel]:
+def file_models(target: Target, text: str, rate: float) -> Mapping[str, Model]:
     """Return axis -> noise that a filter assumes with the numbers in the text of its file."""
     whats = {key.what for key in target.keys}
     if not whats & {'K', 'sigma'}:
@@ -327,8 +327,8 @@ def file_models(target: Target, text: str, rate: float) -> Mapping[str, ProcessM
     for sensor, place in SENSORS.items():
         for i, axis in enumerate(AXES[place]):
             one = {w: v[i % len(v)] for (s, w), v in values.items() if s == sensor}
-            process = ((one['sigma'], one['common_tau']),) if 'sigma' in one else ()
-            models[axis] = ProcessModel(NoiseTerms(N=one['N'], K=one.get('K', 0.0)), process)
+            bias = [(one['sigma'], GaussMarkov(one['common_tau']))] if 'sigma' in one else []
+            models[axis] = Model.of(*bias, N=one['N'], K=one.get('K', 0.0))
     return models
 
 

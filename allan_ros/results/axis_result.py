@@ -19,13 +19,13 @@ from ..core.estimate import Estimate
 from ..core.filters.bias import TurnOnBias
 from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis
-from ..core.filters.reductions import StateSpace, state_space
-from ..core.fit import TERMS, AxisFit, Processes
+from ..core.filters.state_space import StateSpace, state_space
+from ..core.fit import TERMS, AxisFit
 from ..core.fit.interpretation import ModelLine, Region, model_line
 from ..core.fit.least_squares import fit_curve
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import AXES, SI_UNITS, sensor_of
-from ..core.noise import NoiseTerms, ProcessModel
+from ..core.noise import Model
 from ..core.settings import choose, expect
 
 
@@ -108,22 +108,22 @@ class AxisResult:
         return self.quantity('R')
 
     @property
-    def processes(self) -> Processes:
-        """Gauss-Markov processes and sinusoids that were fitted in addition to the five terms.
+    def processes(self) -> Model:
+        """Processes that were fitted in addition to the five terms, such as sinusoids.
 
-        Each item of ``processes.gauss_markov`` has ``sigma`` and ``correlation_time`` (s), and each
-        item of ``processes.sinusoid`` has ``amplitude`` and ``frequency`` (Hz). Sigma and amplitude
-        are in SI. Each number has a 95 % interval, such as ``sigma_ci95``.
+        Each item of ``processes['gauss_markov']`` or ``processes['sinusoid']`` has a ``value``
+        (sigma or amplitude in SI) with its 95 % interval ``ci95``, and a ``process`` with its
+        shape, such as ``correlation_time`` (s) and ``frequency`` (Hz), with ``shape_ci95``.
 
         Examples
         --------
         >>> import allan_ros as ar
         >>> samples = ar.simulate(hours=0.1, rate=50, vibration_gyro=3e-4, vibration_frequency=3.0)
         >>> axis = ar.analyze(samples, motion_gate=False)['gyro_x']
-        >>> [round(line.frequency, 1) for line in axis.processes.sinusoid]  # Hz
+        >>> [round(line.process.frequency, 1) for line in axis.processes['sinusoid']]  # Hz
         [3.0]
         """
-        return self.fit.processes
+        return self.fit.model.shaped
 
     def state_space(self) -> StateSpace:
         """Return the noise as a state-space model for a Kalman filter.
@@ -186,7 +186,7 @@ class AxisResult:
         >>> bool((axis.model_line().adev <= axis.model_line().upper).all())
         True
         """
-        parts = self.fit.model.parts(self._tau(m), self.tau0)
+        parts = self.fit.model.contributions(self._tau(m), self.tau0)
         # the part of a low-pass filter is negative: it has no deviation
         return {name: np.sqrt(avar) for name, avar in parts.items() if np.all(avar >= 0.0)}
 
@@ -196,13 +196,13 @@ class AxisResult:
         ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
         deviations in SI, (factors,).
         """
-        model = self.fit.model.terms
+        model = self.fit.model
         limits = {
             term: c.upper95
             for term, c in self.fit.noise.items()
-            if c.upper95 is not None and math.isfinite(c.upper95) and not getattr(model, term)
+            if c.upper95 is not None and math.isfinite(c.upper95) and not model.value(term)
         }
-        parts = ProcessModel(NoiseTerms(**limits)).parts(self._tau(m), self.tau0)
+        parts = Model.of(**limits).contributions(self._tau(m), self.tau0)
         return {name: np.sqrt(avar) for name, avar in parts.items()}
 
     def model_line(self) -> ModelLine:

@@ -28,9 +28,10 @@ from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
 from ..core.fields import Fields, SignedInt, plain
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, missing_values, quantity
-from ..core.fit import TERMS, AxisFit, Processes
-from ..core.fit.model import Covariance
+from ..core.fit import TERMS, AxisFit
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
+from ..core.noise import PROCESSES, Model, Part
+from ..core.noise.model import Covariance
 from ..core.settings import expect
 from ..core.stream.health import Counts, Segment
 from ..readers import SourceInfo
@@ -59,7 +60,7 @@ MAX_SETTINGS = 100
 LISTED_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
 
-FIT = ('model', 'm_min', 'filtered', 'gof_z', 'lack_of_fit')
+FIT = ('m_min', 'filtered', 'gof_z', 'lack_of_fit')
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
 """Fields of a fit and of an axis that have the same name in results.json."""
 
@@ -311,12 +312,12 @@ def _axis_to_document(name: str, axis: AxisResult, curves: bool) -> dict[str, An
         'white_std_per_sample': _scaled(fit.noise['N'], axis.tau0**-0.5),
         'walk_std_per_sample': _scaled(fit.noise['K'], axis.tau0**0.5),
         **{name: plain(getattr(axis, name)) for name in AXIS},
-        'processes': plain(fit.processes, NAMES),
+        'model': _model_to_document(fit.model),
         'deviation': plain(fit.deviation),
         'reading': plain(axis.regions),
     }
-    if fit.covariance is not None:
-        document['covariance'] = plain(fit.covariance)
+    if fit.model.covariance is not None:
+        document['covariance'] = plain(fit.model.covariance)
     if curves and axis.curve is not None:
         model = plain(axis.model_line().adev)
         document['curve'] = {**plain(axis.curve), 'model': model, 'ci_level': CI_LEVEL}
@@ -332,8 +333,7 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         AxisFit,
         noise={t: Estimate.from_document(noise.fields(t), signed=t == 'R') for t in TERMS},
         m_min=fields.integer('m_min', least=1),
-        processes=fields.fields('processes').record(Processes),
-        covariance=covariance,
+        model=Model(tuple(map(_part_from_document, fields.each('model'))), covariance),
     )
     return fields.record(
         AxisResult,
@@ -342,6 +342,30 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
         curve=_curve_from_document(fields.fields('curve')) if 'curve' in fields else None,
         name=name,
     )
+
+
+def _model_to_document(model: Model) -> list[dict[str, Any]]:
+    """Return the processes of a model: name, coefficient and shape, with their intervals."""
+    return [
+        {
+            'process': part.process.name,
+            'value': plain(part.value),
+            'ci95': plain(part.ci95),
+            **plain(part.process.numbers),
+            'shape_ci95': plain(part.shape_ci95),
+        }
+        for part in model.parts
+    ]
+
+
+def _part_from_document(fields: Fields) -> Part:
+    kind = PROCESSES[fields.choice('process', tuple(PROCESSES))]
+    shape = [fields.number(p.name, least=SHORTEST_PERIOD_S) for p in kind.parameters]
+    value = fields.number('value', -math.inf if kind.is_regressor else 0.0)
+    ends = fields.typed('shape_ci95', tuple[tuple[float, float], ...])
+    if len(ends) not in (0, len(shape)):
+        raise AllanError(f'{fields.where}.shape_ci95 has {len(ends)} intervals: give {len(shape)}')
+    return Part(kind(*shape), value, fields.typed('ci95', tuple[float, float] | None), ends)
 
 
 def _scaled(coefficient: Estimate, factor: float) -> float | None:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from typing import Any
 from ..core.errors import AllanError
 from ..core.fields import Fields, located
 from ..core.imu import AXES, SI_UNITS, ImuBatch, from_datasheet, joined, sensor_of
-from ..core.noise import NoiseTerms
+from ..core.noise import LETTERS, Model
 from ..core.settings import check_range, expect, settings_from
 from ..core.simulate import PRESETS, Faults, simulate_imu
 from ..readers.files import public, read_yaml, to_json, write_atomic
@@ -37,9 +37,9 @@ TRUTH_SCHEMA = 'allan_ros/truth/1'
 TRUTH_SUFFIX = '.truth.json'
 """Suffix of the truth file: the truth of ``name.mcap`` is in ``name.mcap.truth.json``."""
 
-AxesNoise = Mapping[str, NoiseTerms]
+AxesNoise = Mapping[str, Model]
 
-NO_NOISE: AxesNoise = {axis: NoiseTerms() for axis in AXES}
+NO_NOISE: AxesNoise = {axis: Model() for axis in AXES}
 
 
 def truth_path(recording: str | os.PathLike[str]) -> Path:
@@ -78,8 +78,7 @@ def with_noise(noise: AxesNoise, stated: Fields) -> AxesNoise:
     """Replace coefficients of the noise (axis -> coefficients in SI) by those in ``stated``."""
     stated.only(*SI_UNITS, *AXES)
     return {
-        axis: replace(
-            noise[axis],
+        axis: noise[axis].changed(
             **{
                 term: value
                 for name in (sensor_of(axis), axis)
@@ -110,7 +109,7 @@ def stated_noise(
         noise = with_noise(noise, Fields({**PRESETS[preset]}, f'preset {preset}'))
     elif sensor:
         limits = load_sensor(sensor).values()
-        noise = {axis: NoiseTerms(**limits.get(axis, {})) for axis in AXES}
+        noise = {axis: Model.of(**limits.get(axis, {})) for axis in AXES}
     elif not changes and spec is None:
         raise AllanError('no noise to simulate: give --preset paper, --sensor, --spec or --gyro ..')
     if spec is not None:
@@ -127,7 +126,7 @@ def _terms(stated: Fields, sensor: str) -> dict[str, float]:
         else:
             values[term] = from_datasheet(term, sensor, stated.number(term))
     with located(stated.where):
-        NoiseTerms(**values)
+        Model.of(**values)
     return values
 
 
@@ -154,10 +153,10 @@ def write_truth(
         'faults': changed,
         'noise': {
             axis: {
-                term: {'value': value, 'unit': SI_UNITS[sensor_of(axis)][term]}
-                for term, value in asdict(terms).items()
+                term: {'value': model.value(term), 'unit': SI_UNITS[sensor_of(axis)][term]}
+                for term in LETTERS
             }
-            for axis, terms in noise.items()
+            for axis, model in noise.items()
         },
     }
     path = truth_path(recording)

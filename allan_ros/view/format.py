@@ -180,7 +180,7 @@ def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
     adev, low, high = (above(values) for values in (curve.adev, curve.ci_low, curve.ci_high))
     model, upper = (factor * line for line in axis.model_line())
     read = {
-        term: (tau, factor * float(np.sqrt(axis.fit.model.parts([tau])[term][0])))
+        term: (tau, factor * float(np.sqrt(axis.fit.model.contributions([tau])[term][0])))
         for term, tau in READ_AT.items()
         if term in parts
     }

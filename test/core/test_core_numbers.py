@@ -24,7 +24,7 @@ from allan_ros.core.allan.recent import noise_steps
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import METHODS, fit_noise
 from allan_ros.core.imu import AXES, LARGEST, ImuIdentity
-from allan_ros.core.noise import NoiseTerms, term_avar
+from allan_ros.core.noise import Model
 
 SIZES = (5e-324, 1e-310, 1e-160, 1e-100, 1e-41, 1e-39, 1e-9, 1.0, 1e15, LARGEST)
 FORMS = {
@@ -42,7 +42,7 @@ FORMS = {
 DECADES = 10**12
 """Samples: 32 years at 1 kHz."""
 
-TRUTH = NoiseTerms(N=1e-4, B=2e-6, K=1e-9)
+TRUTH = Model.of(N=1e-4, B=2e-6, K=1e-9)
 PERIOD_NS = 10**6
 
 
@@ -100,7 +100,7 @@ def sums_in_theory(samples: int, segments: int = 1) -> AllanSums:
     """
     m, stride = grid_for(samples)
     count, groups = segments * counts(samples, m, stride), segments * counts(samples, m, m)
-    twice = 2.0 * m.astype(float) ** 2 * term_avar(m, PERIOD_NS * 1e-9, TRUTH).sum(axis=1)
+    twice = 2.0 * m.astype(float) ** 2 * TRUTH.avar(m * PERIOD_NS * 1e-9, PERIOD_NS * 1e-9)
     total = segments * samples
     none = np.zeros(0, np.int64)
     period = Period(
@@ -125,7 +125,7 @@ def sums_in_theory(samples: int, segments: int = 1) -> AllanSums:
 def test_decades_in_one_segment_are_counted_and_fitted(samples: int) -> None:
     sums = sums_in_theory(samples)
     assert sums.samples == samples and len(sums.m) <= len(grid(MAX_LEVELS)[0])
-    expected = term_avar(sums.m, PERIOD_NS * 1e-9, TRUTH).sum(axis=1)
+    expected = TRUTH.avar(sums.m * PERIOD_NS * 1e-9, PERIOD_NS * 1e-9)
     for found in (sums, sums + sums) if samples == DECADES else (sums,):
         np.testing.assert_allclose(found.avar[:, 0], expected, rtol=1e-12)
     document = sums_to_document(sums)
@@ -136,8 +136,8 @@ def test_decades_in_one_segment_are_counted_and_fitted(samples: int) -> None:
     assert np.all(curve.ci_low < curve.adev) and np.all(curve.adev < curve.ci_high)
     if samples == DECADES:
         noise = fit_noise(sums, 'paper').axes['gyro_x'].noise
-        assert noise['N'].value == pytest.approx(TRUTH.N, rel=1e-3)
-        assert noise['B'].value == pytest.approx(TRUTH.B, rel=0.1)
+        assert noise['N'].value == pytest.approx(TRUTH.value('N'), rel=1e-3)
+        assert noise['B'].value == pytest.approx(TRUTH.value('B'), rel=0.1)
 
 
 @pytest.mark.parametrize('exponent', [9, 10, 12, 15])

@@ -1,27 +1,21 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-import dataclasses
-
 import numpy as np
 import pytest
-from scipy import fft
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import joined
-from allan_ros.core.noise import FLICKER_FLOOR, term_avar
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import (
     BATCH_SAMPLES,
     Faults,
-    NoiseTerms,
-    _flicker_autocovariance,
-    _flicker_eigenvalues,
     simulate_axis,
     simulate_imu,
 )
 
-MIXED = NoiseTerms(Q=2e-3, N=0.03, B=0.1, K=0.02, R=1e-3)
-QUIET = [NoiseTerms(N=1e-4)] * 3
-SILENT = [NoiseTerms()] * 3
+MIXED = Model.of(Q=2e-3, N=0.03, B=0.1, K=0.02, R=1e-3)
+QUIET = [Model.of(N=1e-4)] * 3
+SILENT = [Model.of()] * 3
 RATE, SECONDS = 100.0, 100.0
 
 
@@ -39,35 +33,14 @@ def avar(y, m):
     return (d**2).mean(axis=-1) / (2 * m**2)
 
 
-@pytest.mark.parametrize('m', [1, 2, 3, 7, 30, 200])
-def test_flicker_steps_have_a_flat_allan_variance_exactly(m):
-    # d is a triangular moving sum of the steps, so E d^2 is a sum over their autocovariance.
-    triangle = np.concatenate([np.arange(1.0, m), np.arange(float(m), 0.0, -1.0)])
-    weights = np.correlate(triangle, triangle, mode='full')[len(triangle) - 1 :]
-    steps = _flicker_autocovariance(max(2 * m, 40))[: len(weights)]
-    variance = weights[0] * steps[0] + 2 * weights[1:] @ steps[1:]
-    assert variance / (2 * m**2) == pytest.approx(FLICKER_FLOOR, rel=1e-8)
-
-
-@pytest.mark.parametrize('half', [20, 100, 3000, 100000])
-def test_the_circulant_is_a_covariance_with_the_autocovariance(half):
-    eigenvalues = _flicker_eigenvalues(half)
-    assert eigenvalues.min() > 0
-    np.testing.assert_allclose(
-        fft.irfft(eigenvalues, 2 * half)[: half + 1], _flicker_autocovariance(half), atol=1e-14
-    )
-
-
-@pytest.mark.parametrize(
-    'terms', [*(dataclasses.replace(NoiseTerms(), **{t: 0.1}) for t in 'QNBKR'), MIXED]
-)
+@pytest.mark.parametrize('terms', [*(Model.of(**{t: 0.1}) for t in 'QNBKR'), MIXED])
 def test_mean_allan_variance_is_the_expected_one_at_every_factor(terms):
     """False alarm probability below 1e-3: 60 comparisons of a nearly normal mean at 4.5 sigma."""
     n, tau0, draws = 1024, 0.1, 1000
     rng = np.random.default_rng(11)
     y = np.stack([simulate_axis(n, tau0, terms, rng) for _ in range(draws)])
     for m in (1, 2, 3, 8, 20, 50, 128, 200, 350, 512):
-        ratio = avar(y, m) / term_avar(m, tau0, terms).sum()
+        ratio = avar(y, m) / terms.avar(m * tau0, tau0)
         spread = ratio.std(ddof=1) / np.sqrt(draws) + 1e-9
         assert abs(ratio.mean() - 1) < 4.5 * spread, f'm = {m}'
 

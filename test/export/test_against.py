@@ -28,13 +28,13 @@ def test_what_export_writes_is_read_back(known_results: Results, name: str, rate
     text = make_export(known, name, options).text
     models = file_models(target_of(name), text, rate or target_of(name).rate_hz or 200.0)
     for axis, n, k in (('gyro_z', 1e-3, 1e-5), ('accel_z', 2e-3, 3e-5)):
-        terms = models[axis].terms
-        assert pytest.approx(n, rel=1e-5) == terms.N
-        if models[axis].gauss_markov:
-            ((sigma, tau),) = models[axis].gauss_markov
-            assert 10.0 < tau < 1000.0 and 1e-4 < sigma < 1e-3
+        model = models[axis]
+        assert pytest.approx(n, rel=1e-5) == model.value('N')
+        if model.shaped.parts:
+            ((process, sigma, *_),) = model['gauss_markov']
+            assert 10.0 < process.correlation_time < 1000.0 and 1e-4 < sigma < 1e-3
         else:
-            assert pytest.approx(3e-5 if name == 'glim' else k, rel=1e-5) == terms.K
+            assert pytest.approx(3e-5 if name == 'glim' else k, rel=1e-5) == model.value('K')
 
 
 @pytest.mark.parametrize('name', COMPARED)

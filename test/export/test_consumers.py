@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from support.exports import EXPECTED, refitted
 
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.export import ExportOptions, make_export
 from allan_ros.results.results import Results
@@ -65,7 +65,7 @@ def gtsam_covariance(gtsam: Any, text: str, steps: int, dt: float) -> NDArray[np
     return covariance
 
 
-def runs_of(terms: NoiseTerms, runs: int, steps: int, seed: int) -> NDArray[np.float64]:
+def runs_of(terms: Model, runs: int, steps: int, seed: int) -> NDArray[np.float64]:
     """Return samples of still IMUs, (runs, steps): each starts with a bias of zero."""
     rng = np.random.default_rng(seed)
     whole = simulate_axis(runs * steps + 1, 1.0 / RATE, terms, rng)
@@ -87,8 +87,8 @@ def test_gtsam_expects_the_growth_that_a_simulated_imu_shows(known_results: Resu
     text = make_export(of_levels(known_results, N, K), 'gtsam', BARE).text
     expected = gtsam_covariance(gtsam, text, steps, dt)
 
-    bias = runs_of(NoiseTerms(K=K), runs, steps, seed=11)
-    samples = bias + runs_of(NoiseTerms(N=N), runs, steps, seed=12)
+    bias = runs_of(Model.of(K=K), runs, steps, seed=11)
+    samples = bias + runs_of(Model.of(N=N), runs, steps, seed=12)
     once = np.cumsum(samples * dt, axis=1)
     twice = np.cumsum(once * dt, axis=1)
     for place, shown in (

@@ -16,8 +16,9 @@ from support.exports import near, numbers, refitted, run_python, with_process
 
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.bias import TurnOnBias
-from allan_ros.core.filters.reductions import StateSpace
-from allan_ros.core.fit import Processes, Sinusoid
+from allan_ros.core.filters.state_space import StateSpace
+from allan_ros.core.noise import PROCESSES, Part
+from allan_ros.core.noise.processes.sinusoid import Sinusoid
 from allan_ros.export import TARGETS, ExportOptions, make_export
 from allan_ros.results.results import Results
 
@@ -76,7 +77,7 @@ def test_a_bias_without_a_fitted_process_is_explained(known_results: Results) ->
     assert numbers(known_results, 'kf_gins')['gbstd'][2] > 20.6265  # more than B alone
 
 
-def with_drift(results: Results, processes: Processes) -> Results:
+def with_drift(results: Results, *processes: Part) -> Results:
     """Return results in which no term but N is resolved, with these processes on each axis."""
     axes = {}
     for axis, result in results.axes.items():
@@ -88,7 +89,7 @@ def with_drift(results: Results, processes: Processes) -> Results:
 
 @pytest.mark.parametrize('target', ['kf_gins', 'gazebo'])
 def test_a_bias_from_the_limit_of_k_is_named_a_limit(known_results: Results, target: str) -> None:
-    known = with_drift(known_results, Processes())
+    known = with_drift(known_results)
     made = make_export(known, target)
     assert 'export_limits' in {said.id for said in made.findings}
     assert 'from the 95 % upper limit of K' in made.text
@@ -97,8 +98,8 @@ def test_a_bias_from_the_limit_of_k_is_named_a_limit(known_results: Results, tar
 
 @pytest.mark.parametrize('target', TARGETS)
 def test_a_slow_sinusoid_may_be_the_only_drift(known_results: Results, target: str) -> None:
-    slow = Sinusoid(4e-3, (3e-3, 5e-3), 0.05, (0.04, 0.06))
-    known = with_drift(known_results, Processes(sinusoid=(slow,)))
+    slow = Part(Sinusoid(0.05), 4e-3, (3e-3, 5e-3), ((0.04, 0.06),))
+    known = with_drift(known_results, slow)
     assert make_export(known, target).text
 
 
@@ -114,7 +115,9 @@ def test_the_loader_of_the_manual_reads_the_matrices(
     read = run_python(loader)
     for axis, one in json.loads(made)['axes'].items():
         phi, noise, sample = read['matrices'](axis)
-        space = StateSpace(one['white'], one['walk'], tuple(map(tuple, one['gauss_markov'])))
+        members = ((each.pop('sigma'), each.pop('process'), each) for each in one['processes'])
+        processes = tuple((sigma, PROCESSES[name](**shape)) for sigma, name, shape in members)
+        space = StateSpace(one['white'], one['walk'], processes)
         np.testing.assert_allclose(phi, space.transition(1.0 / 200.0), rtol=1e-11)
         np.testing.assert_allclose(noise, space.noise(1.0 / 200.0), rtol=1e-9)
         assert sample == near(space.sample_variance(200.0))

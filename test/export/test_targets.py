@@ -27,7 +27,7 @@ from support.exports import (
 import allan_ros
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.growth import predicted_growth
-from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.core.noise import Model
 from allan_ros.export import TARGETS, ExportOptions, make_export, target_of
 from allan_ros.results.results import Results
 from allan_ros.view.finding_text import finding_line
@@ -91,10 +91,10 @@ def test_k_of_the_reduction_bounds_the_growth(known_results: Results) -> None:
     for horizon in (0.0, 5.0, 300.0):
         made = make_export(known_results, 'kalibr', ExportOptions(horizon=horizon))
         read = read_yaml(made.text)
-        noise = NoiseTerms(N=read['gyroscope_noise_density'], K=read['gyroscope_random_walk'])
+        noise = Model.of(N=read['gyroscope_noise_density'], K=read['gyroscope_random_walk'])
         whole = known_results.axes['gyro_z'].fit.model
         times = np.geomspace(1.0, horizon or 30.0, 40)
-        bound = predicted_growth(ProcessModel(noise), times, horizon or 30.0)
+        bound = predicted_growth(noise, times, horizon or 30.0)
         assert np.all(bound >= 0.999 * predicted_growth(whole, times, horizon or 30.0))
     assert not made.findings
 

@@ -79,7 +79,7 @@ def _axis(axis: Any) -> dict[str, Any]:
     curve, fit = axis.curve, axis.fit
     return {
         'coefficients': coefficients,
-        'processes': _processes(axis.processes),
+        'processes': _processes(axis.fit.model),
         'curve': {
             'tau': [curve.tau[0], curve.tau[-1]],
             'n': curve.n,
@@ -97,7 +97,7 @@ def _axis(axis: Any) -> dict[str, Any]:
             'lack_of_fit': [[each.low, each.high, each.ratio] for each in fit.lack_of_fit],
             'deviation': None if fit.deviation is None else [*fit.deviation],
             # of the five terms; the order of the processes may change
-            'standard_errors': _standard_errors(fit.covariance),
+            'standard_errors': _standard_errors(fit.model.covariance),
         },
         'rounding': axis.rounding,
         'turn_on': _turn_on(axis.turn_on),
@@ -118,18 +118,21 @@ def _standard_errors(covariance: Any) -> dict[str, float] | None:
     return dict(zip(covariance.names, np.sqrt(np.diag(covariance.matrix)).tolist()))
 
 
-def _processes(processes: Any) -> dict[str, Any]:
-    shapes = {
-        'gauss_markov': ('sigma', 'correlation_time'),
-        'sinusoid': ('amplitude', 'frequency'),
-        'resonance': ('sigma', 'frequency', 'correlation_time'),
-    }
+def _processes(model: Any) -> dict[str, Any]:
+    found: dict[str, list[tuple[float, dict[str, Any]]]] = {}
+    for part in model.shaped.parts:
+        process, ends, factor = part.process, part.ci95, 1.0
+        kind, coefficient = process.name, process.coefficient
+        if kind == 'bounded_walk':  # stated by its stationary standard deviation
+            kind, factor = 'gauss_markov', (process.correlation_time / 2.0) ** 0.5
+        numbers = {coefficient: [factor * x for x in (part.value, *ends)]}
+        for (name, value), shape_ends in zip(process.numbers.items(), part.shape_ci95):
+            numbers[name] = [value, *shape_ends]
+        found.setdefault(kind, []).append((process.shape[0], numbers))
     return {
-        f'{kind} {i}': {
-            name: [getattr(each, name), *getattr(each, f'{name}_ci95')] for name in parameters
-        }
-        for kind, parameters in shapes.items()
-        for i, each in enumerate(getattr(processes, kind))
+        f'{kind} {i}': numbers
+        for kind, each in found.items()
+        for i, (_, numbers) in enumerate(sorted(each, key=lambda one: one[0]))
     }
 
 

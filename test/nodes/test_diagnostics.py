@@ -24,7 +24,7 @@ from allan_ros.core.estimate import Estimate
 from allan_ros.core.findings import CATALOG, finding
 from allan_ros.core.fit.model import TERMS, AxisFit
 from allan_ros.core.imu import ImuBatch
-from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.core.noise import Model
 from allan_ros.core.stream.health import Counts, StreamHealth
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.core.stream.transport import TransportStatistics
@@ -52,7 +52,7 @@ def fit(**noise: Estimate) -> AxisResult:
     found = {term: noise.get(term, NOT_SEEN) for term in TERMS}
     found['N'] = noise.get('N', Estimate(N, (0.95 * N, 1.05 * N)))
     terms = {term: c.value or 0.0 for term, c in found.items()}
-    return AxisResult(0.005, AxisFit(found, ProcessModel(NoiseTerms(**terms))))
+    return AxisResult(0.005, AxisFit(found, Model.of(**terms)))
 
 
 def status_of(sums, **changes) -> DiagnosticStatus:

@@ -6,7 +6,7 @@ import pytest
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, from_datasheet
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import Faults
 from allan_ros.results.simulation import read_noise, truth_path, write_truth
 
@@ -25,14 +25,14 @@ def test_a_sensor_sets_its_axes_and_an_axis_takes_precedence(read):
     noise = read('noise: {gyro: {N: 0.3, B: {value: 7, unit: deg/h}}, gyro_z: {N: 0.4, R: -2}}\n')
     assert tuple(noise) == AXES
     n, b = (from_datasheet(t, 'gyro', v) for t, v in (('N', 0.3), ('B', 7)))
-    assert noise['gyro_x'] == noise['gyro_y'] == NoiseTerms(N=n, B=b)
+    assert noise['gyro_x'] == noise['gyro_y'] == Model.of(N=n, B=b)
     n, r = (from_datasheet(t, 'gyro', v) for t, v in (('N', 0.4), ('R', -2)))
-    assert noise['gyro_z'] == NoiseTerms(N=n, B=b, R=r)
-    assert noise['accel_x'] == NoiseTerms()
+    assert noise['gyro_z'] == Model.of(N=n, B=b, R=r)
+    assert noise['accel_x'] == Model.of()
 
 
 def test_the_truth_file_is_exact(tmp_path):
-    noise = {axis: NoiseTerms(Q=1e-7 / 3, N=i + 0.1, R=-i) for i, axis in enumerate(AXES)}
+    noise = {axis: Model.of(Q=1e-7 / 3, N=i + 0.1, R=-i) for i, axis in enumerate(AXES)}
     faults = Faults(drop=0.25, gaps=((1.0, 2.0),))
     path = write_truth(tmp_path / 'a.csv', noise, seconds=9.5, rate=100.0, seed=4, faults=faults)
     assert path == truth_path(tmp_path / 'a.csv') == tmp_path / 'a.csv.truth.json'

@@ -18,9 +18,9 @@ import pytest
 import yaml
 
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit import GaussMarkov, Processes
 from allan_ros.core.fit.model import model_of_terms
 from allan_ros.core.fit.temperature import SlowNoise, TemperatureModel
+from allan_ros.core.noise import GaussMarkov, Model, Part
 from allan_ros.export import ExportOptions, make_export
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.results.results import Results
@@ -170,18 +170,13 @@ def numbers(results: Results, name: str, **options: Any) -> dict[str, Any]:
 
 
 def refitted(
-    result: AxisResult, noise: Mapping[str, Estimate], processes: Processes | None = None
+    result: AxisResult, noise: Mapping[str, Estimate], processes: Sequence[Part] | None = None
 ) -> AxisResult:
     """Return the result of an axis with these coefficients replaced, and with these processes."""
     noise = {**result.fit.noise, **noise}
-    processes = processes or result.fit.processes
-    model = replace(
-        model_of_terms(noise),
-        gauss_markov=tuple((p.sigma, p.correlation_time) for p in processes.gauss_markov),
-        sinusoids=tuple((p.amplitude, p.frequency) for p in processes.sinusoid),
-    )
-    fit = replace(result.fit, noise=noise, model=model, processes=processes)
-    return replace(result, fit=fit)
+    parts = result.fit.model.shaped.parts if processes is None else processes
+    model = Model((*model_of_terms(noise).parts, *parts))
+    return replace(result, fit=replace(result.fit, noise=noise, model=model))
 
 
 def with_coefficient(results: Results, axis: str, term: str, coefficient: Estimate) -> Results:
@@ -202,8 +197,7 @@ def with_process(results: Results, axis: str, sigma: float, hours: float) -> Res
     axis.
     """
     seconds = 3600.0 * hours
-    process = GaussMarkov(
-        sigma, (0.9 * sigma, 1.1 * sigma), seconds, (0.8 * seconds, 1.3 * seconds)
-    )
-    changed = refitted(results.axes[axis], {}, Processes((process,)))
+    ends = ((0.8 * seconds, 1.3 * seconds),)
+    part = Part(GaussMarkov(seconds), sigma, (0.9 * sigma, 1.1 * sigma), ends)
+    changed = refitted(results.axes[axis], {}, [part])
     return replace(results, axes={**results.axes, axis: changed})

@@ -339,6 +339,9 @@ class Spectrum:
     psd: Floats  # (points, axes) density in the squared unit of the samples per Hz
     low: Floats  # (points, axes) lower limit of ``psd``
     high: Floats  # (points, axes) upper limit of ``psd``
+    bin: NDArray[np.int64]  # (points,) index of each point in the bins of all octaves
+    octaves: int
+    step: NDArray[np.int64]  # (points,) samples per mean of the blocks of each point
 
 
 def noise_density(sums: AllanSums) -> Spectrum | None:
@@ -353,4 +356,6 @@ def noise_density(sums: AllanSums) -> Spectrum | None:
     degrees = np.broadcast_to(spectra.dof[some, None], psd.shape)
     # `chi_squared_limits` returns limits of a deviation; their squares are limits of the density
     low, high = chi_squared_limits(psd, degrees)
-    return Spectrum(sums.axes, spectra.f[some] / sums.tau0, psd, low**2, high**2)
+    octaves = int(spectra.octave[some].max()) + 1
+    f = spectra.f[some] / sums.tau0
+    return Spectrum(sums.axes, f, psd, low**2, high**2, some, octaves, step)

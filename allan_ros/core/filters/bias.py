@@ -21,9 +21,8 @@ from ..errors import AllanError
 from ..estimate import Estimate
 from ..fields import Signed
 from ..fit.model import Z_95, AxisFit
-from ..noise import ProcessModel
-from .growth import drift_model
-from .reductions import state_space
+from ..noise import Model
+from .state_space import state_space
 
 Floats = NDArray[np.float64]
 
@@ -104,7 +103,7 @@ class BiasEstimate:
 class BiasModel(NamedTuple):
     """Stochastic model of the bias of one axis: noise processes and an unknown constant slope."""
 
-    processes: ProcessModel
+    processes: Model
     slope_std: float = 0.0  # prior standard deviation of the slope, per s; 0 for no slope
 
     @classmethod
@@ -138,8 +137,7 @@ class BiasFilter:
 
     Examples
     --------
-    >>> from allan_ros.core.noise import NoiseTerms
-    >>> bias = BiasFilter(BiasModel(ProcessModel(NoiseTerms(N=0.1))))
+    >>> bias = BiasFilter(BiasModel(Model.of(N=0.1)))
     >>> for mean in (1.0, 1.2, 0.8, 1.0):
     ...     bias.update(mean)
     >>> estimate = bias.estimate()
@@ -148,7 +146,7 @@ class BiasFilter:
     """
 
     def __init__(self, model: BiasModel) -> None:
-        space = state_space(drift_model(model.processes))
+        space = state_space(model.processes.drift)
         if not space.white and not space.walk:
             # without any noise, the innovation variance would become 0
             space = replace(space, white=1e-12)
@@ -178,7 +176,7 @@ class BiasFilter:
 
     def _update(self, mean: float) -> None:
         if not self._known:  # the prior of the constant part of the bias is vague
-            spread = [sigma for sigma, _ in self._space.gauss_markov]
+            spread = [value for value, _ in self._space.processes]
             vague = 1e3 * (sum(spread) + self._space.white + self._space.walk + self._slope_std)
             self._state[1] = mean
             self._covariance = self._space.initial_covariance(vague, self._slope_std)

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ..errors import AllanError
 from ..fit.model import AxisFit
 from ..imu import AXES, SENSORS
-from ..noise import ProcessModel
-from .growth import has_drift, interval_models
+from ..noise import Model
+from .growth import interval_models
 from .reductions import HORIZON_S, Level, Reduction, States, reduce_model
 
 
@@ -60,24 +60,23 @@ def reduce_axis(
         If a required coefficient has neither a value nor a limit.
     """
     white, walk = axis_level(axis, fit, 'N'), None
-    model = replace(fit.model, terms=replace(fit.model.terms, N=white.value))
-    resolved_walk = model.terms.K
+    model = fit.model.changed(N=white.value)
+    resolved_walk = model.value('K')
     reduction = reduce_model(model, states, horizon)
     # without drift, or if all drift is fast and became white noise
-    if not has_drift(model) or (states == 'walk' and not reduction.model.terms.K):
+    if not model.has_drift or (states == 'walk' and not reduction.model.value('K')):
         walk = axis_level(axis, fit, 'K')
-        with_walk = replace(model, terms=replace(model.terms, K=walk.value))
-        reduction = reduce_model(with_walk, states, horizon)
-    n, k = reduction.model.terms.N, reduction.model.terms.K
+        reduction = reduce_model(model.changed(K=walk.value), states, horizon)
+    n, k = reduction.model.value('N'), reduction.model.value('K')
     ends = interval_models(fit) if states in ('none', 'walk') else None
-    of_ends = [reduce_model(one, states, horizon).model.terms for one in ends or ()]
+    of_ends = [reduce_model(one, states, horizon).model for one in ends or ()]
     if walk is None and k > 0.0:
         walk = Level(axis, 'K', k, fit.noise['K'].ci95)
         if k > 1.001 * resolved_walk:
             measured = resolved_walk if fit.noise['K'].status == 'estimated' else 0.0
-            walk = _raised(walk, k, measured, [one.K for one in of_ends])
+            walk = _raised(walk, k, measured, [one.value('K') for one in of_ends])
     if n > 1.001 * white.value:
-        white = _raised(white, n, white.value, [one.N for one in of_ends])
+        white = _raised(white, n, white.value, [one.value('N') for one in of_ends])
     return reduction._replace(levels={'N': white, **({'K': walk} if walk else {})})
 
 
@@ -103,7 +102,7 @@ def white_variances(
     for name, fit in axes.items():
         with suppress(AllanError):
             if horizon:
-                white = reduce_axis(name, fit, 'none', horizon).model.terms.N
+                white = reduce_axis(name, fit, 'none', horizon).model.value('N')
             else:
                 white = axis_level(name, fit, 'N').value
             stds[name] = white * rate**0.5
@@ -124,8 +123,8 @@ def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
     """
     ratios = [1.0]
     for fit in axes.values():
-        ends = interval_models(fit) or (ProcessModel(),) * 2
-        low, high = (reduce_model(one, 'none', horizon).model.terms.N for one in ends)
+        ends = interval_models(fit) or (Model(),) * 2
+        low, high = (reduce_model(one, 'none', horizon).model.value('N') for one in ends)
         ratios.append(high / low if low > 0.0 else math.inf)
     return max(ratios)
 

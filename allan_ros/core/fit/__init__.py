@@ -22,11 +22,8 @@ from .model import (
     TERMS,
     AxisFit,
     Deviation,
-    GaussMarkov,
     LackOfFit,
     NoiseModel,
-    Processes,
-    Sinusoid,
 )
 
 __all__ = [
@@ -34,11 +31,8 @@ __all__ = [
     'TERMS',
     'AxisFit',
     'Deviation',
-    'GaussMarkov',
     'LackOfFit',
     'NoiseModel',
-    'Processes',
-    'Sinusoid',
     'fit_noise',
 ]
 

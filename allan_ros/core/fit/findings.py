@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from ..allan.curve import AllanCurve
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from .interpretation import largest_deviation, model_line, recommended_duration
-from .model import AxisFit, Floats, NoiseModel, Sinusoid
+from .model import AxisFit, Floats, NoiseModel
 
 NEGLIGIBLE_STEP = 0.02
 """Rounding steps below this fraction of the white noise per sample are ignored: they increase its
@@ -121,13 +122,12 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
     found = []
     if fit.filtered:
         found.append(finding('low_pass', name, frequency=4.0 / (fit.m_min * tau0)))
-    for lines in with_harmonics(fit.processes.sinusoid):
-        found.append(line_finding(name, lines, tau0))
-    for hump in fit.processes.resonance:
-        width = 1.0 / (math.pi * hump.correlation_time)
-        numbers = {'frequency': hump.frequency, 'width': width, 'amplitude': hump.sigma}
-        found.append(finding('resonance', name, **numbers))
-    found += _process_findings(name, fit)
+    shaped = fit.model.shaped.parts
+    lines = [Line(p.process.shape[0], p.value) for p in shaped if p.process.is_line]
+    found += [line_finding(name, group, tau0) for group in with_harmonics(lines)]
+    for process, value, *_ in shaped:
+        if not process.is_line:
+            found.append(finding(process.finding, name, **process.facts(value)))
     white = fit.noise['N'].value
     step = rounding_step(sums, axis, white**2 / tau0) if white else None
     if step is not None and white:
@@ -159,22 +159,16 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     return replace(model, axes=axes, findings=(*model.findings, *merge_equal(found)))
 
 
-def _process_findings(name: tuple[str], fit: AxisFit) -> list[Finding]:
-    """Return the findings about Gauss-Markov processes."""
-    found = []
-    k = fit.noise['K']
-    for p in fit.processes.gauss_markov:
-        walk = p.sigma * math.sqrt(2.0 / p.correlation_time)
-        if k.value and not fit.model.terms.K and math.isclose(walk, k.value, rel_tol=1e-6):
-            found.append(finding('levels_off', name, tau=p.correlation_time))
-        else:
-            found.append(finding('gauss_markov', name, sigma=p.sigma, time=p.correlation_time))
-    return found
+class Line(NamedTuple):
+    """Sinusoid of an axis."""
+
+    frequency: float  # Hz
+    amplitude: float  # SI
 
 
-def with_harmonics(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
+def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:
     """Return groups of one sinusoid and its harmonics; the input is sorted by frequency."""
-    groups: list[list[Sinusoid]] = []
+    groups: list[list[Line]] = []
     for line in lines:
         for group in groups:
             ratio = line.frequency / group[0].frequency
@@ -187,7 +181,7 @@ def with_harmonics(lines: Sequence[Sinusoid]) -> list[list[Sinusoid]]:
     return groups
 
 
-def line_finding(name: tuple[str], lines: Sequence[Sinusoid], tau0: float) -> Finding:
+def line_finding(name: tuple[str], lines: Sequence[Line], tau0: float) -> Finding:
     """Return the finding about a sinusoid and its harmonics.
 
     ``name`` contains the axis, ``tau0`` is the sample period in s.

@@ -111,7 +111,7 @@ def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
     merged; a single narrow range gets the two terms with the largest shares.
     """
     tau0 = curve.tau[0] / curve.m[0] if len(curve.m) else math.nan
-    parts = fit.model.parts(curve.tau, tau0) if len(curve.m) else {}
+    parts = fit.model.contributions(curve.tau, tau0) if len(curve.m) else {}
     if not parts:
         return []
     variances = np.stack(list(parts.values()), axis=1)

@@ -7,14 +7,15 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from ..allan.sums import AllanSums
 from ..estimate import Estimate, Status
 from ..findings import Finding, finding
-from ..noise import PROCESS_TYPES, NoiseTerms, ProcessModel
+from ..noise import PROCESSES, Model, Part
+from ..noise.model import Covariance
+from ..noise.processes.low_pass import LowPass
 from .estimate import SelectedModel, estimate
 from .findings import axis_findings, merge_equal
 from .likelihood import (
@@ -31,16 +32,11 @@ from .model import (
     TERMS,
     Z_95,
     AxisFit,
-    Covariance,
     Floats,
-    GaussMarkov,
     K,
     LackOfFit,
     NoiseModel,
-    Processes,
     Q,
-    Resonance,
-    Sinusoid,
     coefficient_to_si,
 )
 from .selection import GAIN_RESOLVED, Candidates
@@ -160,24 +156,19 @@ def axis_fit(result: SelectedModel, tau0: float, brief: bool = False) -> AxisFit
         for i, key in enumerate(shaped)
         if fit.p[key[0]] > 0.0
     }
-    processes, order = _processes(fit.components, fit.p * scale, covariance, errors, tau0)
+    parts, order = _processes(fit.components, fit.p * scale, covariance, errors, tau0)
     walk = 0.0 if len(fit.components[K]) > 1 else noise['K'].value
-    terms = NoiseTerms(
+    terms = Model.of(
         **{t: noise[t].value or 0.0 for t in 'QNB'},
         K=walk or 0.0,
         R=0.0 if brief else _drift_of_model(ramp, noise['R'].status == 'estimated', tau0),
     )
-    model = ProcessModel(
-        terms,
-        tuple((p.sigma, p.correlation_time) for p in processes.gauss_markov),
-        tuple((p.amplitude, p.frequency) for p in processes.sinusoid),
-        result.low_pass * scale * tau0**2,
-        tuple((p.sigma, p.frequency, p.correlation_time) for p in processes.resonance),
-    )
+    low_pass = result.low_pass * scale * tau0**2
+    parts += [Part(LowPass(), low_pass)] if low_pass else []
+    model = Model((*terms.parts, *parts), _covariance(fit.components, covariance, order, tau0))
     return AxisFit(
         noise,
         model,
-        processes,
         round(4.0 / result.top) if result.top < 0.5 else 1,
         bool(rules.signed),
         # Wilson & Hilferty 1931
@@ -189,7 +180,6 @@ def axis_fit(result: SelectedModel, tau0: float, brief: bool = False) -> AxisFit
             for o, ratio in sorted(result.lack.items())
             for f in [data.statistics.f[data.statistics.octave == o]]
         ),
-        covariance=_covariance(fit.components, covariance, order, tau0),
     )
 
 
@@ -239,28 +229,24 @@ def _processes(
     covariance: Floats,
     errors: Mapping[tuple[int, int], float],
     tau0: float,
-) -> tuple[Processes, list[int]]:
-    """Return the processes in SI, and the indices of their coefficients in this order.
+) -> tuple[list[Part], list[int]]:
+    """Return the processes with a shape in SI, and the indices of their coefficients.
 
     ``errors`` are the relative errors of the numbers of the shapes.
     """
-    kinds = {'gauss_markov': GaussMarkov, 'sinusoid': Sinusoid, 'resonance': Resonance}
-    found: dict[str, list[tuple[float, int, Any]]] = {kind: [] for kind in kinds}
-    for k, (kind, *shape) in enumerate(components):
+    found = []
+    for k, (name, *shape) in enumerate(components):
         variance = float(p[k])
         if not shape or variance <= 0.0:
             continue
-        if kind == 'bounded_walk':
-            kind, variance = 'gauss_markov', variance * shape[0] / 2.0
-        relative = math.sqrt(max(covariance[k, k], 0.0)) / float(p[k])
-        values = [math.sqrt(variance), _around(math.sqrt(variance), relative / 2.0)]
-        for at, (x, meaning) in enumerate(zip(shape, PROCESS_TYPES[kind].shape)):
-            value = x * tau0 if meaning == 'time' else x / tau0
-            values += [value, _around(value, errors.get((k, at), 0.0))]
-        found[kind].append((shape[0], k, kinds[kind](*values)))
-    ordered = [sorted(each, key=lambda one: one[0]) for each in found.values()]
-    processes = Processes(*(tuple(process for _, _, process in each) for each in ordered))
-    return processes, [k for each in ordered for _, k, _ in each]
+        process = PROCESSES[name](*shape)
+        value = process.coefficient_of(variance, tau0)
+        process = process.in_unit(1.0 / tau0)
+        relative = math.sqrt(max(covariance[k, k], 0.0)) / variance
+        ends = (_around(x, errors.get((k, at), 0.0)) for at, x in enumerate(process.shape))
+        found.append((Part(process, value, _around(value, relative / 2.0), tuple(ends)), k))
+    found.sort(key=lambda one: (one[0].process.name, one[0].process.shape))
+    return [part for part, _ in found], [k for _, k in found]
 
 
 def _around(value: float, relative: float) -> tuple[float, float]:
@@ -273,14 +259,14 @@ def _covariance(
     components: Sequence[Component], covariance: Floats, order: list[int], tau0: float
 ) -> Covariance:
     """Return the covariance of the squared coefficients in SI."""
+    order = [k for k in order if k >= len(RANDOM_TERMS)]
     units = [coefficient_to_si(t, 1.0, tau0) ** 2 for t in RANDOM_TERMS]
     names = list(RANDOM_TERMS)
     numbers: Counter[str] = Counter()
     for k in order:
-        kind, *shape = components[k]
-        kind, unit = ('gauss_markov', shape[0] / 2.0) if kind == 'bounded_walk' else (kind, 1.0)
-        names.append(f'{kind} {numbers[kind]}')
-        numbers[kind] += 1
-        units.append(unit)
+        name, *shape = components[k]
+        names.append(f'{name} {numbers[name]}')
+        numbers[name] += 1
+        units.append(PROCESSES[name](*shape).coefficient_of(1.0, tau0) ** 2)
     at = [*range(len(RANDOM_TERMS)), *order]
     return Covariance(tuple(names), covariance[np.ix_(at, at)] * np.outer(units, units))

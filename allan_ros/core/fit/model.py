@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..estimate import Estimate
 from ..fields import Signed
 from ..findings import Finding
-from ..noise import NoiseTerms, ProcessModel
+from ..noise import Model
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,97 +53,6 @@ TERMS = ('Q', 'N', 'B', 'K', 'R')
 """Quantization, angle/velocity random walk, bias instability, rate random walk, rate ramp."""
 
 
-@dataclass(frozen=True)
-class GaussMarkov:
-    """First-order Gauss-Markov process (exponentially correlated noise of IEEE Std 952).
-
-    Attributes
-    ----------
-    sigma : float
-        Stationary standard deviation in SI units.
-    sigma_ci95 : (low, high)
-        95 % interval of sigma.
-    correlation_time : float
-        Correlation time in s.
-    correlation_time_ci95 : (low, high)
-        95 % interval of the correlation time.
-    """
-
-    sigma: float
-    sigma_ci95: tuple[float, float]
-    correlation_time: float
-    correlation_time_ci95: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Sinusoid:
-    """Sinusoidal noise of IEEE Std 952, for example vibration.
-
-    Attributes
-    ----------
-    amplitude : float
-        Amplitude in SI units.
-    amplitude_ci95 : (low, high)
-        95 % interval of the amplitude.
-    frequency : float
-        Frequency in Hz, below half the sample rate. A faster vibration appears at its alias.
-    frequency_ci95 : (low, high)
-        95 % interval of the frequency.
-    """
-
-    amplitude: float
-    amplitude_ci95: tuple[float, float]
-    frequency: float
-    frequency_ci95: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Resonance:
-    """Second-order process: a damped oscillation that noise excites, for example of a mounting.
-
-    Attributes
-    ----------
-    sigma : float
-        Standard deviation in SI units.
-    sigma_ci95 : (low, high)
-        95 % interval of sigma.
-    frequency : float
-        Frequency in Hz.
-    frequency_ci95 : (low, high)
-        95 % interval of the frequency.
-    correlation_time : float
-        Time in s in which the oscillation decays to 1/e; its width is 1/(pi times this) Hz.
-    correlation_time_ci95 : (low, high)
-        95 % interval of the correlation time.
-    """
-
-    sigma: float
-    sigma_ci95: tuple[float, float]
-    frequency: float
-    frequency_ci95: tuple[float, float]
-    correlation_time: float
-    correlation_time_ci95: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Processes:
-    """Processes that are added to the five terms if these do not describe the curve.
-
-    Attributes
-    ----------
-    gauss_markov : tuple of GaussMarkov
-        Sorted by correlation time, shortest first.
-    sinusoid : tuple of Sinusoid
-        Sorted by frequency, lowest first.
-    resonance : tuple of Resonance
-        Sorted by frequency, lowest first.
-    """
-
-    gauss_markov: tuple[GaussMarkov, ...] = ()
-    sinusoid: tuple[Sinusoid, ...] = ()
-    resonance: tuple[Resonance, ...] = ()
-
-
 class Deviation(NamedTuple):
     """Largest relative difference between the measured Allan deviation and the model.
 
@@ -176,24 +85,6 @@ class LackOfFit(NamedTuple):
     ratio: float
 
 
-@dataclass(frozen=True, eq=False)
-class Covariance:
-    """Covariance of the fitted coefficients of one axis.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Parameters: 'Q', 'N', 'B', 'K', then 'gauss_markov', 'sinusoid' and 'resonance' with a
-        number, in the order of `Processes`.
-    matrix : (parameters, parameters) array
-        Covariance of their squares (of N^2, of sigma^2, of amplitude^2 ...) in SI, with the
-        uncertainty of correlation times and frequencies included.
-    """
-
-    names: tuple[str, ...]
-    matrix: Floats
-
-
 @dataclass(frozen=True)
 class AxisFit:
     """Fit of one axis.
@@ -202,11 +93,9 @@ class AxisFit:
     ----------
     noise : mapping of term to Estimate
         All five of `TERMS`.
-    model : ProcessModel
+    model : Model
         The fitted model, complete: it is what is tested, drawn and exported. Terms that are not
-        resolved are included with their estimates.
-    processes : Processes
-        Gauss-Markov processes, sinusoids and resonances of the model, with intervals.
+        resolved are included with their estimates, and processes with a shape have intervals.
     m_min : int
         Smallest averaging factor that the model describes; above 1 if the samples are low-pass
         filtered.
@@ -219,19 +108,15 @@ class AxisFit:
         Octaves in which the data differ from the model; empty if the model passes the test.
     deviation : Deviation or None
         Largest deviation of the curve from the model; None if no deviation is significant.
-    covariance : Covariance or None
-        Covariance of the coefficients; None if the method gives none.
     """
 
     noise: Mapping[str, Estimate]
-    model: ProcessModel = field(default_factory=ProcessModel)
-    processes: Processes = Processes()
+    model: Model = field(default_factory=Model)
     m_min: int = 1
     filtered: bool = False
     gof_z: Signed | None = None
     lack_of_fit: tuple[LackOfFit, ...] = ()
     deviation: Deviation | None = None
-    covariance: Covariance | None = field(default=None, compare=False)
 
     @property
     def likely(self) -> tuple[str, ...]:
@@ -239,20 +124,19 @@ class AxisFit:
         return tuple(t for t, c in self.noise.items() if c.status == 'likely')
 
     @property
-    def model_at_limits(self) -> ProcessModel:
+    def model_at_limits(self) -> Model:
         """The model with every unresolved term at its 95 % upper limit."""
         limits = {
-            term: max(c.upper95, abs(getattr(self.model.terms, term)))
+            term: max(c.upper95, abs(self.model.value(term)))
             for term, c in self.noise.items()
             if c.status != 'estimated' and c.upper95 is not None and math.isfinite(c.upper95)
         }
-        return replace(self.model, terms=replace(self.model.terms, **limits))
+        return self.model.changed(**limits)
 
 
-def model_of_terms(noise: Mapping[str, Estimate]) -> ProcessModel:
+def model_of_terms(noise: Mapping[str, Estimate]) -> Model:
     """Return the model that contains the estimates of the terms only."""
-    values = {t: c.value for t, c in noise.items() if c.value}
-    return ProcessModel(NoiseTerms(**values))
+    return Model.of(**{t: c.value for t, c in noise.items() if c.value})
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ from ..allan.cascade import MAX_INTERPOLATED
 from ..allan.curve import pooled_spectra
 from ..allan.grid import LONGEST_BLOCK, SAMPLE_OCTAVES, bins_up_to, octave, tapers
 from ..allan.sums import AllanSums
-from ..noise import Gamma, gamma_of
+from ..noise import Gamma, Process, gamma_of
+from ..noise.old import process_of
 from .replaced import replaced_excess
 
 Floats = NDArray[np.float64]
@@ -65,9 +66,10 @@ def _kernels() -> tuple[Floats, Floats]:
 
 
 @lru_cache(maxsize=1024)
-def expected_power(component: Component, octaves: int) -> Floats:
+def expected_power(component: Component | Process, octaves: int) -> Floats:
     """Return the expected power of unit noise in the bins of the first octaves."""
-    return _power_of(gamma_of(*component), octaves)
+    process = component if isinstance(component, Process) else process_of(*component)
+    return _power_of(process.gamma, octaves)
 
 
 def _power_of(gamma: Gamma, octaves: int) -> Floats:

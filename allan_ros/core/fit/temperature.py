@@ -239,20 +239,21 @@ def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Component], 
     block means of ``step`` samples cannot resolve them. White noise includes aliases of sinusoids.
     Slower processes are omitted: they may be effects of the temperature.
     """
-    model = fit.model
-    white = model.terms.N**2 / tau0
-    for amplitude, frequency in model.sinusoids:
-        if frequency * tau0 * step * 2.0 * SLOW > 1.0:
-            white += 0.25 * amplitude**2 / (step * math.sin(math.pi * frequency * tau0) ** 2)
+    white = fit.model.value('N') ** 2 / tau0
     components: list[Component] = [('N',), ('B',), ('K',)]
-    known = [white or math.nan, math.nan, math.nan]
-    for sigma, time in model.gauss_markov:
-        if time / tau0 < SLOW * step:
-            components.append(('gauss_markov', time / tau0))
-            known.append(sigma**2)
-    for sigma, frequency, time in model.resonances:
-        components.append(('resonance', frequency * tau0, time / tau0))
-        known.append(sigma**2)
+    others = []
+    for part in fit.model.shaped.parts:
+        process = part.process.in_unit(tau0)
+        if process.slowest_time >= SLOW * step:
+            continue
+        variance = process.variance_of(part.value, tau0)
+        if process.is_line:
+            # half of the variance of its aliases, which are at random frequencies
+            white += 0.5 * step * variance * process.alias_variance(step)
+        else:
+            components.append((process.name, *process.shape))
+            others.append(variance)
+    known = [white or math.nan, math.nan, math.nan, *others]
     return components, known
 
 

@@ -4,26 +4,26 @@
 
 from __future__ import annotations
 
-from .old import (
-    FLICKER_FLOOR,
-    PROCESS_TYPES,
-    Gamma,
-    NoiseTerms,
-    ProcessModel,
-    gamma_of,
-    gauss_markov_avar,
-    term_avar,
-    unit_avar,
-)
+from .model import Model, Part
+from .old import PROCESS_TYPES, gamma_of, unit_avar
+from .process import Gamma, Process
+from .processes.flicker import FLICKER_FLOOR
+from .processes.gauss_markov import GaussMarkov
+from .registry import LETTERS, PROCESSES, REPLACEMENTS, SEARCHED, TERMS
 
 __all__ = [
     'FLICKER_FLOOR',
+    'LETTERS',
+    'PROCESSES',
     'PROCESS_TYPES',
+    'REPLACEMENTS',
+    'SEARCHED',
+    'TERMS',
     'Gamma',
-    'NoiseTerms',
-    'ProcessModel',
+    'GaussMarkov',
+    'Model',
+    'Part',
+    'Process',
     'gamma_of',
-    'gauss_markov_avar',
-    'term_avar',
     'unit_avar',
 ]

@@ -13,7 +13,7 @@ The time unit is the sample period, and the coefficient is 1.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -87,25 +87,25 @@ def growth_variance(process: Process, horizon: ArrayLike, window: ArrayLike) -> 
     return np.asarray(n**2 * (of_horizon + of_window) - n / b * twice_cross)
 
 
-def simulate(parts: Sequence[tuple[float, Process]], n: int, rng: np.random.Generator) -> Floats:
-    """Return n samples of a sum of processes, (n,), up to a constant; the first one is 0.
+def simulate(parts: Iterable[tuple[float, Process]], n: int, rng: np.random.Generator) -> Floats:
+    """Return n samples of a sum of processes, (n,), up to a constant.
 
-    ``parts`` are variances and processes. The samples are drawn by circulant embedding of gamma
-    (Dietrich & Newsam, SIAM J. Sci. Comput. 18, 1997): an even periodic sequence whose first half
-    is gamma has the eigenvalues of a covariance matrix. The constant in gamma changes only the
-    mean, and so does a spectrum that is infinite at frequency 0: flicker noise and random walk are
+    ``parts`` are coefficients in sample units, and processes. The samples are drawn by circulant
+    embedding of gamma (Dietrich & Newsam, SIAM J. Sci. Comput. 18, 1997): an even periodic sequence
+    whose first half is gamma has the eigenvalues of a covariance matrix. The constant in gamma and
+    an infinite spectrum at frequency 0 change only the mean, so flicker noise and random walk are
     exact, too. A process with a `Process.sample` of its own draws itself.
     """
     from scipy import fft  # slow to import, and rarely needed
 
     y = np.zeros(n)
     drawn = []
-    for variance, process in parts:
+    for coefficient, process in parts:
         samples = process.sample(n, rng)
         if samples is None:
-            drawn.append((variance, process))
+            drawn.append((process.variance_of(coefficient, 1.0), process))
         else:
-            y += math.sqrt(variance) * samples
+            y += coefficient * samples
     circle = 1
     while drawn:
         half = fft.next_fast_len(max(circle * (n - 1), 2), real=True)
@@ -119,7 +119,7 @@ def simulate(parts: Sequence[tuple[float, Process]], n: int, rng: np.random.Gene
             y += _draw(np.maximum(eigenvalues, 0.0), rng)[:n]
             break
         circle *= 2
-    return np.asarray(y - y[0])
+    return y
 
 
 def _lags(process: Process, number: int) -> Floats:

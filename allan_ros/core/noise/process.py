@@ -8,7 +8,7 @@ The only mathematics of a process is `Process.gamma`. `derived` computes all sta
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, NamedTuple
 
@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
+Gamma = Callable[[ArrayLike, ArrayLike], Floats]
+"""gamma(M, j), whose arguments broadcast."""
 
 GAIN_PROCESS = 11.0
 """Least gain in -2 log L of one more process, plus 2 log(bins) if it has a frequency: 1 % of axes
@@ -23,6 +25,10 @@ GAIN_PROCESS = 11.0
 
 GAIN_RESOLVED = 5.41
 """Least gain in -2 log L from 0 for a term to be resolved: one-sided 1 % (B 1.0, K 1.0 %)."""
+
+
+LARGEST = 1e150
+"""Largest coefficient whose square is a float; a document may state any number."""
 
 
 class Parameter(NamedTuple):
@@ -121,6 +127,9 @@ class Process:
     no_states: ClassVar[str] = ''
     """Why a Kalman filter has no exact states for the process; '' if `states` gives them."""
 
+    is_white: ClassVar[bool] = False
+    """Whether the process has no memory."""
+
     is_regressor: ClassVar[bool] = False
     """Whether it is a known function with an unknown factor and no random process."""
 
@@ -185,6 +194,10 @@ class Process:
         """Return the variance of means over ``step`` samples if only aliases of it remain, or 0."""
         return 0.0
 
+    def facts(self, value: float) -> dict[str, float]:
+        """Return the numbers of the finding about a process with an SI coefficient."""
+        return {self.coefficient: value, **self.numbers}
+
     def sample(self, n: int, rng: np.random.Generator) -> Floats | None:
         """Return n samples, or None if `derived.simulate` draws them from gamma."""
         return None
@@ -195,6 +208,11 @@ class Process:
     def shape(self) -> tuple[float, ...]:
         """The numbers of the shape."""
         return tuple(getattr(self, parameter.name) for parameter in self.parameters)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The numbers of the shape by name."""
+        return {p.name: getattr(self, p.name) for p in self.parameters}
 
     def with_shape(self, numbers: Mapping[str, float]) -> Process:
         """Return the process with some numbers of its shape changed."""
@@ -216,12 +234,16 @@ class Process:
             },
         )
 
+    def in_samples(self, coefficient: float, tau0: float) -> float:
+        """Return an SI coefficient with the sample period as the time unit."""
+        return coefficient * math.pow(tau0, -self.time_power)
+
     def variance_of(self, coefficient: float, tau0: float) -> float:
-        """Return the square of an SI coefficient with the sample period as the time unit."""
-        return coefficient**2 * math.pow(tau0, -2.0 * self.time_power)
+        """Return the factor of gamma for an SI coefficient: its square in sample units."""
+        return min(abs(self.in_samples(coefficient, tau0)), LARGEST) ** 2
 
     def coefficient_of(self, variance: float, tau0: float) -> float:
-        """Return the SI coefficient of a variance in sample units; 0 for a negative one."""
+        """Return the SI coefficient of a factor of gamma; 0 for a negative one."""
         return math.sqrt(max(variance, 0.0)) * math.pow(tau0, self.time_power)
 
     @property

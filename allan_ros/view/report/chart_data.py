@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...core.allan.curve import noise_density
+from ...core.allan.curve import Spectrum, noise_density
 from ...core.fit import TERMS
+from ...core.fit.statistics import expected_power
 from ...core.fit.temperature import TemperatureModel
 from ...core.imu import AXES, SENSORS, shown_unit
-from ...core.noise import NoiseTerms, term_avar
+from ...core.noise import Model
 from ...core.settings import UNIT_SYSTEMS
 from ...core.stream.signal import SignalSummary
 from ...results.axis_result import AxisResult
@@ -125,8 +126,7 @@ def _references(
     stated = results.datasheet.datasheet.values() if results.datasheet else {}
     for name, axis in axes.items():
         if results.datasheet and stated.get(name) and tau:
-            terms = NoiseTerms(**stated[name])
-            avar = term_avar(np.asarray(tau) / axis.tau0, axis.tau0, terms).sum(axis=1)
+            avar = Model.of(**stated[name]).avar(tau, axis.tau0)
             sheet = results.datasheet.datasheet.name
             yield {'name': sheet, 'axis': name, 'adev': rounded(np.sqrt(avar))}
     for run, former in results.baselines.items():
@@ -154,7 +154,7 @@ def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any]
                 'density': spectrum.psd[:, i],
                 'low': spectrum.low[:, i],
                 'high': spectrum.high[:, i],
-                'fit': model_density(axes[name], spectrum.frequency),
+                'fit': model_density(axes[name], spectrum),
             }
             roots = {k: rounded(np.sqrt(np.where(v > 0, v, np.nan))) for k, v in columns.items()}
             shown.append({'name': name, **roots})
@@ -164,8 +164,8 @@ def _density(axes: Mapping[str, AxisResult], results: Results) -> dict[str, Any]
 def _lines(axes: Mapping[str, AxisResult]) -> list[tuple[float, str]]:
     groups: dict[str, list[tuple[float, str]]] = {}  # frequencies with equal shown digits
     for name, axis in axes.items():
-        sines = [sine.frequency for sine in axis.processes.sinusoid]
-        for frequency in (*sines, *(r.frequency for r in axis.processes.resonance)):
+        shapes = (part.process.numbers for part in axis.processes.parts)
+        for frequency in (shape['frequency'] for shape in shapes if 'frequency' in shape):
             groups.setdefault(f'{frequency:.2g}', []).append((frequency, name[-1]))
     return sorted(
         (float(f'{np.mean([f for f, _ in group]):.3g}'), ' '.join(sorted({a for _, a in group})))
@@ -205,32 +205,22 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
     return {'source': temperature.source, 'time': time, 'celsius': celsius}
 
 
-def model_density(axis: AxisResult, frequency: Floats) -> Floats:
-    """Return the one-sided power spectral density of the model, SI unit^2/Hz.
+def model_density(axis: AxisResult, spectrum: Spectrum) -> Floats:
+    """Return the one-sided power spectral density of the model, SI unit^2/Hz, (points,).
 
-    It is twice the two-sided density of IEEE Std 952-1997 C.1.1 to C.1.4 and 952-2020 annex C. For
-    samples of period tau0 and w = 2 pi f, this is 4 Q^2/tau0 sin^2(w tau0/2), N^2, B^2/w and
-    K^2 tau0^2/(4 sin^2(w tau0/2)), and 2 sigma^2 T/(1 + (w T)^2) for a Gauss-Markov process. A
-    resonance is such a process at half its power around w0 and around -w0. The ramp is omitted
-    because the mean of a block is subtracted, a sinusoid because its density is infinite at one
-    frequency and 0 elsewhere. It is NaN above the pass band of a filter.
+    It is the expectation of the measured spectrum, in the same blocks and with the same tapers: a
+    sinusoid is a peak of the same height, and slow processes have the same leakage. The tapers
+    remove a ramp. The density is NaN above the pass band of a filter.
     """
-    terms = axis.fit.model.terms
-    omega = 2.0 * np.pi * frequency
-    step = 2.0 * np.sin(omega * axis.tau0 / 2.0)
-    density: Floats = (
-        (terms.Q * step) ** 2 / axis.tau0
-        + terms.N**2
-        + terms.B**2 / omega
-        + (terms.K * axis.tau0 / step) ** 2
-    )
-    processes = [(sigma, 0.0, time) for sigma, time in axis.fit.model.gauss_markov]
-    for sigma, center, time in (*processes, *axis.fit.model.resonances):
-        for offset in (omega - 2.0 * np.pi * center, omega + 2.0 * np.pi * center):
-            density = density + sigma**2 * time / (1.0 + (offset * time) ** 2)
+    tau0, power = axis.tau0, np.zeros(len(spectrum.frequency))
+    for process, value, *_ in axis.fit.model.parts:
+        if not process.is_regressor:
+            unit = expected_power(process.in_unit(tau0), spectrum.octaves)[spectrum.bin]
+            power += process.variance_of(value, tau0) * unit
+    density = 2.0 * tau0 * spectrum.step * power
     # a model describes frequencies up to 4 / (its shortest averaging time)
-    band = 4.0 / (axis.fit.m_min * axis.tau0) if axis.fit.m_min > 1 else math.inf
-    return np.where(frequency <= band, 2.0 * density, np.nan)
+    band = 4.0 / (axis.fit.m_min * tau0) if axis.fit.m_min > 1 else math.inf
+    return np.where(spectrum.frequency <= band, density, np.nan)
 
 
 class Trend(NamedTuple):

@@ -7,8 +7,8 @@ import support.sums
 from allan_ros.core.allan.curve import allan_curve, edf, noise_types_of_avar
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
-from allan_ros.core.noise import term_avar
-from allan_ros.core.simulate import NoiseTerms, simulate_axis
+from allan_ros.core.noise import Model
+from allan_ros.core.simulate import simulate_axis
 
 AXES = ('gyro_x', 'gyro_y')
 FACTORS = 2 ** np.arange(11)
@@ -19,7 +19,7 @@ def sums_of(*segments):
     return support.sums.sums_of(np.concatenate(segments), cuts=cuts, axes=AXES)
 
 
-def noise(n, seed=0, terms=(NoiseTerms(N=1e-3), NoiseTerms(K=1e-3))):
+def noise(n, seed=0, terms=(Model.of(N=1e-3), Model.of(K=1e-3))):
     rng = np.random.default_rng(seed)
     return np.stack([simulate_axis(n, 0.01, t, rng) for t in terms], axis=1)
 
@@ -65,7 +65,7 @@ def test_sums_without_samples_have_no_curve():
 
 @pytest.mark.parametrize('term, alpha', [('Q', 2), ('N', 0), ('B', -1), ('K', -2), ('R', -2)])
 def test_the_slope_determines_the_type_of_pure_noise(term, alpha):
-    avar = term_avar(FACTORS, 0.01, NoiseTerms(**{term: 1e-3})).sum(axis=1)[:, None]
+    avar = Model.of(**{term: 1e-3}).avar(FACTORS * 0.01, 0.01)[:, None]
     types = noise_types_of_avar(FACTORS, avar, 10**6)
     assert (types[4:] == alpha).all()  # below, a random walk steps once a sample
 

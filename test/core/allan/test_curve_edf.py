@@ -5,7 +5,8 @@ import pytest
 from support.allan_table import allan_table
 
 from allan_ros.core.allan.curve import chi_squared_limits, correlation, edf
-from allan_ros.core.simulate import NoiseTerms, simulate_axis
+from allan_ros.core.noise import Model
+from allan_ros.core.simulate import simulate_axis
 
 ALPHA = {'Q': 2, 'N': 0, 'B': -1, 'K': -2}
 
@@ -40,7 +41,7 @@ def test_degrees_of_freedom_agree_with_simulated_variances(term, m, stride):
     """2 mean^2/var over 4000 draws determines edf to sqrt((2 + 12/edf)/4000); bound 5 sigma."""
     n, draws = 128, 4000
     rng = np.random.default_rng(3)
-    y = np.stack([simulate_axis(n, 1.0, NoiseTerms(**{term: 1.0}), rng) for _ in range(draws)])
+    y = np.stack([simulate_axis(n, 1.0, Model.of(**{term: 1.0}), rng) for _ in range(draws)])
     table = allan_table(y.T, np.array([m]), stride=stride)
     v = table.avar[0]
     expected = edf(ALPHA[term], m, stride, table.n[0])

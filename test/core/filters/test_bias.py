@@ -19,15 +19,15 @@ from allan_ros.core.filters.bias import (
     turn_on_bias,
 )
 from allan_ros.core.fit.model import AxisFit
-from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 
 DEG = math.pi / 180.0
 HOUR_BIAS = DEG / 3600
-TERMS = NoiseTerms(
+TERMS = Model.of(
     N=0.242 * DEG / 60, B=5.24 * HOUR_BIAS, K=31.8 * DEG / 3600**1.5, R=76.2 * DEG / 3600**2
 )
-MODEL = BiasModel(ProcessModel(TERMS), TERMS.R)
+MODEL = BiasModel(TERMS, TERMS.value('R'))
 
 
 def test_the_interval_covers_the_present_and_the_future_bias():
@@ -38,10 +38,10 @@ def test_the_interval_covers_the_present_and_the_future_bias():
     rng = np.random.default_rng(4)
     hits: dict[int, list[bool]] = {0: [], 60: [], 600: []}
     for _ in range(12):
-        drift = NoiseTerms(B=TERMS.B, K=TERMS.K, R=TERMS.R)
+        drift = Model.of(B=TERMS.value('B'), K=TERMS.value('K'), R=TERMS.value('R'))
         bias = simulate_axis(36_000, 0.1, drift, rng) + rng.normal(0.0, 100.0 * HOUR_BIAS)
         means = bias.reshape(-1, 10).mean(axis=1)
-        noisy = means + TERMS.N * rng.normal(size=len(means))
+        noisy = means + TERMS.value('N') * rng.normal(size=len(means))
         tracker = BiasFilter(MODEL)
         for k, mean in enumerate(noisy, 1):
             tracker.update(float(mean))
@@ -57,7 +57,7 @@ def test_the_interval_covers_the_present_and_the_future_bias():
 
 
 def fit_with_ramp(ramp: Estimate) -> AxisFit:
-    return AxisFit({**{t: Estimate(getattr(TERMS, t)) for t in 'QNBK'}, 'R': ramp})
+    return AxisFit({**{t: Estimate(TERMS.value(t)) for t in 'QNBK'}, 'R': ramp})
 
 
 def test_a_ramp_that_is_not_resolved_widens_the_interval():
@@ -65,7 +65,7 @@ def test_a_ramp_that_is_not_resolved_widens_the_interval():
     hidden = Estimate(1e-8, None, 1e-8 + 1.96 * 3e-8, 'not_observable')
     model = BiasModel.of_fit(fit_with_ramp(hidden))
     assert model.slope_std == pytest.approx(math.hypot(1e-8, 3e-8), rel=1e-6)
-    assert model.processes.terms.R == 0.0
+    assert model.processes.value('R') == 0.0
     without = BiasModel(model.processes)
     stds = []
     for one in (model, without):
@@ -87,7 +87,7 @@ def test_the_slope_prior_follows_from_the_interval_of_the_ramp():
 
 
 def test_white_noise_averages_out_and_a_pause_widens_the_interval():
-    tracker = BiasFilter(BiasModel(ProcessModel(NoiseTerms(N=1.0))))
+    tracker = BiasFilter(BiasModel(Model.of(N=1.0)))
     with pytest.raises(AllanError, match='at rest for a second'):
         tracker.estimate()
     for _ in range(100):
@@ -108,7 +108,7 @@ def test_white_noise_averages_out_and_a_pause_widens_the_interval():
 def test_a_step_of_the_bias_is_followed_at_once(step: float, within: int):
     """Without a restart, the mean of all data follows within hours: a filter would diverge."""
     rng = np.random.default_rng(3)
-    bias = BiasFilter(BiasModel(ProcessModel(NoiseTerms(N=1.0))))
+    bias = BiasFilter(BiasModel(Model.of(N=1.0)))
     for mean in rng.normal(0.0, 1.0, 3600):
         bias.update(mean)
     assert bias.estimate().std < 0.02  # no restart on constant bias
@@ -121,7 +121,8 @@ def test_a_step_of_the_bias_is_followed_at_once(step: float, within: int):
 def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> None:
     tracker = BiasTracker()
     ends = [10**18 + 10**9 * i for i in range(1, 301)]
-    values = (2.0 * HOUR_BIAS + TERMS.N * np.random.default_rng(5).normal(size=300)).tolist()
+    noise = TERMS.value('N') * np.random.default_rng(5).normal(size=300)
+    values = (2.0 * HOUR_BIAS + noise).tolist()
     tracker.add_means('gyro_x', ends, values)
     assert tracker.bias('gyro_x') is None  # no model yet
     tracker.set_models({'gyro_x': MODEL})

@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 
 from allan_ros.core.filters.growth import predicted_growth
-from allan_ros.core.filters.reductions import StateSpace
-from allan_ros.core.noise import NoiseTerms, ProcessModel
+from allan_ros.core.filters.state_space import StateSpace
+from allan_ros.core.noise import GaussMarkov, Model
+from allan_ros.core.noise.processes.sinusoid import Sinusoid
 from allan_ros.core.simulate import simulate_axis
 
 PROCESSES = {
-    'N': ProcessModel(NoiseTerms(N=1.0)),
-    'B': ProcessModel(NoiseTerms(B=1.0)),
-    'K': ProcessModel(NoiseTerms(K=1.0)),
-    'R': ProcessModel(NoiseTerms(R=1.0)),
-    'Gauss-Markov': ProcessModel(gauss_markov=((1.0, 10.0),)),
-    'short Gauss-Markov': ProcessModel(gauss_markov=((1.0, 0.02),)),
-    'sinusoid': ProcessModel(sinusoids=((1.0, 0.02),)),
+    'N': Model.of(N=1.0),
+    'B': Model.of(B=1.0),
+    'K': Model.of(K=1.0),
+    'R': Model.of(R=1.0),
+    'Gauss-Markov': Model.of((1.0, GaussMarkov(10.0))),
+    'short Gauss-Markov': Model.of((1.0, GaussMarkov(0.02))),
+    'sinusoid': Model.of((1.0, Sinusoid(0.02))),
 }
 
 
@@ -40,8 +41,8 @@ def test_growth_over_the_window_is_the_allan_deviation():
     [
         StateSpace(1.0),
         StateSpace(0.0, 1.0),
-        StateSpace(0.0, 0.0, ((1.0, 10.0),)),
-        StateSpace(1.0, 0.3, ((2.0, 2.0), (1.0, 300.0))),
+        StateSpace(0.0, 0.0, ((1.0, GaussMarkov(10.0)),)),
+        StateSpace(1.0, 0.3, ((2.0, GaussMarkov(2.0)), (1.0, GaussMarkov(300.0)))),
     ],
 )
 @pytest.mark.parametrize('horizon, window', [(30.0, 12.0), (5.0, 100.0)])
@@ -51,7 +52,7 @@ def test_growth_is_that_of_the_state_space(space, horizon, window):
     error = later[0]  # theta(h) of the states at time 0, where theta(-W) is 0
     error[0] -= 1.0 + horizon / window
     expected = math.sqrt(error @ covariance @ error + space.noise(horizon)[0, 0])
-    model = ProcessModel(NoiseTerms(N=space.white, K=space.walk), space.gauss_markov)
+    model = Model.of(*space.processes, N=space.white, K=space.walk)
     assert predicted_growth(model, horizon, window) == pytest.approx(expected, rel=1e-6)
 
 
@@ -59,7 +60,7 @@ def test_growth_of_a_ramp_and_of_a_sinusoid_of_any_phase():
     horizon, window = 30.0, 12.0
     ramp = horizon * (horizon + window) / 2.0
     assert predicted_growth(PROCESSES['R'], horizon, window) == pytest.approx(ramp)
-    ((amplitude, frequency),) = PROCESSES['sinusoid'].sinusoids
+    amplitude, frequency = 1.0, 0.02
     turn, phase = 2.0 * np.pi * frequency, 2.0 * np.pi * np.arange(16) / 16
     times = -window, 0.0, horizon
     before, start, end = (amplitude / turn * np.sin(turn * t + phase) for t in times)
@@ -71,7 +72,7 @@ def test_growth_of_a_ramp_and_of_a_sinusoid_of_any_phase():
 def test_growth_of_simulated_flicker():
     """40 independent records; the ratio of variances is within 25 % (false alarm below 1e-4)."""
     rng = np.random.default_rng(1)
-    terms = NoiseTerms(N=1.0, B=1.0, K=0.05)
+    terms = Model.of(N=1.0, B=1.0, K=0.05)
     horizon, window = 20, 50
     errors = []
     for _ in range(40):
@@ -81,13 +82,13 @@ def test_growth_of_simulated_flicker():
         before = theta[start] - theta[start - window]
         errors.append(theta[start + horizon] - theta[start] - horizon / window * before)
     actual = float(np.sqrt(np.mean(np.square(errors))))
-    assert predicted_growth(ProcessModel(terms), horizon, window) == pytest.approx(actual, rel=0.12)
+    assert predicted_growth(terms, horizon, window) == pytest.approx(actual, rel=0.12)
 
 
 def test_rounding_is_negligible_at_long_correlation_times():
     """At times far below tau a Gauss-Markov process is a random walk of density 2 sigma^2/tau."""
     for tau in (1e4, 1e7):
-        process = ProcessModel(gauss_markov=((1.0, tau),))
-        walk = ProcessModel(NoiseTerms(K=math.sqrt(2.0 / tau)))
+        process = Model.of((1.0, GaussMarkov(tau)))
+        walk = Model.of(K=math.sqrt(2.0 / tau))
         ratio = predicted_growth(process, 0.01, 0.5) / predicted_growth(walk, 0.01, 0.5)
         assert ratio == pytest.approx(1.0, abs=1e-3)

@@ -19,8 +19,9 @@ from allan_ros.core.filters.noise_parameters import (
     white_variances,
 )
 from allan_ros.core.filters.reductions import Level
-from allan_ros.core.fit import AxisFit, GaussMarkov, Processes
+from allan_ros.core.fit import AxisFit
 from allan_ros.core.fit.model import model_of_terms
+from allan_ros.core.noise import GaussMarkov, Model, Part
 
 
 def fit_with(**noise: Estimate) -> AxisFit:
@@ -28,9 +29,8 @@ def fit_with(**noise: Estimate) -> AxisFit:
     return AxisFit(known, model_of_terms(known))
 
 
-def with_process(fit: AxisFit, process: GaussMarkov) -> AxisFit:
-    model = replace(fit.model, gauss_markov=((process.sigma, process.correlation_time),))
-    return replace(fit, model=model, processes=Processes((process,)))
+def with_process(fit: AxisFit, part: Part) -> AxisFit:
+    return replace(fit, model=Model((*fit.model.parts, part)))
 
 
 def test_a_term_has_its_estimate_or_its_upper_limit() -> None:
@@ -69,7 +69,7 @@ def test_the_limit_of_k_is_used_if_no_drift_is_resolved() -> None:
     fit = fit_with(N=resolved(1e-3), B=hidden(1e-4), K=hidden(1e-5), R=hidden(1e-7))
     reduced = reduce_axis('gyro_x', fit)
     assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
-    assert pytest.approx(1e-5) == reduced.model.terms.K
+    assert pytest.approx(1e-5) == reduced.model.value('K')
 
 
 def test_limits_are_not_used_if_other_drift_is_resolved() -> None:
@@ -91,7 +91,7 @@ def test_a_k_of_the_model_that_is_not_resolved_is_not_stated_as_measured() -> No
 
 
 def test_fast_drift_becomes_white_noise_and_k_has_its_limit() -> None:
-    process = GaussMarkov(3e-3, (2e-3, 4e-3), 0.02, (0.01, 0.03))
+    process = Part(GaussMarkov(0.02), 3e-3, (2e-3, 4e-3), ((0.01, 0.03),))
     fit = with_process(fit_with(N=resolved(1e-3), K=hidden(1e-5)), process)
     reduced = reduce_axis('gyro_x', fit)
     assert reduced.levels['N'].value == pytest.approx(math.hypot(1e-3, 3e-3 * math.sqrt(0.04)))
@@ -100,7 +100,7 @@ def test_fast_drift_becomes_white_noise_and_k_has_its_limit() -> None:
 
 
 def test_a_raised_limit_of_n_stays_a_limit() -> None:
-    process = GaussMarkov(3e-3, (2e-3, 4e-3), 0.02, (0.01, 0.03))
+    process = Part(GaussMarkov(0.02), 3e-3, (2e-3, 4e-3), ((0.01, 0.03),))
     fit = with_process(fit_with(N=hidden(1e-3), K=hidden(1e-5)), process)
     level = reduce_axis('gyro_x', fit).levels['N']
     assert level.is_limit and level.raised_from == 1e-3 < level.value
@@ -125,7 +125,7 @@ def test_a_term_that_is_not_resolved_is_included_with_its_estimate() -> None:
     assert last.std.value == pytest.approx(
         float(predicted_growth(fit.model, last.horizon, last.window))
     )
-    assert pytest.approx(1e-5, rel=1e-2) == reduce_axis('gyro_x', fit, 'processes').model.terms.K
+    assert pytest.approx(1e-5, rel=1e-2) == reduce_axis('gyro_x', fit, 'processes').model.value('K')
 
 
 def test_the_interval_of_the_reduction_contains_it() -> None:

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import butter, lfilter
 
 import allan_ros as ar
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.results.documents import results_from_document, results_to_document
 
@@ -34,7 +34,7 @@ def octave_ratios(results, longest):
 
 def samples_of(kind):
     rng = np.random.default_rng([ord(c) for c in kind])
-    terms = NoiseTerms(N=1e-3, B=2e-4, K=2e-5)
+    terms = Model.of(N=1e-3, B=2e-4, K=2e-5)
     y = np.stack([simulate_axis(N, 1.0 / RATE, terms, rng) for _ in range(3)], axis=1)
     t = np.arange(N)[:, None] / RATE
     if kind == 'ramp':

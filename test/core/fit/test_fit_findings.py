@@ -7,8 +7,13 @@ from support.sums import sums_of
 
 from allan_ros.core.findings import finding
 from allan_ros.core.fit import fit_noise
-from allan_ros.core.fit.findings import common_step, line_finding, merge_equal, with_harmonics
-from allan_ros.core.fit.model import Sinusoid
+from allan_ros.core.fit.findings import (
+    Line,
+    common_step,
+    line_finding,
+    merge_equal,
+    with_harmonics,
+)
 from allan_ros.view.finding_text import texts_of
 
 
@@ -30,7 +35,7 @@ def test_equal_findings_are_joined():
     ],
 )
 def test_the_finding_of_a_sinusoid_depends_on_its_frequency(hertz, id, words):
-    line = Sinusoid(0.01, (0.009, 0.011), hertz, (hertz, hertz))
+    line = Line(hertz, 0.01)
     found = line_finding(('accel_x',), [line], 0.01)
     assert found.id == id and texts_of(found).message.startswith(words)
 
@@ -78,7 +83,7 @@ def test_few_points_of_real_noise_have_no_step_and_cause_no_warning():
 
 
 def test_a_sinusoid_and_its_harmonics_are_one_finding():
-    lines = [Sinusoid(a, (a, a), f, (f, f)) for a, f in ((0.3, 15.0), (0.4, 30.0))]
+    lines = [Line(f, a) for a, f in ((0.3, 15.0), (0.4, 30.0))]
     found = line_finding(('accel_x',), lines, 0.01)
     assert found.values['amplitude'].value == pytest.approx(0.5)
     assert (
@@ -94,5 +99,5 @@ def test_a_sinusoid_and_its_harmonics_are_one_finding():
     ],
 )
 def test_only_low_multiples_are_harmonics(frequencies, sizes):
-    lines = [Sinusoid(1.0, (1.0, 1.0), f, (f, f)) for f in frequencies]
+    lines = [Line(f, 1.0) for f in frequencies]
     assert [len(group) for group in with_harmonics(lines)] == sizes

@@ -12,7 +12,7 @@ from allan_ros.core.estimate import Estimate
 from allan_ros.core.fit.interpretation import dominant_regions, largest_deviation, model_line
 from allan_ros.core.fit.model import TERMS, AxisFit, model_of_terms
 from allan_ros.core.imu import from_datasheet
-from allan_ros.core.noise import NoiseTerms, ProcessModel, term_avar
+from allan_ros.core.noise import GaussMarkov, Model
 
 TAU0, TWO_HOURS = 0.01, 720000
 
@@ -32,7 +32,7 @@ def exact(longest_tau=1300.0, **axes):
     }
     m, _ = grid_for(TWO_HOURS)
     m = m[m * TAU0 <= longest_tau]
-    avar = [term_avar(m, TAU0, NoiseTerms(**t)).sum(axis=1) for t in terms.values()]
+    avar = [Model.of(**t).avar(m * TAU0, TAU0) for t in terms.values()]
     adev = np.sqrt(np.stack(avar, axis=1))
     edf = np.repeat(TWO_HOURS / m[:, None], len(axes), axis=1)
     types = np.zeros(adev.shape, np.int64)
@@ -128,14 +128,13 @@ def test_limits_replace_only_terms_that_are_not_resolved():
         'K': Estimate(None, None, 3e-5, 'not_observable'),
         'R': Estimate(None, status='not_observable'),
     }
-    model = ProcessModel(NoiseTerms(N=1e-3, B=1e-4, R=2e-9), ((2e-4, 300.0),))
+    model = Model.of((2e-4, GaussMarkov(300.0)), N=1e-3, B=1e-4, R=2e-9)
     fit = AxisFit(noise, model)
     limits = fit.model_at_limits
-    assert limits.terms == NoiseTerms(N=1e-3, B=2e-4, K=3e-5, R=2e-9)
-    assert limits.gauss_markov == model.gauss_markov
+    assert limits == Model.of((2e-4, GaussMarkov(300.0)), N=1e-3, B=2e-4, K=3e-5, R=2e-9)
     assert fit.likely == ('B',)
 
 
 def test_a_model_of_terms_has_the_sign_of_the_ramp():
     noise = {'N': Estimate(1e-3), 'B': Estimate(None), 'R': Estimate(-1e-8)}
-    assert model_of_terms(noise).terms == NoiseTerms(N=1e-3, R=-1e-8)
+    assert model_of_terms(noise) == Model.of(N=1e-3, R=-1e-8)

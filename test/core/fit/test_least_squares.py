@@ -1,7 +1,7 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
 import math
-from dataclasses import astuple, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,20 +11,19 @@ from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.fit import TERMS, fit_noise
 from allan_ros.core.imu import from_datasheet
-from allan_ros.core.simulate import NoiseTerms, simulate_axis
+from allan_ros.core.noise import Model
+from allan_ros.core.simulate import simulate_axis
 from allan_ros.view.finding_text import texts_of
 
 AXES = ('gyro_x', 'accel_z')
-TRUTH = NoiseTerms(Q=4e-6, N=7e-5, B=2.5e-5, K=2.6e-6, R=1e-7)
+TRUTH = Model.of(Q=4e-6, N=7e-5, B=2.5e-5, K=2.6e-6, R=1e-7)
 
 
 @pytest.fixture(scope='module')
 def white():
     """An hour of white noise at 100 Hz."""
     rng = np.random.default_rng(2)
-    return sums_of(
-        np.stack([simulate_axis(360000, 0.01, NoiseTerms(N=1e-3), rng)] * 2, 1), axes=AXES
-    )
+    return sums_of(np.stack([simulate_axis(360000, 0.01, Model.of(N=1e-3), rng)] * 2, 1), axes=AXES)
 
 
 def with_curve(sums, variance):
@@ -39,7 +38,7 @@ def with_curve(sums, variance):
 
 
 def polynomial(terms, tau):
-    q, n, b, k, r = astuple(terms)
+    q, n, b, k, r = map(terms.value, 'QNBKR')
     flicker = 2 * math.log(2) / math.pi * b * b
     return 3 * q * q / tau**2 + n * n / tau + flicker + k * k * tau / 3 + r * r * tau**2 / 2
 
@@ -49,17 +48,17 @@ def test_paper_finds_the_coefficients_of_its_polynomial(white):
     assert fit.method == 'paper'
     for axis in AXES:
         found = [fit.axes[axis].noise[term].value for term in TERMS]
-        np.testing.assert_allclose(found, astuple(TRUTH), rtol=1e-5)
+        np.testing.assert_allclose(found, [TRUTH.value(t) for t in TERMS], rtol=1e-5)
         assert all(fit.axes[axis].noise[term].ci95 is None for term in TERMS)
 
 
 def test_paper_reports_a_negative_coefficient_without_a_value(white):
-    k2 = TRUTH.K**2 / 3
+    k2 = TRUTH.value('K') ** 2 / 3
     bent = with_curve(white, lambda tau: polynomial(TRUTH, tau) - 2 * k2 * tau)
     fit = fit_noise(bent, 'paper')
     walk = fit.axes['gyro_x'].noise['K']
     assert (walk.value, walk.status) == (None, 'not_observable')
-    assert fit.axes['gyro_x'].noise['N'].value == pytest.approx(TRUTH.N, rel=1e-5)
+    assert fit.axes['gyro_x'].noise['N'].value == pytest.approx(TRUTH.value('N'), rel=1e-5)
     said = [f for f in fit.findings if f.id == 'negative_coefficient']
     assert [f.axes for f in said] == [('gyro_x',), ('accel_z',)]
     assert 'gives a negative variance for K' in texts_of(said[0]).message
@@ -69,17 +68,17 @@ def test_paper_uses_averages_up_to_1300_s(white):
     """The curve beyond is far above the polynomial."""
     bent = with_curve(white, lambda tau: polynomial(TRUTH, tau) * np.where(tau > 1300.0, 9.0, 1.0))
     fit = fit_noise(bent, 'paper')
-    assert fit.axes['gyro_x'].noise['K'].value == pytest.approx(TRUTH.K, rel=1e-5)
+    assert fit.axes['gyro_x'].noise['K'].value == pytest.approx(TRUTH.value('K'), rel=1e-5)
 
 
 @pytest.mark.parametrize('sign', [1, -1])
 def test_a_ramp_keeps_its_sign(sign):
     rng = np.random.default_rng(4)
-    terms = NoiseTerms(N=1e-4, R=sign * from_datasheet('R', 'gyro', 2000.0))
+    terms = Model.of(N=1e-4, R=sign * from_datasheet('R', 'gyro', 2000.0))
     y = np.stack([simulate_axis(180000, 0.01, terms, rng)] * 2, 1)
     fit = fit_noise(sums_of(y, axes=AXES), 'paper')
     ramp = fit.axes['gyro_x'].noise['R']
-    assert ramp.value == pytest.approx(terms.R, rel=0.1)
+    assert ramp.value == pytest.approx(terms.value('R'), rel=0.1)
 
 
 def test_short_or_constant_records_have_no_coefficients():

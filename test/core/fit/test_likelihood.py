@@ -10,7 +10,7 @@ from support.sums import noise, sums_of
 from allan_ros.core.fit.likelihood import LEVEL_95, TERMS, AxisData, profile_interval
 from allan_ros.core.fit.selection import Candidates
 from allan_ros.core.fit.statistics import statistics
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 
 PROCESSES = (*TERMS, ('gauss_markov', 50.0))
@@ -75,7 +75,7 @@ def test_the_ends_of_an_interval_have_the_same_likelihood(data):
 @pytest.mark.parametrize('seed', [3, 4])
 def test_a_candidate_that_equals_a_term_has_no_gain(seed):
     """Beside K, a Gauss-Markov process of the longest correlation times is no other noise."""
-    terms = NoiseTerms(N=1.0, B=0.1, K=1e-3)
+    terms = Model.of(N=1.0, B=0.1, K=1e-3)
     y = simulate_axis(20_000, 1.0, terms, np.random.default_rng(seed))[:, None]
     known = statistics(sums_of(y))
     candidates, axis = Candidates(known), AxisData.of(known, 0)

@@ -8,12 +8,12 @@ import pytest
 from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.replaced import replaced_excess
 from allan_ros.core.imu import AXES, ImuBatch
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stream.pipeline import ImuStream
 
 RATE, SECONDS = 50.0, 900.0
-NOISE = NoiseTerms(N=1e-4, B=4e-5)
+NOISE = Model.of(N=1e-4, B=4e-5)
 
 
 def fits(samples):

@@ -15,7 +15,7 @@ from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.fit.white_noise_levels import present_part, white_noise_levels
 from allan_ros.core.imu import AXES, from_datasheet
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 
 Floats = NDArray[np.float64]
@@ -30,7 +30,7 @@ CHANGES = {
 def draw(seed: int, samples: int, rate: float = 1.0, terms: str = 'NB', axes: int = 3) -> Floats:
     """Return noise of a common MEMS gyroscope."""
     values = {'N': 0.242, 'B': 5.237, 'K': 31.807}
-    noise = NoiseTerms(**{t: from_datasheet(t, 'gyro', values[t]) for t in terms})
+    noise = Model.of(**{t: from_datasheet(t, 'gyro', values[t]) for t in terms})
     rng = np.random.default_rng(seed)
     return np.stack([simulate_axis(samples, 1.0 / rate, noise, rng) for _ in range(axes)], axis=1)
 

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from support.sums import sums_of
 
 from allan_ros.core.fit.statistics import contrasts, statistics
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 
 SAMPLES, AXES = 6000, 150
@@ -25,7 +25,7 @@ def draw(component, rng):
     """Return samples of unit noise, (samples, axes)."""
     kind, *shape = component
     if kind in 'QNBK':
-        terms = NoiseTerms(**{kind: 1.0})
+        terms = Model.of(**{kind: 1.0})
         return np.stack([simulate_axis(SAMPLES, 1.0, terms, rng) for _ in range(AXES)], 1)
     if kind == 'sinusoid':
         turns = shape[0] * np.arange(SAMPLES)[:, None] + rng.uniform(size=AXES)

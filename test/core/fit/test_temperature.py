@@ -16,7 +16,7 @@ from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.temperature import TemperatureModel, _rising, temperature_models
 from allan_ros.core.imu import AXES, from_datasheet
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 
 Floats = NDArray[np.float64]
@@ -32,7 +32,7 @@ CYCLES = 30.0 + 6.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, 2 * HOUR) - 1.0)
 
 def drifts(seed: int, n: int = 2 * HOUR, axes: int = 3) -> Floats:
     """Return bias instability and random walk at 1 Hz, (n, axes)."""
-    rng, slow = np.random.default_rng(seed), NoiseTerms(B=NOISE['B'], K=NOISE['K'])
+    rng, slow = np.random.default_rng(seed), Model.of(B=NOISE['B'], K=NOISE['K'])
     return np.stack([simulate_axis(n, 1.0, slow, rng) for _ in range(axes)], axis=1)
 
 

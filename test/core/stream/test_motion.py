@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from allan_ros.core.imu import AXES, ImuBatch
-from allan_ros.core.noise import NoiseTerms
+from allan_ros.core.noise import Model
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stream.health import Counts, Longest
@@ -50,7 +50,7 @@ def gate(rows, events=None):
 
 def noise(**terms):
     rng = np.random.default_rng(3)
-    return np.stack([simulate_axis(200_000, 1 / RATE, NoiseTerms(**terms), rng) for _ in range(6)])
+    return np.stack([simulate_axis(200_000, 1 / RATE, Model.of(**terms), rng) for _ in range(6)])
 
 
 def rounded(lsb):

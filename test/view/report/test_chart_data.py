@@ -9,10 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.exports import warmed
+from support.sums import TICK_NS, sums_of
 
 import allan_ros as ar
+from allan_ros.core.allan.curve import noise_density
 from allan_ros.core.fit import AxisFit
-from allan_ros.core.noise import ProcessModel
+from allan_ros.core.noise import PROCESSES, Model
+from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stream.signal import SignalSummary, SignalTemperature, summarize_signal
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.results.results import Results
@@ -98,13 +101,25 @@ def test_a_sinusoid_is_marked_with_its_frequency_and_axes() -> None:
     assert frequency == pytest.approx(3.0, rel=0.01) and axes == 'x y'
 
 
-def test_the_density_of_the_model_contains_the_variance_of_its_processes() -> None:
-    model = ProcessModel(gauss_markov=((2.0, 5.0),), resonances=((3.0, 4.0, 0.5),))
-    axis = AxisResult(0.01, AxisFit({}, model), name='gyro_x')
-    frequency = np.geomspace(1e-5, 1e3, 100_000)
-    density = model_density(axis, frequency)
-    # the trapezoids omit 2e-4 of the variance
-    assert np.sum(np.diff(frequency) * (density[1:] + density[:-1]) / 2.0) == pytest.approx(
-        2.0**2 + 3.0**2, rel=1e-3
+def test_the_density_of_the_model_is_the_mean_of_measured_densities() -> None:
+    """Of all processes at once; 40 records, false alarms below 1e-3 by 5 standard errors."""
+    rate, n, rng = 1e9 / TICK_NS, 1 << 13, np.random.default_rng(6)
+    model = Model.of(
+        *((1e-2, PROCESSES['resonance'](12.0, 0.2)), (2e-2, PROCESSES['gauss_markov'](0.5))),
+        *((3e-2, PROCESSES['sinusoid'](3.1)), (1e-3, PROCESSES['low_pass']())),
+        Q=1e-5,
+        N=1e-3,
+        B=5e-3,
+        K=1e-2,
+        R=1e-3,
     )
-    assert frequency[np.argmax(np.where(frequency > 1.0, density, 0.0))] == pytest.approx(4.0, 1e-2)
+    samples = model.where(lambda process: not process.is_regressor)
+    found = []
+    for _ in range(40):
+        y = simulate_axis(n, 1.0 / rate, samples, rng)
+        spectrum = noise_density(sums_of(y[:, None]))
+        assert spectrum is not None
+        found.append(spectrum.psd[:, 0])
+    expected = model_density(AxisResult(1.0 / rate, AxisFit({}, model), name='gyro_x'), spectrum)
+    error = np.std(found, axis=0) / np.sqrt(len(found))
+    assert np.all(np.abs(np.mean(found, axis=0) - expected) < 5.0 * error)

@@ -42,6 +42,9 @@ class BoundedWalk(Process):
     def slowest_time(self) -> float:
         return self.correlation_time
 
+    def facts(self, value: float) -> dict[str, float]:
+        return {'tau': self.correlation_time}
+
     def states(self) -> States:
         time, one = self.correlation_time, np.ones((1, 1))
         return States(-one / time, one, np.ones(1), time / 2.0 * one)

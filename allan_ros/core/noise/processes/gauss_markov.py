@@ -49,6 +49,9 @@ class GaussMarkov(Process):
     def slowest_time(self) -> float:
         return self.correlation_time
 
+    def facts(self, value: float) -> dict[str, float]:
+        return {'sigma': value, 'time': self.correlation_time}
+
     def states(self) -> States:
         rate = 1.0 / self.correlation_time
         one = np.ones((1, 1))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from .quantization import Quantization
@@ -22,5 +23,12 @@ class LowPass(Quantization):
     label = 'filter'
     meaning = 'What a low-pass filter of the sensor removes from white noise.'
     coefficient = 'q'
+    time_power = 2.0
     is_regressor = True
     no_states = 'it describes the samples, not the bias'
+
+    def variance_of(self, coefficient: float, tau0: float) -> float:
+        return self.in_samples(coefficient, tau0)
+
+    def coefficient_of(self, variance: float, tau0: float) -> float:
+        return variance * math.pow(tau0, self.time_power)

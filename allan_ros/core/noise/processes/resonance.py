@@ -57,6 +57,10 @@ class Resonance(Process):
     def slowest_time(self) -> float:
         return 0.0  # it is always fast
 
+    def facts(self, value: float) -> dict[str, float]:
+        width = 1.0 / (math.pi * self.correlation_time)
+        return {'frequency': self.frequency, 'width': width, 'amplitude': value}
+
     def states(self) -> States:
         rate, turn = 1.0 / self.correlation_time, 2.0 * math.pi * self.frequency
         dynamics = np.array([[-rate, -turn], [turn, -rate]])

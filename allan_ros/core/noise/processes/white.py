@@ -21,6 +21,7 @@ class White(Process):
     label = 'N'
     meaning = 'White noise (angle or velocity random walk).'
     time_power = 0.5
+    is_white = True
     no_states = 'it has no memory: its density is the noise of the samples'
 
     def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:

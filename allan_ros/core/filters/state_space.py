@@ -1,0 +1,216 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""State-space models of the noise of one axis, with the exact discrete-time matrices.
+
+The states are the integral of the samples (angle or velocity) and the components of the bias:
+
+    angle' = walk + sum output_i x_i + white noise of density N
+    walk'  = slope + white noise of density K        (slope: an optional constant)
+    x_i'   = A_i x_i + white noise                   (`Process.states` of each other process)
+
+Bias instability has no exact model with a finite number of states. It is approximated by four
+Gauss-Markov processes with logarithmically spaced correlation times, whose Allan variance agrees
+within 5 % from about 3 s to 3000 s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AllanError
+from ..noise import FLICKER_FLOOR, Model, Process
+from ..noise.derived import bank
+from ..noise.model import BY_LETTER
+from ..noise.process import States
+
+Floats = NDArray[np.float64]
+
+BANK_SIZE = 4
+"""Number of Gauss-Markov processes that approximate bias instability."""
+
+LONGEST_TIME_S = 1500.0
+"""Longest correlation time in s of these processes."""
+
+SHORTEST_TIME_S = 1.5
+"""Default of their shortest correlation time in s. It is smaller if bias instability exceeds white
+noise at shorter averaging times."""
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """State-space model of white noise, a random walk and other processes with states.
+
+    The states are, in this order, the integral of the samples, the random walk, the states of the
+    processes, and optionally the slope of the walk.
+
+    Attributes
+    ----------
+    white : float
+        Density N of the white noise, in the unit of the samples per sqrt(Hz).
+    walk : float
+        Density K of the random walk. If it is 0, the walk is a constant bias.
+    processes : tuple of (coefficient, Process)
+        Other processes with `Process.states`, in SI: a coefficient is mostly the stationary
+        standard deviation in the unit of the samples.
+    slope : bool
+        Whether a constant slope of the walk is the last state.
+    """
+
+    white: float
+    walk: float = 0.0
+    processes: tuple[tuple[float, Process], ...] = ()
+    slope: bool = False
+
+    @property
+    def _blocks(self) -> list[tuple[float, Process, slice]]:
+        """Coefficient, process and place of the states of the walk and of each other process."""
+        found, at = [], 1
+        for value, process in ((self.walk, BY_LETTER['K']), *self.processes):
+            size = len(_states(process).output)
+            found.append((value, process, slice(at, at + size)))
+            at += size
+        return found
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return int(self._blocks[-1][2].stop) + self.slope
+
+    def transition(self, dt: float) -> Floats:
+        """Return the state transition matrix Phi, (size, size), for a step of ``dt`` s."""
+        phi = np.eye(self.size)
+        for _, process, place in self._blocks:
+            own, _ = _integrated(process, _checked(dt))
+            phi[0, place], phi[place, place] = own[0, 1:], own[1:, 1:]
+        if self.slope:
+            phi[1, -1], phi[0, -1] = dt, dt * dt / 2.0
+        return phi
+
+    def noise(self, dt: float) -> Floats:
+        """Return the discrete process noise covariance Qd, (size, size), of a step of ``dt`` s."""
+        q = np.zeros((self.size, self.size))
+        q[0, 0] = self.white**2 * _checked(dt)
+        for value, process, place in self._blocks:
+            own = value**2 * _integrated(process, dt)[1]
+            at = [0, *range(place.start, place.stop)]
+            q[np.ix_(at, at)] += own
+        return q
+
+    def initial_covariance(self, walk: float, slope: float = 0.0) -> Floats:
+        """Return the initial covariance of the states, (size, size).
+
+        ``walk`` and ``slope`` are the prior standard deviations of these states. The other
+        processes have their stationary covariance, and the integral starts from 0.
+        """
+        p = np.zeros((self.size, self.size))
+        for value, process, place in self._blocks:
+            p[place, place] = value**2 * _states(process).initial
+        p[1, 1] = walk**2
+        if self.slope:
+            p[-1, -1] = slope**2
+        return p
+
+    def sample_variance(self, rate: float) -> float:
+        """Return R = N^2 f, the variance of the white noise of one sample at ``rate`` Hz."""
+        return self.white**2 * rate
+
+
+def _checked(dt: float) -> float:
+    if not 0.0 < dt < math.inf:
+        raise AllanError(f'the step is {dt:g} s: give a rate above 0 Hz')
+    return dt
+
+
+def _states(process: Process) -> States:
+    states = process.states()
+    if states is None:
+        raise AllanError(f'{process.title} has no states: {process.no_states}')
+    return states
+
+
+@lru_cache(maxsize=256)
+def _integrated(process: Process, dt: float) -> tuple[Floats, Floats]:
+    """Return Phi and Qd of the integral of a process and its states, for the coefficient 1.
+
+    The matrices of a short step follow from a matrix exponential (C. F. van Loan, IEEE Trans.
+    Automatic Control 23, 1978). Each doubling of the step adds positive matrices, so that no digits
+    are lost. The unit of time is dt, and the unit of the integral dt times that of the samples.
+    """
+    from scipy.linalg import expm  # slow to import
+
+    states = _states(process)
+    n = len(states.output) + 1
+    dynamics, density = np.zeros((n, n)), np.zeros((n, n))
+    dynamics[0, 1:], dynamics[1:, 1:] = states.output, states.dynamics * dt
+    density[1:, 1:] = states.noise * dt
+    doublings = max(0, math.ceil(math.log2(2.0 * np.abs(dynamics).sum(axis=1).max())))
+    step = 2.0**-doublings
+    scale = density.max() or 1.0
+    block = np.block([[-dynamics, density / scale], [np.zeros((n, n)), dynamics.T]])
+    power = expm(step * block)
+    phi = power[n:, n:].T
+    q = scale * phi @ power[:n, n:]
+    for _ in range(doublings):
+        q = q + phi @ q @ phi.T
+        phi = phi @ phi
+    unit = np.diag([dt, *np.ones(n - 1)])
+    phi, q = unit @ phi @ np.linalg.inv(unit), unit @ (q + q.T) @ unit / 2.0
+    phi.flags.writeable = q.flags.writeable = False
+    return phi, q
+
+
+def state_space(model: Model) -> StateSpace:
+    """Return the state-space model of noise processes.
+
+    Bias instability becomes the Gauss-Markov processes of `flicker_processes`. For its slow
+    components, K^2 of the random walk is increased by B^2/(3 pi T), where T is their longest
+    correlation time. Quantization, ramp and sinusoids are left out, because a filter has no states
+    for them.
+    """
+    n, b, k = (model.value(letter) for letter in 'NBK')
+    slow = b / math.sqrt(3.0 * math.pi * LONGEST_TIME_S)
+    with_states = model.where(lambda one: has_states(one) and one != BY_LETTER['K'])
+    others = tuple((part.value, part.process) for part in with_states.parts)
+    flicker = flicker_processes(b, n) if b else ()
+    return StateSpace(n, math.hypot(k, slow), (*flicker, *others))
+
+
+def has_states(process: Process) -> bool:
+    """Return whether a filter represents a process by states; a ramp is a slope, if at all."""
+    return process.states() is not None and not process.is_regressor
+
+
+def flicker_processes(
+    bias_instability: float, white: float = 0.0
+) -> tuple[tuple[float, Process], ...]:
+    """Return Gauss-Markov processes whose sum approximates the Allan variance of flicker noise.
+
+    ``bias_instability`` is the coefficient B of the flicker noise, and ``white`` the density N of
+    the white noise. White noise dominates at averaging times below N^2 / (0.441 B^2). The shortest
+    correlation time is a fifth of this, limited to the range 0.15 s to `SHORTEST_TIME_S`.
+    """
+    crossing_s = white**2 / (FLICKER_FLOOR * bias_instability**2)
+    shortest = min(max(crossing_s / 5.0, 0.15), SHORTEST_TIME_S)
+    times = np.geomspace(shortest, LONGEST_TIME_S, BANK_SIZE)
+    tau = np.geomspace(1.3 * times[0], 2.0 * times[-1], 40)
+    step = 1e-6 * shortest  # continuous time
+    members = bank(BY_LETTER['B'], (times / step).tolist(), tau / step)
+    return tuple(
+        (bias_instability * math.sqrt(variance), one.in_unit(1.0 / step))
+        for variance, one in members
+    )
+
+
+def white_density(process: Process) -> float:
+    """Return the density (N for the coefficient 1) with which a process looks like white noise.
+
+    That is at times that are long compared with its correlation times.
+    """
+    states = _states(process)
+    gain = np.linalg.solve(-states.dynamics.T, states.output)
+    return math.sqrt(float(gain @ states.noise @ gain))

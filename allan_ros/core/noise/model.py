@@ -1,0 +1,207 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Noise model of one axis: a sum of processes in SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import AllanError
+from .derived import avar
+from .process import Floats, Process
+from .registry import LETTERS, PROCESSES
+
+CONTINUOUS = 1e-6
+"""Sample period relative to the shortest time, with which continuous time is approximated."""
+
+BY_LETTER: Mapping[str, Process] = {
+    one.letter: one() for one in PROCESSES.values() if one.letter and not one.parameters
+}
+"""Letter -> process of the five terms."""
+
+
+Interval = tuple[float, float]
+
+
+class Part(NamedTuple):
+    """A process of a model.
+
+    Attributes
+    ----------
+    process : Process
+        Process with its shape in s and Hz.
+    value : float
+        Coefficient in SI.
+    ci95 : (low, high) or None
+        95 % interval of the coefficient; None if it is unknown or stated elsewhere (terms).
+    shape_ci95 : tuple of (low, high)
+        95 % intervals of the numbers of the shape; empty if they are unknown.
+    """
+
+    process: Process
+    value: float
+    ci95: Interval | None = None
+    shape_ci95: tuple[Interval, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """Covariance of the fitted coefficients of one axis.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters: 'Q', 'N', 'B', 'K', then the names of the processes with a number, in the order
+        of `Model.parts`.
+    matrix : (parameters, parameters) array
+        Covariance of their squares (of N^2, of sigma^2, of amplitude^2 ...) in SI, with the
+        uncertainty of correlation times and frequencies included.
+    """
+
+    names: tuple[str, ...]
+    matrix: Floats
+
+
+@dataclass(frozen=True)
+class Model:
+    """Noise of one axis: a sum of independent processes.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+        Processes with their coefficients in SI: the terms Q, N, B, K and R first. Sigma and
+        amplitude have the unit of the samples.
+    covariance : Covariance or None
+        Covariance of the fitted coefficients; None if it is unknown.
+
+    Examples
+    --------
+    >>> from allan_ros.core.noise import GaussMarkov, Model
+    >>> model = Model.of((0.1, GaussMarkov(300.0)), N=2.0, K=1e-3)
+    >>> model.value('N'), list(model.contributions([1.0]))
+    (2.0, ['N', 'K', 'GM 300 s'])
+    """
+
+    parts: tuple[Part, ...] = ()
+    covariance: Covariance | None = field(default=None, compare=False)
+
+    @classmethod
+    def of(cls, *processes: tuple[float, Process], **terms: float) -> Model:
+        """Return the model of terms (``N=1e-3``) and of pairs (coefficient, process) in SI.
+
+        Raises
+        ------
+        AllanError
+            If a value is not finite, or a coefficient other than R is negative.
+        """
+        for name, value in terms.items():
+            if not math.isfinite(value) or (value < 0.0 and name != 'R'):
+                least = '' if name == 'R' else ' of 0 or above'
+                raise AllanError(f'{name} is {value}: give a finite number{least}')
+        parts = [Part(BY_LETTER[name], terms[name]) for name in LETTERS if terms.get(name)]
+        parts += [Part(process, value) for value, process in processes if value]
+        return cls(tuple(parts))
+
+    def value(self, letter: str) -> float:
+        """Return the coefficient of a term without a shape, such as 'N'; 0 if there is none."""
+        return sum(part.value for part in self.parts if part.process == BY_LETTER[letter])
+
+    def changed(self, **terms: float) -> Model:
+        """Return the model with other coefficients of some terms."""
+        own = {letter: self.value(letter) for letter in BY_LETTER}
+        new = Model.of(**{**own, **terms}).parts
+        rest = (part for part in self.parts if part.process not in BY_LETTER.values())
+        return replace(self, parts=(*new, *rest))
+
+    def __getitem__(self, name: str) -> tuple[Part, ...]:
+        """Return the parts of one kind of process, such as 'sinusoid'."""
+        return tuple(part for part in self.parts if part.process.name == name)
+
+    @property
+    def shaped(self) -> Model:
+        """The model of the processes with a shape: all except terms and filter."""
+        return self.where(lambda process: bool(process.parameters))
+
+    def at_end(self, end: int) -> Model:
+        """Return the model at the lower (0) or upper (1) ends of the intervals of its parts.
+
+        Coefficients without an interval, sinusoids and shapes are unchanged.
+        """
+        return replace(
+            self,
+            parts=tuple(
+                part._replace(value=max(part.ci95[end], 0.0))
+                if part.ci95 and not part.process.is_line
+                else part
+                for part in self.parts
+            ),
+        )
+
+    def where(self, chosen: Callable[[Process], bool]) -> Model:
+        """Return the model of the processes for which ``chosen`` is true."""
+        return Model(tuple(part for part in self.parts if chosen(part.process)))
+
+    @property
+    def drift(self) -> Model:
+        """The model without processes whose integral is bounded, such as vibration.
+
+        They do not contribute to the growth of an integrated error.
+        """
+        return self.where(lambda process: process.is_drift)
+
+    @property
+    def has_drift(self) -> bool:
+        """Whether a process other than white noise drifts."""
+        return any(p.process.is_drift and not p.process.is_white for p in self.parts)
+
+    def avar(self, tau: ArrayLike, tau0: float = 0.0) -> Floats:
+        """Return the Allan variance at the averaging times ``tau``.
+
+        Parameters
+        ----------
+        tau : (times,) array
+            Averaging times in s.
+        tau0 : float
+            Sample period in s; the result is for sampled noise (discrete random walk, aliased
+            sinusoids). With 0, it is for continuous time.
+
+        Returns
+        -------
+        (times,) float64 array
+            Squared unit of the samples.
+
+        Examples
+        --------
+        >>> Model.of(N=2.0).avar([1.0, 4.0])
+        array([4., 1.])
+        """
+        tau = np.asarray(tau, float)
+        return np.asarray(sum(self.contributions(tau, tau0).values(), np.zeros_like(tau)))
+
+    def contributions(self, tau: ArrayLike, tau0: float = 0.0) -> dict[str, Floats]:
+        """Return the Allan variance of each process; their sum is `avar`.
+
+        Parameters
+        ----------
+        tau, tau0
+            As for `avar`.
+
+        Returns
+        -------
+        dict of name to (times,) float64 array
+            Names are the titles of the processes, such as 'N' and 'GM 300 s'.
+        """
+        tau = np.asarray(tau, float)
+        step = tau0 or CONTINUOUS * float(tau.min(initial=1.0))
+        found: dict[str, Floats] = {}
+        for part in self.parts:
+            variance, unit = part.process.variance_of(part.value, step), part.process.in_unit(step)
+            title = part.process.title
+            found[title] = found.get(title, 0.0) + variance * avar(unit, tau / step)
+        return found
