@@ -136,8 +136,8 @@ allan_ros.analyze(np.random.default_rng(0).normal(size=4000), rate=100)
 """
 BIAS = """
 from allan_ros.core.noise import Model
-from allan_ros.core.filters.reductions import state_space
-assert state_space(Model.of(N=1.0, B=1.0)).gauss_markov
+from allan_ros.core.filters.state_space import state_space
+assert state_space(Model.of(N=1.0, B=1.0)).processes
 """
 CHECKPOINT = """
 import numpy as np

@@ -100,7 +100,7 @@ def sums_in_theory(samples: int, segments: int = 1) -> AllanSums:
     """
     m, stride = grid_for(samples)
     count, groups = segments * counts(samples, m, stride), segments * counts(samples, m, m)
-    twice = 2.0 * m.astype(float) ** 2 * TRUTH.avar(m * PERIOD_NS * 1e-9, PERIOD_NS * 1e-9)
+    twice = 2.0 * m.astype(float) ** 2 * TRUTH.avar(m * (PERIOD_NS * 1e-9), PERIOD_NS * 1e-9)
     total = segments * samples
     none = np.zeros(0, np.int64)
     period = Period(
@@ -125,7 +125,7 @@ def sums_in_theory(samples: int, segments: int = 1) -> AllanSums:
 def test_decades_in_one_segment_are_counted_and_fitted(samples: int) -> None:
     sums = sums_in_theory(samples)
     assert sums.samples == samples and len(sums.m) <= len(grid(MAX_LEVELS)[0])
-    expected = TRUTH.avar(sums.m * PERIOD_NS * 1e-9, PERIOD_NS * 1e-9)
+    expected = TRUTH.avar(sums.m * (PERIOD_NS * 1e-9), PERIOD_NS * 1e-9)
     for found in (sums, sums + sums) if samples == DECADES else (sums,):
         np.testing.assert_allclose(found.avar[:, 0], expected, rtol=1e-12)
     document = sums_to_document(sums)

@@ -70,7 +70,7 @@ def runs_of(terms: Model, runs: int, steps: int, seed: int) -> NDArray[np.float6
     rng = np.random.default_rng(seed)
     whole = simulate_axis(runs * steps + 1, 1.0 / RATE, terms, rng)
     pieces = whole[1:].reshape(runs, steps)
-    return pieces - whole[:-1:steps, None] if terms.K else pieces
+    return pieces - whole[:-1:steps, None] if terms.value('K') else pieces
 
 
 def of_levels(results: Results, n: float, k: float) -> Results:

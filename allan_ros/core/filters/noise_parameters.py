@@ -28,7 +28,7 @@ def axis_level(axis: str, fit: AxisFit, term: str) -> Level:
     ``axis`` is the name of the axis in messages. Raises AllanError if there is neither a positive
     estimate nor a finite limit.
     """
-    coefficient = fit.noise[term].magnitude
+    coefficient = fit.noise[term].magnitude if term == 'R' else fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
     if coefficient.status == 'estimated' and value is not None and 0.0 < value < math.inf:
         return Level(axis, term, value, coefficient.ci95)

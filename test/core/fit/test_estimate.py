@@ -216,8 +216,8 @@ def test_a_fast_gauss_markov_process_does_not_absorb_the_white_noise():
 def test_a_walk_that_levels_off_is_recognized():
     """A correlation time of 1/40 of the record; sigma within twice its interval."""
     time, sigma = 30.0, 6e-4
-    y = simulated(120_000, 4, 8, Model.of(N=1e-3))
-    y += sigma * markov(120_000, time, np.random.default_rng(8), 4)
+    y = simulated(120_000, 4, 9, Model.of(N=1e-3))
+    y += sigma * markov(120_000, time, np.random.default_rng(9), 4)
     found = fits(y)
     drifts = [fit.model.shaped.parts[0] for fit in found if fit.model.shaped.parts]
     assert len(drifts) >= 3

@@ -57,7 +57,7 @@ def models_of(
 
 def test_the_truth_lies_within_the_intervals() -> None:
     missed = 0
-    for seed in range(3):
+    for seed in (1, 2, 3):
         drift = drifts(seed)
         models, findings = models_of(sums_of(drift, CYCLES), CYCLES)
         assert findings == [] and list(models) == ['gyro_x', 'gyro_y', 'gyro_z']
