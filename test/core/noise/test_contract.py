@@ -4,14 +4,17 @@
 
 from __future__ import annotations
 
+import ast
 import math
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+import allan_ros
 from allan_ros.core.findings import CATALOG
 from allan_ros.core.noise.derived import (
     avar,
@@ -158,3 +161,29 @@ def test_every_process_with_a_shape_is_found_by_the_fit() -> None:
                 low, high = each.bounds(parameter, SEARCH)
                 assert 0.0 < low <= high and value < 2.0 * high
     assert [one.letter for one in TERMS] == ['Q', 'N', 'B', 'K']
+
+
+NAMED = {
+    'export/model.py',  # formats with one Gauss-Markov bias
+    'export/text.py',
+    'core/fit/method.py',  # the components of a fit are still names with a shape
+    'core/fit/selection.py',
+    'core/fit/statistics.py',
+}
+"""Modules outside of `core/noise` that name a process with a shape."""
+
+
+def test_only_export_formats_name_a_process() -> None:
+    """All other modules iterate over the registry, so that no process is forgotten in one."""
+    shaped = [one for one in PROCESSES.values() if one.parameters]
+    names = {one.name for one in shaped} | {one.__name__ for one in shaped}
+    package, found = Path(allan_ros.__file__).parent, set()
+    for path in package.rglob('*.py'):
+        module = path.relative_to(package).as_posix()
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            said = {getattr(node, name, None) for name in ('value', 'id', 'attr')}
+            if not module.startswith('core/noise/') and any(
+                isinstance(each, str) and each in names for each in said
+            ):
+                found.add(module)
+    assert found <= NAMED
