@@ -443,6 +443,7 @@ def analyze(
     method: str = 'likelihood',
     sensor: str = '',
     baseline: PlainResults | str | os.PathLike[str] = '',
+    noise: PlainResults | str | os.PathLike[str] = '',
     margin: float = MARGIN,
     hardware_id: str = '',
     processes: int = 1,
@@ -476,6 +477,9 @@ def analyze(
     baseline : Results or path
         An earlier run of this IMU to compare with: results, or the path of a results.json, a
         sums.json or the folder of an analysis.
+    noise : Results or path
+        An earlier run of this IMU at rest, whose noise predicts the errors in motion. By default,
+        the noise of the rests of the source.
     margin : float
         A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval lies
         above it by this fraction.
@@ -517,6 +521,10 @@ def analyze(
     ResultSettings(method=method, margin=margin)  # checks them before recordings are read
     expect(str, hardware_id=hardware_id)
     expect(Integral, processes=processes)
+    expect((PlainResults, *PATH), 'results or a path', noise=noise)
+    at_rest = (
+        noise if isinstance(noise, PlainResults) else load_results(noise) if str(noise) else None
+    )
     if axes is not None:
         expect((str, Sequence), 'a text or a list', axes=axes)
     given = list(source) if isinstance(source, (list, tuple)) else [source]
@@ -541,7 +549,8 @@ def analyze(
         recording = recording_in_memory(source, reading, axes)
         job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
         recorded = read_recording(job, recording)
-    return compared(Results.of(analyze_recorded(recorded, method)), sensor, baseline, margin)
+    results = Results.of(analyze_recorded(recorded, method, at_rest))
+    return compared(results, sensor, baseline, margin)
 
 
 @public

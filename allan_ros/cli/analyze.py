@@ -199,11 +199,11 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_references(settings: ResultSettings) -> None:
-    """Raise AllanError if the datasheet or the earlier run cannot be read."""
+    """Raise AllanError if the datasheet or an earlier run cannot be read."""
     if settings.sensor:
         load_sensor(settings.sensor)
-    if settings.baseline:
-        load(settings.baseline)
+    for path in filter(None, (settings.baseline, settings.noise)):
+        load(path)
 
 
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:

@@ -444,7 +444,8 @@ def fit_and_write(
 ) -> tuple[Results, list[str]]:
     """Fit the sums; write the files if ``folder`` is given. Return results and file names."""
     settings = settings_of(ResultSettings, args)
-    results = analyze_recorded(recorded, settings.method)
+    at_rest = load(settings.noise) if settings.noise else None
+    results = analyze_recorded(recorded, settings.method, at_rest)
     results = compared(results, settings.sensor, settings.baseline, settings.margin)
     if not folder:
         return results, []

@@ -148,7 +148,7 @@ INFLATE_OPTIONS = (
     ),
 )
 
-RESULT = Settings('result', ResultSettings, ['sensor', 'baseline', 'export', 'plots'])
+RESULT = Settings('result', ResultSettings, ['sensor', 'baseline', 'noise', 'export', 'plots'])
 
 COMPARE = Command(__doc__ or '', [*COMPARE_OPTIONS, RESULT], run, EXITS)
 

@@ -27,6 +27,7 @@ from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding, finding
 from ..core.imu import MAX_NAME, NANOSECONDS, ImuIdentity, sensor_of
 from ..core.settings import SegmenterSettings
+from ..core.stream.drive_recorder import NO_DRIVES, Drives
 from ..core.stream.health import Counts, Event, Segment
 from ..core.stream.pipeline import ImuStream
 from ..core.stream.signal import SignalEnvelope, TemperatureTrace
@@ -90,6 +91,7 @@ class RecordingSums:
     signals: tuple[SignalEnvelope, ...] = ()  # one per recording
     temperatures: tuple[TemperatureTrace | None, ...] = ()  # one per recording, if it was read
     events: tuple[Event, ...] = ()  # shocks, motions and changes of the noise
+    drives: Drives = NO_DRIVES  # between two rests
 
     def __add__(self, other: RecordingSums) -> RecordingSums:
         """Return the sums of both recordings.
@@ -112,6 +114,7 @@ class RecordingSums:
             self.signals + other.signals,
             self.temperatures + other.temperatures,
             self.events + other.events,
+            self.drives + other.drives,
         )
 
     def temperature_readings(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -187,7 +190,7 @@ def read_recording(
 def _read_topic(
     job: ReadJob, recording: Recording, advance: Callable[[int], None]
 ) -> RecordingSums:
-    stream = ImuStream(job.segmenter, job.hardware_id, recording.sensor)
+    stream = ImuStream(job.segmenter, job.hardware_id, recording.sensor, with_drives=True)
     signal = SignalEnvelope()
     for batch in recording.batches():
         stream.update(batch)
@@ -213,9 +216,11 @@ def _read_topic(
     provenance = Provenance((recording.info,), known.segments, findings, counts, settings)
     temperatures = (recording.temperature(known.sums[0].identity.frame_id),)
     if not job.with_context:
-        return RecordingSums(job.path, known.sums, provenance, temperatures=temperatures)
-    events = known.health.events
-    return RecordingSums(job.path, known.sums, provenance, (signal,), temperatures, events)
+        return RecordingSums(
+            job.path, known.sums, provenance, temperatures=temperatures, drives=stream.drives()
+        )
+    events, drives = known.health.events, stream.drives()
+    return RecordingSums(job.path, known.sums, provenance, (signal,), temperatures, events, drives)
 
 
 def with_accel(

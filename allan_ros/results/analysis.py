@@ -34,6 +34,7 @@ from ..core.settings import AUTO
 from ..core.stream.health import sums_findings
 from ..readers.recorded import Provenance, RecordingSums
 from .axis_result import AxisResult
+from .motion import measure_motion
 from .results import Results
 
 PREFIXES = ('scipy_openblas', 'openblas')
@@ -89,8 +90,13 @@ def _openblas() -> Iterator[tuple[Callable[[], int], Callable[[int], Any]]]:
 
 
 @one_thread()
-def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Results:
+def analyze_recorded(
+    recorded: RecordingSums, method: str = 'likelihood', at_rest_before: Results | None = None
+) -> Results:
     """Fit the Allan variance sums of one IMU, and return the results.
+
+    ``at_rest_before`` is an earlier run whose noise predicts the errors in motion, by default that
+    of the recordings themselves.
 
     A warm-up at the start is excluded, unless the settings of the recordings state a time to skip.
     Raises AllanError if there are too few data.
@@ -115,11 +121,18 @@ def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Res
             warmed += found
     longest = max(sums, key=lambda s: s.samples)
     tau0 = longest.tau0 or float('nan')
+    noise, rest_s = axes, longest.samples * tau0
+    if at_rest_before is not None:
+        noise, rest_s = dict(at_rest_before.axes), at_rest_before.duration_s
+    counts = recorded.provenance.counts
+    moving = counts.moving / max(counts.received, 1)
+    motion, moved = measure_motion(recorded.drives, noise, rest_s, moving)
     findings = (
         *recorded.provenance.findings,
         *(f for s in sums for f in sums_findings(s)),
         *(f for fit in fits for f in fit.findings),
         *warmed,
+        *moved,
     )
     return Results(
         longest.identity,
@@ -132,6 +145,7 @@ def analyze_recorded(recorded: RecordingSums, method: str = 'likelihood') -> Res
         recorded.provenance,
         tuple(dict.fromkeys(findings)),
         recorded=recorded,
+        motion=motion,
     )
 
 

@@ -27,6 +27,7 @@ from ..core.compare import MARGIN
 from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
 from ..core.fields import Fields, SignedInt, plain
+from ..core.filters.motion_factors import NoiseInMotion
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, missing_values, quantity
 from ..core.fit import TERMS, AxisFit
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
@@ -87,6 +88,7 @@ def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]
         **_provenance_to_document(results.provenance),
         'findings': [each.document() for each in results.findings],
         'datasheet': comparison_to_document(results.datasheet) if results.datasheet else None,
+        'motion': plain(results.motion),
         'axes': {
             name: _axis_to_document(name, axis, curves) for name, axis in results.axes.items()
         },
@@ -104,6 +106,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
     stated = fields.fields('axes')
     axes = {name: _axis_from_document(name, stated.fields(name)) for name in _axes_of(stated)}
     stated_sheet = fields.optional_fields('datasheet')
+    moved = fields.optional_fields('motion')
     noise = {name: axis.fit.noise for name, axis in axes.items()}
     datasheet = comparison_from_document(stated_sheet, noise) if stated_sheet else None
     return Results(
@@ -118,6 +121,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
         provenance.findings,
         datasheet,
         margin=MARGIN if datasheet is None else datasheet.margin,
+        motion=None if moved is None else moved.record(NoiseInMotion),
     )
 
 

@@ -12,6 +12,7 @@ from typing import TypeVar
 from ..core.compare import MARGIN, AxisNoise, Check, Run, differences
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
+from ..core.filters.motion_factors import NoiseInMotion
 from ..core.findings import Finding
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of
@@ -60,6 +61,9 @@ class Results:
     margin : float
         A coefficient exceeds a limit or an earlier run if its complete 95 % interval lies above it
         by this fraction.
+    motion : NoiseInMotion or None
+        Errors in motion relative to the prediction from the noise at rest; None if the recordings
+        have too few drives between two rests.
     recorded : RecordingSums or None
         The sums to which the coefficients were fitted; None if they are not known, for example in
         results that were read from a results.json alone.
@@ -102,6 +106,7 @@ class Results:
     baselines: Mapping[str, Results] = field(default_factory=dict, repr=False, compare=False)
     margin: float = field(default=MARGIN, repr=False, compare=False)
     recorded: RecordingSums | None = field(default=None, repr=False, compare=False)
+    motion: NoiseInMotion | None = None
 
     def __post_init__(self) -> None:
         if self.datasheet is not None:

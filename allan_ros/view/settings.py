@@ -42,6 +42,11 @@ class ResultSettings(CheckedSettings):
     baseline: str = parameter(
         '', 'Earlier run of this IMU to compare with: its results.json, or its folder.'
     )
+    noise: str = parameter(
+        '',
+        'Earlier run of this IMU at rest, whose noise predicts the errors in motion: its '
+        'results.json, or its folder. By default the noise of the rests of the recording.',
+    )
     plots: tuple[str, ...] = parameter(
         (), 'Also draw the Allan deviation of each sensor as a figure: png, svg, pdf.'
     )

@@ -24,6 +24,7 @@ from ..findings import Finding
 from ..imu import AXES, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
 from .cleaning import RepeatFilter, SampleFilter, StampChoice, StampSorter
+from .drive_recorder import NO_DRIVES, DriveRecorder, Drives
 from .health import (
     LISTED_EVENTS,
     LISTED_SEGMENTS,
@@ -58,7 +59,8 @@ class ImuStream:
     depend only on the positions of samples counted from the start of the stream, with a fixed
     look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
     'accel' if the other sensor is in another stream; its values in this one are ignored.
-    ``with_samples`` also keeps all samples at rest in memory.
+    ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` what is needed of the
+    latest drives between two rests.
     """
 
     def __init__(
@@ -67,10 +69,11 @@ class ImuStream:
         hardware_id: str = '',
         sensor: str = '',
         with_samples: bool = False,
+        with_drives: bool = False,
     ) -> None:
         self._hardware_id = hardware_id
         self._settings = settings
-        self._options = settings, sensor, with_samples
+        self._options = settings, sensor, with_samples, with_drives
         self._received = 0
         self._frames: dict[str, FrameStream] = {}
         self._present = FrameStream(ImuIdentity('', hardware_id), *self._options)
@@ -114,6 +117,16 @@ class ImuStream:
             for axes, block in whole
             for axis, row in zip(axes, block.rows)
         }
+
+    def drives(self) -> Drives:
+        """Return the latest drives between two rests; empty unless requested.
+
+        They belong to the frame_id with the most data. There are none if gyro and accelerometer
+        have different rates or are in different streams.
+        """
+        frame = max(self._frames.values(), key=lambda each: each.counts.used, default=self._present)
+        recorders = [each.recorder for each in frame.sensors if each.recorder is not None]
+        return recorders[0].result if recorders else NO_DRIVES
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream is not changed."""
@@ -211,10 +224,15 @@ class FrameStream:
     """
 
     def __init__(
-        self, identity: ImuIdentity, settings: SegmenterSettings, sensor: str, with_samples: bool
+        self,
+        identity: ImuIdentity,
+        settings: SegmenterSettings,
+        sensor: str,
+        with_samples: bool,
+        with_drives: bool,
     ) -> None:
         self.identity = identity
-        self._with_samples = with_samples
+        self._options = settings, with_samples, with_drives
         self.sensors: tuple[SensorStream, ...] = ()
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
@@ -273,9 +291,7 @@ class FrameStream:
         plans, findings = plan_sensors(StampSorter.all_sorted(samples), self._sensor)
         self.notes += [note for note in (*notes, *findings) if note not in self.notes]
         self._sorter = StampSorter(samples.stamps_ns)
-        self.sensors = tuple(
-            SensorStream(p, self.identity, self._settings, self._with_samples) for p in plans
-        )
+        self.sensors = tuple(SensorStream(plan, self.identity, *self._options) for plan in plans)
         self._feed(self._sorter.feed(samples))
 
     def _feed(self, samples: ImuBatch) -> None:
@@ -302,7 +318,7 @@ class SensorStream:
     ``gate`` is None before the sample period is learned, or if it is switched off. ``relearned``
     counts how often the sums were discarded because the IMU had been moving, and ``discarded_s`` is
     the time from the first sample at rest to the first one that was kept. ``kept`` are the samples
-    at rest, if they are requested.
+    at rest, and ``recorder`` has the drives between two rests, if they are requested.
     """
 
     def __init__(
@@ -311,8 +327,11 @@ class SensorStream:
         identity: ImuIdentity,
         settings: SegmenterSettings,
         with_samples: bool = False,
+        with_drives: bool = False,
     ) -> None:
         self.axes = plan.axes
+        self._with_drives = with_drives and plan.axes == AXES
+        self.recorder: DriveRecorder | None = None
         self._with_samples = with_samples
         self.counts = Counts()
         self.events: Longest[Event] = Longest(LISTED_EVENTS)
@@ -413,8 +432,14 @@ class SensorStream:
             period, axes = self.clock.learned_ns, self._plan.axes
             self.gate = MotionGate(period, axes, self.counts, self.events, self._settings)
             self._stages.append(self.gate)
+            if self._with_drives:
+                self.recorder = DriveRecorder(period * 1e-9)
         for stage in self._stages:
+            if stage is self.gate and self.recorder is not None:
+                self.recorder.add_samples(blocks)
             blocks = stage.feed(blocks) + (stage.flush() if at_end else [])
+        if self.recorder is not None:
+            self.recorder.add_rests(blocks)
         for block in blocks:
             self._accumulate(block)
 

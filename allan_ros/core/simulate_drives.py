@@ -1,0 +1,253 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulation of a robot that drives and stops, with errors of its IMU that only motion shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .imu import STANDARD_GRAVITY
+from .noise import Model
+from .settings import CheckedSettings, parameter
+from .simulate import simulate_imu
+from .stream.drives import EARTH_RATE, rotation_matrices
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Route(CheckedSettings):
+    """Motion of a simulated robot: rests and drives in turn.
+
+    Raises
+    ------
+    AllanError
+        When a value lies outside its range.
+    """
+
+    drives: int = parameter(20, 'number of drives', low=0)
+    first: float = parameter(20.0, 'duration of the first rest', unit='s', low=0.1)
+    rest: float = parameter(10.0, 'duration of the other rests', unit='s', low=0.1)
+    shortest: float = parameter(15.0, 'duration of the shortest drive', unit='s', low=1.0)
+    longest: float = parameter(60.0, 'duration of the longest drive', unit='s', low=1.0)
+    speed: float = parameter(1.0, 'typical speed', unit='m/s', low=0.0)
+    turn: float = parameter(0.5, 'typical yaw rate', unit='rad/s', low=0.0)
+    tilt: float = parameter(0.08, 'typical slope of the ground', unit='rad', low=0.0)
+
+
+@dataclass(frozen=True)
+class MotionErrors(CheckedSettings):
+    """Errors of an IMU that noise at rest does not show; none by default.
+
+    Matrices have random elements: ``scale`` and ``misalignment`` are the standard deviations of the
+    diagonal and of the other elements.
+
+    Raises
+    ------
+    AllanError
+        When a value lies outside its range.
+    """
+
+    gyro_scale: float = parameter(0.0, 'scale factors of the gyro', low=0.0)
+    gyro_misalignment: float = parameter(0.0, 'misalignments of the gyro', unit='rad', low=0.0)
+    accel_scale: float = parameter(0.0, 'scale factors of the accelerometer', low=0.0)
+    g_sensitivity: float = parameter(
+        0.0, 'sensitivity of the gyro to specific force', unit='rad/s/(m/s^2)', low=0.0
+    )
+    gyro_noise: float = parameter(1.0, 'factor of the noise of the gyro in motion', low=0.0)
+    accel_noise: float = parameter(
+        1.0, 'factor of the noise of the accelerometer in motion', low=0.0
+    )
+    vibration: float = parameter(
+        0.0, 'vibration in motion, up to a tenth of the rate', unit='m/s^2', low=0.0
+    )
+    heating: float = parameter(
+        0.0, 'change of the gyro bias by the heat of motors', unit='rad/s', low=0.0
+    )
+    heating_time: float = parameter(120.0, 'time constant of the heating', unit='s', low=1.0)
+    creep: float = parameter(0.0, 'speed of wheels that creep at rest', unit='m/s', low=0.0)
+    latitude: float = parameter(
+        48.0,
+        'latitude, from which the rotation of the Earth follows',
+        unit='deg',
+        low=-90.0,
+        high=90.0,
+    )
+
+
+@dataclass(frozen=True)
+class SimulatedDrives:
+    """Samples of a simulated robot.
+
+    Attributes
+    ----------
+    rate : float
+        Sample rate in Hz.
+    samples : (n, 6) array
+        Rates in rad/s and specific forces in m/s^2.
+    drives : tuple of (start, end)
+        Indices of the samples of each drive.
+    gyro_matrix, accel_matrix, g_sensitivity : (3, 3) array
+        The errors: matrix times true rate or specific force.
+    """
+
+    rate: float
+    samples: Floats
+    drives: tuple[tuple[int, int], ...]
+    gyro_matrix: Floats
+    accel_matrix: Floats
+    g_sensitivity: Floats
+
+
+def simulate_drives(
+    rate: float,
+    gyro: Sequence[Model],
+    accel: Sequence[Model],
+    route: Route = Route(),
+    errors: MotionErrors = MotionErrors(),
+    seed: int = 0,
+) -> SimulatedDrives:
+    """Simulate the IMU of a robot that rests and drives in turn, beginning and ending at rest.
+
+    Parameters
+    ----------
+    rate : float
+        Sample rate in Hz.
+    gyro, accel : sequence of three Model
+        Noise of the axes at rest.
+    route : Route
+        The motion.
+    errors : MotionErrors
+        Errors that only motion shows.
+    seed : int
+        Seed of the random numbers.
+
+    Returns
+    -------
+    SimulatedDrives
+
+    Examples
+    --------
+    >>> quiet = [Model.of(N=1e-4)] * 3
+    >>> robot = simulate_drives(50.0, quiet, quiet, Route(drives=2))
+    >>> len(robot.drives), robot.samples.shape[1]
+    (2, 6)
+    """
+    rng = np.random.default_rng(seed)
+    dt = 1.0 / rate
+    lengths = rng.uniform(route.shortest, max(route.longest, route.shortest), route.drives)
+    at, drives = round(route.first * rate), []
+    for length in lengths:
+        drives.append((at, at + round(length * rate)))
+        at = drives[-1][1] + round(route.rest * rate)
+    n = at
+    moving = np.zeros(n)
+    angles, speed = np.zeros((n + 1, 3)), np.zeros(n + 1)
+    creeping = np.zeros(n + 1)
+    angles[:] = rng.normal(0.0, route.tilt, 3) * [1, 1, 0]
+    for start, end in drives:
+        moving[start:end] = 1.0
+        size = end - start
+        envelope = _envelope(size + 1, 2.0 * rate)
+        slopes = np.stack([_smooth(size + 1, 4.0 * rate, rng) for _ in range(2)], axis=1)
+        # the robot stops on another slope than where it started
+        ends = rng.normal(0.0, route.tilt, 2) - angles[start, :2]
+        progress = np.linspace(0.0, 1.0, size + 1) ** 2 * (3.0 - 2.0 * np.linspace(0, 1, size + 1))
+        tilt = route.tilt * slopes * envelope[:, None] + progress[:, None] * ends
+        yaw = np.cumsum(route.turn * _smooth(size + 1, 2.0 * rate, rng) * envelope) * dt
+        angles[start : end + 1, :2] = angles[start, :2] + tilt
+        angles[start : end + 1, 2] = angles[start, 2] + yaw
+        angles[end + 1 :] = angles[end]
+        speed[start : end + 1] = route.speed * _smooth(size + 1, 3.0 * rate, rng) * envelope
+        creeping[end + 1 :] = errors.creep * rng.standard_normal()
+    attitude = _from_euler(angles)
+    rates = _rotation_vectors(np.swapaxes(attitude[:-1], 1, 2) @ attitude[1:]) * rate
+    velocity = attitude[:, :, 0] * (speed + creeping * (speed == 0.0))[:, None]
+    middle = attitude[:-1] @ rotation_matrices(rates * (dt / 2.0))
+    north, up = math.cos(math.radians(errors.latitude)), math.sin(math.radians(errors.latitude))
+    rates = rates + np.einsum('nji,j->ni', middle, EARTH_RATE * np.array([north, 0.0, up]))
+    force = np.einsum(
+        'nji,nj->ni', middle, np.diff(velocity, axis=0) * rate + [0.0, 0.0, STANDARD_GRAVITY]
+    )
+    force += (
+        errors.vibration
+        * moving[:, None]
+        * np.stack([_smooth(n, 10.0, rng) for _ in range(3)], axis=1)
+    )
+    noise = np.concatenate(
+        [batch.samples for batch in simulate_imu(n * dt, rate, gyro, accel, seed=seed + 1)]
+    )[:n] - [0, 0, 0, 0, 0, STANDARD_GRAVITY]
+    noise[:, :3] += (errors.gyro_noise - 1.0) * moving[:, None] * _changes(noise[:, :3], rate)
+    noise[:, 3:] += (errors.accel_noise - 1.0) * moving[:, None] * _changes(noise[:, 3:], rate)
+    gyro_matrix = errors.gyro_misalignment * rng.standard_normal((3, 3))
+    np.fill_diagonal(gyro_matrix, errors.gyro_scale * rng.standard_normal(3))
+    accel_matrix = np.diag(errors.accel_scale * rng.standard_normal(3))
+    sensitivity = errors.g_sensitivity * rng.standard_normal((3, 3))
+    heat = _first_order(moving, errors.heating_time * rate)[:, None] * rng.standard_normal(3)
+    rates = rates + rates @ gyro_matrix.T + force @ sensitivity.T + errors.heating * heat
+    force = force + force @ accel_matrix.T
+    return SimulatedDrives(
+        rate,
+        np.concatenate([rates, force], axis=1) + noise,
+        tuple(drives),
+        gyro_matrix,
+        accel_matrix,
+        sensitivity,
+    )
+
+
+def _changes(noise: Floats, rate: float) -> Floats:
+    """Return the noise without its slow part: minus its mean over 10 s."""
+    width = max(round(10.0 * rate), 1)
+    kernel = np.ones(width) / width
+    slow = [
+        np.convolve(np.pad(row, width, 'edge'), kernel, 'same')[width:-width] for row in noise.T
+    ]
+    return np.asarray(noise - np.stack(slow, axis=1))
+
+
+def _smooth(n: int, width: float, rng: np.random.Generator) -> Floats:
+    """Return smooth noise of unit variance with a correlation of some ``width`` samples."""
+    k = max(round(width), 2)
+    kernel = np.hanning(2 * k + 1)
+    kernel /= math.sqrt(float(kernel @ kernel))
+    return np.convolve(rng.standard_normal(n + 2 * k), kernel, 'valid')
+
+
+def _envelope(n: int, ramp: float) -> Floats:
+    """Return 0 at both ends and 1 between, with smooth ramps of some samples."""
+    at = np.arange(n)
+    x = np.clip(np.minimum(at, n - 1 - at) / max(min(ramp, n / 4.0), 1.0), 0.0, 1.0)
+    return np.asarray(x**2 * (3.0 - 2.0 * x))
+
+
+def _first_order(x: Floats, time: float) -> Floats:
+    """Return the response of a first-order system with a time constant in samples."""
+    decay = math.exp(-1.0 / time)
+    out, last = np.empty(len(x)), 0.0
+    for i, value in enumerate(x.tolist()):
+        last = decay * last + (1.0 - decay) * value
+        out[i] = last
+    return out
+
+
+def _from_euler(angles: Floats) -> Floats:
+    """Return Rz(yaw) Ry(pitch) Rx(roll) for angles (n, 3) in the order roll, pitch, yaw."""
+    zero = np.zeros(len(angles))
+    roll = rotation_matrices(np.stack([angles[:, 0], zero, zero], axis=1))
+    pitch = rotation_matrices(np.stack([zero, angles[:, 1], zero], axis=1))
+    yaw = rotation_matrices(np.stack([zero, zero, angles[:, 2]], axis=1))
+    return np.asarray(yaw @ pitch @ roll)
+
+
+def _rotation_vectors(matrices: Floats) -> Floats:
+    """Return the rotation vectors (n, 3) of small rotations (n, 3, 3)."""
+    skew = (matrices - np.swapaxes(matrices, 1, 2)) / 2.0
+    sine = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+    size = np.linalg.norm(sine, axis=1)[:, None]
+    return np.asarray(sine * np.where(size < 1e-8, 1.0, np.arcsin(size) / np.maximum(size, 1e-300)))

@@ -1,0 +1,187 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Collects the drives of a stream: the samples between two rests, in bounded memory."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ..imu import AXES, Floats, ImuBatch
+from .drives import REST_S, Drive, DriveErrors, Rest, drive_errors
+
+LEAST_REST_S = 1.0
+"""Shortest rest at both ends of a drive in s. The mean of the gyro over 1 s has an error of N, and
+a drive of 30 s then an angle error of 30 N s, five times that of the noise during the drive."""
+
+LEAST_DRIVE_S, LONGEST_DRIVE_S = 2.0, 180.0
+"""Duration of drives that are used, in s. For longer ones the errors are not small any more, and a
+state estimator has other aids."""
+
+AHEAD_S = 60.0
+"""Time in s, longer than the samples that motion detection holds back. A drive is too long if so
+many more samples than those of the longest drive follow the last one at rest."""
+
+MOST_RATE = 200.0
+"""Samples are averaged down to at most this rate in Hz before the integration."""
+
+MOST_KEPT = 1 << 20
+"""Largest number of buffered samples of a drive, and of a rest: 48 MB each."""
+
+MOST_DRIVES = 60
+"""Number of the latest drives that are kept, about 40 kB each."""
+
+Unused = Literal['short', 'long', 'gap', 'short_rest']
+"""Why a drive is not used: its duration, missing samples, or a rest below `LEAST_REST_S`."""
+
+
+class Drives(NamedTuple):
+    """Drives of a stream.
+
+    ``errors`` are the latest drives, and ``unused`` is the number of others by reason.
+    """
+
+    errors: tuple[DriveErrors, ...] = ()
+    unused: Mapping[Unused, int] = MappingProxyType({})
+
+    def __add__(self, other: Drives) -> Drives:  # type: ignore[override]
+        """Return the drives of two recordings of one IMU, at most `MOST_DRIVES`."""
+        errors = (*self.errors, *other.errors)[-MOST_DRIVES:]
+        return Drives(errors, Counter(self.unused) + Counter(other.unused))
+
+
+NO_DRIVES = Drives()
+
+
+class DriveRecorder:
+    """Collects the drives between rests from evenly spaced samples of six axes.
+
+    The result does not depend on how the samples are divided into blocks.
+    """
+
+    def __init__(self, tau0: float) -> None:
+        self._drives: deque[DriveErrors] = deque(maxlen=MOST_DRIVES)
+        self._unused: Counter[Unused] = Counter()
+        self._tau0 = tau0
+        self._most = min(round((LONGEST_DRIVE_S + AHEAD_S) / tau0), MOST_KEPT)
+        self._rest_samples = max(min(round(REST_S / tau0), MOST_KEPT), 1)
+        self._raw: deque[ImuBatch] = deque()  # samples after the last one at rest
+        self._is_long = False  # whether samples were dropped, because a drive is too long
+        # of the present rest: number of samples, its first and last samples
+        self._at_rest = 0
+        self._first: list[Floats] = []
+        self._last: list[Floats] = []
+        self._before: Rest | None = None  # the rest before the present drive
+        self._drive: tuple[float, Floats] | None = None  # whose second rest is not complete
+
+    def add_samples(self, blocks: Iterable[ImuBatch]) -> None:
+        """Add all evenly spaced samples, before those at rest among them are added."""
+        self._raw.extend(block for block in blocks if len(block))
+
+    def add_rests(self, blocks: Iterable[ImuBatch]) -> None:
+        """Add the samples at rest among those that were added."""
+        for block in blocks:
+            if not len(block):
+                continue
+            if block.cut or not self._at_rest:
+                self._begin_rest(block)
+            self._continue_rest(block)
+        left = sum(map(len, self._raw))
+        while left > self._most:
+            left -= len(self._raw.popleft())
+            self._is_long = True
+
+    @property
+    def result(self) -> Drives:
+        """The drives as if the input ended here."""
+        drives, unused = tuple(self._drives), Counter(self._unused)
+        if self._drive is not None and self._before is not None:
+            after = self._mean(self._first)
+            if after is None:
+                unused['short_rest'] += 1
+            else:
+                last = self._errors(self._before, *self._drive, after)
+                drives = (*drives, last)[-MOST_DRIVES:]
+        return Drives(drives, unused)
+
+    def _begin_rest(self, block: ImuBatch) -> None:
+        """End the drive before a rest, and the rest before that drive."""
+        self._complete()
+        begin = int(block.stamps_ns[0])
+        rest = self._mean(self._last)
+        between, is_split = self._samples_before(begin)
+        seconds = len(between) * self._tau0
+        if self._at_rest and block.cut == 'motion':
+            reason: Unused | None = None
+            if is_split:
+                reason = 'gap'
+            elif seconds < LEAST_DRIVE_S:
+                reason = 'short'
+            elif self._is_long or seconds > LONGEST_DRIVE_S:
+                reason = 'long'
+            elif rest is None:
+                reason = 'short_rest'
+            if reason is None:
+                self._before = rest
+                self._drive = begin * 1e-9 - seconds, between
+            else:
+                self._unused[reason] += 1
+        self._is_long = False
+        self._at_rest = 0
+        self._first, self._last = [], []
+
+    def _continue_rest(self, block: ImuBatch) -> None:
+        self._samples_before(int(block.stamps_ns[-1]) + 1)
+        room = self._rest_samples - self._at_rest
+        if room > 0:
+            self._first.append(block.samples[:room].copy())
+        self._at_rest += len(block)
+        self._last.append(block.samples[-self._rest_samples :].copy())
+        last = np.concatenate(self._last)[-self._rest_samples :]
+        self._last = [last]
+        if room > 0 and self._at_rest >= self._rest_samples:
+            self._complete()
+
+    def _complete(self) -> None:
+        """Add the drive whose second rest is over or long enough."""
+        if self._drive is None or self._before is None:
+            return
+        (start, rows), self._drive = self._drive, None
+        after = self._mean(self._first)
+        if after is None:
+            self._unused['short_rest'] += 1
+            return
+        self._drives.append(self._errors(self._before, start, rows, after))
+
+    def _errors(self, before: Rest, start: float, rows: Floats, after: Rest) -> DriveErrors:
+        """Integrate a drive whose samples are (n, 6)."""
+        k = max(int(np.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9)), 1)
+        whole = len(rows) // k * k  # the few samples after it belong to the margin of the rest
+        means = rows[:whole].reshape(-1, k, len(AXES)).mean(axis=1)
+        drive = Drive(start, k * self._tau0, means[:, :3], means[:, 3:], before, after)
+        return drive_errors(drive)
+
+    def _mean(self, parts: list[Floats]) -> Rest | None:
+        rows = np.concatenate(parts) if parts else np.empty((0, len(AXES)))
+        seconds = len(rows) * self._tau0
+        if seconds < LEAST_REST_S:
+            return None
+        mean = rows.mean(axis=0)
+        return Rest(mean[:3], mean[3:], seconds)
+
+    def _samples_before(self, stamp: int) -> tuple[Floats, bool]:
+        """Remove the samples before a stamp; return them, (n, 6), and whether there is a gap."""
+        taken, is_split = [], False
+        while self._raw and self._raw[0].stamps_ns[0] < stamp:
+            block = self._raw.popleft()
+            number = int(np.searchsorted(block.stamps_ns, stamp))
+            is_split |= bool(block.cut)
+            taken.append(block.samples[:number])
+            if number < len(block):
+                self._raw.appendleft(block.part(slice(number, None)))
+        rows = np.concatenate(taken) if taken else np.empty((0, len(AXES)))
+        return rows, is_split

@@ -1,0 +1,123 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Noise in motion of one analysis: from the drives of its recordings, with its findings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from ..core.filters.motion_factors import (
+    LEAST_DRIVES,
+    NoiseInMotion,
+    axis_noise,
+    noise_in_motion,
+)
+from ..core.findings import Finding, finding
+from ..core.fit import AxisFit
+from ..core.imu import AXES
+from ..core.noise import Model
+from ..core.stream.drive_recorder import Drives
+from .axis_result import AxisResult
+
+LEAST_REST_S = 60.0
+"""Least time at rest in s from which the noise at rest is known well enough to be compared."""
+
+MOVING = 0.1
+"""Least share of samples in motion of a recording that is expected to show the noise in motion."""
+
+EXPLAINED = 0.7
+"""A cause is stated for a sensor if its factor falls below this share with the cause."""
+
+ERRORS = {'gyro': 'angle', 'accel': 'velocity'}
+"""Sensor -> what its integral is."""
+
+CAUSE_NAMES = {
+    'gyro_matrix': 'scale factors or misalignments of the gyro',
+    'accel_matrix': 'scale factors or misalignments of the accelerometer',
+    'g_sensitivity': 'a sensitivity of the gyro to acceleration',
+}
+
+
+def measure_motion(
+    drives: Drives, noise: Mapping[str, AxisResult], rest_s: float, moving: float
+) -> tuple[NoiseInMotion | None, tuple[Finding, ...]]:
+    """Return the noise in motion and the findings about it.
+
+    Parameters
+    ----------
+    drives : Drives
+        Drives between rests.
+    noise : mapping of axis name to AxisResult
+        Noise at rest, of the same recordings or of others of the same IMU.
+    rest_s : float
+        Duration of the data from which ``noise`` was measured, in s.
+    moving : float
+        Share of the samples that were taken in motion.
+
+    Returns
+    -------
+    motion : NoiseInMotion or None
+        None without enough drives or data at rest.
+    findings : tuple of Finding
+        Empty without drives, and for a recording at rest that was disturbed a few times.
+    """
+    known = all(axis in noise and noise[axis].fit.model.value('N') > 0.0 for axis in AXES)
+    motion = None
+    if known and rest_s >= LEAST_REST_S:
+        at_rest = [axis_noise(_resolved(noise[axis].fit), noise[axis].tau0) for axis in AXES]
+        motion = noise_in_motion(drives.errors, at_rest)
+    if motion is not None:
+        return motion, tuple(_factors(motion))
+    seen = len(drives.errors) + sum(drives.unused.values())
+    if not seen or moving < MOVING:
+        return None, ()
+    reasons = ', '.join(f'{number} {REASONS[why]}' for why, number in drives.unused.items())
+    return None, (
+        finding(
+            'motion_not_measured',
+            drives=len(drives.errors),
+            seen=seen,
+            unused=reasons or None,
+            needed=LEAST_DRIVES,
+            rest=LEAST_REST_S,
+        ),
+    )
+
+
+def _resolved(fit: AxisFit) -> Model:
+    """Return the model without the terms that the recording does not resolve.
+
+    The estimates of such terms from a few minutes of rest can exceed the truth by far.
+    """
+    unresolved = {letter: 0.0 for letter in 'BK' if not fit.noise[letter].resolved}
+    return fit.model.changed(**unresolved)
+
+
+REASONS = {
+    'short': 'shorter than 2 s',
+    'long': 'longer than 3 min',
+    'gap': 'with missing samples',
+    'short_rest': 'next to a rest of less than 1 s',
+}
+
+
+def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
+    for sensor, (factor, left) in {
+        name: (one.factor, one.explained) for name, one in motion.sensors.items()
+    }.items():
+        if factor.ci95 is None or factor.value is None:
+            continue
+        helps = left is not None and (left.value or 0.0) < EXPLAINED * factor.value
+        causes = ' and '.join(CAUSE_NAMES[each.name] for each in motion.causes)
+        axes = tuple(axis for axis in AXES if axis.startswith(sensor))
+        yield finding(
+            'error_in_motion',
+            axes,
+            error=ERRORS[sensor],
+            ratio=factor.value,
+            low=factor.ci95[0],
+            high=factor.ci95[1],
+            drives=len(motion.drives),
+            cause=causes if helps else None,
+            left=left.value if left is not None and helps else None,
+        )

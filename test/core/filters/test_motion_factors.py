@@ -1,0 +1,138 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Factors of the errors in motion, and the causes that explain them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from allan_ros.core.filters.motion_factors import (
+    LEAST_DRIVES,
+    _quantile_t,
+    axis_noise,
+    noise_in_motion,
+)
+from allan_ros.core.noise import Model
+from allan_ros.core.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
+from allan_ros.core.stream.drives import Drive, DriveErrors, Rest, drive_errors
+
+RATE = 50.0
+GYRO, ACCEL = Model.of(N=7e-5, K=5e-6), Model.of(N=1.2e-3, K=5e-5)
+
+
+NOISE = [axis_noise(GYRO, 1.0 / RATE)] * 3 + [axis_noise(ACCEL, 1.0 / RATE)] * 3
+
+
+def drives_of(seed: int, drives: int = 16, route: dict | None = None, **errors: float) -> list:
+    robot = simulate_drives(
+        RATE,
+        [GYRO] * 3,
+        [ACCEL] * 3,
+        Route(drives=drives, **(route or {})),
+        MotionErrors(**errors),
+        seed,
+    )
+    return errors_of(robot)
+
+
+def errors_of(robot: SimulatedDrives) -> list[DriveErrors]:
+    gyro, accel = robot.samples[:, :3], robot.samples[:, 3:]
+    edges = [0, *(at for drive in robot.drives for at in drive), len(gyro)]
+
+    def rest(first: int, last: int) -> Rest:
+        return Rest(gyro[first:last].mean(0), accel[first:last].mean(0), (last - first) / RATE)
+
+    return [
+        drive_errors(Drive(b / RATE, 1.0 / RATE, gyro[b:c], accel[b:c], rest(a, b), rest(c, d)))
+        for a, b, c, d in zip(edges[::2], edges[1::2], edges[2::2], edges[3::2])
+    ]
+
+
+def test_an_imu_that_is_as_at_rest_has_the_factor_one() -> None:
+    """The intervals contain 1 in at least 95 % of the records; both of three in five: false alarm
+    below 1 %.
+    """
+    inside = [
+        found['gyro'].ci95[0] < 1.0 < found['gyro'].ci95[1]
+        and found['accel'].ci95[0] < 1.0 < found['accel'].ci95[1]
+        for seed in range(5)
+        if (found := noise_in_motion(drives_of(seed), NOISE)) is not None
+    ]
+    assert len(inside) == 5
+    assert sum(inside) >= 3
+
+
+def test_fewer_drives_than_the_least_number_give_no_result() -> None:
+    drives = drives_of(1, LEAST_DRIVES)
+    assert noise_in_motion(drives[:-1], NOISE) is None
+    assert noise_in_motion(drives, NOISE) is not None
+
+
+@pytest.mark.parametrize(
+    ('cause', 'error', 'size', 'sensor'),
+    [
+        ('gyro_matrix', 'gyro_scale', 0.01, 'gyro'),
+        ('gyro_matrix', 'gyro_misalignment', 0.005, 'gyro'),
+        ('g_sensitivity', 'g_sensitivity', 5e-4, 'gyro'),
+        ('accel_matrix', 'accel_scale', 0.02, 'accel'),
+    ],
+)
+def test_an_error_of_calibration_is_found_as_the_cause(
+    cause: str, error: str, size: float, sensor: str
+) -> None:
+    route = {'tilt': 0.15}  # slopes show scale factors of all axes
+    found = noise_in_motion(drives_of(3, 20, route, **{error: size}), NOISE)
+    assert found is not None
+    assert found.causes[0].name == cause
+    before, after = found[sensor], found.sensors[sensor].explained
+    assert before.ci95[0] > 1.3
+    assert after is not None
+    assert after.ci95[0] < 1.2
+
+
+def test_the_elements_of_the_matrix_are_estimated_within_their_intervals() -> None:
+    """Nine elements at 95 % and correlated: at most three outside; false alarm below 1 %."""
+    robot = simulate_drives(
+        RATE,
+        [GYRO] * 3,
+        [ACCEL] * 3,
+        Route(drives=20, tilt=0.15),
+        MotionErrors(gyro_misalignment=0.005, gyro_scale=0.005),
+        4,
+    )
+    found = noise_in_motion(errors_of(robot), NOISE)
+    assert found is not None
+    (cause,) = (each for each in found.causes if each.name == 'gyro_matrix')
+    pairs = [
+        (one, true)
+        for one, true in zip(cause.elements, robot.gyro_matrix.ravel().tolist())
+        if one.ci95 is not None
+    ]
+    assert len(pairs) >= 4
+    assert sum(not one.ci95[0] <= true <= one.ci95[1] for one, true in pairs) <= 3
+
+
+def test_nearly_flat_ground_shows_no_rotation_around_the_vertical() -> None:
+    """Elements that turn the IMU around the vertical have no value, and no small interval."""
+    found = noise_in_motion(drives_of(5, 20, {'tilt': 0.04}, gyro_misalignment=0.004), NOISE)
+    assert found is not None
+    (cause,) = (each for each in found.causes if each.name == 'gyro_matrix')
+    assert not any(one.resolved or one.ci95 for one in cause.elements[6:8])
+    assert np.isfinite(cause.matrix[:2]).all()
+    assert np.isnan(cause.matrix[2, :2]).all()
+
+
+def test_more_white_noise_in_motion_is_told_from_more_drift() -> None:
+    found = noise_in_motion(drives_of(6, 30, gyro_noise=5.0), NOISE)
+    assert found is not None
+    assert found['gyro'].ci95[0] > 1.0
+    assert found.gyro.part in ('white', 'all')
+    assert found['accel'].ci95[0] < 1.0
+
+
+def test_the_quantile_of_the_t_distribution() -> None:
+    from scipy.special import stdtrit
+
+    for free in (3, 5, 10, 60):
+        assert _quantile_t(free) == pytest.approx(stdtrit(free, 0.975), rel=6e-3)
