@@ -15,6 +15,8 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from .version import __version__ as __version__
+
 if TYPE_CHECKING:
     from .api import Results, analyze, common, compare, inflate, load, sensor
     from .core.allan.curve import AxisCurve
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from .results.axis_result import AxisResult, adev, fit
     from .results.simulation import simulate
 
-__version__ = '1.0.0'
 
 __all__ = [
     'AllanError',

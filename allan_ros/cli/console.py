@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from .. import __version__
 from ..core.errors import one_line
+from ..version import __version__
 from .options import Group, Option
 
 EXIT_ERROR, EXIT_FAULT = 1, 70

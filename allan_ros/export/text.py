@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
-from .. import __version__
 from ..core.errors import AllanError, one_line
 from ..core.filters.growth import growth_table, predicted_growth
 from ..core.filters.reductions import horizon_text
@@ -22,6 +21,7 @@ from ..core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Model
 from ..core.number_text import duration_text, significant
 from ..results.from_datasheet import FROM_DATASHEET
+from ..version import __version__
 from . import ExportOptions, Form, Key, Row, Target, Value, target_of
 from .model import REFUSED, FilterNoise, notation_of
 

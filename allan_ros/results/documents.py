@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..core.allan.curve import CI_LEVEL, AxisCurve
 from ..core.allan.document import sums_from_document, sums_to_document
 from ..core.allan.sums import AllanSums
@@ -38,6 +37,7 @@ from ..core.stream.health import Counts, Segment
 from ..readers import SourceInfo
 from ..readers.files import PATH, read_json, to_json
 from ..readers.recorded import Provenance, RecordingSums
+from ..version import __version__
 from .analysis import analyze_recorded
 from .axis_result import AxisResult
 from .datasheets import comparison_from_document, comparison_to_document

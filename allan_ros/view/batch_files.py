@@ -14,7 +14,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from .. import __version__
 from ..core.allan.curve import AxisCurve
 from ..core.estimate import Estimate
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
@@ -22,6 +21,7 @@ from ..core.number_text import significant
 from ..results.plan import Limits
 from ..results.results import Results
 from ..results.unit_check import UnitCheck
+from ..version import __version__
 from .table import Cell, Heading, Record, Table, csv_text, html_table
 
 SUMMARY, INDEX = 'summary.csv', 'index.html'

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 import numpy
 import scipy
 
-from ... import __version__
 from ...core.findings import Finding
 from ...core.imu import AXES, SENSORS
 from ...core.number_text import duration_text, significant
@@ -31,6 +30,7 @@ from ...core.settings import UNIT_SYSTEMS
 from ...core.stream.signal import SignalSummary
 from ...results.axis_result import AxisResult
 from ...results.verdict import too_short
+from ...version import __version__
 from ..finding_text import texts_of
 from ..format import SENSOR_NAMES, pretty_unit
 from ..table import in_units
