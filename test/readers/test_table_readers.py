@@ -343,7 +343,7 @@ def test_an_unstated_unit_is_a_warning(
     back = read(path, **options)
     found = [f for f in back.findings if f.id == 'unit_assumed']
     assert [f.severity for f in found] == ['warning'] * len(assumed)
-    assert all('--gyro-unit' in str(f) for f in found)
+    assert all('--gyro-unit' in finding_line(f) for f in found)
     assert back.recording.options.gyro_unit == gyro_unit
     assert back.recording.options.accel_unit == 'm/s^2'
 
