@@ -20,6 +20,7 @@ from support.recordings import imu_batches, outcome, read, refused
 from allan_ros.core.imu import joined
 from allan_ros.readers import topics_of
 from allan_ros.readers.cdr import IMU_TYPE, encode_imus
+from allan_ros.view.finding_text import finding_line
 from fuzz.hostile_target import KINDS, MAKE, PLACES
 from fuzz.mcap_target import Plan, build
 from fuzz.reading import small_batch, write_bag
@@ -77,7 +78,7 @@ def test_a_count_that_differs_is_a_warning(storage: str, tmp_path: Path) -> None
         metadata.write_text(text.replace('message_count: 40', 'message_count: 3600'))
     back = read(path)
     assert [(f.id, f.severity) for f in back.findings] == [('count_differs', 'warning')]
-    assert 'states 3600 messages, but 40 were read' in str(back.findings[0])
+    assert 'states 3600 messages, but 40 were read' in finding_line(back.findings[0])
 
 
 @pytest.mark.parametrize('checksum', [True, False])
@@ -181,7 +182,7 @@ def test_a_chunk_that_became_another_record_is_missed(tmp_path: Path) -> None:
     assert 6_000 < len(back.stamps_ns) < 12_000
     assert 'count_differs' in ids(back)
     says = f'states 12000 messages, but {len(back.stamps_ns)} were read'
-    assert any(says in str(found) for found in back.findings)
+    assert any(says in finding_line(found) for found in back.findings)
 
 
 def database(tmp_path: Path, batches: list[Any], how: str = 'none') -> Path:

@@ -101,8 +101,8 @@ def test_dropouts_and_decimated_topics_are_reported(tmp_path: Path) -> None:
     path.write_bytes(log([(COMBINED_FORMAT, 'sensor_combined', 0, bodies)], dropout))
     back = read(path)
     assert [finding.id for finding in back.findings] == ['log_dropouts', 'log_decimated']
-    assert '1 time, for 0.25 s in total' in str(back.findings[0])
-    assert 'at 20 Hz, but sampled at 200 Hz' in str(back.findings[1])
+    assert '1 time, for 0.25 s in total' in finding_line(back.findings[0])
+    assert 'at 20 Hz, but sampled at 200 Hz' in finding_line(back.findings[1])
 
 
 def test_damaged_logs_are_rejected_or_read(tmp_path: Path) -> None:
