@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from support.recordings import outcome, read, refused
 
+from allan_ros.view.finding_text import finding_line
+
 pytest.importorskip('pyulog')
 
 START_US = 50_000_000
