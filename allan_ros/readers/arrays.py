@@ -30,7 +30,9 @@ from ..core.errors import AllanError
 from ..core.fields import MAX_INTEGER
 from ..core.findings import finding
 from ..core.imu import AXES, MAX_NAME, SENSORS, ImuBatch, even_stamps
-from . import (
+from .columns import EXAMPLE, FIRST_ROWS, Columns, columns_of
+from .files import open_regular
+from .recording import (
     MAX_CHUNK_BYTES,
     MAX_FILE_RATIO,
     ReadOptions,
@@ -41,8 +43,6 @@ from . import (
     in_batches,
     translated,
 )
-from .columns import EXAMPLE, FIRST_ROWS, Columns, columns_of
-from .files import open_regular
 
 NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE}
 """Number of columns of an array -> their names."""

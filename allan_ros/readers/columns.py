@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import AllanError
 from ..core.imu import AXES, SAMPLE_SI, SAMPLE_UNITS, SENSORS, STAMP_UNITS, UNITS
-from . import ReadOptions
+from .recording import ReadOptions
 from .unit_names import (
     NO_UNITS,
     SAMPLE_SPELLINGS,

@@ -24,9 +24,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from . import MAX_CHUNK_BYTES, damaged, translated
-from .bag import Messages, Topic, Truncation, among, decompress, normal_type
+from .bag_messages import Messages, Topic, Truncation, among, decompress, normal_type
 from .files import open_regular
+from .recording import MAX_CHUNK_BYTES, damaged, translated
 
 MAGIC = b'\x89MCAP0\r\n'
 

@@ -31,7 +31,8 @@ from ..core.stream.drive_recorder import NO_DRIVES, Drives
 from ..core.stream.health import Counts, Event, Segment
 from ..core.stream.pipeline import ImuStream
 from ..core.stream.signal import SignalEnvelope, TemperatureTrace
-from . import ReadOptions, Recording, SourceInfo, open_recordings
+from . import open_recordings
+from .recording import ReadOptions, Recording, SourceInfo
 
 EARLIEST_S = 978_307_200
 """2001-01-01 in Unix time; smaller stamps count from the start of a machine or a simulation."""

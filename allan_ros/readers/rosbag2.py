@@ -21,7 +21,19 @@ from ..core.errors import AllanError
 from ..core.findings import finding
 from ..core.imu import AXES, SENSORS, ImuBatch, joined
 from ..core.stream.signal import Decimated, TemperatureTrace, trace_of
-from . import (
+from .bag import MAX_MESSAGE_BYTES, Bag, bag_of
+from .bag_messages import (
+    Messages,
+    Payloads,
+    Topic,
+    Truncation,
+    among,
+    decompress,
+    frame_compression,
+)
+from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
+from .columns import listed
+from .recording import (
     BATCH,
     MAX_CHUNK_BYTES,
     METADATA,
@@ -31,20 +43,6 @@ from . import (
     SourceInfo,
     in_batches,
 )
-from .bag import (
-    MAX_MESSAGE_BYTES,
-    Bag,
-    Messages,
-    Payloads,
-    Topic,
-    Truncation,
-    among,
-    bag_of,
-    decompress,
-    frame_compression,
-)
-from .cdr import IMU_TYPE, Encoding, MalformedMessage, decode_imus, decode_temperature
-from .columns import listed
 
 if TYPE_CHECKING:
     from .bag import Storage

@@ -15,9 +15,9 @@ from urllib.parse import quote
 
 import numpy as np
 
-from . import damaged, translated
-from .bag import Messages, Topic, Truncation, normal_type
+from .bag_messages import Messages, Topic, Truncation, normal_type
 from .files import open_regular
+from .recording import damaged, translated
 
 ROWS = 512
 """Number of rows that are fetched from SQLite at a time: few enough for the processor cache."""

@@ -30,7 +30,6 @@ from ..core.errors import AllanError
 from ..core.findings import finding
 from ..core.imu import AXES, SAMPLE_SI, ImuBatch, even_stamps
 from ..core.stream.signal import Decimated, TemperatureTrace, trace_of
-from . import BATCH, ReadOptions, Recording, Report, SourceInfo
 from .columns import (
     DATES,
     EXAMPLE,
@@ -42,6 +41,7 @@ from .columns import (
     picked_names,
 )
 from .files import open_regular
+from .recording import BATCH, ReadOptions, Recording, Report, SourceInfo
 from .unit_names import to_celsius
 
 T = TypeVar('T')

@@ -24,7 +24,8 @@ from ..core.errors import AllanError
 from ..core.findings import finding
 from ..core.imu import AXES, SENSORS, ImuBatch
 from ..core.stream.signal import MAX_BINS, TemperatureTrace, trace_of
-from . import (
+from .files import open_regular
+from .recording import (
     ReadOptions,
     Recording,
     Report,
@@ -33,7 +34,6 @@ from . import (
     in_batches,
     optional_package,
 )
-from .files import open_regular
 
 TOPICS = ('sensor_combined', 'vehicle_imu')
 

@@ -21,8 +21,8 @@ import numpy as np
 
 from ..core.errors import AllanError
 from ..core.imu import AXES, NANOSECONDS, ImuBatch, joined
-from . import optional_package
 from .cdr import IMU_TYPE, encode_imus
+from .recording import optional_package
 from .tables import FRAME_COMMENT
 
 BAG_FILES = {'.mcap': 'MCAP', '.db3': 'SQLITE3'}

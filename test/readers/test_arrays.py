@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from support.recordings import read, refused
 
-from allan_ros import readers
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, STANDARD_GRAVITY, joined
-from allan_ros.readers import ReadOptions, arrays
+from allan_ros.readers import ReadOptions, arrays, recording
 
 RNG = np.random.default_rng(3)
 N = 1000
@@ -25,7 +24,7 @@ STAMPS = 1_700_000_000_000_000_001 + np.arange(N) * 5_000_000
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read every file in several blocks, of which the last is shorter."""
-    monkeypatch.setattr(readers, 'BATCH', 300)
+    monkeypatch.setattr(recording, 'BATCH', 300)
 
 
 def test_dates_are_not_samples() -> None:

@@ -1,0 +1,186 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages and topics of bag files, and decompression with a limit."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Collection
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import AllanError
+from .files import open_regular
+from .recording import (
+    MAX_CHUNK_BYTES,
+    MAX_FILE_RATIO,
+    optional_package,
+    translated,
+)
+
+_FRAME_MAGIC = {b'\x28\xb5\x2f\xfd': 'zstd', b'\x04\x22\x4d\x18': 'lz4'}
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of one bag file: its number in the file, name, and type (``package/msg/Name``).
+
+    ``encoding`` is the serialization of the messages: 'cdr', 'ros1', or one that cannot be read.
+    Raises ValueError when a name contains control characters, because then the file is damaged.
+    """
+
+    id: int
+    name: str
+    type: str
+    encoding: str
+
+    def __post_init__(self) -> None:
+        if not (self.name + self.type + self.encoding).isprintable():
+            raise ValueError('a topic name contains control characters')
+
+
+Payloads = list[bytes | memoryview] | NDArray[np.void]
+"""Serialized messages: one array if all have the same length, else a list."""
+
+
+@dataclass
+class Messages:
+    """Consecutive messages of a bag: topic ids and record times in ns, (n,), and their content."""
+
+    topics: NDArray[np.integer[Any]]
+    record_ns: NDArray[np.int64]
+    payloads: Payloads
+
+    @staticmethod
+    def none() -> Messages:
+        """Return no messages."""
+        return Messages(np.empty(0, np.int64), np.empty(0, np.int64), [])
+
+    def __len__(self) -> int:
+        return len(self.record_ns)
+
+    def chosen(self, rows: NDArray[np.intp]) -> Messages:
+        """Return the messages at these positions as copies."""
+        payloads: Payloads
+        if isinstance(self.payloads, np.ndarray):
+            payloads = self.payloads[rows]
+        else:
+            payloads = [bytes(self.payloads[i]) for i in rows.tolist()]
+        return Messages(self.topics[rows], self.record_ns[rows], payloads)
+
+    def followed_by(self, other: Messages) -> Messages:
+        """Return these messages and the others."""
+        return Messages(
+            np.concatenate([self.topics, other.topics]),
+            np.concatenate([self.record_ns, other.record_ns]),
+            [*self.payloads, *other.payloads],
+        )
+
+
+@dataclass(frozen=True)
+class Truncation:
+    """Readable bytes of a damaged file, and its original size (its current size if unknown)."""
+
+    read: int
+    size: int
+
+
+def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the numbers that are in ``ids``, a collection of few ids."""
+    mask = np.zeros(len(numbers), bool)
+    for number in ids:
+        mask |= numbers == number
+    return mask
+
+
+def normal_type(name: str) -> str:
+    """Return a message type in ROS 2 notation: ``sensor_msgs/msg/Imu`` for ``sensor_msgs/Imu``."""
+    package, *rest = name.split('/')
+    return f'{package}/msg/{rest[0]}' if len(rest) == 1 else name
+
+
+# --- decompression with a limit ------------------------------------------------------------------
+
+
+def frame_compression(head: bytes | memoryview) -> str:
+    """Return how a file or message is compressed, by its first bytes: 'zstd', 'lz4' or ''."""
+    return _FRAME_MAGIC.get(bytes(head[:4]), '')
+
+
+def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
+    """Return the decompressed content of a chunk or message.
+
+    ``compression`` is 'zstd', 'lz4', 'none' or ''. Raises ValueError when it is another one, when
+    the data are damaged, or when the content is longer than ``limit`` bytes.
+    """
+    if compression in ('', 'none'):
+        return bytes(data)
+    try:
+        size = _stated_size(data, compression)
+        if 0 <= size <= limit:
+            if not hasattr(_local, 'zstd'):
+                _local.zstd = _zstd().ZstdDecompressor()
+            return bytes(_local.zstd.decompress(data))
+        if size < 0:
+            plain = bytes(_expanding(BytesIO(data), compression).read(limit + 1))
+            size = len(plain)
+    except AllanError:
+        raise
+    except Exception as error:  # each library raises its own exceptions
+        raise ValueError(str(error) or type(error).__name__) from error
+    if size > limit:
+        raise ValueError(f'the data expand to more than {limit} bytes')
+    return plain
+
+
+def _stated_size(head: bytes | memoryview, compression: str) -> int:
+    """Return the decompressed size stated in the header of zstd data, or -1 if there is none."""
+    return int(_zstd().frame_content_size(head)) if compression == 'zstd' else -1
+
+
+def _expanding(file: BinaryIO, compression: str) -> Any:
+    if compression == 'zstd':
+        return _zstd().ZstdDecompressor().stream_reader(file, read_across_frames=True)
+    if compression == 'lz4':
+        return optional_package('lz4.frame', 'reading lz4 data').open(file)
+    raise ValueError(f'compression {compression!r} is unknown')
+
+
+def decompress_file(source: Path, compression: str, target: Path) -> None:
+    """Decompress the bag file ``source`` into the file ``target``.
+
+    Raises AllanError when it is damaged, expands by more than `MAX_FILE_RATIO`, or the disk is
+    full.
+    """
+    remedy = 'copy it again; check the space for temporary files'
+    with (
+        translated(source, (Exception,), remedy),  # each library raises its own exceptions
+        open_regular(source) as file,
+        target.open('wb') as out,
+    ):
+        limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
+        stated = _stated_size(file.read(18), compression)  # longest header, RFC 8878, 3.1.1
+        file.seek(0)
+        plain = _expanding(file, compression)
+        size = 0
+        while data := plain.read(1 << 20):
+            size += len(data)
+            if size > limit:
+                raise ValueError(f'it expands more than {MAX_FILE_RATIO} times')
+            out.write(data)
+        if size < max(stated, 1):
+            raise ValueError(f'{compression} data that end early')
+
+
+def _zstd() -> Any:
+    return optional_package('zstandard', 'reading zstd data')
+
+
+_local = threading.local()
+"""The decompressor of each thread, which is slow to create and must not be shared."""

@@ -1,0 +1,221 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A recording of an IMU, the options to read one, and the errors of files that cannot be read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import AllanError, one_line
+from ..core.findings import Finding
+from ..core.imu import (
+    AXES,
+    SAMPLE_SI,
+    SAMPLE_UNITS,
+    STAMP_UNITS,
+    ImuBatch,
+    sample_factors,
+    sensor_of,
+)
+from ..core.settings import CheckedSettings, parameter
+from .files import open_regular
+
+if TYPE_CHECKING:
+    from ..core.stream.signal import TemperatureTrace
+
+BATCH = 32768
+"""Number of samples per batch: few enough to fit into the processor cache, and enough to make the
+cost per batch negligible."""
+
+METADATA = 'metadata.yaml'
+
+MAX_CHUNK_BYTES = 128 * 2**20
+"""Largest size in bytes of a chunk or record, compressed or not; recorders write about 1 MB."""
+
+MAX_FILE_RATIO = 250
+"""Largest expansion of a compressed bag file; `MAX_CHUNK_BYTES` more are always allowed."""
+
+Report = Callable[[Finding], None]
+"""Function that a reader calls with each finding."""
+
+
+@dataclass(frozen=True)
+class ReadOptions(CheckedSettings):
+    """Options for reading a recording: its topic or columns, units, and sample rate."""
+
+    topic: str = parameter(
+        '', 'Imu topic of a bag, or instance of a log; needed only if there are several'
+    )
+    accel_topic: str = parameter(
+        '',
+        'Imu topic of a bag with the accelerometer, if the topic has only the gyro; it may have '
+        'another rate',
+    )
+    columns: tuple[str, ...] = parameter(
+        (),
+        'columns of a table: a name for each (- leaves one out), or gx=NAME,gy=NAME,... for '
+        'columns picked by their names in the header',
+    )
+    rate_hz: float = parameter(
+        0.0, 'sample rate of a table or array without stamps; 0: not given', unit='Hz', low=0.0
+    )
+    gyro_unit: str = parameter(
+        '',
+        'unit of the angular rate; empty: as stated in the recording, else rad/s',
+        choices=('', *SAMPLE_UNITS['gyro']),
+    )
+    accel_unit: str = parameter(
+        '',
+        'unit of the acceleration; empty: as stated in the recording, else m/s^2',
+        choices=('', *SAMPLE_UNITS['accel']),
+    )
+    stamp_unit: str = parameter(
+        '',
+        'unit of the stamp column of a table or array; empty: as stated in its name, else '
+        'recognized from the stamps',
+        choices=('', *STAMP_UNITS),
+    )
+
+    def in_si(self, batch: ImuBatch) -> ImuBatch:
+        """Convert samples from the units of the options to SI."""
+        known = self.with_units()
+        factors = sample_factors(known.gyro_unit, known.accel_unit)
+        if (factors == 1.0).all():
+            return batch
+        return replace(batch, samples=batch.samples * factors)
+
+    def with_units(self, found: Mapping[str, str] = {}) -> ReadOptions:
+        """Return the options with the unit of each sensor filled in.
+
+        The unit is that in ``found`` (sensor -> unit), else that in the options, else SI.
+        """
+        gyro = found.get('gyro') or self.gyro_unit or SAMPLE_SI['gyro']
+        accel = found.get('accel') or self.accel_unit or SAMPLE_SI['accel']
+        return replace(self, gyro_unit=gyro, accel_unit=accel)
+
+
+@dataclass(frozen=True)
+class SourceInfo:
+    """Source of samples: path as given, topic ('' if none), message type and storage format."""
+
+    path: str
+    topic: str
+    type: str
+    storage: str
+
+    def __post_init__(self) -> None:
+        # a name of a file may contain bytes that cannot be written as text
+        object.__setattr__(self, 'path', one_line(self.path))
+
+
+def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
+    """Yield the samples in batches of at most `BATCH` samples, which are views."""
+    for first in range(0, len(whole), BATCH):
+        yield whole[first : first + BATCH]
+
+
+@dataclass(eq=False)
+class Recording:
+    """A recording of an IMU, which can be read any number of times.
+
+    ``messages`` is the number of samples according to the recording; None if it is not known.
+    ``read`` yields the samples and reports findings. ``temperature`` returns the temperature for a
+    frame_id, once the samples are read; None if it is not recorded. ``options`` hold the units that
+    were found or assumed. ``axes`` are the axes that the recording can contain. ``close`` closes
+    its file until it is read again. ``accel`` is the recording of the accelerometer if it has its
+    own topic; else None. ``other_topics`` are Imu topics of the bag that are not read, the most
+    similar name first. ``findings`` are complete when all samples are read.
+    """
+
+    info: SourceInfo
+    messages: int | None
+    read: Callable[[Report], Iterator[ImuBatch]]
+    temperature: Callable[[str], TemperatureTrace | None] = lambda frame_id: None
+    options: ReadOptions = ReadOptions()
+    axes: tuple[str, ...] = AXES
+    close: Callable[[], None] = lambda: None
+    accel: Recording | None = None
+    other_topics: Sequence[str] = ()
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.options = self.options.with_units()
+
+    def batches(self) -> Iterator[ImuBatch]:
+        """Yield the samples in order, in batches of about `BATCH` with one frame_id each.
+
+        Raises AllanError when a part of the recording cannot be read.
+        """
+        found: list[Finding] = []
+        for batch in self.read(found.append):
+            self.findings = tuple(found)
+            yield batch
+        self.findings = tuple(found)
+
+    @property
+    def sensor(self) -> str:
+        """The sensor that the recording can contain; '' for both."""
+        first, *others = dict.fromkeys(map(sensor_of, self.axes))
+        return '' if others else first
+
+
+# --- errors and limits ---------------------------------------------------------------------------
+
+
+def damaged(path: Path, reason: object, remedy: str) -> AllanError:
+    """Return the error for a file that cannot be read; ``remedy`` is the advice to the user."""
+    words = ' '.join(str(reason).split())[:160] or type(reason).__name__
+    return AllanError(f'{path}: cannot be read ({words}): {remedy}')
+
+
+@contextmanager
+def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
+    """Context manager that converts the given exceptions to AllanError for a damaged file."""
+    try:
+        yield
+    except AllanError:
+        raise
+    except errors as error:
+        raise damaged(path, error, remedy) from error
+
+
+def optional_package(module: str, purpose: str) -> Any:
+    """Import and return a module; if missing, raise AllanError with the command to install it."""
+    try:
+        return import_module(module)
+    except ImportError:
+        package = module.split('.')[0]
+        # Ubuntu blocks pip (PEP 668)
+        by_apt = f' or "apt install python3-{package}"' if package in ('lz4', 'zstandard') else ''
+        raise AllanError(
+            f'{purpose} needs the Python package {package!r}: "pip install {package}"{by_apt}'
+        ) from None
+
+
+def first_bytes(path: Path) -> bytes:
+    """Return the first 64 bytes of a file.
+
+    Raises AllanError when it is missing, unreadable, not a regular file, empty, or a Git-LFS
+    pointer.
+    """
+    try:
+        with open_regular(path) as file:
+            head = file.read(64)
+    except FileNotFoundError:
+        raise AllanError(f'{path}: no such file or folder: check the path') from None
+    except OSError as error:
+        raise AllanError(
+            f'{path}: cannot be read ({error.strerror}): check its permissions'
+        ) from error
+    if not head:
+        raise AllanError(f'{path}: is empty (0 bytes): record or copy it again')
+    if head.startswith(b'version https://git-lfs'):
+        raise AllanError(
+            f'{path}: is a Git-LFS pointer, not the recording: fetch it with "git lfs pull"'
+        )
+    return head
