@@ -126,6 +126,10 @@ def _text_of(values: Sequence[Any], spec: str, units: str, spelled: Callable[[st
         return _quantities_text(values, int(spec.lstrip('QNBKRsignal') or 3), units, spelled)
     if isinstance(values[0], tuple):
         return ', '.join(f'{q.name} {_text_of([q], spec, units, spelled)}' for q in values[0])
+    each = dict.fromkeys(_plain_text(value, spec) for value in sorted(values))
+    if 1 < len(each) <= LISTED and ' ' not in ''.join(each) and max(values) > APART * min(values):
+        *first, last = each
+        return f'{", ".join(first)} and {last}'
     texts = [_plain_text(value, spec) for value in (min(values), max(values))]
     low, high = texts if len(values) > 1 else (texts[0], texts[0])
     number, _, unit = low.partition(' ')
@@ -168,6 +172,10 @@ def _quantities_text(
         interval = f' ({text(lowest)} to {text(highest)})'
     return f'{" to ".join(values)} {spelled(unit.name)}{interval}'
 
+
+LISTED, APART = 3, 1.1
+"""Up to this many numbers of several axes are listed if the largest one is larger than the smallest
+one by this ratio: their range could be read as a band of frequencies. Others are a range."""
 
 FAST_DEG_H = 36.0
 """Angular rate in deg/h from which a signal is printed in deg/s."""

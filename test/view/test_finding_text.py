@@ -127,6 +127,22 @@ def test_equal_causes_become_one_with_the_range_of_each_number():
     )
 
 
+def test_few_different_frequencies_are_listed_and_not_read_as_a_band():
+    def said(*frequencies):
+        axes = ('gyro_x', 'gyro_y', 'gyro_z', 'gyro_x')
+        found = [
+            finding('vibration', (axis,), frequency=frequency, amplitude=1e-3)
+            for axis, frequency in zip(axes, frequencies)
+        ]
+        (merged,) = grouped(found)
+        return texts_of(merged).message.partition(' Hz')[0]
+
+    assert said(31.4, 19.1, 19.1) == 'Vibration at 19.1 and 31.4'
+    assert said(31.4, 19.1, 25.0) == 'Vibration at 19.1, 25 and 31.4'
+    assert said(19.1, 19.3) == 'Vibration at 19.1 to 19.3'
+    assert said(10.0, 20.0, 30.0, 40.0) == 'Vibration at 10 to 40'
+
+
 def test_a_document_has_the_texts_in_its_units():
     found = example('vibration', 1e-5)
     for units in ('deg/h', 'SI'):
