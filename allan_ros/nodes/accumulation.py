@@ -271,7 +271,7 @@ class ImuWatch(Part):
         self._publish(self._total())
         note = finding('run_began_anew', kept=f'in {where}' if where else 'dropped')
         self._noted = (note,)
-        self._log.info(str(note))
+        self._log.info(finding_line(note))
 
     # --- sums out ---------------------------------------------------------------------------------
 
