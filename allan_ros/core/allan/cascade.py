@@ -164,7 +164,7 @@ class _RunningLevel:
     def phase(self, more: Floats) -> Floats:
         """Return the phase from the last summed point to the end of the block and ``more``."""
         own = self.points[:, _KEPT - 1 : _KEPT + self.fill]
-        return np.concatenate([own, more], axis=1) + self.origin
+        return (np.concatenate([own, more], axis=1) if more.shape[1] else own) + self.origin
 
     def close(self) -> LevelSums:
         """Return the sums of the full block, and begin a new one."""
@@ -233,12 +233,11 @@ def _octave_sums(
             o, samples.dtype.str
         )
     products = products.reshape(axes, number, 2 * columns)
-    late = products[:, 0 if before else 1 :, columns:]
-    early = products[:, : number - 1, :columns]
+    amplitudes = products[:, 0 if before else 1 :, columns:]
+    amplitudes[:, 1 if before else 0 :] += products[:, : number - 1, :columns]
     if before:
-        early = np.concatenate([before.early, early], axis=1)
+        amplitudes[:, :1] += before.early
     used, missing = _used_blocks(np.diff(interpolated[: number * half + 1 : half]), o, before)
-    amplitudes = early + late
     if not used.all():
         amplitudes = amplitudes[:, used]
     exact = amplitudes.astype(float)  # squares of large samples exceed the range of float32
