@@ -146,6 +146,20 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
             return arrays
 
 
+def array_in(path: Path, name: str) -> NDArray[Any]:
+    """Return an array of numbers or strings in a ``.npz`` file, which is empty if it is absent."""
+    with (
+        translated(path, _LIBRARY_ERRORS, REMEDY),
+        open_regular(path) as file,
+        zipfile.ZipFile(file) as archive,
+    ):
+        if f'{name}.npy' not in archive.namelist():
+            return np.empty(0)
+        limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
+        with archive.open(f'{name}.npy') as member:
+            return _array(member, f'{path}: array {name!r}', 'fiuU', limit)
+
+
 def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
     """Return the array in a file, of one of these kinds and at most ``limit`` bytes."""
     head = BytesIO(file.read(MAX_HEADER_BYTES))

@@ -10,8 +10,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..core.errors import AllanError, one_line
 from ..core.imu import MAX_NAME
 from .files import open_regular, read_yaml
@@ -94,12 +92,10 @@ def _custom_data(place: Path) -> Mapping[str, Any]:
 def _first_value(place: Path, name: str) -> object:
     """Return the first value in a column of a table, or of an array; None if there is none."""
     if place.suffix.lower() == '.npz':
-        try:
-            with np.load(place, allow_pickle=False) as arrays:
-                values = arrays[name].reshape(-1) if name in arrays.files else []
-                return values[0] if len(values) else None
-        except (OSError, ValueError, KeyError) as error:
-            raise AllanError(f'{place}: cannot be read ({error}): copy it again') from error
+        from .arrays import array_in
+
+        values = array_in(place, name).reshape(-1)
+        return values[0] if len(values) else None
     if place.suffix.lower() not in ('.csv', '.tsv'):
         raise AllanError(f'{place}: a serial from a column needs a table or an .npz file')
     with open_regular(place) as file:
