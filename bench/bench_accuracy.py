@@ -134,7 +134,7 @@ HOUR = 3600.0
 DAY = 24 * HOUR
 # A month on a robot, split at every drive and shock.
 MONTH = gyro(N=0.172, K=6.19)
-WITH_FLICKER = replace(MONTH, B=from_datasheet('B', 'gyro', 1.24))
+WITH_FLICKER = MONTH.changed(B=from_datasheet('B', 'gyro', 1.24))
 SCENARIOS = {
     'table1_x': Scenario(X, 100.0, 2 * HOUR, 10),
     'table1_y': Scenario(Y, 100.0, 2 * HOUR, 11),
@@ -143,8 +143,8 @@ SCENARIOS = {
     'white': Scenario(gyro(N=0.242), 100.0, 2 * HOUR, 14),
     'no_walk': Scenario(gyro(N=0.242, B=5.237), 100.0, 2 * HOUR, 6),
     'no_flicker': Scenario(gyro(N=0.242, K=31.807), 100.0, 2 * HOUR, 4),
-    'no_ramp': Scenario(replace(X, R=0.0), 100.0, 2 * HOUR, 5),
-    'ramp_no_walk': Scenario(replace(X, K=0.0), 100.0, 2 * HOUR, 8),
+    'no_ramp': Scenario(X.changed(R=0.0), 100.0, 2 * HOUR, 5),
+    'ramp_no_walk': Scenario(X.changed(K=0.0), 100.0, 2 * HOUR, 8),
     'quantized': Scenario(gyro(Q=4.0, N=0.242, K=31.807), 100.0, 2 * HOUR, 7),
     'five_minutes': Scenario(X, 100.0, 300.0, 0),
     'three_hours': Scenario(gyro(N=0.6, B=8.0, K=40.0), 200.0, 3 * HOUR, 13),
@@ -222,7 +222,7 @@ def table(scenario: str, fits: list[AxisFit]) -> str:
         '|---|---|---|---|---|---|---|---|',
     ]
     for term in TERMS:
-        truth = getattr(SCENARIOS[scenario].truth, term)
+        truth = SCENARIOS[scenario].truth.value(term)
         got = [Outcome.of(fit.noise[term]) for fit in fits]
         value = np.array([g.value for g in got])
         unit = shown_unit('gyro', term, 'deg/h')
