@@ -134,8 +134,8 @@ class Plan:
     ...     'rate': {'lower': 60, 'unit': 'Hz'},
     ... }, 'demo.yaml')
     >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
-    >>> [(c.axis, c.quantity, c.verdict) for c in plan.checks(results)][-2:]
-    [('gyro_z', 'N', 'within'), ('', 'rate', 'exceeds')]
+    >>> [(c.axis, c.quantity, c.verdict) for c in plan.checks(results)][:2]
+    [('', 'rate', 'exceeds'), ('gyro_x', 'N', 'within')]
     >>> plan.unchecked(results)[:2]
     ['gyro Q', 'gyro B']
     """
@@ -148,16 +148,18 @@ class Plan:
     def checks(self, results: Results) -> tuple[Check, ...]:
         """Return each limited quantity of the results, compared with its limits.
 
+        Those of the whole IMU come first, because they often explain the others.
+
         A quantity that the results do not contain is undecided.
         """
         found: list[Check] = []
+        for quantity, limits in self.whole.items():
+            known = self._of_unit(results, quantity)
+            found.append(self._check('', quantity, limits, *known))
         for axis, quantities in self.axes.items():
             for quantity, limits in quantities.items():
                 known = self._of_axis(results, axis, quantity, limits)
                 found.append(self._check(axis, quantity, limits, *known))
-        for quantity, limits in self.whole.items():
-            known = self._of_unit(results, quantity)
-            found.append(self._check('', quantity, limits, *known))
         return tuple(found)
 
     def limits_of(self, check: Check) -> Limits:

@@ -13,7 +13,8 @@ from ..core.imu import AXES, SENSORS, sensor_of
 from ..core.number_text import LIMIT_DIGITS, significant
 from ..results.plan import Limits, Plan
 from ..results.results import Results
-from ..results.unit_check import UnitCheck
+from ..results.unit_check import BROKEN, UnitCheck
+from ..results.verdict import WRONG_UNITS
 from .finding_text import texts_of
 from .verdict_text import finding_text, verdict_of
 
@@ -85,14 +86,18 @@ def unit_sentences(check: UnitCheck, results: Results, units: str) -> list[str]:
 
     ``units`` is 'deg/h' or 'SI'.
     """
-    said, plan = [], check.plan
+    suspect = [each for each in grouped(check.suspect) if each.id != 'exceeds_limit']
+    # a wrong unit of measurement explains the numbers, and so does a broken axis
+    causes = [each for each in suspect if each.id in (*BROKEN, *WRONG_UNITS, 'accel_scale')]
+    said = [finding_text(each, results, units) for each in causes[:1]]
+    plan = check.plan
     beyond, undecided = check.of('exceeds'), check.of('undecided')
     if plan and beyond:
         said.append(f'Beyond {plan.name}: {checks_text(beyond, plan)}.')
     compared = results.comparisons or not plan
     if compared:
-        said.append(verdict_of(results, units).summary)
-    suspect = [each for each in grouped(check.suspect) if each.id != 'exceeds_limit']
+        summary = verdict_of(results, units).summary
+        said += [summary] if summary not in said else []
     for i, each in enumerate(suspect[:SHOWN_FINDINGS]):
         if not any(texts_of(each, units).message in sentence for sentence in said):
             said.append(finding_text(each, results, units))

@@ -15,7 +15,7 @@ from allan_ros.cli.main import main
 
 
 @pytest.mark.parametrize(
-    ('arw', 'code', 'word'), [(1.0, 0, 'healthy'), (0.05, 3, 'failed'), (0.2, 3, 'failed')]
+    ('arw', 'code', 'word'), [(0.4, 0, 'healthy'), (0.05, 3, 'failed'), (0.2, 3, 'failed')]
 )
 def test_a_datasheet_decides(
     recording: Path,
