@@ -94,8 +94,8 @@ def _first_value(place: Path, name: str) -> object:
     if place.suffix.lower() == '.npz':
         from .arrays import array_in
 
-        values = array_in(place, name).reshape(-1)
-        return values[0] if len(values) else None
+        found = array_in(place, name).reshape(-1)
+        return found[0] if len(found) else None
     if place.suffix.lower() not in ('.csv', '.tsv'):
         raise AllanError(f'{place}: a serial from a column needs a table or an .npz file')
     with open_regular(place) as file:
