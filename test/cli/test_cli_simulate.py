@@ -1,13 +1,12 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-from dataclasses import astuple
-
 import numpy as np
 import pytest
 
 from allan_ros.cli.main import main
 from allan_ros.core.fit import TERMS
 from allan_ros.core.imu import shown_unit
+from allan_ros.core.noise import Model
 from allan_ros.core.simulate import PRESETS
 from allan_ros.readers import open_recordings
 from allan_ros.results.datasheets import load_sensor
@@ -32,7 +31,7 @@ def test_the_preset_is_table_1_of_the_paper(tmp_path):
     assert len(stamps) == 1800 and np.array_equal(np.diff(stamps), [20_000_000] * 1799)
     for axis, terms in PRESETS['paper'].items():
         for term in TERMS:
-            value = getattr(truth[axis], term) * shown_unit(axis, term, 'deg/h').factor
+            value = truth[axis].value(term) * shown_unit(axis, term, 'deg/h').factor
             assert value == pytest.approx(terms.get(term, 0.0))
     assert samples[:, 5].mean() == pytest.approx(9.80665, abs=0.01)
 
@@ -52,11 +51,11 @@ def test_single_terms_go_before_the_datasheet(tmp_path):
         tmp_path / 'a.npz', '--sensor', 'adis16475-3', '--gyro-y', 'N=0.5,R=-3', '--accel', 'B=9'
     )
     limits = load_sensor('adis16475-3').limits['gyro_x']
-    assert astuple(truth['gyro_x']) == (0.0, limits['N'].value, limits['B'].value, 0.0, 0.0)
-    assert truth['gyro_y'].B == truth['gyro_x'].B
-    assert truth['gyro_y'].N * shown_unit('gyro', 'N', 'deg/h').factor == pytest.approx(0.5)
-    assert truth['gyro_y'].R * shown_unit('gyro', 'R', 'deg/h').factor == pytest.approx(-3)
-    assert truth['accel_z'].B * shown_unit('accel', 'B', 'deg/h').factor == pytest.approx(9)
+    assert truth['gyro_x'] == Model.of(N=limits['N'].value, B=limits['B'].value)
+    assert truth['gyro_y'].value('B') == truth['gyro_x'].value('B')
+    for axis, term, stated in (('gyro_y', 'N', 0.5), ('gyro_y', 'R', -3.0), ('accel_z', 'B', 9.0)):
+        factor = shown_unit(axis[:-2], term, 'deg/h').factor
+        assert truth[axis].value(term) * factor == pytest.approx(stated)
 
 
 def test_faults_are_passed_on_and_a_truth_can_be_simulated_again(tmp_path):
@@ -104,5 +103,5 @@ def test_an_existing_recording_is_kept_by_default(tmp_path, capsys):
     assert main(['simulate', str(out), *SHORT, '--gyro', 'N=2']) == 1
     assert 'exists already' in capsys.readouterr().err
     kept = read_noise(truth_path(out))['gyro_x']
-    assert astuple(kept) == pytest.approx((0.0, np.pi / 180 / 60, 0.0, 0.0, 0.0))
+    assert [kept.value(term) for term in TERMS] == pytest.approx([0.0, np.pi / 180 / 60, 0, 0, 0])
     simulate(out, '--gyro', 'N=2', '--overwrite')

@@ -197,8 +197,11 @@ def drive_errors(drive: Drive) -> DriveErrors:
     >>> rates = np.tile([1.01 * np.pi / 2, 0.0, 0.0], (100, 1))
     >>> drive = Drive(0.0, 0.01, rates, up, rest(0.0, 0.0, 1.0), rest(0.0, 1.0, 0.0))
     >>> found = drive_errors(drive)
-    >>> bool(np.allclose(found.residual[:3], 0.01 * found.gyro_matrix[:3, 0], rtol=0.02))
+    >>> bool(np.allclose(found.residual[:3], 0.01 * found.gyro_matrix[:3, 0], atol=2e-3))
     True
+    >>> at_rest = [NoiseAtRest(1e-8, lambda M, j: np.zeros(np.shape(j)))] * 6
+    >>> sorted(found.covariances(at_rest))
+    ['accel_slow', 'accel_white', 'gyro_slow', 'gyro_white', 'rests']
     """
     rates, force, dt = drive.gyro - drive.before.gyro, drive.accel, drive.tau0
     n, total = len(rates), drive.duration
