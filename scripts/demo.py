@@ -15,7 +15,6 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -70,7 +69,7 @@ def comparison(results: Results, truth: AxesNoise) -> Iterator[str]:
     inside = []
     for axis, result in results.axes.items():
         for term in TERMS:
-            true, coefficient = asdict(truth[axis])[term], result.fit.noise[term]
+            true, coefficient = truth[axis].value(term), result.fit.noise[term]
             unit = shown_unit(axis, term, 'deg/h')
             inside.append(holds(coefficient, abs(true)))
             yield (

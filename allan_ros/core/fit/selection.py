@@ -17,7 +17,8 @@ from functools import cached_property
 import numpy as np
 
 from ..allan.grid import LONGEST_BLOCK, octave
-from ..noise import PROCESS_TYPES
+from ..noise import PROCESS_TYPES, PROCESSES, SEARCHED
+from ..noise.process import LEAST_PERIODS, Search
 from .likelihood import TERMS, AxisData, Fit
 from .model import K, N
 from .statistics import Component, Floats, Statistics, contrasts
@@ -50,9 +51,6 @@ inaccurate; with all, a strong sinusoid would have to be as narrow as the model.
 LINES_PER_OCTAVE = 3
 """Sinusoids within an octave that can imitate any smooth spectrum (no axis)."""
 
-LEAST_PERIODS = 3.0
-"""Fewest periods of a sinusoid or resonance in the longest segment. A slow drift imitates fewer."""
-
 WANDER = 1e-3
 """Relative uncertainty of the frequency of a sinusoid."""
 
@@ -76,6 +74,9 @@ EXCLUDED = 1e-6
 TOLERANCE = 0.03
 """Change of -2 log L below which the fit of a candidate ends."""
 
+LOW_BANDS = ('dense', 'rank two', 'none')
+"""Forms of the covariance in the low band (`Process.low_band`), in the order of the candidates."""
+
 PROMISING = 0.4
 """Share of its threshold that the approximate gain of a candidate must reach to be fitted. It saves
 time: without it, the same processes are found in records without any."""
@@ -93,31 +94,39 @@ class Candidates:
     statistics: Statistics
 
     @cached_property
+    def search(self) -> Search:
+        """Range of shapes that the data can tell apart."""
+        known = self.statistics
+        block = np.array([octave(o).length for o in known.octave.tolist()], float)
+        return Search(known.longest, known.step, known.crossover, known.f, block, SHORTEST_TIME)
+
+    @cached_property
+    def by_kind(self) -> tuple[list[Component], ...]:
+        """All candidates, one group per kind, of which the best one is fitted.
+
+        They are in the order of `LOW_BANDS`.
+        """
+        kinds = sorted(SEARCHED, key=lambda kind: LOW_BANDS.index(kind.low_band))
+        return tuple([(kind.name, *p.shape) for p in kind.grid(self.search)] for kind in kinds)
+
+    def _with(self, low_band: str) -> list[Component]:
+        """Return the candidates of all kinds with one form of the covariance in the low band."""
+        return [
+            each
+            for group in self.by_kind
+            for each in group
+            if PROCESSES[each[0]].low_band == low_band
+        ]
+
+    @cached_property
     def times(self) -> list[Component]:
-        """Gauss-Markov processes with correlation times up to the longest segment."""
-        most = math.log2(max(self.statistics.longest / SHORTEST_TIME, 1.0))
-        return [('gauss_markov', SHORTEST_TIME * 2.0**k) for k in np.arange(0.0, most + 0.01, 0.5)]
+        """Processes with a correlation time only, such as Gauss-Markov processes."""
+        return self._with('dense')
 
     @cached_property
     def lines(self) -> list[Component]:
-        """Sinusoids at the frequencies of the bins and between them, of `LEAST_PERIODS` or more."""
-        known = self.statistics
-        highest = min(known.crossover, 0.5 / known.step)
-        low = np.arange(LEAST_PERIODS, known.longest * highest, 0.5) / known.longest
-        width = np.diff(known.f, append=known.f[-1:] if len(known.f) else [])
-        same = np.append(np.diff(known.octave) == 0, False) if len(known.f) else width > 0
-        between = (known.f + width / 2.0)[same]
-        every = np.unique(np.concatenate([low, known.f, between]))
-        return [('sinusoid', float(f)) for f in every if 0.0 < f < 0.49]
-
-    @cached_property
-    def broad(self) -> list[Component]:
-        """Processes with frequency and correlation time, at frequencies above the block means."""
-        kinds = [k for k, v in PROCESS_TYPES.items() if v.shape == ('frequency', 'time')]
-        f = self.statistics.f[self.statistics.f > 2.0 * self.statistics.crossover]
-        return [
-            (kind, float(x), float(1.5 * c / x)) for kind in kinds for x in f for c in BANDWIDTHS
-        ]
+        """Sinusoids."""
+        return self._with('rank two')
 
     def narrowest(self, frequency: float) -> float:
         """Return the correlation time from which a process looks like a sinusoid in the spectra.
@@ -127,11 +136,6 @@ class Candidates:
         f, each = self.statistics.f, self.statistics.octave
         at = int(np.argmin(np.abs(f - frequency))) if len(f) else 0
         return float(octave(int(each[at]) if len(f) else 0).length)
-
-    @property
-    def by_kind(self) -> tuple[list[Component], ...]:
-        """All candidates in groups of which the best one is fitted."""
-        return self.times, self.lines, self.broad
 
     @property
     def all(self) -> list[Component]:

@@ -31,6 +31,10 @@ LARGEST = 1e150
 """Largest coefficient whose square is a float; a document may state any number."""
 
 
+LEAST_PERIODS = 3.0
+"""Fewest periods of a sinusoid or resonance in the longest segment. A slow drift imitates fewer."""
+
+
 class Parameter(NamedTuple):
     """One number of the shape of a process. Its name is the name of a field of the class."""
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import math
 from dataclasses import fields
 from pathlib import Path
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 import allan_ros
+import allan_ros as ar
 from allan_ros.core.findings import CATALOG
 from allan_ros.core.noise.derived import (
     avar,
@@ -25,7 +27,9 @@ from allan_ros.core.noise.derived import (
     simulate,
 )
 from allan_ros.core.noise.process import Process, Search
+from allan_ros.core.noise.processes.white import White
 from allan_ros.core.noise.registry import PROCESSES, REPLACEMENTS, SEARCHED, TERMS
+from allan_ros.results.documents import results_from_document, results_to_document
 
 N = 4096
 """Samples of a simulated record."""
@@ -161,6 +165,27 @@ def test_every_process_with_a_shape_is_found_by_the_fit() -> None:
                 low, high = each.bounds(parameter, SEARCH)
                 assert 0.0 < low <= high and value < 2.0 * high
     assert [one.letter for one in TERMS] == ['Q', 'N', 'B', 'K']
+
+
+SHAPE = {'s': 100.0, 'Hz': 0.05}
+"""Numbers of the shape of a process in the tests of the fit, in samples and cycles per sample."""
+
+
+@pytest.mark.parametrize('one', SEARCHED, ids=lambda one: one.name)
+def test_the_fit_finds_the_process_and_all_outputs_have_it(one: type[Process]) -> None:
+    """It has the variance of the white noise, so that it is found in every record."""
+    process = one(*(SHAPE[parameter.unit] for parameter in one.parameters))
+    y = simulate([(1.0, White()), (1.0, process)], 40_000, np.random.default_rng(2))
+    results = ar.analyze(1e-4 * y, rate=100.0, axes='gyro_z', motion_gate=False)
+    model = results['gyro_z'].fit.model
+    assert [part.process.name for part in model.shaped.parts] == [one.name]
+    (part,) = model[one.name]
+    assert part.process.in_unit(0.01).shape == pytest.approx(process.shape, rel=0.5)
+    assert part.process.title in results['gyro_z'].part_adev([1, 10, 100])
+    stored = results_from_document(json.loads(json.dumps(results_to_document(results))))
+    assert stored['gyro_z'].fit.model[one.name] == (part,)
+    assert one.name in results.export('state_space') or process.states() is None
+    assert one.finding in {finding.id for finding in results.findings}
 
 
 NAMED = {

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..process import FREQUENCY, Floats, Process, Search
+from ..process import FREQUENCY, LEAST_PERIODS, Floats, Process, Search
 
 SLOW_SINUSOID_HZ = 0.1
 """Sinusoids up to this frequency are treated as drift of the sensor (temperature cycles); faster
@@ -61,7 +61,7 @@ class Sinusoid(Process):
     def grid(cls, search: Search) -> Iterator[Process]:
         """Yield sinusoids at the frequencies of the bins and between them."""
         f, highest = search.f, min(search.crossover, 0.5 / search.step)
-        low = np.arange(1.0, search.longest * highest, 0.5) / search.longest
+        low = np.arange(LEAST_PERIODS, search.longest * highest, 0.5) / search.longest
         width = np.diff(f, append=f[-1:] if len(f) else [])
         same = np.append(np.diff(search.block) == 0.0, False) if len(f) else width > 0.0
         between = (f + width / 2.0)[same]
