@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
             'the targets'
         )
     from ..export import make_export, target_of
-    from ..export.text import against, verdicts
+    from ..export.own_file import against, verdicts
     from ..readers.files import write_atomic
     from ..results.documents import load
 
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         results = load(args.results)
     if args.against:
-        drifts = against(results, args.to, read_text(args.against, MAX_BYTES), options)
+        drifts = against(results, target_of(args.to), read_text(args.against, MAX_BYTES), options)
         if console.json:
             compared = [{**drift._asdict(), 'ratio': drift.ratio} for drift in drifts]
             console.document({'target': args.to, 'against': args.against, 'drift': compared})

@@ -21,8 +21,8 @@ from ..core.filters.state_space import StateSpace
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import Model
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
-from . import ANY_NODE, INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
 from .model import FilterNoise, Notation, clamped, rounded
+from .target import ANY_NODE, INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
 from .text import json_form, xml_form, yaml_form
 
 SCHEMA = 'allan_ros/state_space/3'

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import ANY_NODE, INS_HORIZON_S, Key, Target, Value, keys_of, noise_keys
+from .target import ANY_NODE, INS_HORIZON_S, Key, Target, Value, keys_of, noise_keys
 from .text import json_form, line_form, opencv_form, yaml_form
 
 KALIBR_KEYS = keys_of("""

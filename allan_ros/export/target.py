@@ -1,0 +1,198 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Types of an export: the keys, rows and conventions of a file, and the options of the user."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from ..core.filters.reductions import Level
+from ..core.findings import Finding
+from ..core.settings import CheckedSettings, parameter
+
+VIO_HORIZON_S = 30.0
+"""Longest integration in s between corrections by a camera or lidar."""
+
+INS_HORIZON_S = 100.0
+"""Longest integration in s between corrections by GNSS, including outages."""
+
+SIMULATOR_HORIZON_S = 1000.0
+"""Time in s up to which a simulated sensor should drift like the real one."""
+
+ANY_NODE = ('/**', 'ros__parameters')
+"""Top-level keys of ROS 2 parameters for any node that loads the file by --params-file."""
+
+Value = Any
+"""The value of a key in a file: a number, a string, a list or a mapping of these."""
+
+
+@dataclass(frozen=True)
+class ExportOptions(CheckedSettings):
+    """Options of a file for a filter."""
+
+    inflate: float = parameter(
+        1.0,
+        'Factor on every noise level, for vibration and model errors that add to the noise at '
+        'rest; measure it with `allan inflate`.',
+        low=1.0,
+        high=1000.0,
+    )
+    filter_rate: float = parameter(
+        0.0,
+        'Rate at which the filter processes samples; 0: rate of the recording, or the fixed rate '
+        'of the filter.',
+        unit='Hz',
+        low=0.0,
+        high=1e6,
+    )
+    fidelity: str = parameter(
+        'reduction',
+        'N and K of the file: a reduction, in which K is raised until the predicted error growth '
+        'covers the complete model, or the coefficients as measured.',
+        choices=('reduction', 'coefficients'),
+    )
+    horizon: float = parameter(
+        0.0,
+        'Longest time that the filter integrates without correction, over which the reduction '
+        'holds; 0: the default of the target (30 s for cameras and lidars, 100 s for GNSS).',
+        unit='s',
+        low=0.0,
+        high=1e6,
+    )
+    topic: str = parameter(
+        '', 'The Imu topic to name in the file; empty: the topic of the recording.'
+    )
+    force: bool = parameter(
+        False, 'Write the file although the units of the samples are probably wrong.'
+    )
+
+
+class Key(NamedTuple):
+    """One key of a file and the quantity that is written there."""
+
+    name: str
+    sensor: str  # 'gyro' or 'accel'; '-' for both, where N or K is the larger of the two
+    # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
+    # 'common_tau': correlation time of all axes, in h; 'rate'; 'topic'
+    what: str
+    unit: str = ''  # one of `model.NOTATIONS`, or a unit
+    limits: tuple[float, float] | None = None  # range that the filter accepts
+
+
+@dataclass(frozen=True)
+class Row:
+    """One key of a file with its value and the origin of the value."""
+
+    path: tuple[str, ...]  # the key, preceded by the keys of the mappings that contain it
+    value: Value
+    words: str = ''  # formula, axis and interval of the number as text; '' if it is not measured
+    unit: str = ''  # '' if it is not measured
+    # 95 % interval of the number in the unit of the file: (0, number) for an upper limit, (0, inf)
+    # if it is unknown; of three numbers the widest
+    interval: tuple[float, float] = (0.0, math.inf)
+    levels: tuple[Level, ...] = ()  # the measured noise levels from which it is computed
+    findings: tuple[Finding, ...] = ()  # information for the user of the file
+
+    @property
+    def key(self) -> str:
+        """The last key of the path."""
+        return self.path[-1]
+
+    @property
+    def name(self) -> str:
+        """Name of the ROS parameter: the keys below ``ros__parameters``, joined by dots."""
+        path = self.path[2:] if self.path[:2] == ANY_NODE else self.path
+        return '.'.join(path)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The numbers: one, or three for x, y and z."""
+        return tuple(self.value) if isinstance(self.value, list) else (self.value,)
+
+    @property
+    def ratio(self) -> float:
+        """Ratio of the upper to the lower end of the interval; infinite if the lower end is 0."""
+        low, high = self.interval
+        return high / low if low > 0.0 else math.inf
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether the number comes from a 95 % upper limit."""
+        return any(level.is_limit for level in self.levels)
+
+    @property
+    def no_interval(self) -> bool:
+        """Whether the number comes from a value without a 95 % interval."""
+        return any(level.no_interval for level in self.levels)
+
+
+def keys_of(table: str) -> tuple[Key, ...]:
+    """Return the keys of a table with a line ``name sensor what [unit [low..high]]`` for each.
+
+    These are the attributes of `Key`; the default unit is 'density'.
+    """
+    found = []
+    for line in table.strip().splitlines():
+        name, sensor, what, *rest = line.split()
+        unit = rest[0] if rest else 'density'
+        low, high = map(float, rest[1].split('..')) if len(rest) > 1 else (0.0, 0.0)
+        found.append(Key(name, sensor, what, unit, (low, high) if high else None))
+    return tuple(found)
+
+
+def noise_keys(names: str, unit: str = 'density') -> tuple[Key, ...]:
+    """Return four keys, with ``names`` separated by spaces: gyro N, accel N, gyro K, accel K."""
+    whats = ('gyro N', 'accel N', 'gyro K', 'accel K')
+    return keys_of('\n'.join(f'{name} {what} {unit}' for name, what in zip(names.split(), whats)))
+
+
+RAISED = 'Raised numbers cover B and correlated noise, for which such a filter has no states.'
+"""Explanation of numbers that are larger than the coefficients as measured."""
+
+
+def origin_text(level: Level) -> str:
+    """Return how a number for a filter differs from the coefficient as measured."""
+    name = f'{level.term} of {level.axis.replace("_", " ")}'
+    if level.raised_from == 0.0:
+        return f'{name} is not resolved: set to cover the error growth'
+    words = f'{name} is not resolved: its 95 % upper limit' if level.is_limit else name
+    if level.raised_from is None:
+        return words if level.is_limit else f'{name} as measured'
+    factor, measured = level.value / level.raised_from, level.raised_from
+    return f'{words}, raised {factor:.3g} times from {measured:.4g} as measured'
+
+
+Form = Callable[[Sequence[Row], Sequence[str]], str]
+"""Text format: (rows, lines of the header) -> text of a file."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A filter, simulator or calibration tool."""
+
+    file_name: str  # name of its file in a results folder
+    convention: str  # meaning of the numbers, and the source file of the target that shows it
+    form: Form
+    keys: tuple[Key, ...] = ()  # the keys of the file
+    parent: tuple[str, ...] = ()  # the mappings that contain the keys
+    fixed: Mapping[str, Value] = field(default_factory=dict)  # required, but not measured
+    notes: tuple[str, ...] = ()  # further information for the user of this file
+    # yields the rows of a file that is too complex for a table, from a `model.FilterNoise`
+    rows: Callable[[Any], Iterable[Row]] | None = None
+    three: bool = False  # whether the file takes x, y and z of a sensor; else the largest
+    rate_hz: float | None = None  # the filter's own rate; None if it steps with the samples
+    horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
+    # whether the target models the bias as a random walk; then N and K are adjusted together
+    walk: bool = True
+    # whether the numbers bound the error growth, as a filter needs; else they approximate it
+    bound: bool = True
+
+
+class Export(NamedTuple):
+    """The text of a file for a filter, and findings about its numbers."""
+
+    text: str
+    findings: tuple[Finding, ...]
