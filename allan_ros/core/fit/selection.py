@@ -35,7 +35,7 @@ GAIN_RESOLVED = 5.41
 
 MAX_PROCESSES = 6
 
-SHORTEST_TIME = 1.0
+SHORTEST_TIME = 2.0
 """Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
 
 FAST = 8.0

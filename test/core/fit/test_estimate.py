@@ -30,7 +30,7 @@ def simulated(n, axes, seed, terms=TRUTH):
 
 
 def fits(y, cuts=()):
-    axes = tuple(f'gyro_{i}' for i in range(y.shape[1]))
+    axes = tuple(f'axis_{i}' for i in range(y.shape[1]))
     return list(fit_noise(sums_of(y, cuts=cuts, axes=axes)).axes.values())
 
 
@@ -169,13 +169,11 @@ def test_a_gauss_markov_process_is_found(time):
 
 
 @pytest.mark.parametrize('size', [0.3, 1.0])
-@pytest.mark.parametrize('samples', [1.5, 2, 4, 8])
+@pytest.mark.parametrize('samples', [2, 4, 8])
 def test_fast_gauss_markov_noise_is_no_low_pass_filter(samples, size):
     """N within 10 %: four standard errors of the most uncertain case (2 samples)."""
-    rng = np.random.default_rng(round(samples))
-    y = simulated(120_000, 4, round(samples), FLAT) + size * WHITE * markov(
-        120_000, samples / 100, rng, 4
-    )
+    rng = np.random.default_rng(samples)
+    y = simulated(120_000, 4, samples, FLAT) + size * WHITE * markov(120_000, samples / 100, rng, 4)
     for fit in fits(y):
         assert not fit.filtered and not fit.model['resonance'] and not fit.lack_of_fit
         ((process, *_),) = fit.model['gauss_markov']
