@@ -30,7 +30,7 @@ def simulated(n, axes, seed, terms=TRUTH):
 
 
 def fits(y, cuts=()):
-    axes = tuple(f'axis_{i}' for i in range(y.shape[1]))
+    axes = tuple(f'gyro_{i}' for i in range(y.shape[1]))
     return list(fit_noise(sums_of(y, cuts=cuts, axes=axes)).axes.values())
 
 
