@@ -255,7 +255,7 @@ def coarse(u: Unit) -> None:
     u.gyro[:] = np.rint(u.gyro / step) * step
 
 
-def louder(u: Unit) -> None:
+def noisier(u: Unit) -> None:
     y = u.gyro[u.half :, u.x]
     y += 0.9 * u.size * u.noise * u.random.normal(size=len(y))
 
@@ -270,7 +270,7 @@ FAULTS: tuple[Callable[[Unit], None], ...] = (
     *(swapped, inverted, upside_down_gyro_bias, accel_bias, accel_scale, filtered),
     *(filtered_accel, thermal, settling, in_g, labeled_g, noisy_gyro, noisy_accel, quiet_gyro),
     *(flicker, walk, lost, gap, heavy_tails, repeats, no_gyro, popcorn, tilted, moved, spikes),
-    *(coarse, louder, copied),
+    *(coarse, noisier, copied),
 )
 
 

@@ -110,7 +110,7 @@ class Cause:
 class DriveRatio:
     """Errors of one drive over their prediction from the noise at rest, root mean square.
 
-    ``duration`` is that of the drive in s, ``turned`` the angle by which it turned in rad;
+    ``duration`` is the duration of the drive in s, ``turned`` the angle it turned in rad;
     ``rotation`` is the ratio of the errors of the rotation, ``velocity`` of the velocity.
     """
 

@@ -152,8 +152,9 @@ class DriveErrors:
     def covariances(self, noise: Sequence[NoiseAtRest]) -> dict[str, Floats]:
         """Return the covariances (7, 7) of the residuals if the noise is as at rest.
 
-        ``noise`` is that of the six axes. The keys are 'gyro_white', 'gyro_slow', 'accel_white',
-        'accel_slow' for the noise during the drive, and 'rests' for the means of the rests.
+        ``noise`` has one item for each of the six axes. The keys are 'gyro_white', 'gyro_slow',
+        'accel_white' and 'accel_slow' for the noise during the drive, and 'rests' for the means of
+        the rests.
         """
         density = np.array([each.white for each in noise])[:, None, None]
         lags = np.arange(len(self.slow))
@@ -304,8 +305,8 @@ class _Blocks(NamedTuple):
     def weights(self, samples: Floats, first: Floats, last: Floats) -> Floats:
         """Return the weights (blocks, 7, 6) of block means.
 
-        ``samples``, (n, 7, 6), are those of the samples, ``first`` and ``last``, (7, 6), those of
-        the means at the rests.
+        ``samples``, (n, 7, 6), are the weights of the samples; ``first`` and ``last``, (7, 6), are the
+        weights of the means at the rests.
         """
         starts = np.flatnonzero(np.diff(self.inside, prepend=-1))
         out = np.zeros((self.number, *first.shape))

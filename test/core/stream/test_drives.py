@@ -11,7 +11,6 @@ import pytest
 
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
-from allan_ros.core.stream.drive_recorder import DriveRecorder
 from allan_ros.core.stream.drives import Drive, NoiseAtRest, Rest, drive_errors
 
 RATE = 50.0
@@ -127,7 +126,3 @@ def test_the_covariance_is_that_of_simulated_noise(sensor: str, terms: Model) ->
             variance = np.diag(sum(found.covariances(axes).values()) + earth)[rows]
             ratios.append(np.mean(found.residual[rows] ** 2 / variance))
     assert 0.3 < np.mean(ratios) < 2.0
-
-
-def test_samples_of_one_axis_order_are_required_by_the_recorder_only() -> None:
-    assert DriveRecorder(0.01).result.errors == ()
