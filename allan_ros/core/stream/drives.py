@@ -305,8 +305,8 @@ class _Blocks(NamedTuple):
     def weights(self, samples: Floats, first: Floats, last: Floats) -> Floats:
         """Return the weights (blocks, 7, 6) of block means.
 
-        ``samples``, (n, 7, 6), are the weights of the samples; ``first`` and ``last``, (7, 6), are the
-        weights of the means at the rests.
+        ``samples``, (n, 7, 6), are the weights of the samples. ``first`` and ``last``, (7, 6), are
+        the weights of the means at the rests.
         """
         starts = np.flatnonzero(np.diff(self.inside, prepend=-1))
         out = np.zeros((self.number, *first.shape))
