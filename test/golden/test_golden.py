@@ -30,7 +30,7 @@ def test_differences_name_the_path_and_both_values() -> None:
         Difference('new', 'absent', [3.0]),
     ]
     measured = {'axes/gyro_x/curve/adev': [1.0]}, {'axes/gyro_x/curve/adev': [1.0 + 2e-9]}
-    fitted = {'axes/gyro_x/N': [1.0]}, {'axes/gyro_x/N': [1.0 + 2e-9]}
+    fitted = {'axes/gyro_x/N': [1.0]}, {'axes/gyro_x/N': [1.0 + 2e-6]}
     assert differences(*measured) and differences(*fitted, strict=True)
     assert differences(*fitted) == []
     assert differences({'a': [1.0]}, {'a': ['nan']}) == [Difference('a', 1.0, 'nan', math.inf)]
