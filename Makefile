@@ -22,6 +22,9 @@ SITE := .venv-site
 # depend on the Python or the numpy of the environment that runs the tests.
 LINT_PINS := mypy==2.4.1 ruff==0.17.5
 LINT_TYPES := numpy==2.4.6 rich==15.0.0 hypothesis==6.170.15
+# No test runs all benchmarks and scripts: names and arguments that do not exist must be found without.
+SCRIPT_TYPES := --config-file= --python-version 3.11 --ignore-missing-imports --follow-imports silent \
+	--check-untyped-defs --disable-error-code arg-type --disable-error-code index --disable-error-code union-attr
 # What Ubuntu 22.04 (ROS 2 Humble) ships.
 FLOOR_PINS := numpy==1.21.* scipy==1.8.* matplotlib==3.5.*
 
@@ -64,6 +67,7 @@ lint: $(LINT)/.ready  ## check style and types
 	$(LINT)/bin/ruff check .
 	$(LINT)/bin/ruff format --check .
 	$(LINT)/bin/mypy
+	$(LINT)/bin/mypy $(SCRIPT_TYPES) bench scripts
 
 format: $(LINT)/.ready  ## format the code and fix what ruff can fix
 	$(LINT)/bin/ruff check --fix .

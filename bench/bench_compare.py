@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Iterable
 
 from scipy.stats import beta
 
 import allan_ros as ar
+from allan_ros.core.compare import Check
 from allan_ros.core.simulate import PRESETS
 
 RATE = 50.0
@@ -49,7 +51,9 @@ def main() -> None:
     parser.add_argument('--within', type=float, default=0.1)
     parser.add_argument('--seed', type=int, default=0)
     args = parser.parse_args()
-    alarms, at_limit, equal = 0, Counter(), Counter()
+    alarms = 0
+    equal: Counter[tuple[str, str]] = Counter()
+    at_limit: Counter[tuple[str, str]] = Counter()
     for pair in range(args.pairs):
         seed = 3 * (args.seed * args.pairs + pair)
         first, second = (simulated(args.hours, seed + i) for i in (1, 2))
@@ -69,7 +73,7 @@ def main() -> None:
             print(f"{term} {what}: 'same' in {same} of {n} axes ({low:.1%} to {high:.1%})")
 
 
-def _answers(differences: object, within: float) -> list[tuple[str, str]]:
+def _answers(differences: Iterable[Check], within: float) -> list[tuple[str, str]]:
     """Return (term, answer) for each coefficient that both recordings resolve."""
     return [
         (d.quantity, d.equivalence(within))

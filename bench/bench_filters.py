@@ -180,8 +180,8 @@ def _growth_band(axis: ar.AxisResult, seconds: float) -> list[tuple[float, float
     terms = {name: model.value(name) for name in 'NBKR'}
     records = REALITY['draw'](n, 1.0, terms, rng, BAND_RECORDS)
     for process, sigma, *_ in model['gauss_markov']:
-        tau = process.correlation_time
-        records += REALITY['gauss_markov'](n, 1.0, sigma, tau, rng, BAND_RECORDS)
+        time = process.numbers['correlation_time']
+        records += REALITY['gauss_markov'](n, 1.0, sigma, time, rng, BAND_RECORDS)
     bands = []
     for horizon in GROWTH_S:
         predicted = float(predicted_growth(model, horizon, WINDOW_S))

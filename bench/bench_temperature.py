@@ -61,7 +61,7 @@ def show(records: int, seed: int) -> Iterator[tuple[str, ...]]:
             )
             warmer = (celsius - CENTER)[:, None]
             y = drift + B0 + factor * warmer * (B1 + B2 * warmer)
-            y += rng.normal(size=(n, 3)) * gyro('N').N * np.sqrt(RATE)
+            y += rng.normal(size=(n, 3)) * gyro('N').value('N') * np.sqrt(RATE)
             engine = RunningSums(axes=AXES[:3])
             engine.update(y, 0, round((n - 1) / RATE * 1e9))
             engine.end_segment()

@@ -103,8 +103,10 @@ def main() -> None:
     parser.add_argument('scenarios', nargs='+', choices=sorted(SCENARIOS))
     for name in parser.parse_args().scenarios:
         scenario = SCENARIOS[name]
-        *squares, r = scenario.truth.in_sample_units(1.0 / scenario.rate)
-        power = np.array(squares)
+        tau0 = 1.0 / scenario.rate
+        q, w, b, k, r = (scenario.truth.value(term) for term in 'QNBKR')
+        # in the squared unit of the samples; the time unit is the sample period
+        power = np.array([(q / tau0) ** 2, w**2 / tau0, b**2, k**2 * tau0])
         powers, ramp = bound(round(scenario.rate * scenario.seconds), power)
         cells = [
             f'{term} {50.0 * sd / p:.3f} %'
@@ -112,7 +114,7 @@ def main() -> None:
             if p > 0.0
         ]
         if r != 0.0:
-            cells.append(f'R {100.0 * ramp / abs(r):.1f} %')
+            cells.append(f'R {100.0 * ramp / abs(r * tau0):.1f} %')
         print(name, *cells, sep='  ')
 
 

@@ -219,6 +219,13 @@ def _object_section(name: str) -> str:
     return '\n\n'.join(parts) + '\n'
 
 
+STARS: dict[object, str] = {
+    inspect.Parameter.VAR_POSITIONAL: '*',
+    inspect.Parameter.VAR_KEYWORD: '**',
+}
+"""Kind of a parameter -> stars before its name."""
+
+
 def _signature(thing: Any) -> str:
     """Return the parameters with defaults, without types."""
     words, starred = [], False
@@ -228,7 +235,7 @@ def _signature(thing: Any) -> str:
         if parameter.kind is parameter.KEYWORD_ONLY and not starred:
             words.append('*')
             starred = True
-        mark = {parameter.VAR_POSITIONAL: '*', parameter.VAR_KEYWORD: '**'}.get(parameter.kind, '')
+        mark = STARS.get(parameter.kind, '')
         default = parameter.default
         shown = '' if default is parameter.empty else f'={default!r}'
         words.append(f'{mark}{parameter.name}{shown}')
