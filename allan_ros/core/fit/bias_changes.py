@@ -20,12 +20,13 @@ from ..allan.periods import BlockMeans
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..imu import SENSORS, sensor_of
-from ..noise import unit_avar
+from ..noise import TERMS, Process
+from ..noise.derived import avar
+from ..noise.processes.sinusoid import daily_cycle
 from ..number_text import duration_text
-from .likelihood import TERMS, AxisData, Columns, Fit, LowBand
-from .method import daily_cycle
+from .likelihood import AxisData, Columns, Fit, LowBand
 from .model import K
-from .statistics import Component, Floats, Group, Statistics, contrasts, lower_edge
+from .statistics import Floats, Group, Statistics, contrasts, lower_edge
 
 GAIN_WARM_UP = 16.5
 """Least gain in -2 log L of a warm-up, summed over the axes of a sensor: 1 % per sensor. The
@@ -82,7 +83,7 @@ class Segment:
         Spectra of all data, and contrasts of this segment only.
     lowest : int
         Lowest octave that is used.
-    components : tuple of Component
+    components : tuple of Process
         Noise of the segment: the terms, and a daily cycle in a long one.
     """
 
@@ -90,7 +91,7 @@ class Segment:
     tau0: float
     known: Statistics
     lowest: int
-    components: tuple[Component, ...]
+    components: tuple[Process, ...]
 
     @classmethod
     def of(cls, known: Statistics, means: BlockMeans | None, tau0: float) -> Segment | None:
@@ -189,8 +190,8 @@ class AxisSegment:
 
     def deviation(self, fit: Fit, m: float) -> float:
         """Return the Allan deviation of the terms of a fit at the averaging factor m, in SI."""
-        avar = sum(p * float(unit_avar(max(m, 1.0), *c)) for p, c in zip(fit.p, TERMS))
-        return math.sqrt(avar * self.data.scale)
+        variance = sum(p * float(avar(c, max(m, 1.0))) for p, c in zip(fit.p, TERMS))
+        return math.sqrt(variance * self.data.scale)
 
     def walk(self, fit: Fit) -> float:
         """Return the variance of the random walk of a fit per sample, in SI."""

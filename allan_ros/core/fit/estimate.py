@@ -17,10 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..allan.grid import octave
-from .likelihood import TERMS, AxisData, Fit, inverse
+from ..noise import TERMS, Process
+from ..noise.process import GAIN_RESOLVED
+from .likelihood import AxisData, Fit, inverse
 from .model import N, Q
-from .selection import GAIN_RESOLVED, Candidates, Selection, is_fast
-from .statistics import Component
+from .selection import Candidates, Selection
+from .statistics import LowPassCurvature
 
 LACK_OF_FIT = 1e-3
 """Probability of the chi^2 test of the octaves below which a model is rejected: 0.1 % (0.05 %)."""
@@ -43,7 +45,7 @@ processes may imitate the filter, and the fit takes up to four times as long."""
 TOPS = tuple(0.5 / 2**i for i in range(8))
 """Highest frequencies of a fit in cycles per sample."""
 
-FILTER = ('Q2',)
+FILTER = LowPassCurvature()
 
 
 class SelectedModel(NamedTuple):
@@ -124,11 +126,11 @@ class _Trial(NamedTuple):
 
 
 def estimate(
-    data: AxisData, candidates: Candidates, possible: Component | None = None
+    data: AxisData, candidates: Candidates, possible: Process | None = None
 ) -> SelectedModel:
     """Return the estimate for one axis.
 
-    ``possible`` is a component whose shape is known, such as a daily cycle. It is in the model if
+    ``possible`` is a process whose shape is known, such as a daily cycle. It is in the model if
     it is resolved beside all other components.
     """
     if possible is None:
@@ -193,7 +195,7 @@ def _highest(rules: Selection) -> _Trial:
     ):
         if _leaves_white_noise(rules):
             trial = _trial(rules, tops[0])
-            if trial.verdict.holds and any(map(is_fast, trial.fit.components)):
+            if trial.verdict.holds and any(c.bends_spectrum for c in trial.fit.components):
                 return trial
         tops = tops[1:]
         while len(tops) > 1 and _relative_power(rules.data, tops[0]) < LOST_POWER[1]:
@@ -216,7 +218,7 @@ def _leaves_white_noise(rules: Selection) -> bool:
     A low-pass filter does not.
     """
     base = rules.fit(rules.base)
-    fast = [c for c in rules.candidates.times if is_fast(c)]
+    fast = [c for c in rules.candidates.times if c.bends_spectrum]
     fits = [rules.fit((*rules.base, c), np.append(base.p, base.p[N])) for c in fast]
     best = min(fits, key=lambda each: each.value)
     return float(best.p[N]) > WHITE_NOISE * math.sqrt(best.covariance()[N, N])
@@ -224,7 +226,7 @@ def _leaves_white_noise(rules: Selection) -> bool:
 
 def _is_rather_filter(rules: Selection, fit: Fit) -> bool:
     """Return whether the fast Gauss-Markov processes of a fit are not better than a filter."""
-    fast = np.array([is_fast(c) for c in fit.components])
+    fast = np.array([c.bends_spectrum for c in fit.components])
     if rules.signed or not fast.any():
         return False
     kept = [c for c, one in zip(fit.components, fast) if not one]

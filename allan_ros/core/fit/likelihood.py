@@ -19,14 +19,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..noise import PROCESS_TYPES
+from ..noise import Parameter, Process
 from ..nonnegative import nonnegative_least_squares
-from .statistics import Component, Floats, Statistics
+from .statistics import Floats, Statistics
 
 Flags = NDArray[np.bool_]
-
-TERMS: tuple[Component, ...] = (('Q',), ('N',), ('B',), ('K',))
-"""The terms that every model contains, with coefficients of 0 or more."""
 
 LEVEL_95 = 3.841
 """Decrease of -2 log L at the ends of a 95 % interval."""
@@ -35,8 +32,12 @@ RIDGE = 1e-9
 """Relative ridge of the information matrix: coefficients that the data cannot tell apart share
 their variance instead of making the matrix singular."""
 
-TANGENT_STEP = {'time': 1e-3, 'frequency': 1e-4}
-"""Step in the logarithm of a number of a shape for the derivative of the expectation."""
+
+class Shape(NamedTuple):
+    """One number of the shape of a component."""
+
+    at: int  # index of the component
+    parameter: Parameter
 
 
 class Columns(NamedTuple):
@@ -52,7 +53,8 @@ class Fit:
 
     Attributes
     ----------
-    components : tuple
+    components : tuple of Process
+        Their shapes are in samples.
     p : (components,) array
         Coefficients, in units of `AxisData.scale`.
     value : float
@@ -66,7 +68,7 @@ class Fit:
         Coefficients that may be negative.
     """
 
-    components: tuple[Component, ...]
+    components: tuple[Process, ...]
     p: Floats
     value: float
     columns: Columns
@@ -158,21 +160,17 @@ class AxisData:
         used = np.ones(len(power), bool)
         return cls(statistics, axis, scale, power / scale, low, statistics.dof, used)
 
-    def columns(
-        self, components: Sequence[Component], tangents: Sequence[tuple[int, int]] = ()
-    ) -> Columns:
+    def columns(self, components: Sequence[Process], tangents: Sequence[Shape] = ()) -> Columns:
         """Return the expectations of components, then their derivatives d/d log(shape).
 
-        ``tangents`` are pairs: index of a component, index of a number of its shape.
+        ``tangents`` are numbers of the shapes of some components.
         """
         columns = [self.statistics.column(each, self.axis) for each in components]
         power = [each.power for each in columns]
         low = [[each.low[g][1:, 1:] for each in columns] for g in range(len(self.low))]
-        for i, at in tangents:
-            kind, *shape = components[i]
-            h = TANGENT_STEP[PROCESS_TYPES[kind].shape[at]]
-            shape[at] *= math.exp(h)
-            above = self.statistics.column((kind, *shape), self.axis)
+        for i, parameter in tangents:
+            h = parameter.derivative_step
+            above = self.statistics.column(components[i].scaled(parameter, math.exp(h)), self.axis)
             power.append((above.power - power[i]) / h)
             for group, a in zip(low, above.low):
                 group.append((a[1:, 1:] - group[i]) / h)
@@ -221,7 +219,7 @@ class AxisData:
 
     def solve(
         self,
-        components: Sequence[Component],
+        components: Sequence[Process],
         columns: Columns | None = None,
         p: Floats | None = None,
         held: Mapping[int, float] | None = None,
@@ -233,7 +231,7 @@ class AxisData:
 
         Parameters
         ----------
-        components : sequence of Component
+        components : sequence of Process
         columns : Columns, optional
             Expectations of the components, if already computed.
         p : array, optional
@@ -300,11 +298,10 @@ class Interval(NamedTuple):
     gain: float
 
 
-def information_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[tuple[int, int]]) -> Floats:
+def information_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[Shape]) -> Floats:
     """Return the Fisher information of the coefficients of a fit, then of the shapes.
 
-    ``shapes`` are pairs: index of a component, index of a number of its shape. The unknown is the
-    logarithm of this number times the coefficient.
+    The unknown that belongs to a shape is the logarithm of its number times the coefficient.
     """
     columns = data.columns(fit.components, shapes)
     moments = data.moments(columns, np.append(fit.p, np.zeros(len(shapes))))

@@ -13,15 +13,18 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..estimate import Estimate, Status
 from ..findings import Finding, finding
-from ..noise import PROCESSES, Model, Part
+from ..noise import Model, Part, Process
 from ..noise.model import Covariance
+from ..noise.process import GAIN_RESOLVED
 from ..noise.processes.low_pass import LowPass
+from ..noise.processes.sinusoid import daily_cycle
 from .estimate import SelectedModel, estimate
 from .findings import axis_findings, merge_equal
 from .likelihood import (
     AxisData,
     Interval,
     RampEstimate,
+    Shape,
     information_with_shapes,
     inverse,
     profile_interval,
@@ -39,8 +42,8 @@ from .model import (
     Q,
     coefficient_to_si,
 )
-from .selection import GAIN_RESOLVED, Candidates
-from .statistics import Component, Statistics, statistics
+from .selection import Candidates
+from .statistics import Statistics, statistics
 
 RAMP_RESOLVED = 2.58 / 1.96
 """Least |R| in units of the half width of its interval for R to be resolved: two-sided 1 % (1.0 %
@@ -51,16 +54,6 @@ LEAST_DRIFT_S = 10.0
 
 LEAST_STATISTICS = 12
 """Fewest bins and contrasts of a fit."""
-
-DAY_S = 86400.0
-
-
-def daily_cycle(samples: int, tau0: float) -> Component | None:
-    """Return the daily cycle, which may be in the model of a segment of more than 18 h.
-
-    The temperature of most rooms follows it.
-    """
-    return ('sinusoid', tau0 / DAY_S) if samples * tau0 > 0.75 * DAY_S else None
 
 
 def fit_likelihood(sums: AllanSums, known: Statistics | None = None) -> NoiseModel:
@@ -120,9 +113,9 @@ def axis_fit(result: SelectedModel, tau0: float, brief: bool = False) -> AxisFit
     rules, data, fit = result.rules, result.rules.data, result.fit
     fit = data.solve(fit.components, fit.columns, fit.p, signed=rules.signed)
     shaped = [
-        (k, at)
+        Shape(k, parameter)
         for k, c in enumerate(fit.components)
-        for at in range(len(c) - 1)
+        for parameter in c.parameters
         if fit.p[k] > 0.0 and c not in rules.base
     ]
     information = information_with_shapes(data, fit, shaped)
@@ -152,12 +145,12 @@ def axis_fit(result: SelectedModel, tau0: float, brief: bool = False) -> AxisFit
     if brief:
         noise |= {t: Estimate(None, status='not_observable') for t in 'BKR'}
     errors = {
-        key: math.sqrt(max(every[n + i, n + i], 0.0)) / float(fit.p[key[0]])
-        for i, key in enumerate(shaped)
-        if fit.p[key[0]] > 0.0
+        one: math.sqrt(max(every[n + i, n + i], 0.0)) / float(fit.p[one.at])
+        for i, one in enumerate(shaped)
+        if fit.p[one.at] > 0.0
     }
     parts, order = _processes(fit.components, fit.p * scale, covariance, errors, tau0)
-    walk = 0.0 if len(fit.components[K]) > 1 else noise['K'].value
+    walk = 0.0 if fit.components[K].parameters else noise['K'].value
     terms = Model.of(
         **{t: noise[t].value or 0.0 for t in 'QNB'},
         K=walk or 0.0,
@@ -224,10 +217,10 @@ def _drift_of_model(ramp: RampEstimate | None, resolved: bool, tau0: float) -> f
 
 
 def _processes(
-    components: Sequence[Component],
+    components: Sequence[Process],
     p: Floats,
     covariance: Floats,
-    errors: Mapping[tuple[int, int], float],
+    errors: Mapping[Shape, float],
     tau0: float,
 ) -> tuple[list[Part], list[int]]:
     """Return the processes with a shape in SI, and the indices of their coefficients.
@@ -235,15 +228,17 @@ def _processes(
     ``errors`` are the relative errors of the numbers of the shapes.
     """
     found = []
-    for k, (name, *shape) in enumerate(components):
+    for k, process in enumerate(components):
         variance = float(p[k])
-        if not shape or variance <= 0.0:
+        if not process.parameters or variance <= 0.0:
             continue
-        process = PROCESSES[name](*shape)
         value = process.coefficient_of(variance, tau0)
         process = process.in_unit(1.0 / tau0)
         relative = math.sqrt(max(covariance[k, k], 0.0)) / variance
-        ends = (_around(x, errors.get((k, at), 0.0)) for at, x in enumerate(process.shape))
+        ends = (
+            _around(process.numbers[parameter.name], errors.get(Shape(k, parameter), 0.0))
+            for parameter in process.parameters
+        )
         found.append((Part(process, value, _around(value, relative / 2.0), tuple(ends)), k))
     found.sort(key=lambda one: (one[0].process.name, one[0].process.shape))
     return [part for part, _ in found], [k for _, k in found]
@@ -256,7 +251,7 @@ def _around(value: float, relative: float) -> tuple[float, float]:
 
 
 def _covariance(
-    components: Sequence[Component], covariance: Floats, order: list[int], tau0: float
+    components: Sequence[Process], covariance: Floats, order: list[int], tau0: float
 ) -> Covariance:
     """Return the covariance of the squared coefficients in SI."""
     order = [k for k in order if k >= len(RANDOM_TERMS)]
@@ -264,9 +259,9 @@ def _covariance(
     names = list(RANDOM_TERMS)
     numbers: Counter[str] = Counter()
     for k in order:
-        name, *shape = components[k]
+        name = components[k].name
         names.append(f'{name} {numbers[name]}')
         numbers[name] += 1
-        units.append(PROCESSES[name](*shape).coefficient_of(1.0, tau0) ** 2)
+        units.append(components[k].coefficient_of(1.0, tau0) ** 2)
     at = [*range(len(RANDOM_TERMS)), *order]
     return Covariance(tuple(names), covariance[np.ix_(at, at)] * np.outer(units, units))

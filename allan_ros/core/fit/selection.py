@@ -17,32 +17,19 @@ from functools import cached_property
 import numpy as np
 
 from ..allan.grid import LONGEST_BLOCK, octave
-from ..noise import PROCESS_TYPES, PROCESSES, SEARCHED
-from ..noise.process import LEAST_PERIODS, Search
-from .likelihood import TERMS, AxisData, Fit
-from .model import K, N
-from .statistics import Component, Floats, Statistics, contrasts
-
-GAIN_PROCESS = 11.0
-"""Least gain in -2 log L of one more process, plus 2 log(bins) if it has a frequency: 1 % of axes
-(0.7 % with `GAIN_BOUNDED`; sinusoids and resonances: none)."""
-
-GAIN_BOUNDED = 7.0
-"""Least gain in -2 log L of a bounded random walk instead of K, at any correlation time: 1 %."""
-
-GAIN_RESOLVED = 5.41
-"""Least gain in -2 log L from 0 for a term to be resolved: one-sided 1 % (B 1.0, K 1.0 %)."""
+from ..noise import REPLACEMENTS, SEARCHED, TERMS, Parameter, Process
+from ..noise.process import FREQUENCY, LEAST_PERIODS, Search
+from .likelihood import AxisData, Fit, Shape
+from .model import N
+from .statistics import Floats, Statistics, contrasts
 
 MAX_PROCESSES = 6
 
+LEAST_BINS = 8
+"""Smallest number of bins for which the threshold of a search over frequencies is computed."""
+
 SHORTEST_TIME = 2.0
 """Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
-
-FAST = 8.0
-"""Correlation time in samples below which a Gauss-Markov process has a spectrum like a low-pass
-filter. It must be better by `GAIN_RESOLVED` than a filter with as many coefficients (Q and f^4):
-real filters that remove up to 15 % of the power gain at most 1.9, a process of 2 samples with a
-third of the standard deviation of the white noise at least 6.9 in 10 min at 100 Hz."""
 
 LEAST_LINE_DOF = 100.0
 """Least degrees of freedom of a bin that a sinusoid dominates. With fewer, the amplitude is
@@ -53,13 +40,6 @@ LINES_PER_OCTAVE = 3
 
 WANDER = 1e-3
 """Relative uncertainty of the frequency of a sinusoid."""
-
-BANDWIDTHS = (1.0, 3.0)
-"""Correlation times of the candidates with a frequency, in periods. Shorter ones than the first are
-not allowed: they imitate a low-pass filter."""
-
-LONGEST_MOVE = {'time': 0.7, 'frequency': 0.06}
-"""Longest step in the logarithm of a number of a shape: a factor of two, and half a bin."""
 
 ALIASED = 0.1
 """Variance of the block means, or power of a bin, due to the alias of a fast sinusoid, relative to
@@ -82,11 +62,6 @@ PROMISING = 0.4
 time: without it, the same processes are found in records without any."""
 
 
-def is_fast(component: Component) -> bool:
-    """Return whether a component is a Gauss-Markov process with a spectrum like a filter."""
-    return bool(component[0] == 'gauss_markov' and component[1] < FAST)
-
-
 @dataclass(frozen=True, eq=False)
 class Candidates:
     """Processes that may be added, with their expectations; equal for all axes of a recording."""
@@ -101,44 +76,30 @@ class Candidates:
         return Search(known.longest, known.step, known.crossover, known.f, block, SHORTEST_TIME)
 
     @cached_property
-    def by_kind(self) -> tuple[list[Component], ...]:
+    def by_kind(self) -> tuple[list[Process], ...]:
         """All candidates, one group per kind, of which the best one is fitted.
 
         They are in the order of `LOW_BANDS`.
         """
         kinds = sorted(SEARCHED, key=lambda kind: LOW_BANDS.index(kind.low_band))
-        return tuple([(kind.name, *p.shape) for p in kind.grid(self.search)] for kind in kinds)
+        return tuple(list(kind.grid(self.search)) for kind in kinds)
 
-    def _with(self, low_band: str) -> list[Component]:
+    def _with(self, low_band: str) -> list[Process]:
         """Return the candidates of all kinds with one form of the covariance in the low band."""
-        return [
-            each
-            for group in self.by_kind
-            for each in group
-            if PROCESSES[each[0]].low_band == low_band
-        ]
+        return [each for each in self.all if each.low_band == low_band]
 
     @cached_property
-    def times(self) -> list[Component]:
+    def times(self) -> list[Process]:
         """Processes with a correlation time only, such as Gauss-Markov processes."""
         return self._with('dense')
 
     @cached_property
-    def lines(self) -> list[Component]:
+    def lines(self) -> list[Process]:
         """Sinusoids."""
         return self._with('rank two')
 
-    def narrowest(self, frequency: float) -> float:
-        """Return the correlation time from which a process looks like a sinusoid in the spectra.
-
-        Its bandwidth is then a third of the width of a bin.
-        """
-        f, each = self.statistics.f, self.statistics.octave
-        at = int(np.argmin(np.abs(f - frequency))) if len(f) else 0
-        return float(octave(int(each[at]) if len(f) else 0).length)
-
-    @property
-    def all(self) -> list[Component]:
+    @cached_property
+    def all(self) -> list[Process]:
         return [each for group in self.by_kind for each in group]
 
     @cached_property
@@ -172,7 +133,7 @@ class Candidates:
     @cached_property
     def slow(self) -> int:
         """Number of sinusoids in `lines` that are slow enough to change the block means."""
-        return sum(f < 2.0 * self.statistics.crossover for _, f in self.lines)
+        return sum(line.shape[0] < 2.0 * self.statistics.crossover for line in self.lines)
 
     @cached_property
     def waves(self) -> list[Floats]:
@@ -180,7 +141,7 @@ class Candidates:
 
         The sum of their squares is the covariance for a random phase.
         """
-        f = np.array([each[1] for each in self.lines[: self.slow]])
+        f = np.array([line.shape[0] for line in self.lines[: self.slow]])
         step = self.statistics.step
         gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)
         out = []
@@ -223,7 +184,7 @@ class Candidates:
         rest = own - np.sum(cross * np.linalg.solve(known, cross.T).T, axis=1)
         left = (fit.moment - fit.information @ fit.p)[on] / size
         score = score - cross @ np.linalg.solve(known, left)
-        first = np.array([each[1] for each in self.all])
+        first = np.array([each.shape[0] for each in self.all])
         allowed = np.where(np.arange(len(first)) < n, first >= shortest, first < fastest)
         # with less information of its own, a candidate cannot be told from the model
         allowed &= (score > 0.0) & (rest > 1e-5 * own)
@@ -238,7 +199,7 @@ class Selection:
     ----------
     data : AxisData
     candidates : Candidates
-    base : tuple of Component
+    base : tuple of Process
         Components that every model contains.
     signed : tuple of int
         Coefficients that may be negative: q if the samples are low-pass filtered.
@@ -248,22 +209,21 @@ class Selection:
 
     data: AxisData
     candidates: Candidates
-    base: tuple[Component, ...] = TERMS
+    base: tuple[Process, ...] = TERMS
     signed: tuple[int, ...] = ()
     shortest: float = SHORTEST_TIME
     fastest: float = 0.5
 
-    def threshold(self, kind: str) -> float:
-        """Return the least gain in -2 log L of one more process.
+    def threshold(self, process: Process) -> float:
+        """Return the least gain in -2 log L of one more process."""
+        return process.threshold(max(len(self.data.power), LEAST_BINS))
 
-        The search over the frequencies of sinusoids increases it by 2 log(bins). A resonance of
-        infinite correlation time is a sinusoid, so it must be better than that by `GAIN_RESOLVED`.
-        """
-        shape, bins = PROCESS_TYPES[kind].shape, max(len(self.data.power), 8)
-        search = 2.0 * math.log(bins) * ('frequency' in shape)
-        return GAIN_PROCESS + search + GAIN_RESOLVED * (len(shape) - 1)
+    @cached_property
+    def search(self) -> Search:
+        """Range of shapes that the used data can tell apart."""
+        return replace(self.candidates.search, shortest=self.shortest)
 
-    def fit(self, components: Sequence[Component], p: Floats | None = None) -> Fit:
+    def fit(self, components: Sequence[Process], p: Floats | None = None) -> Fit:
         """Return the fit of some components."""
         return self.data.solve(components, None, p, signed=self.signed, tolerance=TOLERANCE)
 
@@ -289,18 +249,18 @@ class Selection:
         best, least = None, math.inf
         ends = np.cumsum([len(each) for each in self.candidates.by_kind])
         for each, part in zip(self.candidates.by_kind, np.split(gains, ends[:-1])):
-            if not each or part.max() < PROMISING * self.threshold(each[0][0]):
+            if not each or part.max() < PROMISING * self.threshold(each[0]):
                 continue
             seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
             new = self.fit((*fit.components, each[int(part.argmax())]), np.append(fit.p, seed))
             new = self.refined(new, [len(fit.p)], 3)
-            if new.value + self.threshold(each[0][0]) < least:
-                best, least = new, new.value + self.threshold(each[0][0])
+            if new.value + self.threshold(each[0]) < least:
+                best, least = new, new.value + self.threshold(each[0])
         if best is None:
             return None
         best = self.refined(self._located(best), range(len(self.base), len(best.p)))
-        best = self._with_sinusoids(best)
-        return best if best.value + self.threshold(best.components[-1][0]) < fit.value else None
+        best = self._with_limits(best)
+        return best if best.value + self.threshold(best.components[-1]) < fit.value else None
 
     def _located(self, fit: Fit) -> Fit:
         """Return the fit with the best frequency of the last sinusoid within one bin.
@@ -308,27 +268,28 @@ class Selection:
         A strong one reaches the bins of the longest blocks of samples, too, where its power has
         many maxima. So the likelihood has many minima.
         """
-        kind, frequency, *_ = fit.components[-1]
+        last = fit.components[-1]
         share = float(np.max(fit.p[-1] * fit.columns.power[:, -1] / fit.spectrum(), initial=0.0))
-        if kind != 'sinusoid' or share < STRONG:
+        if not last.is_line or share < STRONG:
             return fit
-        width = 1.0 / self.candidates.narrowest(frequency)
+        frequency = last.shape[0]
+        width = 1.0 / self.search.narrowest(frequency)
         best = fit
         for f in frequency + np.arange(-0.5 * width, 0.5 * width, 0.5 / LONGEST_BLOCK):
             if LEAST_PERIODS / self.data.statistics.longest < f < 0.499:
-                new = self.fit((*fit.components[:-1], (kind, float(f))), fit.p)
+                moved = last.with_shape({FREQUENCY.name: float(f)})
+                new = self.fit((*fit.components[:-1], moved), fit.p)
                 best = min(best, new, key=lambda each: each.value)
         return best
 
-    def _with_sinusoids(self, fit: Fit) -> Fit:
-        """Return the fit with sinusoids instead of resonances that are as narrow in the spectra."""
-        components = [
-            ('sinusoid', c[1])
-            if c[0] == 'resonance' and c[2] >= 0.99 * self.candidates.narrowest(c[1])
-            else c
-            for c in fit.components
-        ]
-        if tuple(components) == fit.components:
+    def _with_limits(self, fit: Fit) -> Fit:
+        """Return the fit with the limits of processes that are at the end of their range.
+
+        A resonance that is narrow in the spectra becomes a sinusoid.
+        """
+        search = self.search
+        components = tuple(c.limit(search) for c in fit.components)
+        if components == fit.components:
             return fit
         return self.refined(self.fit(components, fit.p), range(len(self.base), len(fit.p)))
 
@@ -336,11 +297,11 @@ class Selection:
         """Remove processes that later ones have made superfluous."""
         k = len(self.base)
         while k < len(fit.p):
-            kind = fit.components[k][0]
-            if kind != 'sinusoid':
+            process = fit.components[k]
+            if not process.is_line:
                 others = (*fit.components[:k], *fit.components[k + 1 :])
                 rest = self.fit(others, np.maximum(np.delete(fit.p, k), 1e-9))
-                if rest.value - fit.value < self.threshold(kind):
+                if rest.value - fit.value < self.threshold(process):
                     fit, k = rest, len(self.base)
                     continue
             k += 1
@@ -355,7 +316,10 @@ class Selection:
         for _ in range(rounds):
             n = len(fit.p)
             shapes = [
-                (k, at) for k in which if fit.p[k] > 0.0 for at in range(len(fit.components[k]) - 1)
+                Shape(k, parameter)
+                for k in which
+                if fit.p[k] > 0.0
+                for parameter in fit.components[k].parameters
             ]
             full = self.data.solve(
                 fit.components,
@@ -370,8 +334,9 @@ class Selection:
             before = fit.value
             for size in (1.0, 0.3, 0.1):
                 components = list(fit.components)
-                for (k, at), slope in zip(shapes, full.p[n:]):
-                    components[k] = self._moved(components[k], at, size * slope / fit.p[k])
+                for (k, parameter), slope in zip(shapes, full.p[n:]):
+                    step = size * slope / fit.p[k]
+                    components[k] = self._moved(components[k], parameter, step)
                 p = np.maximum(fit.p + size * (full.p[:n] - fit.p), 1e-6 * fit.p)
                 new = self.fit(components, p)
                 if new.value < fit.value:
@@ -381,21 +346,12 @@ class Selection:
                 break
         return fit
 
-    def _moved(self, component: Component, at: int, step: float) -> Component:
-        """Return a component of which the logarithm of one number of its shape is changed."""
-        kind, *shape = component
-        meaning, longest = PROCESS_TYPES[kind].shape[at], self.data.statistics.longest
-        low, high = (
-            (self.shortest, 4.0 * longest)
-            if meaning == 'time'
-            else (LEAST_PERIODS / longest, 0.499)
-        )
-        if at > 0:
-            low = BANDWIDTHS[0] / shape[0]
-            high = max(self.candidates.narrowest(shape[0]), low)
-        most = LONGEST_MOVE[meaning]
-        shape[at] = min(max(shape[at] * math.exp(min(max(step, -most), most)), low), high)
-        return (kind, *shape)
+    def _moved(self, process: Process, parameter: Parameter, step: float) -> Process:
+        """Return a process of which the logarithm of one number of its shape is changed."""
+        low, high = process.bounds(parameter, self.search)
+        most = parameter.largest_step
+        moved = process.numbers[parameter.name] * math.exp(min(max(step, -most), most))
+        return process.with_shape({parameter.name: min(max(moved, low), high)})
 
     def _aliased(self, fit: Fit) -> bool:
         """Return whether the alias of a fast sinusoid in the block means is comparable to noise.
@@ -405,11 +361,7 @@ class Selection:
         walk cannot be told from it.
         """
         step = self.data.statistics.step
-        left = (
-            0.5 * p / (step * math.sin(math.pi * c[1])) ** 2
-            for p, c in zip(fit.p, fit.components)
-            if c[0] == 'sinusoid' and c[1] * step > 1.0
-        )
+        left = (p * c.alias_variance(step) for p, c in zip(fit.p, fit.components))
         return bool(sum(left) > ALIASED * fit.p[N] / step)
 
     def imitates_filter(self, fit: Fit) -> bool:
@@ -418,36 +370,38 @@ class Selection:
         They are close sinusoids, or a broad resonance near the highest frequency below which the
         spectrum bends. Six octaves below it, a filter does not bend the spectrum.
         """
-        lines = (c[1] for c in fit.components if c[0] == 'sinusoid')
+        lines = (c.shape[0] for c in fit.components if c.is_line)
         f = np.log2(sorted(each for each in lines if each > self.fastest / 64.0))
         near = LINES_PER_OCTAVE - 1
-        bends = self.signed or any(map(is_fast, fit.components))
-        broad = bends and any(
-            c[1] > self.fastest / 4.0 and c[1] * c[2] < 2.0 * BANDWIDTHS[0]
-            for c in fit.components
-            if c[0] == 'resonance'
-        )
+        bends = self.signed or any(c.bends_spectrum for c in fit.components)
+        broad = bends and any(c.is_broad_near(self.fastest) for c in fit.components)
         return bool(broad or np.any(f[near:] - f[:-near] < 1.0))
 
     def bounded(self, fit: Fit) -> Fit:
-        """Return the fit in which the random walk is bounded, if the data show this.
+        """Return the fit in which processes with a shape replace terms, if the data show this.
 
         K is a Gauss-Markov process of infinite correlation time T; 1/T > 0 is one more coefficient.
         """
-        if fit.p[K] <= 0.0 or self._aliased(fit):
+        for term, kind in REPLACEMENTS.items():
+            fit = self._replaced(fit, TERMS.index(term()), kind)
+        return fit
+
+    def _replaced(self, fit: Fit, at: int, kind: type[Process]) -> Fit:
+        """Return the fit in which a process of some kind replaces the term at an index, or not."""
+        if fit.p[at] <= 0.0 or self._aliased(fit):
             return fit
         best = new = fit
-        for time in self.data.statistics.longest / 2.0 ** np.arange(0, 11, 2):
-            components = list(fit.components)
-            components[K] = ('bounded_walk', float(time))
+        least = kind.threshold(max(len(self.data.power), LEAST_BINS))
+        for process in kind.grid(self.search):
+            components = (*fit.components[:at], process, *fit.components[at + 1 :])
             new = self.fit(components, new.p)
-            if new.value > best.value + GAIN_BOUNDED:
+            if new.value > best.value + least:
                 break
             best = min(best, new, key=lambda each: each.value)
-        if fit.value - best.value < PROMISING * GAIN_BOUNDED:
+        if fit.value - best.value < PROMISING * least:
             return fit
-        best = self.refined(best, [K])
-        return best if fit.value - best.value > GAIN_BOUNDED else fit
+        best = self.refined(best, [at])
+        return best if fit.value - best.value > least else fit
 
     def weighed(self, fit: Fit) -> tuple[Selection, Fit]:
         """Reduce the weight of bins that sinusoids dominate, and exclude bins with their aliases.
@@ -455,7 +409,7 @@ class Selection:
         A sinusoid is never as narrow as the model; such bins say little except its amplitude. The
         result is the selection with these weights, and its fit of the same components.
         """
-        lines = [i for i, c in enumerate(fit.components) if c[0] == 'sinusoid']
+        lines = [i for i, c in enumerate(fit.components) if c.is_line]
         columns = [self.data.statistics.column(c, self.data.axis).power for c in fit.components]
         parts = fit.p[:, None] * np.array(columns)
         share = np.clip(parts[lines].sum(0) / parts.sum(0), 0.0, 1.0)
@@ -463,7 +417,7 @@ class Selection:
         dof = np.maximum(self.data.dof * (1.0 - share) ** 2, least)
         other = np.maximum(parts.sum(0) - parts[lines].sum(0), 1e-300)
         for i in lines:
-            alias = fit.p[i] * self.candidates.alias(fit.components[i][1])
+            alias = fit.p[i] * self.candidates.alias(fit.components[i].shape[0])
             dof = np.where(alias > ALIASED * other, EXCLUDED * dof, dof)
         rules = replace(self, data=replace(self.data, dof=dof))
         return rules, rules.fit(fit.components, fit.p)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +23,22 @@ from ..allan.cascade import MAX_INTERPOLATED
 from ..allan.curve import pooled_spectra
 from ..allan.grid import LONGEST_BLOCK, SAMPLE_OCTAVES, bins_up_to, octave, tapers
 from ..allan.sums import AllanSums
-from ..noise import Gamma, Process, gamma_of
-from ..noise.old import process_of
+from ..noise import Gamma, Process
+from ..noise.processes.quantization import Quantization
+from ..noise.processes.white import White
 from .replaced import replaced_excess
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-Component = tuple[Any, ...]
-"""A noise type with its shape: ('N',), ('gauss_markov', 30.0). Shapes are in samples."""
+
+@dataclass(frozen=True)
+class LowPassCurvature(Process):
+    """Second term of the spectrum of a low-pass filter, f^4, which follows f^2 of quantization.
+
+    It does not reach the block means, and exists only within a fit.
+    """
+
 
 LOWEST_BLOCKS = 2
 """The longest blocks of the spectra are at most 1/2 of the longest segment, so that at least three
@@ -66,9 +73,11 @@ def _kernels() -> tuple[Floats, Floats]:
 
 
 @lru_cache(maxsize=1024)
-def expected_power(component: Component | Process, octaves: int) -> Floats:
-    """Return the expected power of unit noise in the bins of the first octaves."""
-    process = component if isinstance(component, Process) else process_of(*component)
+def expected_power(process: Process, octaves: int) -> Floats:
+    """Return the expected power of unit noise in the bins of the first octaves.
+
+    The shape of the process is in samples.
+    """
     return _power_of(process.gamma, octaves)
 
 
@@ -107,9 +116,9 @@ def _transformed(points: int, high: int) -> Floats:
 
 
 @lru_cache(maxsize=192)
-def _low_covariance(component: Component, step: int, points: int, high: int) -> Floats:
+def _low_covariance(process: Process, step: int, points: int, high: int) -> Floats:
     """Return the covariance of the contrasts of block means for unit noise."""
-    return _covariance_of(gamma_of(*component), step, points, high)
+    return _covariance_of(process.gamma, step, points, high)
 
 
 def _covariance_of(gamma: Gamma, step: int, points: int, high: int) -> Floats:
@@ -190,8 +199,8 @@ class Statistics:
         Spectral blocks of which most is replaced are excluded from the sums. Of a stretch that is
         longer than this share, only the ends are in blocks: on average, half a block of samples.
         """
-        power = self.power_of(('N',))
-        low = [_low_covariance(('N',), self.step, g.points, g.high) for g in self.groups]
+        power = self.power_of(White())
+        low = [_low_covariance(White(), self.step, g.points, g.high) for g in self.groups]
         sizes = np.array([octave(o).length for o in range(self.octaves)])
         length = self.replaced[:, 0]
         whole = length[:, None] <= MAX_INTERPOLATED * sizes  # (stretches, octaves)
@@ -212,29 +221,26 @@ class Statistics:
             out.append(Column(own, [a + b for a, b in zip(low, more)]))
         return out
 
-    def power_of(self, component: Component) -> Floats:
+    def power_of(self, process: Process) -> Floats:
         """Return the expected power of the bins for unit noise without interpolated samples."""
-        return expected_power(component, self.octaves)
+        return expected_power(process, self.octaves)
 
-    def column(self, component: Component, axis: int = 0) -> Column:
-        """Return the expectation for unit noise of a component of an axis.
-
-        The component 'Q2' is the term f^4 of the spectrum of a low-pass filter, which follows f^2
-        of 'Q' in its series. It does not reach the low band.
-        """
-        if component == ('Q2',):
-            q = self.column(('Q',))
+    def column(self, process: Process, axis: int = 0) -> Column:
+        """Return the expectation for unit noise of a process of an axis."""
+        if process == LowPassCurvature():
+            q = self.column(Quantization())
             return Column(q.power**2, [0.0 * low for low in q.low])
-        if component == ('N',):
+        if process == White():
             return self.white[axis]
-        if component[0] == 'sinusoid' and component[1] * self.step > 1.0:
-            # Its alias in the block means depends on more digits of its frequency than are known:
+        aliases = process.alias_variance(self.step)
+        if aliases:
+            # An alias in the block means depends on more digits of the frequency than are known:
             # there, the mean power of all aliases is taken as white noise.
-            mean = 0.25 * self.step / (self.step * math.sin(math.pi * component[1])) ** 2
+            mean = 0.5 * self.step * aliases
             low = [mean * each for each in self.white[axis].low]
         else:
-            low = [_low_covariance(component, self.step, g.points, g.high) for g in self.groups]
-        return Column(self.power_of(component), low)
+            low = [_low_covariance(process, self.step, g.points, g.high) for g in self.groups]
+        return Column(self.power_of(process), low)
 
 
 def lower_edge(octaves: int) -> float:

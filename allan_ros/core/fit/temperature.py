@@ -20,11 +20,14 @@ from ..allan.sums import AllanSums
 from ..estimate import Estimate
 from ..fields import Signed
 from ..findings import Finding, finding
-from ..noise import gamma_of
+from ..noise import Process
+from ..noise.processes.flicker import Flicker
+from ..noise.processes.random_walk import RandomWalk
+from ..noise.processes.white import White
 from .likelihood import AxisData, Columns, Fit, LowBand, inverse, profile_interval
 from .method import random_coefficient
 from .model import AxisFit, NoiseModel
-from .statistics import Component, Floats, Ints, statistics
+from .statistics import Floats, Ints, statistics
 
 TEMPERATURE_RESOLVED = 0.01
 """Probability of the F test of b1 and b2 below which a bias depends on temperature, per axis."""
@@ -232,7 +235,7 @@ def _complement(columns: Floats) -> Floats:
     return np.asarray(q[:, columns.shape[1] :])
 
 
-def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Component], list[float]]:
+def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Process], list[float]]:
     """Return the components of the noise, and their coefficients: NaN if they are to be fitted.
 
     The coefficients of white noise and fast processes are known from the fit of all data, because
@@ -240,7 +243,7 @@ def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Component], 
     Slower processes are omitted: they may be effects of the temperature.
     """
     white = fit.model.value('N') ** 2 / tau0
-    components: list[Component] = [('N',), ('B',), ('K',)]
+    components: list[Process] = [White(), Flicker(), RandomWalk()]
     others = []
     for part in fit.model.shaped.parts:
         process = part.process.in_unit(tau0)
@@ -251,7 +254,7 @@ def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Component], 
             # half of the variance of its aliases, which are at random frequencies
             white += 0.5 * step * variance * process.alias_variance(step)
         else:
-            components.append((process.name, *process.shape))
+            components.append(process)
             others.append(variance)
     known = [white or math.nan, math.nan, math.nan, *others]
     return components, known
@@ -265,7 +268,7 @@ class _Contrasts:
     """
 
     data: AxisData
-    components: list[Component]
+    components: list[Process]
     known: Floats  # (components,) coefficients, NaN if they are not known
     z: Floats  # (contrasts,)
     covariances: Floats  # for unit noise, (components, contrasts, contrasts)
@@ -324,7 +327,7 @@ def _contrasts(
     lags = np.abs(np.subtract.outer(blocks.time, blocks.time))
     lags = np.maximum(np.round(lags, 6), 1.0 - np.eye(len(lags)))
     same = np.equal.outer(blocks.recording, blocks.recording)
-    gammas = (gamma_of(*c)(blocks.step, lags) for c in components)
+    gammas = (c.gamma(blocks.step, lags) for c in components)
     covariances = np.array([basis.T @ np.where(same, gamma, 0.0) @ basis for gamma in gammas])
     z = basis.T @ blocks.values[:, data.axis]
     scale = float(z @ z) / len(z) or 1.0

@@ -5,8 +5,7 @@
 from __future__ import annotations
 
 from .model import Model, Part
-from .old import PROCESS_TYPES, gamma_of, unit_avar
-from .process import Gamma, Process
+from .process import Gamma, Parameter, Process
 from .processes.flicker import FLICKER_FLOOR
 from .processes.gauss_markov import GaussMarkov
 from .registry import LETTERS, PROCESSES, REPLACEMENTS, SEARCHED, TERMS
@@ -15,15 +14,13 @@ __all__ = [
     'FLICKER_FLOOR',
     'LETTERS',
     'PROCESSES',
-    'PROCESS_TYPES',
     'REPLACEMENTS',
     'SEARCHED',
     'TERMS',
     'Gamma',
     'GaussMarkov',
     'Model',
+    'Parameter',
     'Part',
     'Process',
-    'gamma_of',
-    'unit_avar',
 ]

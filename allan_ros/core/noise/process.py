@@ -188,7 +188,19 @@ class Process:
         """Return the lowest and the highest value of a number of the shape in a search."""
         if parameter.unit == 's':
             return search.shortest, 4.0 * search.longest
-        return 0.5 / search.longest, 0.499
+        return LEAST_PERIODS / search.longest, 0.499
+
+    @property
+    def bends_spectrum(self) -> bool:
+        """Whether the highest frequencies have a spectrum like that of a low-pass filter."""
+        return False
+
+    def is_broad_near(self, highest: float) -> bool:
+        """Return whether it can have the shape of a low-pass filter that bends the spectrum.
+
+        ``highest`` is the highest frequency of the fit, near which such a filter bends it.
+        """
+        return False
 
     def limit(self, search: Search) -> Process:
         """Return the process that this one becomes at the end of its range, or itself."""
@@ -221,6 +233,10 @@ class Process:
     def with_shape(self, numbers: Mapping[str, float]) -> Process:
         """Return the process with some numbers of its shape changed."""
         return replace(self, **numbers)
+
+    def scaled(self, parameter: Parameter, factor: float) -> Process:
+        """Return the process with one number of its shape multiplied by a factor."""
+        return self.with_shape({parameter.name: self.numbers[parameter.name] * factor})
 
     def in_unit(self, unit: float) -> Process:
         """Return the process with another time unit, which is ``unit`` old ones long.

@@ -11,10 +11,11 @@ from support.sums import sums_of
 
 from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.estimate import estimate
-from allan_ros.core.fit.likelihood import TERMS, AxisData
+from allan_ros.core.fit.likelihood import AxisData
 from allan_ros.core.fit.selection import Candidates, Selection
 from allan_ros.core.fit.statistics import statistics
-from allan_ros.core.noise import Model
+from allan_ros.core.noise import TERMS, Model
+from allan_ros.core.noise.processes.sinusoid import Sinusoid
 from allan_ros.core.simulate import simulate_axis
 
 RATE = 100.0
@@ -113,7 +114,7 @@ def test_a_false_alarm_of_the_test_for_filters_keeps_the_sinusoids(monkeypatch):
     """With this threshold, every model looks low-pass filtered."""
     monkeypatch.setattr('allan_ros.core.fit.estimate.CURVATURE', -10.0)
     result = estimate(*three_sinusoids())
-    assert result.top == 0.5 and [c[0] for c in result.fit.components[4:]] == 3 * ['sinusoid']
+    assert result.top == 0.5 and [c.name for c in result.fit.components[4:]] == 3 * ['sinusoid']
 
 
 def test_bins_have_full_weight_again_when_no_sinusoid_remains(monkeypatch):
@@ -248,7 +249,7 @@ DAY = 1440
 @pytest.mark.parametrize('days', [2, 11])
 def test_a_daily_cycle_is_in_the_model_only_if_it_is_significant(days):
     """12 axes without a cycle: more than one false alarm of 1 % has a probability of 0.6 %."""
-    n, cycle = days * DAY, ('sinusoid', 1.0 / DAY)
+    n, cycle = days * DAY, Sinusoid(1.0 / DAY)
     y = simulated(n, 12, days, Model.of(N=1e-3, B=5e-4, K=1e-6 * RATE))
     daily = 0.1 * np.sin(2.0 * np.pi * np.arange(n) / DAY)[:, None]
     present = []

@@ -7,13 +7,14 @@ import pytest
 from scipy.optimize import approx_fprime
 from support.sums import noise, sums_of
 
-from allan_ros.core.fit.likelihood import LEVEL_95, TERMS, AxisData, profile_interval
+from allan_ros.core.fit.likelihood import LEVEL_95, AxisData, profile_interval
 from allan_ros.core.fit.selection import Candidates
 from allan_ros.core.fit.statistics import statistics
-from allan_ros.core.noise import Model
+from allan_ros.core.noise import TERMS, GaussMarkov, Model
+from allan_ros.core.noise.processes.random_walk import RandomWalk
 from allan_ros.core.simulate import simulate_axis
 
-PROCESSES = (*TERMS, ('gauss_markov', 50.0))
+PROCESSES = (*TERMS, GaussMarkov(50.0))
 
 
 @pytest.fixture(scope='module')
@@ -61,7 +62,7 @@ def test_a_spectrum_that_is_not_positive_is_refused(data):
 
 def test_the_ends_of_an_interval_have_the_same_likelihood(data):
     fit = data.solve(TERMS, tolerance=1e-6)
-    at = TERMS.index(('K',))
+    at = TERMS.index(RandomWalk())
     interval = profile_interval(data, fit, at)
     assert interval.low < fit.p[at] < interval.high
     for end in interval[:2]:

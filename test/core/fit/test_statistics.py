@@ -13,7 +13,11 @@ from scipy.stats import chi2
 from support.sums import sums_of
 
 from allan_ros.core.fit.statistics import contrasts, statistics
-from allan_ros.core.noise import Model
+from allan_ros.core.noise import TERMS, GaussMarkov, Model
+from allan_ros.core.noise.processes.bounded_walk import BoundedWalk
+from allan_ros.core.noise.processes.resonance import Resonance
+from allan_ros.core.noise.processes.sinusoid import Sinusoid
+from allan_ros.core.noise.processes.white import White
 from allan_ros.core.simulate import simulate_axis
 
 SAMPLES, AXES = 6000, 150
@@ -23,9 +27,9 @@ ALARM = 1e-4
 
 def draw(component, rng):
     """Return samples of unit noise, (samples, axes)."""
-    kind, *shape = component
-    if kind in 'QNBK':
-        terms = Model.of(**{kind: 1.0})
+    kind, shape = component.name, component.shape
+    if not shape:
+        terms = Model.of(**{component.letter: 1.0})
         return np.stack([simulate_axis(SAMPLES, 1.0, terms, rng) for _ in range(AXES)], 1)
     if kind == 'sinusoid':
         turns = shape[0] * np.arange(SAMPLES)[:, None] + rng.uniform(size=AXES)
@@ -42,16 +46,18 @@ def draw(component, rng):
 
 @lru_cache
 def known(component):
-    rng = np.random.default_rng([ord(c) for c in component[0]])
+    rng = np.random.default_rng(
+        [ord(c) for c in (component.name if component.shape else component.letter)]
+    )
     return statistics(sums_of(draw(component, rng)))
 
 
 COMPONENTS = [
-    *((term,) for term in 'QNBK'),
-    *(('gauss_markov', time) for time in (2.0, 30.0, 500.0)),
-    ('bounded_walk', 200.0),
-    *(('sinusoid', f) for f in (0.137, 0.0021)),
-    ('resonance', 0.11, 40.0),
+    *TERMS,
+    *(GaussMarkov(time) for time in (2.0, 30.0, 500.0)),
+    BoundedWalk(200.0),
+    *(Sinusoid(f) for f in (0.137, 0.0021)),
+    Resonance(0.11, 40.0),
 ]
 
 
@@ -71,10 +77,10 @@ def test_expected_covariances_of_contrasts_equal_simulated_ones(component):
     found = known(component)
     (group,) = found.groups
     (low,) = found.column(component).low
-    if component[0] == 'sinusoid':  # not Gaussian, and of rank 2: the trace alone
+    if component.is_line:  # not Gaussian, and of rank 2: the trace alone
         trace = np.trace(group.gram[:, 1:, 1:], axis1=1, axis2=2)
         error = trace.std() / math.sqrt(AXES) + 1e-9
-        if component[1] * found.step < 1.0:
+        if component.frequency * found.step < 1.0:
             assert abs(trace.mean() - np.trace(low[1:, 1:])) < 3.9 * error
         return
     expected = low[1:, 1:]
@@ -124,13 +130,13 @@ def test_the_white_noise_of_replaced_samples_is_expected(length, level):
         mask[at : at + length] = True
     table = np.array([[length, level, *24 * [np.count_nonzero(mask) // length]]])
     found = statistics(replace(sums_of(y, interpolated=mask), replaced=table))
-    ratio = found.power / np.stack([found.column(('N',), a).power for a in range(24)], 1)
+    ratio = found.power / np.stack([found.column(White(), a).power for a in range(24)], 1)
     for o in range(min(found.octaves, 8)):
         each = ratio[found.octave == o].mean(axis=0)
         assert abs(each.mean() - 1.0) < 4.0 * each.std() / math.sqrt(24), o
     (group,) = found.groups
     each = [
-        np.linalg.solve(found.column(('N',), a).low[0][1:, 1:], group.gram[a, 1:, 1:]).trace()
+        np.linalg.solve(found.column(White(), a).low[0][1:, 1:], group.gram[a, 1:, 1:]).trace()
         for a in range(24)
     ]
     assert abs(np.mean(each) - group.high) < 4.0 * math.sqrt(2.0 * group.high / 24)

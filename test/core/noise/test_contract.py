@@ -191,9 +191,6 @@ def test_the_fit_finds_the_process_and_all_outputs_have_it(one: type[Process]) -
 NAMED = {
     'export/model.py',  # formats with one Gauss-Markov bias
     'export/own_file.py',
-    'core/fit/method.py',  # the components of a fit are still names with a shape
-    'core/fit/selection.py',
-    'core/fit/statistics.py',
 }
 """Modules outside of `core/noise` that name a process with a shape."""
 

@@ -57,6 +57,10 @@ class Resonance(Process):
     def slowest_time(self) -> float:
         return 0.0  # it is always fast
 
+    def is_broad_near(self, highest: float) -> bool:
+        periods = self.frequency * self.correlation_time
+        return self.frequency > highest / 4.0 and periods < 2.0 * BANDWIDTHS[0]
+
     def facts(self, value: float) -> dict[str, float]:
         width = 1.0 / (math.pi * self.correlation_time)
         return {'frequency': self.frequency, 'width': width, 'amplitude': value}

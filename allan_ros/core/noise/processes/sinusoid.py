@@ -17,6 +17,8 @@ SLOW_SINUSOID_HZ = 0.1
 """Sinusoids up to this frequency are treated as drift of the sensor (temperature cycles); faster
 ones as motion."""
 
+DAY_S = 86400.0
+
 
 @dataclass(frozen=True)
 class Sinusoid(Process):
@@ -67,3 +69,11 @@ class Sinusoid(Process):
         between = (f + width / 2.0)[same]
         every = np.unique(np.concatenate([low, f, between]))
         return (cls(float(each)) for each in every if 0.0 < each < 0.49)
+
+
+def daily_cycle(samples: int, tau0: float) -> Sinusoid | None:
+    """Return the daily cycle, which may be in the model of a segment of more than 18 h.
+
+    The temperature of most rooms follows it.
+    """
+    return Sinusoid(tau0 / DAY_S) if samples * tau0 > 0.75 * DAY_S else None
