@@ -13,17 +13,23 @@ Fate = Literal['used', 'moving', 'stuck', 'noise_decreased', 'shocks', 'replaced
 """A field of `Counts`. 'used' are the samples that are passed on to the sums."""
 
 
+Excluded = Literal['noise_decreased', 'noise_increased']
+"""A field of `Counts` for samples at rest at another noise floor."""
+
+
 class FloorCounts:
     """Counts samples for a stream, and separately at the present noise floor and in its last block.
 
-    While the sums of an earlier noise floor are set aside, samples that are passed on to other sums
-    are counted as 'noise_decreased'. ``total`` is changed in place.
+    The counts of another noise floor may be set aside. While the present floor is only tried,
+    samples that are passed on to its sums are counted as excluded. ``total`` is changed in place.
     """
 
     def __init__(self, total: Counts) -> None:
         self.total = total
         self._floor: Counter[str] = Counter()  # since the present noise floor was learned
-        self._aside: Counter[str] | None = None  # the same of the floor that was set aside
+        self._other: Counter[str] | None = None  # the same of the floor that was set aside
+        self._tried = False  # whether the present floor is only tried
+        self._excluded: Excluded = 'noise_decreased'  # what the samples of the tried floor are
         self._block: Counter[str] = Counter()  # since the last block of windows began
         self._carried = 0  # samples of earlier blocks whose fate is not known yet
 
@@ -55,37 +61,51 @@ class FloorCounts:
 
     @property
     def lasts_longer(self) -> bool:
-        """Whether the present floor has more samples at rest than the floor that was set aside."""
-        return self._aside is not None and self._floor['used'] > self._aside['used']
+        """Whether the tried floor has more samples at rest than the floor that was set aside."""
+        return self._tried and self._floor['used'] > (self._other or self._floor)['used']
 
     def discard(self, reason: Literal['moving', 'stuck']) -> None:
-        """Count the samples at the present floor as not at rest: their sums are discarded."""
-        self.move(self._used, reason, self._floor['used'])
-        self._forget()
+        """Count the samples at the present floor as not at rest: their sums are discarded.
 
-    def set_aside(self) -> None:
-        """Begin the counts of decreased noise; an earlier attempt remains 'noise_decreased'."""
-        if self._aside is None:
-            self._aside, self._floor = self._floor, Counter()
+        Unless it is only tried, the counts that were set aside are forgotten, too.
+        """
+        self.move(self._used, reason, self._floor['used'])
+        self.forget_decrease()
+        self._forget_shocks()
+        if not self._tried:
+            self._other = None
+
+    def set_aside(self, excluded: Excluded) -> None:
+        """Begin the counts of a tried floor; an earlier attempt remains excluded."""
+        if not self._tried:
+            self._other, self._floor = self._floor, Counter()
         else:
             self._forget_shocks()
+        self._tried, self._excluded = True, excluded
 
     def resume(self) -> None:
-        """Continue the counts that were set aside; the others remain 'noise_decreased'."""
-        assert self._aside is not None
-        self._forget_shocks()
-        self._floor, self._aside = self._aside, None
+        """Continue the counts that were set aside; those of the present floor are excluded."""
+        assert self._other is not None
+        if self._tried:
+            self._forget_shocks()
+            self._floor, self._other, self._tried = self._other, None, False
+            return
+        self.move('used', self._excluded, self._floor['used'])
+        self.move('moving', 'used', self._other['used'])
+        self._count_shocks(self._floor, -1)
+        self._count_shocks(self._other, 1)
+        self._floor, self._other = self._other, self._floor
 
     def accept(self) -> None:
-        """Count the present samples as used, and those that were set aside as moving."""
-        assert self._aside is not None
-        self.move('noise_decreased', 'used', self._floor['used'])
-        present, self._floor, self._aside = self._floor, self._aside, None
-        present['noise_decreased'] += self._floor['noise_decreased']
-        self.move('used', 'moving', self._floor['used'])
-        self._forget_shocks()
-        self._floor = present
-        self.forget_decrease()
+        """Count the samples of the tried floor as used, and those that were set aside as moving."""
+        assert self._other is not None
+        self.move(self._excluded, 'used', self._floor['used'])
+        self.move('used', 'moving', self._other['used'])
+        self._count_shocks(self._other, -1)
+        self._tried = False
+        for counts in (self._floor, self._other):
+            self.move('noise_decreased', 'moving', counts['noise_decreased'])
+            counts['noise_decreased'] = 0
 
     def forget_decrease(self) -> None:
         """Count decreased noise as motion: the noise floor was learned in motion."""
@@ -100,19 +120,18 @@ class FloorCounts:
     @property
     def _used(self) -> str:
         """The field of `Counts` for samples that are passed on."""
-        return 'used' if self._aside is None else 'noise_decreased'
+        return self._excluded if self._tried else 'used'
 
     def _add(self, fate: str, number: int) -> None:
         self._floor[fate] += number
         field = self._used if fate == 'used' else fate
         setattr(self.total, field, getattr(self.total, field) + number)
 
-    def _forget(self) -> None:
-        self.forget_decrease()
-        self._forget_shocks()
+    def _count_shocks(self, counts: Counter[str], times: int) -> None:
+        self.total.shocks += times * counts['shocks']
+        self.total.replaced += times * counts['replaced']
 
     def _forget_shocks(self) -> None:
         """Begin the counts of a noise floor, without the shocks so far."""
-        self.total.shocks -= self._floor['shocks']
-        self.total.replaced -= self._floor['replaced']
+        self._count_shocks(self._floor, -1)
         self._floor = Counter()

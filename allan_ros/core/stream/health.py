@@ -189,6 +189,7 @@ class StreamHealth:
     stuck_axes: tuple[str, ...] = ()  # axes that repeated one value
     # axis -> share of its samples at rest that are at the end of the measurement range
     clipped: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[Finding, ...] = ()  # known faults of the latest samples
 
     @property
     def still_share(self) -> float | None:
@@ -312,7 +313,7 @@ def stream_findings(
 ) -> list[Finding]:
     """Return the findings about a complete stream and its sums."""
     c = health.counts
-    found = event_findings(events(health), health)
+    found = [*event_findings(events(health), health), *health.faults]
 
     def add(id: str, present: object, axes: tuple[str, ...] = (), **numbers: Any) -> None:
         if present:
@@ -436,13 +437,27 @@ def _unit_findings(sums: AllanSums) -> list[Finding]:
                 found.append(finding('gyro_unit', axes, n=n, rate=rate))
         elif len(own) == place.stop - place.start:
             norm = float(np.linalg.norm(mean[own]))
-            factors = {unit: UNITS[unit].factor for unit in SAMPLE_UNITS['accel']}
-            units = [u for u, f in factors.items() if abs(norm * f / STANDARD_GRAVITY - 1) < G_BAND]
-            if abs(norm / STANDARD_GRAVITY**2 - 1.0) < G_BAND:
-                units = ['m/s^2']  # but g was declared
-                found.append(finding('accel_unit', axes, norm=norm, unit=units[0]))
-            elif units and units[0] != 'm/s^2':
-                found.append(finding('accel_unit', axes, norm=norm, unit=units[0]))
-            elif not units and norm >= WEIGHTLESS:
-                found.append(finding('accel_scale', axes, norm=norm))
+            found += gravity_findings(norm, axes)
     return found
+
+
+def gravity_unit(norm: float) -> str:
+    """Return the unit in which a mean acceleration is gravity; '' if there is none.
+
+    >>> gravity_unit(9.81), gravity_unit(1.0), gravity_unit(5.0)
+    ('m/s^2', 'g', '')
+    """
+    factors = {unit: UNITS[unit].factor for unit in SAMPLE_UNITS['accel']}
+    units = [u for u, f in factors.items() if abs(norm * f / STANDARD_GRAVITY - 1) < G_BAND]
+    return units[0] if units else ''
+
+
+def gravity_findings(norm: float, axes: tuple[str, ...]) -> list[Finding]:
+    """Return a finding if a mean acceleration at rest in m/s^2 can be no gravity, else none."""
+    if abs(norm / STANDARD_GRAVITY**2 - 1.0) < G_BAND:
+        return [finding('accel_unit', axes, norm=norm, unit='m/s^2')]  # but g was declared
+    unit = gravity_unit(norm)
+    if unit:
+        known = unit == 'm/s^2'
+        return [] if known else [finding('accel_unit', axes, norm=norm, unit=unit)]
+    return [finding('accel_scale', axes, norm=norm)] if norm >= WEIGHTLESS else []

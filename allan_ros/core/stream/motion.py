@@ -24,12 +24,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ..findings import Finding
 from ..imu import Flags, Floats, ImuBatch, joined
 from ..settings import SegmenterSettings
 from .disturbances import SPIKE_NEIGHBORS, without_spikes
-from .floor_counts import FloorCounts
-from .health import Counts, Event, Longest, State
+from .floor_counts import Excluded, FloorCounts
+from .health import Counts, Event, Longest, State, are_degrees
 from .noise_floor import EXAMINED, LEAST_WINDOW, NoiseFloor, WindowClass, Windows, is_stuck
+from .present_faults import present_faults
 from .rest_filter import Change, RestFilter, count_samples
 
 WINDOW_S = 0.5
@@ -42,12 +44,15 @@ them are buffered: 0.15 MB of six axes at 200 Hz, 15 MB at 20 kHz."""
 MOST_WINDOW = 1 << 15
 """Longest window in samples, above 65 kHz: 50 MB of buffered samples."""
 
-LEAST_DECREASED = BLOCK_WINDOWS // 4
-"""Number of windows with less noise after which another noise floor is tried."""
+LEAST_CHANGED = BLOCK_WINDOWS // 4
+"""Number of windows with another noise after which another noise floor may be tried."""
 
 INCREASE_BLOCKS = 2
 """Number of consecutive blocks (together about 30 s) after which noise that exceeds the limits is
 classified as increased noise instead of motion."""
+
+LEAST_FAULTY = 4
+"""Number of latest windows, all not at rest, in which a known fault is searched for."""
 
 MOST_FILLED = 0.1
 """Largest share of interpolated samples in a window that is searched for outliers."""
@@ -73,11 +78,16 @@ class _Part(NamedTuple):
         )
 
 
-class _Former(NamedTuple):
-    """A noise floor that may be that of the IMU still, although the noise decreased later."""
+class _Other(NamedTuple):
+    """A noise floor whose sums are set aside, because the noise changed later.
+
+    It may be the noise of the IMU still: then its sums continue.
+    """
 
     floor: NoiseFloor
-    decreased_ns: int  # when the noise decreased
+    left_ns: int  # when the noise changed
+    change: Excluded  # how it changed
+    tried: bool = True  # whether the present noise floor is only tried
 
 
 class NoiseRatios:
@@ -89,19 +99,26 @@ class NoiseRatios:
     def __init__(self, axes: int) -> None:
         self.increase: Floats | None = None
         self.largest, self.smallest = np.ones(axes), np.ones(axes)
-        self._noisy_blocks = 0
+        self._noisy_blocks = self._noisy = 0  # blocks and their samples, one after another
 
-    def add_block(self, ratio: Floats | None) -> int:
+    def forget(self) -> None:
+        """Forget the extremes: they were ratios to another noise floor."""
+        self.largest[:] = self.smallest[:] = 1.0
+
+    def add_block(self, ratio: Floats | None, samples: int) -> int:
         """Add a block whose noise increased to a ratio, (axes,), or did not (None).
 
-        Returns the number of blocks that become increased noise instead of motion.
+        ``samples`` is the number of its samples with this noise. Returns the number of samples that
+        become increased noise instead of motion.
         """
+        before = self._noisy
         self._noisy_blocks = 0 if ratio is None else self._noisy_blocks + 1
+        self._noisy = 0 if ratio is None else before + samples
         self.increase = ratio if self._noisy_blocks >= INCREASE_BLOCKS else None
         if self.increase is None:
             return 0
         self.largest = np.maximum(self.largest, self.increase)
-        return INCREASE_BLOCKS if self._noisy_blocks == INCREASE_BLOCKS else 1
+        return self._noisy if self._noisy_blocks == INCREASE_BLOCKS else samples
 
     def add_decrease(self, variance: Floats, decreased: Flags, floor: Floats) -> None:
         """Add windows with decreased noise: variances and flags, (axes, k), and the floor."""
@@ -136,12 +153,24 @@ class MotionGate:
         self._counts = FloorCounts(counts)
         self._rest = RestFilter(self.size, period_ns * 1e-9, axes, self._counts, events)
         self._ratios = NoiseRatios(len(axes))
-        self._former: _Former | None = None  # while the noise is decreased
+        self._other: _Other | None = None
         self._learning: list[ImuBatch] = []  # buffered until the noise floor is known
         # buffered until they fill a window, with their look-ahead
         self._pending = ImuBatch.empty(len(axes))
         self._before = self._pending.rows  # the last samples before them
         self._block: list[_Part] = []
+        self._recent: list[_Part] = []  # the latest windows, `LEAST_FAULTY` or more
+
+    @property
+    def faults(self) -> tuple[Finding, ...]:
+        """Known faults of the latest samples; empty while samples are at rest."""
+        floor, recent = self._rest.floor, _last_windows(self._recent, LEAST_FAULTY)
+        parts = [part for part in recent if not part.still.any()]
+        if floor is None or sum(len(part.still) for part in parts) < LEAST_FAULTY:
+            return ()
+        rows = np.concatenate([part.samples.rows for part in parts], axis=1)
+        windows = Windows.joined(part.windows for part in parts)
+        return present_faults(self._axes, floor, rows, windows)
 
     @property
     def increases(self) -> dict[str, float]:
@@ -176,8 +205,8 @@ class MotionGate:
             return 'noise_increased'
         if self._rest.motion is not None:
             return 'noise_decreased' if self._rest.motion.kind == 'noise_decreased' else 'moving'
-        if self._former is not None:
-            return 'noise_decreased'
+        if self._other is not None and self._other.tried:
+            return self._other.change
         return 'learning' if self._rest.floor is None else 'at_rest'
 
     def feed(self, blocks: list[ImuBatch]) -> list[ImuBatch]:
@@ -270,7 +299,9 @@ class MotionGate:
             self._counts.begin_block(self._rest.held)
         still, found = self._rest.add(block, windows, size)
         if size == self.size:
-            self._block.append(_Part(block, windows, still, found))
+            part = _Part(block, windows, still, found)
+            self._block.append(part)
+            self._recent = [*_last_windows(self._recent, LEAST_FAULTY - 1), part]
 
     # --- the noise floor --------------------------------------------------------------------------
 
@@ -288,13 +319,30 @@ class MotionGate:
         updated = floor.updated(windows, still, rotating)
         if updated.is_plausible():
             examined = still & (np.arange(len(still)) % EXAMINED == 0)
-            floor = self._rest.floor = updated.with_outliers(_usable(samples, self.size, examined))
-        moving = not (still.any() or any(part.found.decreased.any() for part in block))
-        ratio = floor.increase(samples.rows, windows) if moving else None
-        if blocks := self._ratios.add_block(ratio):
-            self._counts.move('moving', 'noise_increased', blocks * len(samples))
-            if self._rest.motion is not None:
-                self._rest.motion.kind = 'noise_increased'
+            self._rest.floor = updated.with_outliers(_usable(samples, self.size, examined))
+        self._find_increase(block, still)
+
+    def _find_increase(self, block: list[_Part], still: Flags) -> None:
+        """Set the sums aside if the noise has been larger than the noise floor for long enough."""
+        floor, last = self._rest.floor, _ending(still)
+        assert floor is not None
+        noisy = _last_windows(block, last)
+        normal = any((part.found.decreased | part.found.foreign).any() for part in noisy)
+        ratio = None
+        if last >= LEAST_CHANGED and not normal:
+            samples = joined([part.samples for part in noisy])
+            ratio = floor.increase(samples.rows, Windows.joined(part.windows for part in noisy))
+        confirmed = self._ratios.add_block(ratio, last * self.size)
+        self._counts.move('moving', 'noise_increased', confirmed)
+        if not confirmed:
+            return
+        if self._rest.motion is not None:
+            self._rest.motion.kind = 'noise_increased'
+        assert ratio is not None
+        if not are_degrees(ratio[floor.gyro]):  # a known fault teaches no noise floor
+            self._counts.move('noise_increased', 'moving', last * self.size)
+            learned = self._learned_floor(part.samples for part in noisy)
+            self._try(noisy, learned, 'noise_increased')
 
     def _change_floor(
         self, block: list[_Part], windows: Windows, still: Flags, samples: ImuBatch
@@ -302,14 +350,16 @@ class MotionGate:
         """Change the noise floor after a block if another one fits better; return whether it did.
 
         Noise that decreased is either that of the IMU, or of a fault. If the noise before was that
-        of a motion, the new noise floor replaces the former one. Otherwise, that noise which lasts
-        longer is regarded as normal: sums of the decreased noise are kept apart until then.
+        of a motion, the new noise floor replaces the other one. Otherwise, the noise that lasts
+        longer is regarded as normal: sums of the changed noise are kept apart until then. The
+        other sums are kept, and continue when their noise returns.
         """
-        floor, former = self._rest.floor, self._former
+        floor, other = self._rest.floor, self._other
         assert floor is not None
-        if former is not None:
-            if former.floor.rest(windows).mean() > 0.5:
-                self._resume(block, former)
+        if other is not None:
+            nearer = other.floor.distance(windows) < floor.distance(windows)
+            if nearer and other.floor.rest(windows).mean() > 0.5:
+                self._resume(block, other, floor)
                 return True
             if self._counts.lasts_longer:
                 self._accept(samples)
@@ -317,72 +367,111 @@ class MotionGate:
             self._rest.stuck |= revived
             self._discard(block, 'revived')
             return True
+        last = _ending(still)
+        if last >= LEAST_CHANGED and self._is_corrected(block):
+            self._discard(block, 'corrected', LEAST_CHANGED)
+            return True
         decreased = floor.decreased(windows)
         if not decreased.any():
             return False
-        last = int(np.argmax(still[::-1])) if still.any() else len(still)
-        unexplained = (decreased & ~is_stuck(samples.rows, self.size))[:, len(still) - last :]
-        axes = np.count_nonzero(unexplained, axis=1) >= LEAST_DECREASED
+        foreign = np.concatenate([part.found.foreign for part in block])
+        explained = is_stuck(samples.rows, self.size) | foreign
+        unexplained = (decreased & ~explained)[:, len(still) - last :]
+        axes = np.count_nonzero(unexplained, axis=1) >= LEAST_CHANGED
         if axes.any():
             quiet = _last_windows(block, last)
             learned = self._learned_floor(part.samples for part in quiet)
             if learned.shows_motion(floor, axes):
                 self._discard(block, 'relearned')
                 return True
-            self._try(quiet, learned)
+            self._try(quiet, learned, 'noise_decreased')
         if axes.any() or self._counts.decreased:
             self._ratios.add_decrease(windows.variance, decreased, floor.variance)
         return bool(axes.any())
 
-    def _discard(self, block: list[_Part], change: Literal['relearned', 'revived']) -> None:
-        """Discard all earlier data, and classify the block again with a new noise floor."""
+    def _is_corrected(self, block: list[_Part]) -> bool:
+        """Return whether the last windows are at rest in the right unit, unlike the noise floor."""
+        floor, quiet = self._rest.floor, _last_windows(block, LEAST_CHANGED)
+        assert floor is not None
+        learned = self._learned_floor(part.samples for part in quiet)
+        windows = Windows.joined(part.windows for part in quiet)
+        rows = np.concatenate([part.samples.rows for part in quiet], axis=1)
+        at_rest = learned.rest(windows) & ~learned.foreign(rows, windows, self.size)
+        return learned.is_plausible() and bool(at_rest.all()) and floor.has_wrong_unit(learned)
+
+    def _discard(
+        self,
+        block: list[_Part],
+        change: Literal['relearned', 'revived', 'corrected'],
+        number: int = BLOCK_WINDOWS,
+    ) -> None:
+        """Discard all earlier data, and classify the block again with a new noise floor.
+
+        The noise floor is learned from this number of the last windows.
+        """
         self._rest.end_segment()
         self._counts.remove_block()
         self._counts.discard('stuck' if change == 'revived' else 'moving')
-        self._ratios.smallest[:] = 1.0
-        self._again(block, change, self._learned_floor(part.samples for part in block), 'motion')
+        self._ratios.forget()
+        if self._other is not None and not self._other.tried:
+            self._other = None
+        learned = self._learned_floor(part.samples for part in _last_windows(block, number))
+        self._again(block, change, learned, 'motion')
 
-    def _try(self, quiet: list[_Part], learned: NoiseFloor) -> None:
-        """Set the sums aside, and classify windows of decreased noise with their noise floor."""
+    def _try(self, block: list[_Part], learned: NoiseFloor, change: Excluded) -> None:
+        """Set the sums aside, and classify windows of another noise with their noise floor."""
         motion, floor = self._rest.motion, self._rest.floor
         assert floor is not None
-        began_ns = motion.began_ns if motion is not None else int(quiet[0].samples.stamps_ns[0])
+        began_ns = motion.began_ns if motion is not None else int(block[0].samples.stamps_ns[0])
         self._rest.end_segment()
-        stuck = self.size * sum(int(part.found.stuck.sum()) for part in quiet)
-        decreased = self.size * sum(int(part.found.decreased.sum()) for part in quiet) - stuck
-        moving = count_samples(part.samples for part in quiet) - stuck - decreased
+        stuck = self.size * sum(int(part.found.stuck.sum()) for part in block)
+        decreased = self.size * sum(int(part.found.decreased.sum()) for part in block) - stuck
+        moving = count_samples(part.samples for part in block) - stuck - decreased
         self._counts.remove('stuck', stuck)
         self._counts.remove('noise_decreased', decreased)
         self._counts.remove('moving', moving)
-        self._counts.set_aside()
-        if self._former is None:
-            self._former = _Former(floor, began_ns)
-        self._again(quiet, 'set_aside', learned, 'noise_decreased')
+        self._counts.set_aside(change)
+        if self._other is None or not self._other.tried:
+            self._other = _Other(floor, began_ns, change)
+        self._again(block, 'set_aside', learned, change)
 
-    def _resume(self, block: list[_Part], former: _Former) -> None:
-        """Discard the data of decreased noise, and continue with the former noise floor."""
+    def _resume(self, block: list[_Part], other: _Other, present: NoiseFloor) -> None:
+        """Continue with the noise floor and the sums that were set aside.
+
+        The data at the present noise floor are discarded if it was only tried, else set aside.
+        """
         self._rest.end_segment()
         self._counts.remove_block()
         self._counts.resume()
-        seconds = (int(block[0].samples.stamps_ns[0]) - former.decreased_ns) * 1e-9
-        self._events.add(seconds, Event('noise_decreased', former.decreased_ns, seconds))
-        self._former = None
-        self._again(block, 'resumed', former.floor, 'noise_decreased')
+        now_ns = int(block[0].samples.stamps_ns[0])
+        if other.tried:
+            seconds = (now_ns - other.left_ns) * 1e-9
+            self._events.add(seconds, Event(other.change, other.left_ns, seconds))
+            self._other = None
+        else:
+            self._other = _Other(present, now_ns, other.change, tried=False)
+        self._again(block, 'resumed', other.floor, other.change)
 
     def _accept(self, samples: ImuBatch) -> None:
-        """Regard the decreased noise as normal, and discard the data before it."""
-        self._former = None
+        """Regard the changed noise as normal, and set the data before it aside."""
+        assert self._other is not None
+        self._other = self._other._replace(tried=False)
         self._rest.mark('accepted', samples)
         self._counts.accept()
-        self._ratios.smallest[:] = 1.0
+        self._ratios.forget()
 
     def _again(self, block: list[_Part], change: Change, floor: NoiseFloor, cut: str) -> None:
         """Classify windows again with another noise floor, for other sums."""
-        self._ratios.add_block(None)
+        self._ratios.add_block(None, 0)
         self._rest.change_floor(floor, change, block[0].samples, cut)
         for part in block:
             self._pass(part.samples, part.windows, self.size)
         self._block = []
+
+
+def _ending(still: Flags) -> int:
+    """Return the number of windows at the end that are not at rest; ``still`` is (k,)."""
+    return int(np.argmax(still[::-1])) if still.any() else len(still)
 
 
 def _last_windows(parts: list[_Part], number: int) -> list[_Part]:

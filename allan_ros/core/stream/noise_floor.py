@@ -15,7 +15,7 @@ import numpy as np
 
 from ..imu import Flags, Floats
 from ..settings import SegmenterSettings
-from .health import are_degrees
+from .health import are_degrees, gravity_unit
 
 LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
@@ -45,6 +45,14 @@ MOVING_AXES = 2
 SAME_GRAVITY = 0.15
 """Largest relative change of the mean specific force by a motion; a fault or a unit changes it
 more."""
+
+GRAVITY_CHANGE = 0.5
+"""Smallest change of the mean specific force in m/s^2 that is no error of a bias."""
+
+IDLE_SHARE = 0.4
+"""Share of idle samples in a window from which it does not consist of measurements. A sample is
+idle if all axes of a sensor are zero or repeat the previous sample; of white noise with a standard
+deviation above the resolution on three axes, 2 % are."""
 
 STUCK_SHARE = 0.75
 """An axis is stuck in a window if it repeats one value for this share of the window."""
@@ -134,6 +142,18 @@ class Windows:
         return cls(np.concatenate([part.values for part in parts], axis=2))
 
 
+def idle_share(rows: Floats, size: int) -> Floats:
+    """Return the share of idle samples in windows of ``size`` samples, (k,).
+
+    ``rows`` are the samples of one sensor, (axes, n). A sample is idle if all axes are zero or
+    repeat the previous sample.
+    """
+    values = rows[:, : rows.shape[1] // size * size]
+    idle = np.asarray(~values.any(axis=0))
+    idle[1:] |= (values[:, 1:] == values[:, :-1]).all(axis=0)
+    return np.asarray(idle.reshape(-1, size).mean(axis=1))
+
+
 def is_stuck(rows: Floats, size: int) -> Flags:
     """Return in which windows of ``size`` samples an axis repeats one value, (axes, k).
 
@@ -169,6 +189,7 @@ class WindowClass(NamedTuple):
     quiet: Flags  # below the limits at which a motion ends
     stuck: Flags  # an axis repeats one value
     decreased: Flags  # the noise of an axis is much smaller than the noise floor
+    foreign: Flags  # no measurements in the units of the noise floor
     rotating: Flags  # only the mean angular rate differs from the noise floor
 
 
@@ -281,6 +302,45 @@ class NoiseFloor:
         known = self.variance > self.lsb**2
         smaller = DECREASE_RATIO**2 * block.variance < self.variance[:, None]
         return np.asarray(known[:, None] & smaller)
+
+    @property
+    def gravity(self) -> float:
+        """Magnitude of the mean specific force; NaN without the three axes of an accelerometer."""
+        complete = np.count_nonzero(~self.gyro) == 3
+        return float(np.linalg.norm(self.mean[~self.gyro])) if complete else np.nan
+
+    def foreign(self, rows: Floats, windows: Windows, size: int) -> Flags:
+        """Return which windows are no measurements in the units of this floor, (k,).
+
+        In such a window, the magnitude of gravity differs, or samples of a sensor are zero or
+        repeated. ``rows``, (axes, k * size), are the samples of windows of ``size`` samples.
+        """
+        foreign = np.zeros(windows.mean.shape[1], bool)
+        for sensor in (self.gyro, ~self.gyro):
+            if np.count_nonzero(sensor) == 3 and (self.variance > self.lsb**2)[sensor].all():
+                foreign |= idle_share(rows[sensor], size) >= IDLE_SHARE
+        if np.isfinite(known := self.gravity):
+            now = np.linalg.norm(windows.mean[~self.gyro], axis=0)
+            change = np.abs(now - known)
+            foreign |= change > np.maximum(GRAVITY_CHANGE, SAME_GRAVITY * np.maximum(now, known))
+        return np.asarray(foreign)
+
+    def has_wrong_unit(self, later: NoiseFloor) -> bool:
+        """Return whether this floor has another unit than a later one, which has the right one.
+
+        Then the later gravity has its magnitude in m/s^2, or the noise of the gyro became smaller
+        as from deg/s to rad/s.
+        """
+        with np.errstate(invalid='ignore', divide='ignore'):
+            if are_degrees(np.sqrt(self.variance / later.variance)[self.gyro]):
+                return True
+        return gravity_unit(later.gravity) == 'm/s^2' != gravity_unit(self.gravity)
+
+    def distance(self, windows: Windows) -> float:
+        """Return by how much the noise of windows differs from this floor, as a mean logarithm."""
+        with np.errstate(invalid='ignore', divide='ignore'):
+            ratio = np.log(_quantile(windows.variance, 0.5) / self.scale)
+        return float(np.abs(ratio[np.isfinite(ratio)]).mean()) if np.isfinite(ratio).any() else 0.0
 
     def revived(self, rows: Floats) -> Flags:
         """Return which axes were constant when the floor was learned and have noise now, (axes,).
@@ -406,15 +466,20 @@ class NoiseFloor:
         rotating = np.abs(windows.mean - self.mean[:, None]) > max_rate
         none = np.zeros(windows.mean.shape[1], bool)
         lower = np.asarray(self.decreased(windows) & (size >= LEAST_WINDOW))
-        if not (noisy | shaken | rotating | lower).any():
-            return WindowClass(none, ~none, none, none, none)  # the common case: an IMU at rest
+        foreign = none if size < LEAST_WINDOW else self.foreign(rows, windows, size)
+        if not ((noisy | shaken | rotating | lower).any() or foreign.any()):
+            return WindowClass(
+                none, ~none, none, none, none, none
+            )  # the common case: an IMU at rest
         decreased, stuck = np.asarray(lower.any(axis=0)), none
         if decreased.any():
             stuck = np.asarray((lower & is_stuck(rows, size)).any(axis=0))
         moving = ((windows.variance > max_variance) | shaken | rotating).any(axis=0) | decreased
-        disturbed = (noisy | shaken).any(axis=0) | decreased
+        moving |= foreign
+        disturbed = (noisy | shaken).any(axis=0) | decreased | foreign
         still_rotating = rotating.any(axis=0) & ~disturbed
-        return WindowClass(moving, ~(moving | disturbed), stuck, decreased, still_rotating)
+        quiet = ~(moving | disturbed)
+        return WindowClass(moving, quiet, stuck, decreased, foreign, still_rotating)
 
 
 def _quantile(values: Floats, share: float) -> Floats:

@@ -208,6 +208,7 @@ class ImuStream:
             {axis: ratio for gate in gates for axis, ratio in gate.decreases.items()},
             tuple(axis for gate in gates for axis in gate.stuck),
             {axis: share for sensor in frame.sensors for axis, share in sensor.clipped.items()},
+            tuple(fault for gate in gates for fault in gate.faults),
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
         # the share of the first samples is known earlier, that of all samples is better
@@ -315,10 +316,8 @@ class SensorStream:
     These are all six axes, or the axes of one sensor if the sensors have different rates. The
     stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if the driver repeats samples at
     random), `MotionGate`, `RunningSums`.
-    ``gate`` is None before the sample period is learned, or if it is switched off. ``relearned``
-    counts how often the sums were discarded because the IMU had been moving, and ``discarded_s`` is
-    the time from the first sample at rest to the first one that was kept. ``kept`` are the samples
-    at rest, and ``recorder`` has the drives between two rests, if they are requested.
+    ``gate`` is None before the sample period is learned, or if it is switched off. ``recorder`` has
+    the drives between two rests, if they are requested.
     """
 
     def __init__(
@@ -335,8 +334,8 @@ class SensorStream:
         self._with_samples = with_samples
         self.counts = Counts()
         self.events: Longest[Event] = Longest(LISTED_EVENTS)
-        self.relearned = 0
-        self.discarded_s = 0.0
+        self._discards = 0
+        self._discarded_s = 0.0
         self._first_ns: int | None = None
         self._restarted = False
         self._plan = plan
@@ -361,18 +360,41 @@ class SensorStream:
     def _clear(self) -> None:
         """Start with empty sums."""
         self._sums = FloorSums(self._identity, self._plan.axes, self._with_samples)
-        self._aside: FloorSums | None = None  # before the noise decreased
+        self._other: FloorSums | None = None  # at another noise floor
+        self._tried = False  # whether the present noise floor is only tried
         self._means = RunningMeans(self._plan.axes)
 
     @property
+    def _published(self) -> FloorSums:
+        """The sums that are the result: those of before while another noise floor is tried."""
+        return self._other if self._tried and self._other is not None else self._sums
+
+    @property
+    def _is_later(self) -> bool:
+        """Whether the result lacks earlier sums, because the noise changed for a longer time."""
+        other = self._other
+        return other is not None and not self._tried and other.first_ns < self._sums.first_ns
+
+    @property
+    def relearned(self) -> int:
+        """How often the result lost the sums so far, because the IMU moved or its noise changed."""
+        return self._discards + self._is_later
+
+    @property
+    def discarded_s(self) -> float:
+        """Time in s between the first samples at rest and of the result; 0 if they are the same."""
+        later = self._since_start(self._sums.first_ns) if self._is_later else 0.0
+        return max(self._discarded_s, later)
+
+    @property
     def kept(self) -> list[ImuBatch]:
-        """The samples at rest, if they are requested."""
-        return (self._aside or self._sums).kept
+        """The samples at rest, if they were requested."""
+        return self._published.kept
 
     @property
     def clipped(self) -> dict[str, float]:
         """Axis -> share of its samples at rest that are at the end of the measurement range."""
-        return (self._aside or self._sums).clipped
+        return self._published.clipped
 
     @property
     def state(self) -> State:
@@ -385,7 +407,7 @@ class SensorStream:
 
     def by_rate(self) -> list[StreamSums]:
         """Return the sums at the present sample rate and at the earlier one with the most data."""
-        sums, segments = (self._aside or self._sums).result
+        sums, segments = self._published.result
         former = [] if self._former is None else [self._former]
         if not sums.samples:
             return former
@@ -461,7 +483,7 @@ class SensorStream:
         if self._first_ns is None:
             self._first_ns = int(block.stamps_ns[0])
         if self._restarted:  # the gate released samples of the last discarded block again
-            self.discarded_s = (int(block.stamps_ns[0]) - self._first_ns) * 1e-9
+            self._discarded_s = (int(block.stamps_ns[0]) - self._first_ns) * 1e-9
             self._restarted = False
         if self.gate is None:  # else it counts them
             self.counts.used += len(block)
@@ -473,25 +495,31 @@ class SensorStream:
         if change != 'accepted':
             self._sums.close()
             self._means.cut()
-        present, former = self._sums, self._aside
+        present, other, was_tried = self._sums, self._other, self._tried
         if change == 'resumed':
-            assert former is not None
-            self._sums, self._aside = former, None
+            assert other is not None
+            self._sums, self._other = other, None if was_tried else present
+            self._tried = False
         elif change == 'accepted':
-            self._aside = None
-            self._note_discarded(present.first_ns)
+            self._tried = False
         else:
             self._sums = FloorSums(self._identity, self._plan.axes, self._with_samples)
             if change == 'set_aside':
-                self._aside = former or present
-            elif former is None:
-                self._restarted = True
+                if self._is_later:  # the earlier sums are dropped
+                    self._note_discarded(present.first_ns)
+                self._other, self._tried = (other if was_tried else present), True
+            elif not was_tried:
+                self._other, self._restarted = None, True
                 self._note_discarded(present.last_ns)  # until the next sample is kept
 
     def _note_discarded(self, until_ns: int) -> None:
         """Count that the sums from the start to a stamp were discarded."""
-        self.relearned += 1
-        self.discarded_s = max(self.discarded_s, (until_ns - (self._first_ns or 0)) * 1e-9)
+        self._discards += 1
+        self._discarded_s = max(self._discarded_s, self._since_start(until_ns))
+
+    def _since_start(self, stamp_ns: int) -> float:
+        """Return the time in s since the first sample at rest."""
+        return (stamp_ns - (self._first_ns or 0)) * 1e-9
 
 
 class FloorSums:

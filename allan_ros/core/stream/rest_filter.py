@@ -23,9 +23,10 @@ MARGIN_BEFORE, MARGIN_AFTER_S = 1, 2.0
 """What is dropped of the data at rest next to a motion: one window before it, and windows of at
 least 2 s after it."""
 
-Change = Literal['relearned', 'revived', 'set_aside', 'resumed', 'accepted']
+Change = Literal['relearned', 'revived', 'corrected', 'set_aside', 'resumed', 'accepted']
 """What happens to the sums when the noise floor changes. 'relearned': the present sums are
 discarded, because the IMU moved. 'revived': they are discarded, because an axis was stuck.
+'corrected': they are discarded, because their unit of measurement was wrong.
 'set_aside': they are kept, and sums of a decreased noise begin. 'resumed': these are discarded, and
 the sums that were kept continue. 'accepted': the sums that were kept are discarded."""
 

@@ -210,6 +210,23 @@ def plan_sensors(first: ImuBatch, only: str = '') -> tuple[list[SensorPlan], lis
     return plans, findings
 
 
+def zeros_and_repeats(sensor: str, axes: tuple[str, ...], rows: Floats) -> list[Finding]:
+    """Return a finding if samples of a sensor, (axes, n), are zero or repeat the one before.
+
+    They are all zero, or some are zero or repeated on all axes.
+    """
+    zeros = rows == 0.0
+    if zeros.all():
+        return [finding('sensor_all_zero', axes, sensor=sensor)]
+    if _coincide(zeros):
+        share = float(zeros.all(axis=0).mean())
+        return [finding('zero_filled', axes, sensor=sensor, share=share)]
+    if _are_repeated(rows):
+        share = float((rows[:, 1:] == rows[:, :-1]).all(axis=0).mean())
+        return [finding('held', axes, sensor=sensor, share=share)]
+    return []
+
+
 def _plan_sensor(
     sensor: str, rows: Floats, repeats: Flags, findings: list[Finding]
 ) -> SensorPlan | None:
