@@ -21,7 +21,7 @@ from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
 from ..errors import AllanError
 from ..findings import Finding
-from ..imu import AXES, Floats, ImuBatch, ImuIdentity, Stamps, joined
+from ..imu import AXES, LARGEST, SENSORS, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
 from .cleaning import RepeatFilter, SampleFilter, StampChoice, StampSorter
 from .drive_recorder import NO_DRIVES, DriveRecorder, Drives
@@ -40,9 +40,20 @@ from .health import (
     stream_findings,
 )
 from .motion import MotionGate
+from .noise_floor import idle_share
 from .rest_filter import Change
 from .sensors import Clipping, SensorPlan, plan_sensors
 from .timing import LEARN, SampleClock
+
+CHECKED = LEARN // 8
+"""Number of samples that are examined at once to find that all samples of a sensor are measured
+again, after some were zero or repeated."""
+
+IDLE = ('sensor_all_zero', 'zero_filled', 'held')
+"""Findings of a sensor whose samples are zero or repeated."""
+
+STILL_IDLE = 0.05
+"""Smallest share of zero or repeated samples that shows that these continue."""
 
 
 class StreamSums(NamedTuple):
@@ -169,7 +180,8 @@ class ImuStream:
 
     def _longest(self) -> tuple[StreamSums, ...]:
         """Return the sums with the longest elapsed time for each sensor with data."""
-        sensors = [sensor for frame in self._frames.values() for sensor in frame.sensors]
+        frames = self._frames.values()
+        sensors = [sensor for frame in frames for sensor in (*frame.earlier, *frame.sensors)]
         known = [each for sensor in sensors for each in sensor.by_rate()]
         best: dict[str, StreamSums] = {}
         for each in sorted(known, key=lambda each: -each.sums.elapsed_ns):
@@ -187,7 +199,7 @@ class ImuStream:
             counts.add(each)
         clock = frame.sensors[0].clock.clock if frame.sensors else None
         gates = [sensor.gate for sensor in frame.sensors if sensor.gate is not None]
-        streams = [s for each in self._frames.values() for s in each.sensors]
+        streams = [s for each in self._frames.values() for s in (*each.earlier, *each.sensors)]
         health = StreamHealth(
             counts,
             state,
@@ -203,7 +215,7 @@ class ImuStream:
             {axis: ratio for gate in gates for axis, ratio in gate.increases.items()},
             max((stream.discarded_s for stream in streams), default=0.0),
             {axis: share for gate in gates for axis, share in gate.heavy_tails.items()},
-            tuple(event for sensor in frame.sensors for event in sensor.events.items),
+            tuple(event for s in (*frame.earlier, *frame.sensors) for event in s.events.items),
             self._dropped_frames,
             {axis: ratio for gate in gates for axis, ratio in gate.decreases.items()},
             tuple(axis for gate in gates for axis in gate.stuck),
@@ -211,6 +223,8 @@ class ImuStream:
             tuple(fault for gate in gates for fault in gate.faults),
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
+        if clock is not None:  # the stamps became usable later
+            notes = [note for note in notes if note.id != 'stamps_missing']
         # the share of the first samples is known earlier, that of all samples is better
         notes = [n for n in notes if n.id != 'clipped' or not set(n.axes) & set(health.clipped)]
         found = [*notes, *stream_findings(health, longest, self._settings)]
@@ -221,7 +235,9 @@ class FrameStream:
     """Chooses the stamps of the samples with one frame_id, and divides them into sensor streams.
 
     ``sensors`` has one stream for all axes, or one per sensor if the rates differ. It is empty
-    until the first samples are evaluated. ``notes`` are the findings about these first samples.
+    until the first samples are evaluated. ``notes`` are the findings about these first samples. If
+    samples of a sensor were zero or repeated, each `CHECKED` samples are examined before they are
+    processed: when the fault ends, other streams begin, and the streams before are ``earlier``.
     """
 
     def __init__(
@@ -235,6 +251,9 @@ class FrameStream:
         self.identity = identity
         self._options = settings, with_samples, with_drives
         self.sensors: tuple[SensorStream, ...] = ()
+        self.earlier: tuple[SensorStream, ...] = ()
+        self._dropped = Counts()  # of streams before these
+        self._has_idle = False  # whether samples of a sensor were zero or repeated
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.received = 0
@@ -259,41 +278,71 @@ class FrameStream:
     def counts(self) -> Counts:
         """Counts of all sensor streams; ``received`` is 0, since `ImuStream` counts it."""
         counts = Counts(skipped=self._skipped, reordered=self._sorter.sorted)
-        for sensor in self.sensors:
+        counts.add(self._dropped)
+        for sensor in (*self.earlier, *self.sensors):
             counts.add(sensor.counts)
         return counts
 
     def update(self, batch: ImuBatch) -> None:
         """Process the next samples with this frame_id."""
         self.received += len(batch)
-        while not self.sensors and len(batch):
-            # exactly the first LEARN samples are evaluated, so that batch sizes do not matter
-            take = min(LEARN - self._learned, len(batch))
+        while (self._has_idle or not self.sensors) and len(batch):
+            # exactly this number of samples is evaluated, so that batch sizes do not matter
+            number = CHECKED if self.sensors else LEARN
+            take = min(number - self._learned, len(batch))
             self._learning.append(batch[np.arange(take)])  # a copy
             self._learned += take
-            if self._learned == LEARN:
+            if self._learned == number:
                 self._learn()
             batch = batch[take:]
         self._feed(self._sorter.feed(self.stamps.of(batch)))
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
-        if not self.sensors and self._learned:
-            self._learn()
+        if self._learned:
+            self._learn(at_end=True)
         self._feed(self._sorter.flush())
         for sensor in self.sensors:
             sensor.flush()
 
-    def _learn(self) -> None:
-        """Choose the stamps and the sensor streams from the first samples, then process these."""
+    def _learn(self, at_end: bool = False) -> None:
+        """Choose the stamps and the sensor streams from the buffered samples; process these."""
         first, self._learning, self._learned = joined(self._learning), [], 0
+        if self.sensors and (at_end or self._is_idle(first)):
+            self._feed(self._sorter.feed(self.stamps.of(first)))
+            return
+        if self.sensors:
+            self._start_again(first)
+            return
         notes = self.stamps.learn(first)
         samples = self.stamps.of(first)
         plans, findings = plan_sensors(StampSorter.all_sorted(samples), self._sensor)
         self.notes += [note for note in (*notes, *findings) if note not in self.notes]
         self._sorter = StampSorter(samples.stamps_ns)
         self.sensors = tuple(SensorStream(plan, self.identity, *self._options) for plan in plans)
+        self._has_idle = any(each.id in IDLE for each in findings)
         self._feed(self._sorter.feed(samples))
+
+    def _is_idle(self, samples: ImuBatch) -> bool:
+        """Return whether samples of a sensor are still zero or repeated."""
+        wanted = [place for each, place in SENSORS.items() if self._sensor in ('', each)]
+        for rows in (samples.rows[place] for place in wanted):
+            usable = rows[:, (np.abs(rows) <= LARGEST).all(axis=0)]
+            if usable.size and idle_share(usable, usable.shape[1])[0] >= STILL_IDLE:
+                return True
+        return False
+
+    def _start_again(self, samples: ImuBatch) -> None:
+        """Evaluate the next samples like the first ones; the streams so far have ended."""
+        self._feed(self._sorter.flush())
+        for sensor in self.sensors:
+            sensor.flush()
+        for sensor in self.earlier:
+            self._dropped.add(sensor.counts)
+        self._dropped.reordered += self._sorter.sorted
+        self.earlier, self.sensors = self.sensors, ()
+        self.notes = [note for note in self.notes if note.id not in IDLE]
+        self._learning, self._learned = [samples], len(samples)
 
     def _feed(self, samples: ImuBatch) -> None:
         if not len(samples):

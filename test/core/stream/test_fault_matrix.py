@@ -21,6 +21,10 @@ import bench_faults as bench  # noqa: E402
     'fault, begin, lasts',
     [
         ('frozen', 0, 30),
+        ('zero_filled', 0, 120),
+        ('every_second_zero', 0, 30),
+        ('held', 0, 30),
+        ('stamps_zero', 0, 30),
         ('every_second_zero', 120, 30),
         ('held', 120, 120),
         ('unit_g', 0, 30),
@@ -62,6 +66,20 @@ def test_sums_of_before_continue_when_a_fan_is_switched_off_after_a_long_time():
     assert after.sums[0].avar[0] == pytest.approx(bench.SIGMA**2 + bench.LSB**2 / 12, rel=0.06)
     assert_accounted(after)
     assert_same(after, accumulate(times, x, chunks=(37,)))
+
+
+@pytest.mark.parametrize('fault', ['zero_filled', 'held', 'every_second_zero'])
+@pytest.mark.parametrize('end', [1, 2000, 2049, 2950])
+def test_streams_that_begin_after_a_fault_do_not_depend_on_the_chunks(fault, end):
+    rng = np.random.default_rng(6)
+    x = bench.rounded(bench.simulated(50, rng))
+    x[:end] = bench.FAULTS[fault].change(x[:end], rng)
+    times = START + np.arange(len(x)) * (10**9 // bench.RATE)
+    one = accumulate(times, x)
+    assert_same(one, accumulate(times, x, chunks=(53, 700)))
+    assert len(one.sums) == 1 or end > 1
+    gyro = [sums for sums in one.sums if 'gyro_x' in sums.axes]
+    assert gyro and gyro[0].samples >= 0.9 * (len(x) - end) - 128
 
 
 @pytest.mark.parametrize('fault', ['held', 'unit_g', 'unit_deg', 'every_second_zero'])
