@@ -68,15 +68,18 @@ def reduce_axis(
         walk = axis_level(axis, fit, 'K')
         reduction = reduce_model(model.changed(K=walk.value), states, horizon)
     n, k = reduction.model.value('N'), reduction.model.value('K')
-    ends = interval_models(fit) if states in ('none', 'walk') else None
-    of_ends = [reduce_model(one, states, horizon).model for one in ends or ()]
+    raises_walk = walk is None and k > 1.001 * resolved_walk
+    raises_white = n > 1.001 * white.value
     if walk is None and k > 0.0:
         walk = Level(axis, 'K', k, fit.noise['K'].ci95)
-        if k > 1.001 * resolved_walk:
+    if raises_walk or raises_white:
+        ends = interval_models(fit) if states in ('none', 'walk') else None
+        of_ends = [reduce_model(one, states, horizon).model for one in ends or ()]
+        if walk is not None and raises_walk:
             measured = resolved_walk if fit.noise['K'].status == 'estimated' else 0.0
             walk = _raised(walk, k, measured, [one.value('K') for one in of_ends])
-    if n > 1.001 * white.value:
-        white = _raised(white, n, white.value, [one.value('N') for one in of_ends])
+        if raises_white:
+            white = _raised(white, n, white.value, [one.value('N') for one in of_ends])
     return reduction._replace(levels={'N': white, **({'K': walk} if walk else {})})
 
 

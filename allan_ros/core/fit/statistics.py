@@ -40,6 +40,9 @@ class LowPassCurvature(Process):
     """
 
 
+Sizes = tuple[tuple[int, int], ...]
+"""Number of block means and of cosines of each group of segments."""
+
 LOWEST_BLOCKS = 2
 """The longest blocks of the spectra are at most 1/2 of the longest segment, so that at least three
 overlapping blocks are averaged."""
@@ -103,7 +106,7 @@ def contrasts(points: int, high: int) -> Floats:
     return np.asarray(q[:, 1:])
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=24)  # more than the groups of a recording: 8 lengths, or 18 of pieces
 def _transformed(points: int, high: int) -> Floats:
     """Return the Fourier transform of the contrasts, real and imaginary parts, (rows, contrasts).
 
@@ -115,18 +118,22 @@ def _transformed(points: int, high: int) -> Floats:
     return np.concatenate([f.real, f.imag])
 
 
-@lru_cache(maxsize=192)
-def _low_covariance(process: Process, step: int, points: int, high: int) -> Floats:
-    """Return the covariance of the contrasts of block means for unit noise."""
-    return _covariance_of(process.gamma, step, points, high)
+@lru_cache(maxsize=96)  # the processes of a fit, and the most recent shapes of a search
+def _low_covariances(process: Process, step: int, sizes: Sizes) -> list[Floats]:
+    """Return the covariance of the contrasts of block means for unit noise, for each size."""
+    return _covariances_of(process.gamma, step, sizes)
 
 
-def _covariance_of(gamma: Gamma, step: int, points: int, high: int) -> Floats:
-    """Return the covariance of the contrasts of block means."""
-    values = gamma(step, np.arange(points))
-    eigenvalues = np.fft.rfft(np.concatenate([values, values[-1:], values[:0:-1]])).real
-    v = _transformed(points, high)
-    return np.asarray(v.T @ (np.tile(eigenvalues, 2)[:, None] * v))
+def _covariances_of(gamma: Gamma, step: int, sizes: Sizes) -> list[Floats]:
+    """Return the covariance of the contrasts of block means, for each size."""
+    lags = gamma(step, np.arange(max((points for points, _ in sizes), default=0)))
+    found = []
+    for points, high in sizes:
+        values = lags[:points]
+        eigenvalues = np.fft.rfft(np.concatenate([values, values[-1:], values[:0:-1]])).real
+        v = _transformed(points, high)
+        found.append(v.T @ (np.concatenate([eigenvalues, eigenvalues])[:, None] * v))
+    return found
 
 
 class Group(NamedTuple):
@@ -188,6 +195,11 @@ class Statistics:
         return int(self.octave[-1]) + 1 if len(self.octave) else 0
 
     @cached_property
+    def sizes(self) -> Sizes:
+        """Number of block means and of cosines of each group."""
+        return tuple((group.points, group.high) for group in self.groups)
+
+    @cached_property
     def crossover(self) -> float:
         """Frequency in cycles per sample below which the block means are used."""
         return lower_edge(self.octaves)
@@ -200,7 +212,7 @@ class Statistics:
         longer than this share, only the ends are in blocks: on average, half a block of samples.
         """
         power = self.power_of(White())
-        low = [_low_covariance(White(), self.step, g.points, g.high) for g in self.groups]
+        low = _low_covariances(White(), self.step, self.sizes)
         sizes = np.array([octave(o).length for o in range(self.octaves)])
         length = self.replaced[:, 0]
         whole = length[:, None] <= MAX_INTERPOLATED * sizes  # (stretches, octaves)
@@ -217,7 +229,7 @@ class Statistics:
                 gamma = replaced_excess(self.replaced, np.where(first == o, number, 0.0))
                 own = own + np.where(self.octave >= o, _power_of(gamma, self.octaves), 0.0)
             gamma = replaced_excess(self.replaced, number)
-            more = [_covariance_of(gamma, self.step, g.points, g.high) for g in self.groups]
+            more = _covariances_of(gamma, self.step, self.sizes)
             out.append(Column(own, [a + b for a, b in zip(low, more)]))
         return out
 
@@ -239,7 +251,7 @@ class Statistics:
             mean = 0.5 * self.step * aliases
             low = [mean * each for each in self.white[axis].low]
         else:
-            low = [_low_covariance(process, self.step, g.points, g.high) for g in self.groups]
+            low = _low_covariances(process, self.step, self.sizes)
         return Column(self.power_of(process), low)
 
 
