@@ -23,6 +23,7 @@ import numpy as np
 from allan_ros.core.imu import AXES, STANDARD_GRAVITY, ImuBatch
 from allan_ros.core.stream.health import Accumulation, StreamHealth
 from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.core.stream.present_faults import noise_now
 from allan_ros.core.stream.transport import ConstantAxes, TransportMonitor, TransportStatistics
 
 RATE = 100
@@ -148,13 +149,13 @@ FAULTS = {
         noise_changes=True,
     ),
     'doubled': Fault(
-        'noise_increased',
+        'noise_increased noise_now',
         lambda x, rng: x.mean(0) + 2.0 * (x - x.mean(0)),
         is_fault=False,
         noise_changes=True,
     ),
     'fan': Fault(
-        'noise_increased',
+        'noise_increased noise_now',
         lambda x, rng: x + vibration(x) + 3 * SIGMA * rng.normal(size=x.shape),
         noise_changes=True,
     ),
@@ -196,6 +197,7 @@ class Input:
         stuck = self._constant.stuck(health.rate_hz) if health.rate_hz else ()
         named = {'stuck_now'} if stuck else set()
         found = self._monitor.observe(time_s, self._statistics, health, ('driver',), 5.0, found)
+        found = *found, *noise_now(health, self._sums)
         return health, named | {f.id for f in found}
 
 

@@ -20,6 +20,7 @@ from ..core.settings import SegmenterSettings
 from ..core.stream.cleaning import PassSplitter
 from ..core.stream.health import StreamHealth
 from ..core.stream.pipeline import ImuStream
+from ..core.stream.present_faults import noise_now
 from ..core.stream.transport import TransportMonitor, faults_of
 from ..readers import SourceInfo
 from ..readers.recorded import Provenance
@@ -27,7 +28,7 @@ from ..results.checkpoint import Checkpoint, Total
 from ..view.finding_text import finding_line
 from .diagnostics import input_status, status_name
 from .imu_input import IMU_TYPE, ImuInput, full_name
-from .messages import REPLACED_SHARE, Snapshot, replaced_share
+from .messages import REPLACED_SHARE, Snapshot, kinds_of, replaced_share
 from .node import AllanNode, Part, Periodic
 from .settings import CheckpointSettings, InputSettings, WatchedImu, home_of
 from .sums_output import SumsOutput
@@ -135,6 +136,8 @@ class ImuWatch(Part):
         self._faults = tuple(f for f in faults if f.axes)
         if len(self._faults) < len(faults):
             self._faults = finding('no_data'), *self._faults
+        larger = noise_now(health, self._sums)
+        self._faults, found = (*self._faults, *larger), (*found, *larger)
         if self._state() != self.output.state:
             self._publish(self._total())
         # the findings of a live input replace the findings of a complete stream
@@ -295,7 +298,7 @@ class ImuWatch(Part):
     def _state(self) -> object:
         """Return what the estimator must know at once when it changes."""
         means = any(len(each.end_ns) for each in self._stream.means())
-        return self.frame_id, self._axes, means, [(f.id, f.axes) for f in self._faults]
+        return self.frame_id, self._axes, means, kinds_of(self._faults)
 
     def _publish(self, total: Total) -> None:
         """Publish the sums, together with the accelerometer of another topic if there is one."""

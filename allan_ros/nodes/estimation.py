@@ -36,6 +36,7 @@ from .messages import (
     BiasPublisher,
     ModelListener,
     Snapshot,
+    kinds_of,
     replaced_because,
     replaced_share,
 )
@@ -106,7 +107,7 @@ class ImuEstimate(Part):
         self._steps = {a: one for s in snapshot.sums for a, one in noise_steps(s, window).items()}
         self._bias.update(snapshot)
         if self._results is not None:
-            if _kinds(former) != _kinds(self._faults):
+            if kinds_of(former) != kinds_of(self._faults):
                 self._publish(self._results)
             else:
                 self._tell(self._with_faults(self._results))
@@ -286,10 +287,6 @@ class SumsInput(Part):
             self._node.fault('sums', error)
         else:
             self._problem = ''
-
-
-def _kinds(faults: tuple[Finding, ...]) -> set[tuple[str, tuple[str, ...]]]:
-    return {(f.id, f.axes) for f in faults}
 
 
 def _timed_fit(total: Total, method: str) -> tuple[Results, float]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -191,6 +191,15 @@ def _samples_by_start(sums: AllanSums) -> Counter[int]:
     for segment in (m for r in sums.recordings for m in r.means):
         found[segment.start_ns] += segment.samples
     return found
+
+
+def kinds_of(faults: Iterable[Finding]) -> frozenset[tuple[str, tuple[str, ...], int]]:
+    """Return what must be published at once when it changes: the kinds of present findings.
+
+    A ratio of the noise is another kind if it changes by about a fifth.
+    """
+    ratios = ((f, float(f.values.get('ratio') or 1.0)) for f in faults)
+    return frozenset((f.id, f.axes, round(4.0 * math.log2(ratio))) for f, ratio in ratios)
 
 
 class BiasAtRest(NamedTuple):

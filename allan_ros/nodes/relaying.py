@@ -29,6 +29,7 @@ from ..core.errors import AllanError, one_line
 from ..core.filters.noise_parameters import Variances, white_ratio, white_variances
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, NANOSECONDS, SENSORS, ImuIdentity, sensor_of
+from ..core.stream.present_faults import noise_ratios
 from ..core.stream.transport import faults_of
 from ..readers.cdr import CovariancePatch, MalformedMessage, decode_imus, frame_id_of
 from ..readers.files import parse_json
@@ -103,6 +104,17 @@ def cover_bias(
     added = (max(1.0, messages) * (one.value**2 + one.std**2) for one in known)
     x, y, z = (noise + more for noise, more in zip(variances['gyro'], added))
     return {**variances, 'gyro': (x, y, z)}
+
+
+def louder(variances: dict[str, Variances], ratios: Mapping[str, float]) -> dict[str, Variances]:
+    """Return the variances multiplied by the square of the ratio of the present noise of axes."""
+    out = dict(variances)
+    for sensor, values in variances.items():
+        x, y, z = (
+            value * ratios.get(axis, 1.0) ** 2 for axis, value in zip(AXES[SENSORS[sensor]], values)
+        )
+        out[sensor] = x, y, z
+    return out
 
 
 def bias_in_model(results: Results) -> dict[str, BiasAtRest]:
@@ -288,6 +300,7 @@ class ImuRelay(Part):
             noise = {s: v for s, v in {**noise, **measured}.items() if s not in faulty}
             stated = noise.keys() - measured.keys()
             bias = {**bias_in_model(results), **bias}
+            noise = louder(noise, noise_ratios(results.findings))
         if not settings.debiased:
             noise = cover_bias(noise, bias, settings.horizon * rate)
         self._variances, self._from_datasheet = noise, tuple(s for s in SENSORS if s in stated)

@@ -70,6 +70,30 @@ def test_wrong_units_and_silence_are_errors_of_the_axes(graph, still_imu) -> Non
     assert graph.value('imu gyro z', 'finding') == 'no_data'
 
 
+def test_the_covariance_follows_noise_that_doubles_and_a_fan(graph, still_imu) -> None:
+    """10 s of data are enough; the model is still that of the 40 s before."""
+    graph.run('monitor', **{'relay.enabled': True})
+    publisher = graph.publisher()
+    healthy = still_imu(8000)
+    graph.send(publisher, healthy)
+    variance = lambda: float(graph.value('relay', 'variance of gyro x') or 'nan')  # noqa: E731
+    graph.until(lambda: variance() > 0.0)
+    before, latest = variance(), healthy
+    for ratio, seed in ((2.0, 2), (6.0, 3)):
+        noise = still_imu(2000, seed=seed)
+        noise.samples[:] = noise.samples[0] + ratio * (noise.samples - noise.samples.mean(axis=0))
+        noise.samples[:, :3] -= noise.samples[:, :3].mean(axis=0)
+        noise.samples[:, 3:] += [0, 0, 9.8] - noise.samples[:, 3:].mean(axis=0)
+        latest = continued(noise, latest)
+        graph.send(publisher, latest)
+        # sd of the present level is 4 %: 5 sigma
+        graph.until(lambda: variance() > 0.64 * ratio**2 * before)  # noqa: B023
+        assert graph.status('relay').level == OK
+    quiet = continued(still_imu(3000, seed=4), latest)
+    graph.send(publisher, quiet)
+    graph.until(lambda: variance() < 4.0 * before)
+
+
 def results_of(seconds: int, method: str) -> Results:
     """Return the results of white noise at 200 Hz."""
     n = 200 * seconds

@@ -190,6 +190,8 @@ class StreamHealth:
     # axis -> share of its samples at rest that are at the end of the measurement range
     clipped: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[Finding, ...] = ()  # known faults of the latest samples
+    # axis -> present standard deviation of its white noise; empty if it is not known
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def still_share(self) -> float | None:

@@ -159,7 +159,7 @@ class MotionGate:
         self._pending = ImuBatch.empty(len(axes))
         self._before = self._pending.rows  # the last samples before them
         self._block: list[_Part] = []
-        self._recent: list[_Part] = []  # the latest windows, `LEAST_FAULTY` or more
+        self._recent: list[_Part] = []  # the latest windows, `LEAST_CHANGED` or more
 
     @property
     def faults(self) -> tuple[Finding, ...]:
@@ -171,6 +171,25 @@ class MotionGate:
         rows = np.concatenate([part.samples.rows for part in parts], axis=1)
         windows = Windows.joined(part.windows for part in parts)
         return present_faults(self._axes, floor, rows, windows)
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Axis -> present standard deviation of the white noise; empty if the IMU moves.
+
+        It is computed from the differences of neighboring samples in the latest windows. These are
+        at rest, or have larger noise without a motion.
+        """
+        floor, recent = self._rest.floor, _last_windows(self._recent, LEAST_CHANGED)
+        still = np.array([flag for part in recent for flag in part.still])
+        if floor is None or len(still) < LEAST_CHANGED or (still.any() and not still.all()):
+            return {}
+        rows = np.concatenate([part.samples.rows for part in recent], axis=1)
+        windows = Windows.joined(part.windows for part in recent)
+        foreign = any(part.found.foreign.any() for part in recent)
+        if not still.all() and (foreign or floor.increase(rows, windows) is None):
+            return {}
+        deviation = np.sqrt(0.5 * np.mean(np.diff(rows, axis=1) ** 2, axis=1))
+        return dict(zip(self._axes, deviation.tolist()))
 
     @property
     def increases(self) -> dict[str, float]:
@@ -301,7 +320,7 @@ class MotionGate:
         if size == self.size:
             part = _Part(block, windows, still, found)
             self._block.append(part)
-            self._recent = [*_last_windows(self._recent, LEAST_FAULTY - 1), part]
+            self._recent = [*_last_windows(self._recent, LEAST_CHANGED - 1), part]
 
     # --- the noise floor --------------------------------------------------------------------------
 

@@ -221,6 +221,7 @@ class ImuStream:
             tuple(axis for gate in gates for axis in gate.stuck),
             {axis: share for sensor in frame.sensors for axis, share in sensor.clipped.items()},
             tuple(fault for gate in gates for fault in gate.faults),
+            {axis: level for gate in gates for axis, level in gate.noise.items()},
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
         if clock is not None:  # the stamps became usable later
