@@ -16,6 +16,7 @@ from typing import Any
 from ..core.allan.sums import AllanSums, add_sums, check_same_imu
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
+from ..core.stream.health import unit_findings
 from ..readers.files import (
     MAX_BYTES,
     PathLock,
@@ -37,10 +38,11 @@ class Checkpoint:
     """A file with the Allan variance sums of all runs of a node.
 
     It adds the sums of earlier runs to the sums of the current run, and saves the total. A damaged
-    file is renamed. A file of another version or IMU is never overwritten: nothing is written until
-    it is moved away, or its IMU is connected again. Only regular files are read, renamed or
-    replaced, and only if no other node has locked the path. Problems never stop the node: each is
-    logged once and becomes a finding.
+    file is renamed; a file whose sums have a wrong unit of measurement is renamed when the present
+    samples have the right one. A file of another version or IMU is never overwritten: nothing is
+    written until it is moved away, or its IMU is connected again. Only regular files are read,
+    renamed or replaced, and only if no other node has locked the path. Problems never stop the
+    node: each is logged once and becomes a finding.
 
     Parameters
     ----------
@@ -109,12 +111,16 @@ class Checkpoint:
         node, these are the sums of this run alone.
         """
         self._has_new_samples = bool(sums)
+        if sums and _has_wrong_unit(self.earlier[0]) and not _has_wrong_unit(sums):
+            self._move_wrong_unit()
         if self.refused is not None and not os.path.lexists(self.path):
             self._clear()
         if not self._owned or self._content is None:
             return sums, provenance
         try:
             check_same_imu(self._content[0], sums)
+            if self.earlier[0] and _has_wrong_unit(sums) and not _has_wrong_unit(self.earlier[0]):
+                raise AllanError('its unit of measurement is not that of the present samples')
             total = add_sums(self.earlier[0], sums)
         except AllanError as error:
             self._refuse(str(error))
@@ -214,6 +220,19 @@ class Checkpoint:
         self.loaded = finding('checkpoint_corrupt', path=self.path, aside=aside, reason=reason)
         self._log.warning(str(self.loaded))
 
+    def _move_wrong_unit(self) -> None:
+        """Move the file away if possible, and do not add the sums of earlier runs."""
+        self._collect()
+        aside = Path(f'{self.path}.previous')
+        if self._owned and os.path.lexists(self.path):
+            try:
+                self._rename(aside)
+            except AllanError as error:
+                self._report_unwritable(error)
+        self._clear()
+        self.loaded = finding('checkpoint_unit', path=self.path, aside=aside)
+        self._log.warning(self._words(self.loaded))
+
     def _rename(self, to: Path) -> None:
         try:
             self._file.replace(to)
@@ -280,3 +299,8 @@ class Checkpoint:
         if self._unsaved is None:
             self._log.warning(self._words(found))
         self._unsaved = found
+
+
+def _has_wrong_unit(sums: tuple[AllanSums, ...]) -> bool:
+    """Return whether the noise or the mean of a sensor is impossible in SI units."""
+    return any(unit_findings(each) for each in sums)

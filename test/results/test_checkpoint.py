@@ -70,6 +70,31 @@ def test_sums_are_saved_and_loaded(tmp_path: Path, sums: Sums, opened) -> None:
     assert loaded.findings == ()
 
 
+def in_unit(factor: float) -> Sums:
+    """Return the sums of an IMU at rest whose acceleration has another unit."""
+    accumulator = ImuStream()
+    samples = np.random.default_rng(0).normal(0.0, 1e-3, (3000, 6)) + [0, 0, 0, 0, 0, 9.8]
+    samples[:, 3:] *= factor
+    accumulator.update(ImuBatch(10**18 + np.arange(3000) * 10**7, samples, frame_id='imu'))
+    return accumulator.result().sums
+
+
+def test_sums_in_g_and_in_si_are_never_added(tmp_path: Path, opened) -> None:
+    path, previous = tmp_path / 'sums.json', tmp_path / 'sums.json.previous'
+    in_g, in_si = in_unit(1 / 9.80665), in_unit(1.0)
+    assert save(opened(path), in_g)
+    checkpoint = opened(path)
+    assert checkpoint.total(in_si, Provenance())[0] == in_si
+    assert [f.id for f in checkpoint.findings] == ['checkpoint_unit']
+    assert save(checkpoint, in_si) and previous.exists()
+    checkpoint = opened(path)
+    assert checkpoint.total(in_g, Provenance())[0] == in_g
+    assert not save(checkpoint, in_g) and 'unit of measurement' in str(checkpoint.refused)
+    # the unit becomes right in this run
+    assert save(checkpoint, in_si) and checkpoint.refused is None
+    assert max(s.samples for s in opened(path).earlier[0]) == 6000
+
+
 def test_without_a_path_nothing_is_kept(sums: Sums, opened) -> None:
     checkpoint = opened('')
     total = checkpoint.total(sums, Provenance())

@@ -376,7 +376,7 @@ def stream_findings(
     for each in sums:
         flat = tuple(np.array(each.axes)[each.sum_sq[0] == 0.0].tolist()) if len(each.m) else ()
         add('no_noise', flat, flat)
-        found += [*_equal_axes(each), *_unit_findings(each)]
+        found += [*_equal_axes(each), *unit_findings(each)]
     add('nothing_left', c.received and not sums, received=c.received)
     return found
 
@@ -419,7 +419,7 @@ def _equal_axes(sums: AllanSums) -> list[Finding]:
     return [finding('axes_equal', (sums.axes[i], sums.axes[j])) for i, j in same]
 
 
-def _unit_findings(sums: AllanSums) -> list[Finding]:
+def unit_findings(sums: AllanSums) -> list[Finding]:
     """Return a finding for each sensor whose noise or mean is impossible in SI units."""
     if not sums.tau0 or not sums.recordings:
         return []
