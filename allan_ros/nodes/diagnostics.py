@@ -42,7 +42,7 @@ NUMBER = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
 
 FINDING = 'finding'
 """Key of a status with the id of the finding in its message. ``finding: <id>`` has the text, which
-begins with 'now' or 'earlier', or states that the event was in the last minute."""
+begins with 'now' or 'earlier', or states that the event was in the last minute, or until now."""
 
 
 def status_name(node: Node, *words: str) -> str:

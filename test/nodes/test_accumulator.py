@@ -271,7 +271,8 @@ def test_simulated_time_that_is_set_back_is_reported_and_keeps_the_data(
         clock.publish(now)
         graph.send(publisher, batch)
     found = graph.until(lambda: graph.value('input', 'finding: clock_jumps'))
-    assert found.startswith('The clock was set back 1 time in the last minute; all data are kept')
+    assert found.startswith('The clock was set back 1 time in the last minute')
+    assert 'all data are kept' in found
     assert graph.until(lambda: graph.status('input')).level == WARN
     graph.until(lambda: abs(float(graph.value('input', 'stamp age') or 99)) < 1.0)
     assert graph.call('/allan_accumulator/save').success

@@ -227,7 +227,8 @@ class ImuStream:
         if clock is not None:  # the stamps became usable later
             notes = [note for note in notes if note.id != 'stamps_missing']
         # the share of the first samples is known earlier, that of all samples is better
-        notes = [n for n in notes if n.id != 'clipped' or not set(n.axes) & set(health.clipped)]
+        if any(sensor.is_examined for sensor in frame.sensors):
+            notes = [note for note in notes if note.id != 'clipped']
         found = [*notes, *stream_findings(health, longest, self._settings)]
         return health, tuple(dict.fromkeys(found))
 
@@ -442,6 +443,11 @@ class SensorStream:
         return self._published.kept
 
     @property
+    def is_examined(self) -> bool:
+        """Whether samples at rest were searched for clipped ones."""
+        return self._published.is_examined
+
+    @property
     def clipped(self) -> dict[str, float]:
         """Axis -> share of its samples at rest that are at the end of the measurement range."""
         return self._published.clipped
@@ -589,6 +595,11 @@ class FloorSums:
     def samples(self) -> int:
         """Number of samples."""
         return self._engine.samples
+
+    @property
+    def is_examined(self) -> bool:
+        """Whether samples were searched for clipped ones."""
+        return self._clipping.samples > 0
 
     @property
     def clipped(self) -> dict[str, float]:

@@ -98,6 +98,8 @@ CLIPPED_CHUNK = 4096
 class Clipping:
     """Counts the clipped samples of each axis, in chunks of `CLIPPED_CHUNK` samples.
 
+    ``samples`` is the number of samples that were examined.
+
     >>> import numpy as np
     >>> noise = np.random.default_rng(0).normal(size=(2, 10_000))
     >>> noise[1] = np.minimum(noise[1], 1.0)
@@ -110,14 +112,14 @@ class Clipping:
     def __init__(self, axes: int) -> None:
         self._pending = np.zeros((axes, 0))
         self._clipped = np.zeros(axes)
-        self._samples = 0
+        self.samples = 0
 
     def add(self, rows: Floats) -> None:
         """Add samples, (axes, n)."""
         rows = np.concatenate([self._pending, rows], axis=1)
         while rows.shape[1] >= CLIPPED_CHUNK:
             chunk, rows = rows[:, :CLIPPED_CHUNK], rows[:, CLIPPED_CHUNK:]
-            self._samples += CLIPPED_CHUNK
+            self.samples += CLIPPED_CHUNK
             for end in (chunk.max(axis=1), chunk.min(axis=1)):
                 often = (chunk == end[:, None]).mean(axis=1) >= MIN_CLIPPED
                 for axis in np.flatnonzero(often):
@@ -127,7 +129,7 @@ class Clipping:
     @property
     def shares(self) -> Floats:
         """Share of the samples of each axis that are clipped, (axes,)."""
-        return np.asarray(self._clipped / max(self._samples, 1))
+        return np.asarray(self._clipped / max(self.samples, 1))
 
 
 ALTERNATE_SIGMAS, ALTERNATE_AXES = 8.0, 2

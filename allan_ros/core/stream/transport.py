@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +28,8 @@ from .timing import LEARN
 LATELY_S = 60.0
 """Time in s for which an event is reported."""
 
-LATELY = ' in the last minute'
-"""`LATELY_S`, as text of a finding."""
+LATELY, UNTIL_NOW = ' in the last minute', ' in the last minute until now'
+"""`LATELY_S`, as text of a finding about a past event, and about one that still occurs."""
 
 REPORTED_LOST_SHARE = 1e-3
 """Smallest share of messages lost in transport that is reported."""
@@ -322,8 +322,15 @@ class TransportMonitor:
         if absent >= REPORTED_LOST_SHARE * (received + absent) > 0 and not more['rate_changed']:
             share = absent / (received + absent)
             found.append(finding('samples_missing', count=absent, share=share))
-        now = [f for f in found if latest[f.id] > 0]
-        return now, [f for f in found if f not in now]
+        past = [f for f in found if not latest[f.id] > 0]
+        return [_until_now(f) for f in found if f not in past], past
+
+
+def _until_now(event: Finding) -> Finding:
+    """Return the finding about an event with a text that says that it still occurs."""
+    if 'when' not in event.values:
+        return event
+    return replace(event, values={**event.values, 'when': UNTIL_NOW})
 
 
 def _more(counts: Counter[str], before: Counter[str]) -> Counter[str]:
