@@ -20,7 +20,7 @@ from ..allan.grid import octave
 from ..noise import TERMS, Process
 from ..noise.process import GAIN_RESOLVED
 from .likelihood import AxisData, Fit, inverse
-from .model import N, Q
+from .model import LackOfFit, N, Q
 from .selection import Candidates, Selection
 from .statistics import LowPassCurvature
 
@@ -73,6 +73,32 @@ class SelectedModel(NamedTuple):
         """Test of all octaves up to ``top``: value and degrees of freedom."""
         parts = list(_deviances(self.rules.data, self.fit).values())
         return sum(x for x, _ in parts), sum(n for _, n in parts)
+
+    @property
+    def goodness(self) -> float | None:
+        """Test of all octaves as a normal deviate; None without octaves.
+
+        The third root of chi^2 is nearly normal (Wilson & Hilferty, PNAS 17, 1931).
+        """
+        value, number = self.chi_squared if len(self.rules.data.power) else (0.0, 0.0)
+        if not number:
+            return None
+        variance = 2.0 / (9.0 * number)
+        return (math.pow(value / number, 1.0 / 3.0) - 1.0 + variance) / math.sqrt(variance)
+
+    @property
+    def shortest_factor(self) -> int:
+        """Smallest averaging factor that the model describes; 1 if all data are used."""
+        return round(4.0 / self.top) if self.top < 0.5 else 1
+
+    def lack_of_fit(self, tau0: float) -> tuple[LackOfFit, ...]:
+        """Return the octaves that differ from the model; ``tau0`` is the sample period in s."""
+        known = self.rules.data.statistics
+        found = []
+        for o, ratio in sorted(self.lack.items()):
+            f = known.f[known.octave == o] / tau0
+            found.append(LackOfFit(float(f[0]), float(f[-1]), ratio))
+        return tuple(found)
 
     @property
     def low_pass(self) -> float:

@@ -297,6 +297,10 @@ class Interval(NamedTuple):
     high: float
     gain: float
 
+    def times(self, factor: float) -> Interval:
+        """Return the interval of the coefficient times a positive factor."""
+        return self._replace(low=factor * self.low, high=factor * self.high)
+
 
 def information_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[Shape]) -> Floats:
     """Return the Fisher information of the coefficients of a fit, then of the shapes.
@@ -378,11 +382,15 @@ def _crossing(distance, z: float, inside: float, outside: float, at_outside: flo
 
 
 class RampEstimate(NamedTuple):
-    """Ramp per sample in scaled units: estimate, standard error and its degrees of freedom."""
+    """Ramp: estimate, standard error and its degrees of freedom."""
 
     value: float
     error: float
     dof: float
+
+    def times(self, factor: float) -> RampEstimate:
+        """Return the ramp in another unit, which is ``1 / factor`` of this one."""
+        return self._replace(value=factor * self.value, error=factor * self.error)
 
     @property
     def half_width(self) -> float:
@@ -394,6 +402,8 @@ class RampEstimate(NamedTuple):
 
 def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
     """Return the ramp that all segments have in common, or None if there are too few block means.
+
+    It is the change per sample of the scaled data.
 
     It is the generalized least-squares estimate from the block means with the fitted covariance.
     Its degrees of freedom follow from the errors of the coefficients (Satterthwaite).

@@ -26,21 +26,6 @@ RANDOM_TERMS = ('Q', 'N', 'B', 'K')
 
 Q, N, B, K = range(len(RANDOM_TERMS))
 
-TAU0_EXPONENT = {'Q': 1.0, 'N': 0.5, 'B': 0.0, 'K': -0.5}
-"""SI coefficient = sqrt(variance coefficient) * tau0**exponent, where tau0 is in s."""
-
-
-def coefficient_to_si(term: str, variance: float, tau0: float) -> float:
-    """Convert a variance coefficient (q, w, b, k), or the ramp per sample, to an SI coefficient.
-
-    ``term`` is one of `TERMS`, and ``tau0`` the sample period in s. A negative variance coefficient
-    gives 0.
-    """
-    if term == 'R':
-        return variance / tau0
-    return math.sqrt(max(variance, 0.0)) * math.pow(tau0, TAU0_EXPONENT[term])
-
-
 Z_95 = 1.96
 """Normal quantile of 97.5 %, for both ends of a 95 % interval and for a 95 % upper limit.
 

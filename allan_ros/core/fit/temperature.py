@@ -24,8 +24,8 @@ from ..noise import Process
 from ..noise.processes.flicker import Flicker
 from ..noise.processes.random_walk import RandomWalk
 from ..noise.processes.white import White
+from .coefficients import random_coefficient
 from .likelihood import AxisData, Columns, Fit, LowBand, inverse, profile_interval
-from .method import random_coefficient
 from .model import AxisFit, NoiseModel
 from .statistics import Floats, Ints, statistics
 
@@ -310,13 +310,18 @@ class _Contrasts:
 
 def _slow_noise(data: AxisData, fit: Fit, tau0: float) -> SlowNoise:
     """Return B and K of a fit in SI, with their intervals."""
-    scale, scatter = data.scale, fit.covariance()
-    found = []
-    for name, at in (('B', B), ('K', K)):
-        interval = profile_interval(data, fit, at)
-        variances = fit.p[at] * scale, scatter[at, at] * scale**2
-        found.append(random_coefficient(name, *variances, interval, scale, tau0))
-    return SlowNoise(*found)
+    errors = np.sqrt(np.diag(fit.covariance()))
+
+    def estimate(at: int) -> Estimate:
+        return random_coefficient(
+            fit.components[at],
+            variance=float(fit.p[at]) * data.scale,
+            error=float(errors[at]) * data.scale,
+            interval=profile_interval(data, fit, at).times(data.scale),
+            tau0=tau0,
+        )
+
+    return SlowNoise(B=estimate(B), K=estimate(K))
 
 
 def _contrasts(

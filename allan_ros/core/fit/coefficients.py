@@ -1,0 +1,229 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Coefficients of one axis in SI, with intervals and limits, from the selected model.
+
+A fit has variances in units of the scale of its data, and shapes in samples. Here they become the
+coefficients of the terms, the processes of a `Model`, and their covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..estimate import Estimate, Status
+from ..noise import TERMS, Model, Part, Process
+from ..noise.model import Covariance
+from ..noise.process import GAIN_RESOLVED
+from ..noise.processes.low_pass import LowPass
+from .estimate import SelectedModel
+from .likelihood import (
+    AxisData,
+    Fit,
+    Interval,
+    RampEstimate,
+    Shape,
+    information_with_shapes,
+    inverse,
+    profile_interval,
+    ramp_estimate,
+)
+from .model import Z_95, AxisFit, Floats, K, Q
+
+RAMP_RESOLVED = 2.58 / 1.96
+"""Least |R| in units of the half width of its interval for R to be resolved: two-sided 1 % (1.0 %
+of the 900 axes without R)."""
+
+UNKNOWN = Estimate(None, status='not_observable')
+"""A coefficient with neither a value nor a limit."""
+
+
+def without_estimates() -> AxisFit:
+    """Return the result for an axis that cannot be fitted."""
+    return AxisFit(dict.fromkeys('QNBKR', UNKNOWN))
+
+
+class Errors(NamedTuple):
+    """Errors of the coefficients and shapes of a fit, in the units of its data."""
+
+    information: Floats
+    """Fisher information of the coefficients, then of the shapes."""
+
+    covariance: Floats
+    """Covariance of the coefficients if the shapes are unknown, too; 0 for those held at 0."""
+
+    of_shapes: Mapping[Shape, float]
+    """Standard error of the logarithm of each fitted number of a shape, times the coefficient."""
+
+    @classmethod
+    def of(cls, data: AxisData, fit: Fit, known: Sequence[Process]) -> Errors:
+        """Return the errors of a fit; the shapes of the processes ``known`` were not fitted."""
+        shapes = [
+            Shape(k, parameter)
+            for k, process in enumerate(fit.components)
+            for parameter in process.parameters
+            if fit.p[k] > 0.0 and process not in known
+        ]
+        information = information_with_shapes(data, fit, shapes)
+        number = len(fit.p)
+        on = [*fit.free, *range(number, len(information))]
+        covariance = np.zeros_like(information)
+        covariance[np.ix_(on, on)] = inverse(information[np.ix_(on, on)])
+        scatter = np.sqrt(np.maximum(np.diag(covariance)[number:], 0.0))
+        return cls(information, covariance[:number, :number], dict(zip(shapes, scatter.tolist())))
+
+
+def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisFit:
+    """Return the result for one axis: its terms with intervals or limits, and its model, in SI.
+
+    ``tau0`` is the sample period in s. A ``brief`` recording is too short for drift: only N and Q
+    get values.
+    """
+    rules, data, start = selected.rules, selected.rules.data, selected.fit
+    fit = data.solve(start.components, start.columns, start.p, signed=rules.signed)
+    tested = selected._replace(fit=fit)
+    errors = Errors.of(data, fit, rules.base)
+    intervals = [profile_interval(data, fit, i, errors.information) for i in range(len(TERMS))]
+    if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
+        # A q that is not resolved nearly doubles the error of N.
+        fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
+    variances, covariance = fit.p * data.scale, errors.covariance * data.scale**2
+    noise = {
+        term.letter: random_coefficient(
+            term,
+            variance=float(variances[i]),
+            error=math.sqrt(covariance[i, i]),
+            interval=intervals[i].times(data.scale),
+            tau0=tau0,
+        )
+        for i, term in enumerate(TERMS)
+    }
+    ramp = ramp_estimate(data, fit)
+    ramp = None if ramp is None else ramp.times(math.sqrt(data.scale) / tau0)
+    noise['R'] = _ramp(ramp)
+    if rules.signed:
+        noise['Q'] = UNKNOWN
+    if brief:
+        noise |= dict.fromkeys('BKR', UNKNOWN)
+    values = {letter: noise[letter].value or 0.0 for letter in 'QNBK'}
+    if fit.components[K].parameters:  # another process replaces the random walk
+        values['K'] = 0.0
+    values['R'] = 0.0 if brief else _ramp_of_model(ramp, noise['R'].resolved)
+    order = _shaped(fit)
+    parts = [
+        *Model.of(**values).parts,
+        *(_part(fit, k, errors, data.scale, tau0) for k in order),
+    ]
+    low_pass = selected._replace(fit=fit).low_pass * data.scale * tau0**2
+    if low_pass:
+        parts.append(Part(LowPass(), low_pass))
+    return AxisFit(
+        noise=noise,
+        model=Model(tuple(parts), _covariance(fit.components, covariance, order, tau0)),
+        m_min=selected.shortest_factor,
+        filtered=bool(rules.signed),
+        gof_z=tested.goodness,
+        lack_of_fit=selected.lack_of_fit(tau0),
+    )
+
+
+def random_coefficient(
+    term: Process, variance: float, error: float, interval: Interval, tau0: float
+) -> Estimate:
+    """Return a random term in SI, with its interval or its upper limit.
+
+    Parameters
+    ----------
+    term : Process
+        One of `TERMS`.
+    variance, error : float
+        Square of the coefficient and its standard error, in the squared unit of the samples, with
+        the sample period as the unit of time.
+    interval : Interval
+        Interval of the square, in the same unit.
+    tau0 : float
+        Sample period in s.
+    """
+    value, low, high = (
+        term.coefficient_of(v, tau0) for v in (variance, interval.low, interval.high)
+    )
+    if interval.gain > GAIN_RESOLVED and math.isfinite(high):
+        return Estimate(value, (min(low, value), max(high, value)))
+    status: Status = 'likely' if variance > error > 0.0 else 'not_observable'
+    limit = max(high, value) if math.isfinite(high) else None
+    return Estimate(value or None, None, limit, status)
+
+
+def _ramp(ramp: RampEstimate | None) -> Estimate:
+    """Return the estimate of a ramp in SI, with its sign."""
+    if ramp is None:
+        return UNKNOWN
+    size, half = abs(ramp.value), ramp.half_width
+    if size > RAMP_RESOLVED * half:
+        found = Estimate(size, (max(size - half, 0.0), size + half))
+    else:
+        limit = size + half if math.isfinite(half) else None
+        found = Estimate(size or None, None, limit, 'not_observable')
+    return found.times(-1.0) if ramp.value < 0.0 else found
+
+
+def _ramp_of_model(ramp: RampEstimate | None, resolved: bool) -> float:
+    """Return the ramp of the model in SI.
+
+    The other terms alone cause a random ramp, whose variance is ``ramp.error``^2. If the ramp is
+    not resolved, this is subtracted from its square, so that drift is not counted twice.
+    """
+    if ramp is None:
+        return 0.0
+    excess = ramp.value**2 - (0.0 if resolved else ramp.error**2)
+    return math.copysign(math.sqrt(max(excess, 0.0)), ramp.value)
+
+
+def _shaped(fit: Fit) -> list[int]:
+    """Return the indices of the processes with a shape and a variance, sorted by name and shape."""
+    processes = fit.components
+    some = (k for k, one in enumerate(processes) if one.parameters and fit.p[k] > 0.0)
+    return sorted(some, key=lambda k: (processes[k].name, processes[k].shape))
+
+
+def _part(fit: Fit, at: int, errors: Errors, scale: float, tau0: float) -> Part:
+    """Return the process of a fit with the index ``at`` in SI.
+
+    ``scale`` is the unit of the variances of the fit.
+    """
+    variance, process = float(fit.p[at]), fit.components[at]
+    value, in_si = process.coefficient_of(variance * scale, tau0), process.in_unit(1.0 / tau0)
+    relative = math.sqrt(max(float(errors.covariance[at, at]), 0.0)) / variance
+    ends = (
+        _around(number, errors.of_shapes.get(Shape(at, parameter), 0.0) / variance)
+        for parameter, number in zip(in_si.parameters, in_si.shape)
+    )
+    return Part(in_si, value, _around(value, relative / 2.0), tuple(ends))
+
+
+def _around(value: float, relative: float) -> tuple[float, float]:
+    """Return the 95 % interval of a positive value with a relative standard error."""
+    factor = math.exp(min(Z_95 * relative, 50.0))
+    return value / factor, value * factor
+
+
+def _covariance(
+    components: Sequence[Process], covariance: Floats, order: Sequence[int], tau0: float
+) -> Covariance:
+    """Return the covariance of the squared coefficients in SI.
+
+    It contains the four terms, then the other components in the ``order`` of the model.
+    """
+    names, units = [], []
+    numbers: Counter[str] = Counter()
+    at = [*range(len(TERMS)), *(k for k in order if k >= len(TERMS))]
+    for k in at:
+        process = TERMS[k] if k < len(TERMS) else components[k]
+        names.append(process.letter or f'{process.name} {numbers[process.name]}')
+        numbers[process.name] += 1
+        units.append(process.coefficient_of(1.0, tau0) ** 2)
+    return Covariance(tuple(names), covariance[np.ix_(at, at)] * np.outer(units, units))
