@@ -19,9 +19,10 @@ import numpy as np
 from ..allan.grid import octave
 from ..noise import TERMS, Process
 from ..noise.process import GAIN_RESOLVED
+from .candidates import Candidates
 from .likelihood import AxisData, Fit, inverse
 from .model import LackOfFit, N, Q
-from .selection import Candidates, Selection
+from .selection import Selection
 from .statistics import LowPassCurvature
 
 LACK_OF_FIT = 1e-3
@@ -244,7 +245,7 @@ def _leaves_white_noise(rules: Selection) -> bool:
     A low-pass filter does not.
     """
     base = rules.fit(rules.base)
-    fast = [c for c in rules.candidates.times if c.bends_spectrum]
+    fast = [c for kind in rules.candidates.kinds for c in kind.processes if c.bends_spectrum]
     fits = [rules.fit((*rules.base, c), np.append(base.p, base.p[N])) for c in fast]
     best = min(fits, key=lambda each: each.value)
     return float(best.p[N]) > WHITE_NOISE * math.sqrt(best.covariance()[N, N])

@@ -16,20 +16,18 @@ from functools import cached_property
 
 import numpy as np
 
-from ..allan.grid import LONGEST_BLOCK, octave
-from ..noise import REPLACEMENTS, SEARCHED, TERMS, Parameter, Process
+from ..allan.grid import LONGEST_BLOCK
+from ..noise import REPLACEMENTS, TERMS, Parameter, Process
 from ..noise.process import FREQUENCY, LEAST_PERIODS, Search
+from .candidates import SHORTEST_TIME, Candidates, LowBandFit
 from .likelihood import AxisData, Fit, Shape
 from .model import N
-from .statistics import Floats, Statistics, contrasts
+from .statistics import Floats
 
 MAX_PROCESSES = 6
 
 LEAST_BINS = 8
 """Smallest number of bins for which the threshold of a search over frequencies is computed."""
-
-SHORTEST_TIME = 2.0
-"""Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
 
 LEAST_LINE_DOF = 100.0
 """Least degrees of freedom of a bin that a sinusoid dominates. With fewer, the amplitude is
@@ -37,9 +35,6 @@ inaccurate; with all, a strong sinusoid would have to be as narrow as the model.
 
 LINES_PER_OCTAVE = 3
 """Sinusoids within an octave that can imitate any smooth spectrum (no axis)."""
-
-WANDER = 1e-3
-"""Relative uncertainty of the frequency of a sinusoid."""
 
 ALIASED = 0.1
 """Variance of the block means, or power of a bin, due to the alias of a fast sinusoid, relative to
@@ -54,141 +49,9 @@ EXCLUDED = 1e-6
 TOLERANCE = 0.03
 """Change of -2 log L below which the fit of a candidate ends."""
 
-LOW_BANDS = ('dense', 'rank two', 'none')
-"""Forms of the covariance in the low band (`Process.low_band`), in the order of the candidates."""
-
 PROMISING = 0.4
 """Share of its threshold that the approximate gain of a candidate must reach to be fitted. It saves
 time: without it, the same processes are found in records without any."""
-
-
-@dataclass(frozen=True, eq=False)
-class Candidates:
-    """Processes that may be added, with their expectations; equal for all axes of a recording."""
-
-    statistics: Statistics
-
-    @cached_property
-    def search(self) -> Search:
-        """Range of shapes that the data can tell apart."""
-        known = self.statistics
-        block = np.array([octave(o).length for o in known.octave.tolist()], float)
-        return Search(known.longest, known.step, known.crossover, known.f, block, SHORTEST_TIME)
-
-    @cached_property
-    def by_kind(self) -> tuple[list[Process], ...]:
-        """All candidates, one group per kind, of which the best one is fitted.
-
-        They are in the order of `LOW_BANDS`.
-        """
-        kinds = sorted(SEARCHED, key=lambda kind: LOW_BANDS.index(kind.low_band))
-        return tuple(list(kind.grid(self.search)) for kind in kinds)
-
-    def _with(self, low_band: str) -> list[Process]:
-        """Return the candidates of all kinds with one form of the covariance in the low band."""
-        return [each for each in self.all if each.low_band == low_band]
-
-    @cached_property
-    def times(self) -> list[Process]:
-        """Processes with a correlation time only, such as Gauss-Markov processes."""
-        return self._with('dense')
-
-    @cached_property
-    def lines(self) -> list[Process]:
-        """Sinusoids."""
-        return self._with('rank two')
-
-    @cached_property
-    def all(self) -> list[Process]:
-        return [each for group in self.by_kind for each in group]
-
-    @cached_property
-    def power(self) -> Floats:
-        """Expected power of each candidate, (candidates, bins)."""
-        return np.array([self.statistics.power_of(each) for each in self.all])
-
-    @cached_property
-    def covariances(self) -> list[Floats]:
-        """Covariances of the contrasts of each group for the Gauss-Markov processes."""
-        columns = [self.statistics.column(each).low for each in self.times]
-        return [
-            np.array([c[g][1:, 1:] for c in columns]) for g in range(len(self.statistics.groups))
-        ]
-
-    def alias(self, frequency: float) -> Floats:
-        """Return the largest power of the alias of a sinusoid with variance 1 in each bin, (bins,).
-
-        Only octave spectra of means have aliases. The power is 0 in spectra of samples, and in bins
-        far from the frequency of the alias.
-        """
-        known, n = self.statistics, len(self.times)
-        size = np.array([octave(o).length for o in known.octave.tolist()])
-        step = np.array([octave(o).step for o in known.octave.tolist()])
-        at = np.abs(frequency - np.round(frequency * step) / step)
-        near = np.abs(at - known.f) < 2.0 / size + WANDER * frequency
-        largest = self.power[n : n + len(self.lines)].max(axis=0)
-        gain = (np.sin(np.pi * known.f) / math.sin(math.pi * frequency)) ** 2
-        return np.where(near & (step > 1) & (known.f < frequency / 2.0), largest * gain, 0.0)
-
-    @cached_property
-    def slow(self) -> int:
-        """Number of sinusoids in `lines` that are slow enough to change the block means."""
-        return sum(line.shape[0] < 2.0 * self.statistics.crossover for line in self.lines)
-
-    @cached_property
-    def waves(self) -> list[Floats]:
-        """Contrasts of a cosine and a sine of each slow sinusoid, (sinusoids, 2, contrasts).
-
-        The sum of their squares is the covariance for a random phase.
-        """
-        f = np.array([line.shape[0] for line in self.lines[: self.slow]])
-        step = self.statistics.step
-        gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)
-        out = []
-        for g in self.statistics.groups:
-            turns = 2.0 * np.pi * step * f[:, None] * np.arange(g.points)
-            both = np.stack([np.cos(turns), np.sin(turns)], axis=1) * gain[:, None, None]
-            out.append(both @ contrasts(g.points, g.high)[:, 1:])
-        return out
-
-    def gains(self, data: AxisData, fit: Fit, shortest: float, fastest: float) -> Floats:
-        """Return the approximate gain in -2 log L of each candidate, (candidates,).
-
-        Gauss-Markov processes below the correlation time ``shortest`` and sinusoids above the
-        frequency ``fastest`` are not allowed.
-        """
-        s = fit.spectrum()
-        half = data.dof[data.used] / 2.0
-        c = self.power[:, data.used] / s
-        score = c @ (half * (data.power[data.used] / s - 1.0))
-        own = c**2 @ half
-        cross = c @ (fit.columns.power / s[:, None] * half[:, None])
-        n = len(self.times)
-        slow = slice(n, n + self.slow)
-        for group, d, e, w in zip(data.low, fit.columns.low, self.covariances, self.waves):
-            v = np.linalg.inv(np.tensordot(fit.p, d, 1))
-            h = v @ group.gram @ v - group.segments * v
-            vd = v @ d @ v
-            ve = v @ e
-            score[:n] += 0.5 * np.tensordot(e, h, 2)
-            own[:n] += 0.5 * group.segments * np.sum(ve * ve.transpose(0, 2, 1), (1, 2))
-            cross[:n] += 0.5 * group.segments * np.tensordot(e, vd, ((1, 2), (1, 2)))
-            score[slow] += 0.5 * np.sum((w @ h) * w, (1, 2))
-            own[slow] += 0.5 * group.segments * np.sum((w @ v @ w.transpose(0, 2, 1)) ** 2, (1, 2))
-            flat = (w[:, :, :, None] * w[:, :, None, :]).sum(1).reshape(len(w), -1)
-            cross[slow] += 0.5 * group.segments * (flat @ vd.reshape(len(vd), -1).T)
-        on = fit.free
-        size = np.sqrt(np.maximum(np.diag(fit.information)[on], 1e-300))
-        known = fit.information[np.ix_(on, on)] / np.outer(size, size) + 1e-9 * np.eye(len(on))
-        cross = cross[:, on] / size
-        rest = own - np.sum(cross * np.linalg.solve(known, cross.T).T, axis=1)
-        left = (fit.moment - fit.information @ fit.p)[on] / size
-        score = score - cross @ np.linalg.solve(known, left)
-        first = np.array([each.shape[0] for each in self.all])
-        allowed = np.where(np.arange(len(first)) < n, first >= shortest, first < fastest)
-        # with less information of its own, a candidate cannot be told from the model
-        allowed &= (score > 0.0) & (rest > 1e-5 * own)
-        return np.where(allowed, score**2 / np.where(allowed, rest, 1.0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,20 +105,21 @@ class Selection:
 
     def _with_one_more(self, fit: Fit) -> Fit | None:
         """Return the fit with the best further process, or None if none exceeds its threshold."""
-        gains = self.candidates.gains(self.data, fit, self.shortest, self.fastest)
-        if self._aliased(fit):
-            first = len(self.candidates.times)
-            gains[first : first + self.candidates.slow] = 0.0
+        low, is_aliased = LowBandFit.all_of(self.data, fit), self._aliased(fit)
         best, least = None, math.inf
-        ends = np.cumsum([len(each) for each in self.candidates.by_kind])
-        for each, part in zip(self.candidates.by_kind, np.split(gains, ends[:-1])):
-            if not each or part.max() < PROMISING * self.threshold(each[0]):
+        for kind in self.candidates.kinds:
+            gains = kind.gains(self.data, fit, low) * kind.allowed(self.shortest, self.fastest)
+            if is_aliased and kind.first.is_line:
+                gains[kind.slow] = 0.0
+            threshold = self.threshold(kind.first)
+            if gains.max() < PROMISING * threshold:
                 continue
             seed = 1e-3 * float(np.diag(fit.information) @ fit.p) / max(len(self.data.power), 1)
-            new = self.fit((*fit.components, each[int(part.argmax())]), np.append(fit.p, seed))
+            added = kind.processes[int(gains.argmax())]
+            new = self.fit((*fit.components, added), np.append(fit.p, seed))
             new = self.refined(new, [len(fit.p)], 3)
-            if new.value + self.threshold(each[0]) < least:
-                best, least = new, new.value + self.threshold(each[0])
+            if new.value + threshold < least:
+                best, least = new, new.value + threshold
         if best is None:
             return None
         best = self.refined(self._located(best), range(len(self.base), len(best.p)))

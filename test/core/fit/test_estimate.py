@@ -10,9 +10,10 @@ from scipy.signal import butter, lfilter
 from support.sums import sums_of
 
 from allan_ros.core.fit import fit_noise
+from allan_ros.core.fit.candidates import Candidates
 from allan_ros.core.fit.estimate import estimate
 from allan_ros.core.fit.likelihood import AxisData
-from allan_ros.core.fit.selection import Candidates, Selection
+from allan_ros.core.fit.selection import Selection
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.noise import TERMS, Model
 from allan_ros.core.noise.processes.sinusoid import Sinusoid

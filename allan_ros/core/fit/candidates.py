@@ -1,0 +1,231 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Candidates of the search for processes, and the approximate gain of each.
+
+The gain of a candidate in -2 log L is the square of its score over its information, both without
+what the processes of the fit explain. They are sums over the spectra and the groups of block means.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ..allan.grid import octave
+from ..noise import SEARCHED, Process
+from ..noise.process import FREQUENCY, Search
+from .likelihood import AxisData, Fit
+from .statistics import Floats, Ints, Statistics, contrasts
+
+SHORTEST_TIME = 2.0
+"""Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
+
+WANDER = 1e-3
+"""Relative uncertainty of the frequency of a sinusoid."""
+
+LEAST_OWN = 1e-5
+"""Least share of its information that no process of the fit has; with less, a candidate cannot be
+told from them."""
+
+
+class Moments(NamedTuple):
+    """Derivatives of the log likelihood for the coefficients of candidates, at 0."""
+
+    score: Floats  # (candidates,)
+    information: Floats  # (candidates,)
+    shared: Floats  # (candidates, components), information with the components of the fit
+
+    def gains(self, fit: Fit) -> Floats:
+        """Return the gain of each candidate beside the components of a fit, (candidates,)."""
+        on = fit.free
+        size = np.sqrt(np.maximum(np.diag(fit.information)[on], 1e-300))
+        known = fit.information[np.ix_(on, on)] / np.outer(size, size) + 1e-9 * np.eye(len(on))
+        shared = self.shared[:, on] / size
+        rest = self.information - np.sum(shared * np.linalg.solve(known, shared.T).T, axis=1)
+        left = (fit.moment - fit.information @ fit.p)[on] / size
+        score = self.score - shared @ np.linalg.solve(known, left)
+        told = (score > 0.0) & (rest > LEAST_OWN * self.information)
+        return np.where(told, score**2 / np.where(told, rest, 1.0), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class LowBandFit:
+    """Contrasts of the block means of one group of segments, and their covariance in a fit.
+
+    Attributes
+    ----------
+    segments : int
+    inverse : (contrasts, contrasts) array
+        Inverse V of the covariance in the fit.
+    excess : (contrasts, contrasts) array
+        V G V - segments V with the Gram matrix G of the contrasts: twice the derivative of the log
+        likelihood for the covariance.
+    components : (components, contrasts, contrasts) array
+        V D V with the covariance D of each component for unit noise.
+    """
+
+    segments: int
+    inverse: Floats
+    excess: Floats
+    components: Floats
+
+    @classmethod
+    def all_of(cls, data: AxisData, fit: Fit) -> list[LowBandFit]:
+        """Return one for each group of segments."""
+        out = []
+        for group, d in zip(data.low, fit.columns.low):
+            v: Floats = np.linalg.inv(np.tensordot(fit.p, d, 1))
+            out.append(cls(group.segments, v, v @ group.gram @ v - group.segments * v, v @ d @ v))
+        return out
+
+    def dense(self, covariances: Floats) -> Moments:
+        """Return the moments of (candidates, contrasts, contrasts) covariances."""
+        v, half = self.inverse @ covariances, 0.5 * self.segments
+        return Moments(
+            0.5 * np.tensordot(covariances, self.excess, 2),
+            half * np.sum(v * v.transpose(0, 2, 1), (1, 2)),
+            half * np.tensordot(covariances, self.components, ((1, 2), (1, 2))),
+        )
+
+    def waves(self, waves: Floats) -> Moments:
+        """Return the moments of covariances w'w of (candidates, 2, contrasts) waves w."""
+        squares, half = waves @ self.inverse @ waves.transpose(0, 2, 1), 0.5 * self.segments
+        outer = (waves[:, :, :, None] * waves[:, :, None, :]).sum(1).reshape(len(waves), -1)
+        return Moments(
+            0.5 * np.sum((waves @ self.excess) * waves, (1, 2)),
+            half * np.sum(squares**2, (1, 2)),
+            half * (outer @ self.components.reshape(len(self.components), -1).T),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """All candidates of one kind of process, with their expectations.
+
+    Attributes
+    ----------
+    processes : sequence of Process
+        Candidates of one class, at least one.
+    statistics : Statistics
+        Those of a recording.
+    """
+
+    processes: Sequence[Process]
+    statistics: Statistics
+
+    @property
+    def first(self) -> Process:
+        """One of the candidates, for what all have in common."""
+        return self.processes[0]
+
+    @cached_property
+    def number(self) -> Floats:
+        """The first number of the shape of each candidate: a correlation time or a frequency."""
+        return np.array([each.shape[0] for each in self.processes])
+
+    @cached_property
+    def power(self) -> Floats:
+        """Expected power of each candidate, (candidates, bins)."""
+        return np.array([self.statistics.power_of(each) for each in self.processes])
+
+    @cached_property
+    def slow(self) -> Ints:
+        """Indices of the candidates that change the block means."""
+        if self.first.low_band == 'dense':
+            return np.arange(len(self.processes))
+        if self.first.low_band == 'none':
+            return np.arange(0)
+        return np.flatnonzero(self.number < 2.0 * self.statistics.crossover)
+
+    @cached_property
+    def covariances(self) -> list[Floats]:
+        """Covariances of the contrasts of each group of segments for the slow candidates."""
+        columns = [self.statistics.column(self.processes[i]).low for i in self.slow.tolist()]
+        return [
+            np.array([c[g][1:, 1:] for c in columns]) for g in range(len(self.statistics.groups))
+        ]
+
+    @cached_property
+    def waves(self) -> list[Floats]:
+        """Contrasts of a cosine and a sine of each slow sinusoid, (sinusoids, 2, contrasts).
+
+        The sum of their squares is the covariance for a random phase.
+        """
+        f, step = self.number[self.slow], self.statistics.step
+        gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)
+        out = []
+        for g in self.statistics.groups:
+            turns = 2.0 * np.pi * step * f[:, None] * np.arange(g.points)
+            both = np.stack([np.cos(turns), np.sin(turns)], axis=1) * gain[:, None, None]
+            out.append(both @ contrasts(g.points, g.high)[:, 1:])
+        return out
+
+    def gains(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Floats:
+        """Return the approximate gain in -2 log L of each candidate, (candidates,).
+
+        ``low`` are the contrasts of the axis under the fit, for all groups of segments.
+        """
+        s, half = fit.spectrum(), data.dof[data.used] / 2.0
+        relative = self.power[:, data.used] / s
+        moments = Moments(
+            relative @ (half * (data.power[data.used] / s - 1.0)),
+            relative**2 @ half,
+            relative @ (fit.columns.power / s[:, None] * half[:, None]),
+        )
+        for group, of_group in enumerate(low if len(self.slow) else ()):
+            if self.first.low_band == 'dense':
+                more = of_group.dense(self.covariances[group])
+            else:
+                more = of_group.waves(self.waves[group])
+            for total, part in zip(moments, more):
+                total[self.slow] += part
+        return moments.gains(fit)
+
+    def allowed(self, shortest: float, fastest: float) -> Floats:
+        """Return 1 for each candidate within the limits of a search, and 0 for others.
+
+        They are a correlation time from ``shortest`` on, or a frequency below ``fastest``.
+        """
+        by_frequency = FREQUENCY in self.first.parameters
+        allowed = self.number < fastest if by_frequency else self.number >= shortest
+        return allowed.astype(float)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Processes that may be added, with their expectations; equal for all axes of a recording."""
+
+    statistics: Statistics
+
+    @cached_property
+    def search(self) -> Search:
+        """Range of shapes that the data can tell apart."""
+        known = self.statistics
+        block = np.array([octave(o).length for o in known.octave.tolist()], float)
+        return Search(known.longest, known.step, known.crossover, known.f, block, SHORTEST_TIME)
+
+    @cached_property
+    def kinds(self) -> tuple[Kind, ...]:
+        """The candidates of each kind of process that has any."""
+        grids = (list(kind.grid(self.search)) for kind in SEARCHED)
+        return tuple(Kind(grid, self.statistics) for grid in grids if grid)
+
+    def alias(self, frequency: float) -> Floats:
+        """Return the largest power of the alias of a sinusoid with variance 1 in each bin, (bins,).
+
+        Only octave spectra of means have aliases. The power is 0 in spectra of samples, and in bins
+        far from the frequency of the alias.
+        """
+        known = self.statistics
+        size = np.array([octave(o).length for o in known.octave.tolist()])
+        step = np.array([octave(o).step for o in known.octave.tolist()])
+        at = np.abs(frequency - np.round(frequency * step) / step)
+        near = np.abs(at - known.f) < 2.0 / size + WANDER * frequency
+        largest = np.max([kind.power.max(axis=0) for kind in self.kinds if kind.first.is_line], 0)
+        gain = (np.sin(np.pi * known.f) / math.sin(math.pi * frequency)) ** 2
+        return np.where(near & (step > 1) & (known.f < frequency / 2.0), largest * gain, 0.0)
