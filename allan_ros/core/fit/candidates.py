@@ -79,7 +79,7 @@ class LowBandFit:
         """Return one for each group of segments."""
         out = []
         for group, d in zip(data.low, fit.columns.low):
-            v: Floats = np.linalg.inv(np.tensordot(fit.p, d, 1))
+            v = np.asarray(np.linalg.inv(np.tensordot(fit.p, d, 1)), np.float64)
             out.append(cls(group.segments, v, v @ group.gram @ v - group.segments * v, v @ d @ v))
         return out
 
