@@ -30,7 +30,8 @@ import allan_ros as ar
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit import TERMS, AxisFit, fit_noise
+from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.result import TERMS, AxisFit
 from allan_ros.core.imu import from_datasheet, shown_unit
 from allan_ros.core.noise import PROCESSES, GaussMarkov, Model
 from allan_ros.core.noise.derived import avar

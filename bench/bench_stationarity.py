@@ -19,7 +19,9 @@ from scipy.stats import beta
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit import NoiseModel, bias_changes, fit_noise
+from allan_ros.core.fit import bias_changes
+from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.result import NoiseModel
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.imu import AXES, from_datasheet

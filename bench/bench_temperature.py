@@ -15,7 +15,7 @@ from bench_stationarity import DEG_H, HOUR, band, gyro
 from numpy.typing import NDArray
 
 from allan_ros.core.allan.running import RunningSums
-from allan_ros.core.fit import fit_noise
+from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.temperature import temperature_models
 from allan_ros.core.imu import AXES
 from allan_ros.core.simulate import simulate_axis

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.linalg import toeplitz
 
-from allan_ros.core.fit.model import RANDOM_TERMS
+from allan_ros.core.fit.result import RANDOM_TERMS
 from allan_ros.core.noise import TERMS
 
 Floats = NDArray[np.float64]

@@ -22,7 +22,7 @@ from demo_online import play
 
 from allan_ros.cli.main import main as allan
 from allan_ros.core.estimate import Estimate, interval_text, value_text
-from allan_ros.core.fit import TERMS
+from allan_ros.core.fit.result import TERMS
 from allan_ros.core.imu import shown_unit
 from allan_ros.core.number_text import significant
 from allan_ros.readers.files import read_json

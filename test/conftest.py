@@ -17,7 +17,7 @@ from support.chromium import Chromium, find_chromium
 
 from allan_ros.api import Results
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit import NoiseModel
+from allan_ros.core.fit.result import NoiseModel
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_imu

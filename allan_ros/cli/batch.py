@@ -24,7 +24,7 @@ from ..core.errors import AllanError, one_line
 from ..core.estimate import value_text
 from ..core.fields import plain
 from ..core.findings import SEVERITIES, Finding, finding
-from ..core.fit.interpretation import ADVISED_TERMS
+from ..core.fit.record_length import ADVISED_TERMS
 from ..core.imu import SENSORS, SI_UNITS, sensor_of, shown_unit
 from ..readers import topics_of
 from ..readers.files import open_regular, write_atomic

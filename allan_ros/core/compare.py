@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from .allan.curve import CI_LEVEL, AxisCurve
 from .estimate import Estimate
-from .fit.model import TERMS, Z_95
+from .fit.result import TERMS, Z_95
 
 MARGIN = 0.2
 """Fraction by which a coefficient may exceed a limit: typical figures of a datasheet

@@ -20,8 +20,8 @@ from ..core.compare import Check
 from ..core.errors import one_line
 from ..core.estimate import Estimate, value_text
 from ..core.findings import Finding, by_consequence, finding, quantity
-from ..core.fit.interpretation import recommended_duration
-from ..core.fit.model import TERMS
+from ..core.fit.record_length import recommended_duration
+from ..core.fit.result import TERMS
 from ..core.imu import sensor_of, shown_unit
 from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..core.stream.health import StreamHealth

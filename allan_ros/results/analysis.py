@@ -24,9 +24,9 @@ from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
 from ..core.filters.bias import turn_on_bias
 from ..core.findings import Finding
-from ..core.fit import NoiseModel
-from ..core.fit.findings import rounding_step, with_deviations
-from ..core.fit.interpretation import dominant_regions
+from ..core.fit.axis_findings import rounding_step, with_deviations
+from ..core.fit.model_curve import dominant_regions
+from ..core.fit.result import NoiseModel
 from ..core.fit.stationary import fit_stationary
 from ..core.fit.temperature import temperature_models
 from ..core.imu import AXES

@@ -20,9 +20,9 @@ from ..core.filters.bias import TurnOnBias
 from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis
 from ..core.filters.state_space import StateSpace, state_space
-from ..core.fit import TERMS, AxisFit
-from ..core.fit.interpretation import ModelLine, Region, model_line
 from ..core.fit.least_squares import fit_curve
+from ..core.fit.model_curve import ModelLine, Region, model_line
+from ..core.fit.result import TERMS, AxisFit
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import Model

@@ -24,7 +24,7 @@ from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.fields import Fields, located, plain
 from ..core.findings import Finding, finding, quantity
-from ..core.fit import TERMS
+from ..core.fit.result import TERMS
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import FLICKER_FLOOR
 from ..readers.files import config_file, config_names, read_yaml

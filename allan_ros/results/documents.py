@@ -28,7 +28,7 @@ from ..core.estimate import Estimate
 from ..core.fields import Fields, SignedInt, plain
 from ..core.filters.motion_factors import NoiseInMotion
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, missing_values, quantity
-from ..core.fit import TERMS, AxisFit
+from ..core.fit.result import TERMS, AxisFit
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
 from ..core.noise import PROCESSES, Model, Part
 from ..core.noise.model import Covariance

@@ -9,8 +9,7 @@ import math
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.findings import finding
-from ..core.fit import TERMS, AxisFit
-from ..core.fit.model import model_of_terms
+from ..core.fit.result import TERMS, AxisFit, model_of_terms
 from ..core.imu import SENSORS, ImuIdentity
 from ..core.noise import FLICKER_FLOOR
 from ..readers import SourceInfo

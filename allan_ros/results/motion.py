@@ -13,7 +13,7 @@ from ..core.filters.motion_factors import (
     noise_in_motion,
 )
 from ..core.findings import Finding, finding
-from ..core.fit import AxisFit
+from ..core.fit.result import AxisFit
 from ..core.imu import AXES
 from ..core.noise import Model
 from ..core.stream.drive_recorder import Drives

@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 
 from ..core.compare import Check
 from ..core.findings import Finding
-from ..core.fit.interpretation import longest_recommended, recommended_duration
+from ..core.fit.record_length import longest_recommended, recommended_duration
 from ..readers.recorded import Provenance
 from .axis_result import AxisResult
 from .datasheets import DatasheetComparison

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from ..core.estimate import Estimate, interval_text, known_numbers, value_text
-from ..core.fit import TERMS
+from ..core.fit.result import TERMS
 from ..core.imu import ShownUnit, sensor_of, shown_unit
 from ..core.number_text import prefixed
 from .table import Cell, Heading, Table

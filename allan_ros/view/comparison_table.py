@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from ..core.compare import Check
 from ..core.estimate import NOTHING_KNOWN, Estimate
-from ..core.fit import TERMS
+from ..core.fit.result import TERMS
 from ..core.imu import sensor_of, shown_unit
 from ..core.number_text import prefixed
 from ..results.comparison import RunComparison, ratio_text, verdict_text

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..core.estimate import NOTHING_KNOWN, Estimate
-from ..core.fit import TERMS
+from ..core.fit.result import TERMS
 from ..core.imu import ShownUnit, sensor_of
 from ..core.number_text import VALUE_DIGITS, significant
 from ..core.settings import UNIT_SYSTEMS

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.errors import AllanError
 from ..core.estimate import interval_text, value_text
-from ..core.fit import TERMS
+from ..core.fit.result import TERMS
 from ..core.imu import AXES, SENSORS, shown_unit
 from ..results.axis_result import AxisResult
 from .format import SENSOR_NAMES, TERM_STYLES, drawn_curve, pretty_unit

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from ..core.compare import Check
 from ..core.estimate import value_text
 from ..core.findings import Finding, by_consequence, grouped, is_note
-from ..core.fit.interpretation import ADVISED_TERMS
+from ..core.fit.record_length import ADVISED_TERMS
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
 from ..core.number_text import duration_text, significant
 from ..results.results import Results

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from allan_ros.cli.main import main
-from allan_ros.core.fit import TERMS
+from allan_ros.core.fit.result import TERMS
 from allan_ros.core.imu import shown_unit
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate import PRESETS

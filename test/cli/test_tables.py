@@ -18,7 +18,7 @@ from allan_ros.cli.tables import (
 from allan_ros.core.estimate import Estimate, interval_text, value_text
 from allan_ros.core.filters.reductions import Level
 from allan_ros.core.findings import CATALOG, Finding, finding
-from allan_ros.core.fit import TERMS, Deviation
+from allan_ros.core.fit.result import TERMS, Deviation
 from allan_ros.core.imu import shown_unit
 from allan_ros.export import origin_text, target_rows
 from allan_ros.results.comparison import Subject, compare_runs

@@ -19,7 +19,7 @@ from allan_ros.core.compare import (
     differences,
 )
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit.model import TERMS
+from allan_ros.core.fit.result import TERMS
 
 UNSEEN = Estimate(None, None, 0.5, 'not_observable')
 

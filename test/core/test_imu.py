@@ -5,7 +5,7 @@ import math
 import pytest
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit.model import TERMS
+from allan_ros.core.fit.result import TERMS
 from allan_ros.core.imu import (
     DATASHEET_UNITS,
     SI_UNITS,

@@ -10,8 +10,7 @@ import pytest
 from support.exports import warmed
 
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit import AxisFit
-from allan_ros.core.fit.model import model_of_terms
+from allan_ros.core.fit.result import AxisFit, model_of_terms
 from allan_ros.core.imu import AXES, ImuIdentity
 from allan_ros.core.stream.health import Segment
 from allan_ros.readers import SourceInfo

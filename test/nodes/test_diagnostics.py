@@ -22,7 +22,7 @@ from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.compare import Check
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.findings import CATALOG, finding
-from allan_ros.core.fit.model import TERMS, AxisFit
+from allan_ros.core.fit.result import TERMS, AxisFit
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.stream.health import Counts, StreamHealth

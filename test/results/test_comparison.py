@@ -12,7 +12,7 @@ from support.exports import scaled
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit import TERMS
+from allan_ros.core.fit.result import TERMS
 from allan_ros.readers.files import to_json
 from allan_ros.results.comparison import (
     RunComparison,

@@ -19,7 +19,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.fields import Fields, Signed
 from allan_ros.core.findings import Finding
-from allan_ros.core.fit import Deviation
+from allan_ros.core.fit.result import Deviation
 from allan_ros.core.noise import PROCESSES, Model, Part
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.readers.files import MAX_BYTES, read_json, to_json

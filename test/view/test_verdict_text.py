@@ -13,7 +13,7 @@ from support.exports import scaled
 
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.findings import Finding, finding
-from allan_ros.core.fit import AxisFit
+from allan_ros.core.fit.result import AxisFit
 from allan_ros.core.imu import AXES
 from allan_ros.results.comparison import Subject, compare_runs
 from allan_ros.results.datasheets import Datasheet, Limit, against_datasheet

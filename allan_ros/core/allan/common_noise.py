@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..errors import AllanError
 from ..estimate import Estimate
-from ..fit.model import Z_95
+from ..fit.result import Z_95
 from ..imu import ImuIdentity
 from ..nonnegative import nonnegative_least_squares
 from .curve import allan_curve

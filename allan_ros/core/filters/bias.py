@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..errors import AllanError
 from ..estimate import Estimate
 from ..fields import Signed
-from ..fit.model import Z_95, AxisFit
+from ..fit.result import Z_95, AxisFit
 from ..noise import Model
 from .state_space import state_space
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..estimate import Estimate
-from ..fit.model import AxisFit
+from ..fit.result import AxisFit
 from ..noise import Model, Process
 from ..noise.derived import growth_variance
 from ..noise.model import CONTINUOUS

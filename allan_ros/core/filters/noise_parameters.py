@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from ..errors import AllanError
-from ..fit.model import AxisFit
+from ..fit.result import AxisFit
 from ..imu import AXES, SENSORS
 from ..noise import Model
 from .growth import interval_models

@@ -25,7 +25,7 @@ from ..noise.derived import avar
 from ..noise.processes.sinusoid import daily_cycle
 from ..number_text import duration_text
 from .likelihood import AxisData, Columns, Fit, LowBand
-from .model import K
+from .result import K
 from .statistics import Floats, Group, Statistics, contrasts, lower_edge
 
 GAIN_WARM_UP = 16.5

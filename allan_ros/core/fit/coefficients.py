@@ -20,7 +20,7 @@ from ..noise import TERMS, Model, Part, Process
 from ..noise.model import Covariance
 from ..noise.process import GAIN_RESOLVED
 from ..noise.processes.low_pass import LowPass
-from .estimate import SelectedModel
+from .frequency_range import SelectedModel
 from .likelihood import (
     AxisData,
     Fit,
@@ -32,7 +32,7 @@ from .likelihood import (
     profile_interval,
     ramp_estimate,
 )
-from .model import Z_95, AxisFit, Floats, K, Q
+from .result import Z_95, AxisFit, Floats, K, Q
 
 RAMP_RESOLVED = 2.58 / 1.96
 """Least |R| in units of the half width of its interval for R to be resolved: two-sided 1 % (1.0 %

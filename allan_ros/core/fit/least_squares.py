@@ -29,7 +29,7 @@ from ..estimate import Estimate, Status
 from ..findings import Finding, finding
 from ..noise import FLICKER_FLOOR
 from ..nonnegative import nonnegative_least_squares
-from .model import TERMS, Z_95, AxisFit, Floats, NoiseModel, model_of_terms
+from .result import TERMS, Z_95, AxisFit, Floats, NoiseModel, model_of_terms
 
 LONGEST_TAU = 1300.0
 """Longest averaging time of method 'paper' in s."""

@@ -21,7 +21,7 @@ from ..noise import REPLACEMENTS, TERMS, Parameter, Process
 from ..noise.process import FREQUENCY, LEAST_PERIODS, Search
 from .candidates import SHORTEST_TIME, Candidates, LowBandFit
 from .likelihood import AxisData, Fit, Shape
-from .model import N
+from .result import N
 from .statistics import Floats
 
 MAX_PROCESSES = 6

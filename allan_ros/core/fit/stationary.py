@@ -19,10 +19,10 @@ from ..allan.sums import AllanSums, part
 from ..findings import Finding, finding, quantity
 from ..imu import sensor_of
 from ..number_text import duration_text
-from . import NoiseModel, fit_noise
 from .bias_changes import WarmUp, step_findings, warm_ups
-from .method import fit_likelihood
-from .model import Z_95
+from .maximum_likelihood import fit_likelihood
+from .methods import fit_noise
+from .result import Z_95, NoiseModel
 from .statistics import statistics
 from .white_noise_levels import WhiteNoiseLevels, present_part, white_noise_levels
 

@@ -26,7 +26,7 @@ from ..noise.processes.random_walk import RandomWalk
 from ..noise.processes.white import White
 from .coefficients import random_coefficient
 from .likelihood import AxisData, Columns, Fit, LowBand, inverse, profile_interval
-from .model import AxisFit, NoiseModel
+from .result import AxisFit, NoiseModel
 from .statistics import Floats, Ints, statistics
 
 TEMPERATURE_RESOLVED = 0.01

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.allan.curve import Spectrum, noise_density
-from ...core.fit import TERMS
+from ...core.fit.result import TERMS
 from ...core.fit.statistics import expected_power
 from ...core.fit.temperature import TemperatureModel
 from ...core.imu import AXES, SENSORS, shown_unit

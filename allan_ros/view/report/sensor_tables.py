@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from ...core.compare import Check
 from ...core.errors import AllanError
-from ...core.fit import TERMS
-from ...core.fit.interpretation import ADVISED_TERMS
+from ...core.fit.record_length import ADVISED_TERMS
+from ...core.fit.result import TERMS
 from ...core.imu import shown_unit
 from ...export import RAISED, target_of
 from ...results.axis_result import AxisResult

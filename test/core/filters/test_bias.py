@@ -18,7 +18,7 @@ from allan_ros.core.filters.bias import (
     BiasTracker,
     turn_on_bias,
 )
-from allan_ros.core.fit.model import AxisFit
+from allan_ros.core.fit.result import AxisFit
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
 

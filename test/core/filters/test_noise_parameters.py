@@ -19,8 +19,7 @@ from allan_ros.core.filters.noise_parameters import (
     white_variances,
 )
 from allan_ros.core.filters.reductions import Level
-from allan_ros.core.fit import AxisFit
-from allan_ros.core.fit.model import model_of_terms
+from allan_ros.core.fit.result import AxisFit, model_of_terms
 from allan_ros.core.noise import GaussMarkov, Model, Part
 
 

@@ -9,10 +9,10 @@ import pytest
 from scipy.signal import butter, lfilter
 from support.sums import sums_of
 
-from allan_ros.core.fit import fit_noise
 from allan_ros.core.fit.candidates import Candidates
-from allan_ros.core.fit.estimate import estimate
+from allan_ros.core.fit.frequency_range import estimate
 from allan_ros.core.fit.likelihood import AxisData
+from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.selection import Selection
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.noise import TERMS, Model
@@ -113,7 +113,7 @@ def three_sinusoids(samples=60_000):
 
 def test_a_false_alarm_of_the_test_for_filters_keeps_the_sinusoids(monkeypatch):
     """With this threshold, every model looks low-pass filtered."""
-    monkeypatch.setattr('allan_ros.core.fit.estimate.CURVATURE', -10.0)
+    monkeypatch.setattr('allan_ros.core.fit.frequency_range.CURVATURE', -10.0)
     result = estimate(*three_sinusoids())
     assert result.top == 0.5 and [c.name for c in result.fit.components[4:]] == 3 * ['sinusoid']
 

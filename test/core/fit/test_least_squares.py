@@ -9,7 +9,8 @@ from support.sums import sums_of
 
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
-from allan_ros.core.fit import TERMS, fit_noise
+from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.result import TERMS
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis

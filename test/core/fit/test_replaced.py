@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from allan_ros.core.fit import fit_noise
+from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.replaced import replaced_excess
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.noise import Model

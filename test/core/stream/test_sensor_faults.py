@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.streams import PERIOD, accumulate, faulty, ids, repeated, still
 
-from allan_ros.core.fit import fit_noise
+from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.imu import AXES
 from allan_ros.view.finding_text import texts_of
 

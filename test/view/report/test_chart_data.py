@@ -13,7 +13,7 @@ from support.sums import TICK_NS, sums_of
 
 import allan_ros as ar
 from allan_ros.core.allan.curve import noise_density
-from allan_ros.core.fit import AxisFit
+from allan_ros.core.fit.result import AxisFit
 from allan_ros.core.noise import PROCESSES, Model
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stream.signal import SignalSummary, SignalTemperature, summarize_signal

@@ -12,8 +12,7 @@ import pytest
 
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.filters.bias import TurnOnBias
-from allan_ros.core.fit import AxisFit
-from allan_ros.core.fit.model import model_of_terms
+from allan_ros.core.fit.result import AxisFit, model_of_terms
 from allan_ros.core.number_text import significant
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.results.results import Results

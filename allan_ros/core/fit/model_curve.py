@@ -1,15 +1,14 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Interpretation of a fitted curve.
+"""Curve of a fitted model: its line, the largest deviation from it, and the dominant terms.
 
-It provides the curve of the model and the largest deviation from it, the term that dominates in
-each range of tau (as in Cong et al. 2019), and the recommended length of a recording.
+The term that dominates in each range of averaging times is stated as in Cong et al. 2019.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import NamedTuple
@@ -18,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..allan.curve import AllanCurve, AxisCurve
-from ..noise import FLICKER_FLOOR
-from .model import AxisFit, Deviation, Floats
+from .result import AxisFit, Deviation, Floats
 
 MIN_WIDTH = 3.0
 """Smallest ratio tau_high/tau_low of a range with a single dominant term: half a decade."""
@@ -145,118 +143,3 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
             names = {parts[k] for k in np.argsort(shares[points].mean(axis=0))[-2:]}
         out.append(_Stretch(tuple(name for name in parts if name in names), points))
     return out
-
-
-ADVISED_TERMS = ('N', 'B', 'K')
-"""The terms for which a longer record is recommended; filters do not use Q and R."""
-
-HORIZON_S = 100.0
-"""Time in s over which a filter integrates without correction. A term with a small effect at this
-time is negligible."""
-
-NEGLIGIBLE = 0.25
-"""Fraction of the known Allan variance at `HORIZON_S` below which an unresolved term is
-negligible."""
-
-SECONDS_FOR_N = 60.0
-"""Length in s of a record that resolves N at any sample rate of an IMU."""
-
-B_RESOLVED = 8.5
-"""Smallest B that a record of T seconds resolves, divided by N/sqrt(T), if K is not resolved."""
-
-B_RESOLVED_WITH_K = ((10.0, 2.8), (1e2, 1.3), (1e3, 0.70), (1e4, 0.41))
-"""Pairs of K T/N and the smallest resolved B divided by sqrt(N K), if K is resolved."""
-
-K_RESOLVED = 51.0
-"""Smallest K that a record of T seconds resolves, divided by N/T."""
-
-K_RESOLVED_WITH_B = 6.2
-"""Smallest K that a record of T seconds resolves, divided by B/sqrt(T), if B dominates the
-curve."""
-
-LENGTHS_S = (
-    *(60.0 * n for n in (1, 2, 5, 10, 20, 30)),
-    *(3600.0 * n for n in (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24)),
-)
-"""Recommended lengths in s. A length is rounded up to one of these; longer ones are not
-recommended."""
-
-
-def recommended_duration(
-    fit: AxisFit, seconds: float, limits: Mapping[str, float] | None = None
-) -> tuple[float, tuple[str, ...]] | None:
-    """Return the recommended length of a record of one axis, or None if a longer one is not useful.
-
-    A longer record is recommended if N, B or K is not resolved and its upper limit is relevant:
-    above the limit of the datasheet or, without a datasheet, above a quarter of the known Allan
-    variance at 100 s. The length is computed from N (and from B and K if they are resolved), not
-    from the uncertain estimate of the unresolved term. The advice is therefore stable during a
-    recording.
-
-    Parameters
-    ----------
-    fit : AxisFit
-        Fit by method 'likelihood'.
-    seconds : float
-        Length of the longest static segment so far, in s.
-    limits : mapping of term to float, optional
-        Limits of a datasheet for this axis, in SI units.
-
-    Returns
-    -------
-    (seconds, terms) or None
-        Length of a recording without gaps in s, and the terms for which it is recommended.
-    """
-    n = fit.noise['N'].value
-    if fit.noise['N'].status != 'estimated' or not n:
-        return (SECONDS_FOR_N, ('N',)) if seconds < SECONDS_FOR_N else None
-    needed = {
-        term: _seconds_for(term, target, fit)
-        for term in ('B', 'K')
-        if fit.noise[term].status != 'estimated'
-        and (target := (limits or {}).get(term) or _negligible(term, fit))
-        and (fit.noise[term].upper95 or math.inf) > target
-    }
-    worth = {term: t for term, t in needed.items() if seconds < t <= LENGTHS_S[-1]}
-    if not worth:
-        return None
-    return next(t for t in LENGTHS_S if t >= max(worth.values())), tuple(worth)
-
-
-def longest_recommended(
-    advice: Iterable[tuple[float, tuple[str, ...]] | None],
-) -> tuple[float, tuple[str, ...]] | None:
-    """Return the longest of the recommended lengths in s, and the terms of all recommendations.
-
-    ``advice`` contains the results of `recommended_duration` for the axes. Returns None if no axis
-    needs a longer record.
-    """
-    known = [each for each in advice if each is not None]
-    if not known:
-        return None
-    terms = {term for _, of_axis in known for term in of_axis}
-    return max(t for t, _ in known), tuple(t for t in ADVISED_TERMS if t in terms)
-
-
-def _known(term: str, fit: AxisFit) -> float:
-    coefficient = fit.noise[term]
-    return coefficient.value or 0.0 if coefficient.status == 'estimated' else 0.0
-
-
-def _negligible(term: str, fit: AxisFit) -> float:
-    """Return the size below which a term has no relevant effect at averaging time `HORIZON_S`."""
-    n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
-    known = n**2 / HORIZON_S + FLICKER_FLOOR * b**2 + k**2 * HORIZON_S / 3.0
-    unit = FLICKER_FLOOR if term == 'B' else HORIZON_S / 3.0
-    return math.sqrt(NEGLIGIBLE * known / unit)
-
-
-def _seconds_for(term: str, size: float, fit: AxisFit) -> float:
-    """Return the length in s of a record that resolves a term of a given SI coefficient."""
-    n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
-    if term == 'K':
-        return max(K_RESOLVED * n / size, (K_RESOLVED_WITH_B * b / size) ** 2)
-    if k > 0.0:
-        walk, least = np.log(B_RESOLVED_WITH_K).T
-        return float(np.exp(np.interp(-np.log(size / (n * k) ** 0.5), -least, walk)) * n / k)
-    return (B_RESOLVED * n / size) ** 2

@@ -14,8 +14,9 @@ import numpy as np
 from ..allan.curve import AllanCurve
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
-from .interpretation import largest_deviation, model_line, recommended_duration
-from .model import AxisFit, Floats, NoiseModel
+from .model_curve import largest_deviation, model_line
+from .record_length import recommended_duration
+from .result import AxisFit, Floats, NoiseModel
 
 NEGLIGIBLE_STEP = 0.02
 """Rounding steps below this fraction of the white noise per sample are ignored: they increase its

@@ -5,14 +5,14 @@ import pytest
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.fit import fit_noise
-from allan_ros.core.fit.interpretation import (
+from allan_ros.core.fit.methods import fit_noise
+from allan_ros.core.fit.record_length import (
     LENGTHS_S,
     SECONDS_FOR_N,
     longest_recommended,
     recommended_duration,
 )
-from allan_ros.core.fit.model import AxisFit
+from allan_ros.core.fit.result import AxisFit
 
 HOUR = 3600.0
 N = 1e-4

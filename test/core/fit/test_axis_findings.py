@@ -6,14 +6,14 @@ import pytest
 from support.sums import sums_of
 
 from allan_ros.core.findings import finding
-from allan_ros.core.fit import fit_noise
-from allan_ros.core.fit.findings import (
+from allan_ros.core.fit.axis_findings import (
     Line,
     common_step,
     line_finding,
     merge_equal,
     with_harmonics,
 )
+from allan_ros.core.fit.methods import fit_noise
 from allan_ros.view.finding_text import texts_of
 
 

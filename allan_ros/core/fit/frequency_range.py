@@ -21,7 +21,7 @@ from ..noise import TERMS, Process
 from ..noise.process import GAIN_RESOLVED
 from .candidates import Candidates
 from .likelihood import AxisData, Fit, inverse
-from .model import LackOfFit, N, Q
+from .result import LackOfFit, N, Q
 from .selection import Selection
 from .statistics import LowPassCurvature
 

@@ -9,12 +9,12 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..noise.processes.sinusoid import daily_cycle
+from .axis_findings import axis_findings, merge_equal
 from .candidates import Candidates
 from .coefficients import axis_fit, without_estimates
-from .estimate import estimate
-from .findings import axis_findings, merge_equal
+from .frequency_range import estimate
 from .likelihood import AxisData
-from .model import AxisFit, NoiseModel
+from .result import AxisFit, NoiseModel
 from .statistics import Statistics, statistics
 
 LEAST_DRIFT_S = 10.0
