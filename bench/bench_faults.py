@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from allan_ros.core.findings import Finding, finding
 from allan_ros.core.imu import AXES, STANDARD_GRAVITY, ImuBatch
 from allan_ros.core.stream.health import Accumulation, StreamHealth
 from allan_ros.core.stream.pipeline import ImuStream
@@ -174,31 +175,35 @@ class Seen:
 class Input:
     """The input of a node without ROS: its stream, and the findings of its status."""
 
-    def __init__(self) -> None:
+    def __init__(self, publish_s: int = 10) -> None:
         self.stream = ImuStream()
+        self._publish_s = publish_s  # period in s at which the sums are computed
         self._monitor = TransportMonitor('imu/data', 0.0)
         self._constant = ConstantAxes()
         self._statistics = TransportStatistics()
         self._sums = self.stream.result().sums
         self._events: object = None
 
-    def status(self, time_s: float, batch: ImuBatch) -> tuple[StreamHealth, set[str]]:
-        """Process the samples of a second, and return the health and the ids of the findings."""
+    def status(self, time_s: float, batch: ImuBatch) -> tuple[StreamHealth, tuple[Finding, ...]]:
+        """Process the samples of a second, and return the health and the findings of the status."""
         self.stream.update(batch)
         self._constant.update(batch.samples)
         self._statistics.received += len(batch)
         health, found = self.stream.present_health(self._sums)
         c = health.counts
         events = health.state, health.discarded, sum(c.splits.values()), c.used > 0
-        if events != self._events or round(time_s) % 10 == 0:  # and for each publication
+        if (
+            events != self._events or round(time_s) % self._publish_s == 0
+        ):  # and for each publication
             self._events = events
             result = self.stream.result()
             self._sums, health, found = result.sums, result.health, result.findings
-        stuck = self._constant.stuck(health.rate_hz) if health.rate_hz else ()
-        named = {'stuck_now'} if stuck else set()
-        found = self._monitor.observe(time_s, self._statistics, health, ('driver',), 5.0, found)
-        found = *found, *noise_now(health, self._sums)
-        return health, named | {f.id for f in found}
+        if health.rate_hz and (stuck := self._constant.stuck(health.rate_hz)):
+            found = *found, finding('stuck_now', stuck)
+        found = self._monitor.observe(
+            time_s, self._statistics, health, ('driver',), 5.0, tuple(found)
+        )
+        return health, (*found, *noise_now(health, self._sums))
 
 
 def watched(stamps: np.ndarray, samples: Samples) -> Seen:
@@ -207,7 +212,7 @@ def watched(stamps: np.ndarray, samples: Samples) -> Seen:
     for second, at in enumerate(range(0, len(samples), RATE), start=1):
         rows = slice(at, at + RATE)
         health, found = live.status(float(second), ImuBatch(stamps[rows], samples[rows]))
-        seen.findings.append(found)
+        seen.findings.append({each.id for each in found})
         seen.states.append(health.state)
     live.stream.end()
     seen.result = live.stream.result()

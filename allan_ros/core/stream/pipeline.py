@@ -43,7 +43,7 @@ from .motion import MotionGate
 from .noise_floor import idle_share
 from .rest_filter import Change
 from .sensors import Clipping, SensorPlan, plan_sensors
-from .timing import LEARN, SampleClock
+from .timing import LEARN, SampleClock, learned_from
 
 CHECKED = LEARN // 8
 """Number of samples that are examined at once to find that all samples of a sensor are measured
@@ -290,8 +290,9 @@ class FrameStream:
         self.received += len(batch)
         while (self._has_idle or not self.sensors) and len(batch):
             # exactly this number of samples is evaluated, so that batch sizes do not matter
-            number = CHECKED if self.sensors else LEARN
-            take = min(number - self._learned, len(batch))
+            stamps = [each.stamps_ns for each in (*self._learning, batch[:LEARN])]
+            number = CHECKED if self.sensors else learned_from(np.concatenate(stamps))
+            take = min((number or LEARN) - self._learned, len(batch))
             self._learning.append(batch[np.arange(take)])  # a copy
             self._learned += take
             if self._learned == number:

@@ -26,8 +26,9 @@ from .health import RATE_CHANGE, Counts
 
 Ints = NDArray[np.int64]
 
-LEARN = 1024
-"""Number of samples from which the period of a stream is learned."""
+LEARN_S, LEAST_LEARN, LEARN = 11.0, 256, 1024
+"""Time in s, and smallest and largest number of samples, from which a stream is learned. From 95 Hz
+on, it is the largest number."""
 
 CLOCK_BLOCK = 256
 """Number of samples that are processed together."""
@@ -55,7 +56,7 @@ POLLED_SHARE = 0.95
 between 0.4 and 2.2 mean steps."""
 
 FEWEST_STEPS = 8
-"""Fewest steps of time in the first `LEARN` stamps: with longer bursts of equal stamps, the period
+"""Fewest steps of time in the first stamps: with longer bursts of equal stamps, the period
 would depend on where the last burst begins."""
 
 EVEN_SHARE, EVEN = 0.9, 0.15
@@ -118,6 +119,18 @@ class Clock:
     def smallest_loss(self) -> float:
         """Increase of the smallest delay after a pause, in periods, that indicates lost samples."""
         return max(0.5, BURST_PAUSE_S * 1e9 / self.period_ns) if self.bursty else 0.5
+
+
+def learned_from(stamps: Stamps) -> int:
+    """Return the number of first stamps in ns, (n,), from which a stream is learned; 0 if too few.
+
+    >>> import numpy as np
+    >>> [learned_from(np.arange(2000) * 10**9 // rate) for rate in (20, 50, 100, 1000)]
+    [256, 551, 1024, 1024]
+    """
+    late = np.flatnonzero(stamps[:LEARN] - stamps[:1] >= LEARN_S * 1e9)
+    number = max(int(late[0]) + 1, LEAST_LEARN) if len(late) else LEARN
+    return number if len(stamps) >= number else 0
 
 
 def learn_clock(stamps: Stamps, polled: bool = False, declared: float = 0.0) -> Clock | None:
@@ -257,6 +270,7 @@ class SampleClock:
     ) -> None:
         self.clock: Clock | None = None
         self.learned_ns = 0.0  # the period that was learned
+        self._learned = LEARN  # number of samples from which it was learned
         self.rate_changed = False
         self._settings = settings
         self._polled = polled
@@ -280,19 +294,19 @@ class SampleClock:
     def feed(self, samples: ImuBatch) -> list[ImuBatch]:
         """Add samples, and return the blocks whose look-ahead is complete."""
         self._samples = joined([self._samples, samples])
-        while self.clock is None and len(self._samples) >= LEARN:
-            self._learn()
+        while self.clock is None and (number := learned_from(self._samples.stamps_ns)):
+            self._learn(number)
         return self._process_ready(self._reach)
 
     def flush(self) -> list[ImuBatch]:
         """Return the blocks of all buffered samples at the end of the input."""
-        while self.clock is None and len(self._samples):
-            self._learn()
+        while self.clock is None and (have := len(self._samples)):
+            self._learn(learned_from(self._samples.stamps_ns) or have)
         return self._process_ready(0)
 
-    def _learn(self) -> None:
+    def _learn(self, number: int) -> None:
         """Learn the period from the first samples; drop those that contain no time."""
-        first = self._samples.stamps_ns[:LEARN]
+        first, self._learned = self._samples.stamps_ns[:number], number
         equal = int(np.argmax(first != first[0])) or len(first)
         if equal <= LEARN // FEWEST_STEPS:
             self.clock = learn_clock(first, self._polled, self._settings.declared_rate)
@@ -371,7 +385,7 @@ class SampleClock:
             return len(step)
         long = RATE_CHANGE_STEP * clock.step_ns
         # excludes the samples from which the period was learned, or learning could repeat forever
-        first = max(0, LEARN - self._blocks * CLOCK_BLOCK)
+        first = max(0, self._learned - self._blocks * CLOCK_BLOCK)
         if self._is_usual(step[first:], steps[first:], clock, long):
             return len(step)
         for at in range(first, len(step), CLOCK_BLOCK):

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from support.streams import START, accumulate
 
-from allan_ros.core.imu import AXES
+from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.stream.motion import WINDOW_S
+from allan_ros.core.stream.pipeline import ImuStream
 
 RATES = (20, 200, 2000, 20_000)
 DENSITY = np.array([1e-4] * 3 + [2e-3] * 3)
@@ -56,3 +57,16 @@ def test_a_scenario_gives_the_same_findings_at_every_rate(rate):
     assert sums.axes == AXES
     # 1000 samples at 20 Hz: sd of the variance is 5.5 %, 5 sigma: false alarm 6e-7
     assert sums.avar[0] / (DENSITY**2 * rate) == pytest.approx(1.0, abs=0.28)
+
+
+@pytest.mark.parametrize('rate', [20, 50, 100, 1000])
+def test_a_rate_is_known_after_the_same_time(rate):
+    """This is 11 s or 256 samples, whichever is longer, but at most 1024 samples."""
+    n = 40 * rate
+    x = LEVEL + DENSITY * rate**0.5 * np.random.default_rng(rate).standard_normal((n, 6))
+    stream, known = ImuStream(), []
+    times = START + np.arange(n) * (10**9 // rate)
+    for at in range(0, n, rate):
+        stream.update(ImuBatch(times[at : at + rate], x[at : at + rate]))
+        known.append(stream._present.sensors != ())
+    assert known.index(True) + 1 <= 13

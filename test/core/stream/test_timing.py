@@ -215,4 +215,4 @@ def test_learning_the_rate_always_ends(monkeypatch):
     clock = Clock(10.0 * MS, 10.0 * MS, bursty=False)
     monkeypatch.setattr(timing, 'learn_clock', lambda *_: clock)
     _, _, stage = run(stamps)
-    assert len(stage.pending) <= len(stamps) - 1024
+    assert len(stage.pending) <= len(stamps) - timing.learned_from(stamps)

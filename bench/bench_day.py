@@ -1,0 +1,139 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A day of a simulated robot without ROS: every change of the status is listed and judged.
+
+    python bench/bench_day.py              24 hours at 100 Hz
+    python bench/bench_day.py --hours 6    a part of the day
+
+The robot rests at first, then every hour it drives for half an hour (120 s, with 60 s of rest
+between) and rests for half an hour, in which something happens: a fault, a fan, or a restart of the
+node. The table has a line for each change of the warnings and errors of the status. A change is
+explained if what happens names it, or ended less than 90 s ago (events are reported for a minute).
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import time
+
+import numpy as np
+from bench_faults import FAULTS, RATE, START_NS, Input, rounded, simulated
+
+from allan_ros.core.imu import ImuBatch
+
+HOUR_S, DRIVES_S, DRIVE_S, CYCLE_S = 3600, 1800, 120, 180
+"""Length of an hour, of the drives in it, of one drive, and of a drive with its rest, in s."""
+
+BEGIN_S, GRACE_S = 2400, 90
+"""Time in an hour at which something happens, and for which it is an excuse after its end, in s."""
+
+CHUNK_S = 60
+"""Length of the simulated parts in s."""
+
+HAPPENS = [
+    ('nothing', 0),
+    ('frozen', 60),
+    ('fan', 600),
+    ('unit_g', 120),
+    ('restart node', 0),
+    ('held', 60),
+    ('15_percent', 120),
+    ('doubled', 300),
+    ('every_second_zero', 40),
+    ('unit_deg', 300),
+    ('restart driving', 0),
+    ('clipped', 60),
+    ('no_gravity', 60),
+    ('stamps_zero', 30),
+    ('toggling', 120),
+    ('zero_filled', 60),
+    ('fan', 60),
+    ('stamps_equal', 30),
+    ('dead', 600),
+    ('restart', 300),
+    ('spikes', 300),
+    ('15_percent', 900),
+    ('fan', 900),
+    ('frozen', 5),
+]
+"""What happens in each hour, and for how many seconds."""
+
+
+def moving(second: int) -> bool:
+    """Return whether the robot drives in a second of the day."""
+    hour, at = divmod(second, HOUR_S)
+    return hour > 0 and at < DRIVES_S and at % CYCLE_S < DRIVE_S
+
+
+def driven(x: np.ndarray, first_s: int, rng: np.random.Generator) -> np.ndarray:
+    """Return samples with the motion and the vibration of the drives, (n, 6)."""
+    t = first_s + np.arange(len(x)) / RATE
+    drives = np.repeat([moving(int(s)) for s in range(first_s, first_s + len(x) // RATE)], RATE)
+    swing = np.sin(2 * np.pi * 0.3 * t)[:, None] * [0.02, 0.03, 0.4, 1.0, 0.5, 0.2]
+    vibration = rng.normal(size=x.shape) * ([1e-2] * 3 + [0.3] * 3)
+    return np.asarray(x + drives[:, None] * (swing + vibration))
+
+
+def day(hours: int) -> None:
+    """Simulate the day, and print the table."""
+    rng = np.random.default_rng(1)
+    bias = np.append(rng.normal(size=5) * ([2e-3] * 3 + [0.1] * 2), 9.8)
+    live, shown = Input(CHUNK_S), frozenset[str]()
+    restarted_s, unexplained, changes = 0, 0, 0
+    named: dict[int, int] = {}
+    began = time.process_time()
+    for first in range(0, hours * HOUR_S, CHUNK_S):
+        hour, at = divmod(first, HOUR_S)
+        what, lasts = HAPPENS[hour % len(HAPPENS)]
+        fault = FAULTS.get(what)
+        x = simulated(CHUNK_S, rng)
+        x = rounded(driven(x - x.mean(axis=0) + bias, first, rng))
+        stamps = START_NS + (first * RATE + np.arange(len(x))) * (10**9 // RATE)
+        begin, end = BEGIN_S - at, BEGIN_S + lasts - at
+        inside = slice(max(begin, 0) * RATE, max(min(end, CHUNK_S), 0) * RATE)
+        if fault is not None and inside.start < inside.stop:
+            x[inside] = fault.change(x[inside], rng)
+            stamps[inside] = fault.stamps(stamps[inside])
+        if (what, at) in (('restart node', BEGIN_S), ('restart driving', 60)):
+            live, restarted_s = Input(CHUNK_S), first
+        for second in range(first, first + CHUNK_S):
+            rows = slice((second - first) * RATE, (second - first + 1) * RATE)
+            health, found = live.status(float(second + 1), ImuBatch(stamps[rows], x[rows]))
+            severe = frozenset(f.id for f in found if f.severity != 'info')
+            in_hour = second - hour * HOUR_S
+            happens = fault is not None and BEGIN_S <= in_hour < BEGIN_S + lasts
+            names = set(fault.names.split()) if fault is not None else set()
+            if happens and hour not in named and names & {f.id for f in found}:
+                named[hour] = in_hour + 1 - BEGIN_S
+            if severe == shown:
+                continue
+            excused = happens or (fault is not None and 0 <= in_hour - BEGIN_S - lasts < GRACE_S)
+            excused |= second - restarted_s < GRACE_S
+            changes, unexplained = changes + 1, unexplained + (not excused)
+            clock = f'{hour:02}:{in_hour // 60:02}:{in_hour % 60:02}'
+            text = ', '.join(sorted(severe)) or 'ok'
+            cause = what if excused else 'UNEXPLAINED'
+            print(f'{clock}  {health.state:16} {text:60} {cause}', flush=True)
+            shown = severe
+    result = live.stream.result()
+    used = sum(s.samples for s in result.sums) / RATE
+    print(f'\n{changes} changes, {unexplained} unexplained; {used:.0f} s at rest since the restart')
+    for hour, (what, lasts) in enumerate(HAPPENS[:hours]):
+        if what in FAULTS:
+            after = f'{named[hour]} s' if hour in named else 'never'
+            print(f'{hour:02}: {what} for {lasts} s: named after {after}')
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f'{time.process_time() - began:.0f} s CPU, largest memory {peak:.0f} MB')
+
+
+def main() -> None:
+    """Print the table."""
+    formatter = argparse.RawTextHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
+    parser.add_argument('--hours', type=int, default=len(HAPPENS))
+    day(parser.parse_args().hours)
+
+
+if __name__ == '__main__':
+    main()
