@@ -444,10 +444,7 @@ class MotionGate:
         began_ns = motion.began_ns if motion is not None else int(block[0].samples.stamps_ns[0])
         self._rest.end_segment()
         stuck = self.size * sum(int(part.found.stuck.sum()) for part in block)
-        known = sum(
-            int((p.found.decreased & ~p.found.foreign & ~p.found.stuck).sum()) for p in block
-        )
-        decreased = self.size * known
+        decreased = self.size * sum(int(part.found.decreased.sum()) for part in block) - stuck
         moving = count_samples(part.samples for part in block) - stuck - decreased
         self._counts.remove('stuck', stuck)
         self._counts.remove('noise_decreased', decreased)

@@ -63,6 +63,14 @@ class StreamSums(NamedTuple):
     segments: tuple[Segment, ...]
 
 
+class Present(NamedTuple):
+    """State of a stream, known faults of its latest samples, and the white noise of each axis."""
+
+    state: State
+    faults: tuple[Finding, ...]
+    noise: dict[str, float]
+
+
 class ImuStream:
     """Accumulates the Allan sums of one stream of IMU samples.
 
@@ -142,13 +150,13 @@ class ImuStream:
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream is not changed."""
         now = self if self._ended else copy.deepcopy(self)
-        state = now._present.state
+        present = now._present.present
         if not self._ended:
             now.end()
         longest = now._longest()
         sums = tuple(each.sums for each in longest)
         segments = longest[0].segments if longest else ()
-        return Accumulation(sums, *now._health(state, sums), segments)
+        return Accumulation(sums, *now._health(present, sums), segments)
 
     def present_health(
         self, sums: tuple[AllanSums, ...]
@@ -158,14 +166,14 @@ class ImuStream:
         ``sums`` are the sums of an earlier `result`. The counts do not include samples that are not
         classified yet.
         """
-        state = self._present.state
-        if state not in ('waiting', 'learning'):
-            return self._health(state, sums)
+        present = self._present.present
+        if present.state not in ('waiting', 'learning'):
+            return self._health(present, sums)
         now = self
         if not self._ended:
             now = copy.deepcopy(self)  # all samples are buffered, and there are few of them
             now.end()
-        return now._health(state, sums)
+        return now._health(present, sums)
 
     def _add_frame(self, frame_id: str) -> FrameStream:
         """Start the stream of a new frame_id; of two earlier streams, remove the smaller one."""
@@ -190,7 +198,7 @@ class ImuStream:
         return tuple({id(best[axis]): best[axis] for axis in AXES if axis in best}.values())
 
     def _health(
-        self, state: State, longest: tuple[AllanSums, ...]
+        self, present: Present, longest: tuple[AllanSums, ...]
     ) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return counts, state and findings; ``longest`` are the sums that are reported."""
         frame = self._present
@@ -202,7 +210,7 @@ class ImuStream:
         streams = [s for each in self._frames.values() for s in (*each.earlier, *each.sensors)]
         health = StreamHealth(
             counts,
-            state,
+            present.state,
             1e9 / clock.period_ns if clock else None,
             clock.bursty if clock else False,
             1e9 / clock.base_ns if clock and clock.base_ns else None,
@@ -220,8 +228,8 @@ class ImuStream:
             {axis: ratio for gate in gates for axis, ratio in gate.decreases.items()},
             tuple(axis for gate in gates for axis in gate.stuck),
             {axis: share for sensor in frame.sensors for axis, share in sensor.clipped.items()},
-            tuple(fault for gate in gates for fault in gate.faults),
-            {axis: level for gate in gates for axis, level in gate.noise.items()},
+            present.faults,
+            present.noise,
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
         if clock is not None:  # the stamps became usable later
@@ -275,6 +283,16 @@ class FrameStream:
         if not states:
             return 'learning' if self._learned else 'waiting'
         return 'noise_increased' if 'noise_increased' in states else states[0]
+
+    @property
+    def present(self) -> Present:
+        """State, known faults and noise of the samples that were classified last."""
+        gates = [sensor.gate for sensor in self.sensors if sensor.gate is not None]
+        return Present(
+            self.state,
+            tuple(fault for gate in gates for fault in gate.faults),
+            {axis: level for gate in gates for axis, level in gate.noise.items()},
+        )
 
     @property
     def counts(self) -> Counts:
