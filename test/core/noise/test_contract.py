@@ -169,6 +169,8 @@ def test_every_process_with_a_shape_is_found_by_the_fit() -> None:
                 low, high = each.bounds(parameter, SEARCH)
                 assert 0.0 < low <= high and value < 2.0 * high
     assert [one.letter for one in TERMS] == ['Q', 'N', 'B', 'K']
+    findings = [one.finding for one in shaped]
+    assert len(set(findings)) == len(findings), 'each process has a finding of its own'
 
 
 SHAPE = {'s': 100.0, 'Hz': 0.05}
