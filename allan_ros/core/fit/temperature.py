@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..allan.sums import AllanSums
 from ..estimate import Estimate
@@ -49,11 +50,12 @@ SLOW = 2.0
 """Blocks per correlation time, or per half period, from which a process may be an effect of the
 temperature and is omitted; the coefficients of faster ones are held."""
 
-N, B, K = range(3)
-"""Indices of the first components."""
+NOISE: tuple[Process, ...] = (White(), Flicker(), RandomWalk())
+"""Terms of the noise of the block means; they are the first processes of a fit."""
 
-HELD_DOF = 1e4
-"""Degrees of freedom of a coefficient that is held."""
+KNOWN_DOF = 1e4
+"""Degrees of freedom of a coefficient that is known from the fit of all data: its error is 0.7 %,
+far below those of the others."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,11 @@ class _Blocks(NamedTuple):
     values: Floats  # SI, (n, axes)
 
     @property
+    def reference(self) -> float:
+        """The temperature T0 of the models: the mean, rounded to whole degC."""
+        return float(self.celsius.mean().round())
+
+    @property
     def parts(self) -> list[Ints]:
         """The blocks of each recording."""
         return [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
@@ -159,8 +166,7 @@ def temperature_models(
     rising = np.concatenate([_rising(blocks.celsius[part], least) for part in blocks.parts])
     if not rising.any():
         return {}, [finding('temperature_one_way', range=range_k)]
-    low, high, reference = blocks.celsius.min(), blocks.celsius.max(), blocks.celsius.mean().round()
-    warmer = blocks.celsius - reference
+    warmer = blocks.celsius - blocks.reference
     effects = np.column_stack([warmer, warmer**2 + blocks.spread, rising])
     trend = np.zeros((len(warmer), 2 * len(blocks.parts)))
     for r, part in enumerate(blocks.parts):
@@ -172,10 +178,9 @@ def temperature_models(
         if not model.axes[axis].noise['N'].value:
             continue
         contrasts = _contrasts(AxisData.of(known, i), model.axes[axis], tau0, blocks, basis)
-        values = _model(contrasts, tau0, blocks, effects, basis)
-        if not np.isfinite([values['b0_ci95'], values['b1_ci95'], values['b2_ci95']]).all():
-            continue
-        found[axis] = TemperatureModel(float(reference), float(low), float(high), **values)
+        of_axis = _model(contrasts, tau0, blocks, effects, basis)
+        if of_axis is not None:
+            found[axis] = of_axis
     return found, []
 
 
@@ -235,16 +240,22 @@ def _complement(columns: Floats) -> Floats:
     return np.asarray(q[:, columns.shape[1] :])
 
 
-def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Process], list[float]]:
-    """Return the components of the noise, and their coefficients: NaN if they are to be fitted.
+class _BlockNoise(NamedTuple):
+    """Noise of the block means of one axis."""
+
+    processes: tuple[Process, ...]  # with shapes in samples
+    known: Floats  # (processes,) squared coefficients in SI per sample, NaN for those to be fitted
+
+
+def _block_noise(fit: AxisFit, tau0: float, step: int) -> _BlockNoise:
+    """Return the noise of means over ``step`` samples of an axis.
 
     The coefficients of white noise and fast processes are known from the fit of all data, because
-    block means of ``step`` samples cannot resolve them. White noise includes aliases of sinusoids.
-    Slower processes are omitted: they may be effects of the temperature.
+    block means cannot resolve them. White noise includes aliases of sinusoids. Slower processes are
+    omitted: they may be effects of the temperature.
     """
     white = fit.model.value('N') ** 2 / tau0
-    components: list[Process] = [White(), Flicker(), RandomWalk()]
-    others = []
+    fast: dict[Process, float] = {}
     for part in fit.model.shaped.parts:
         process = part.process.in_unit(tau0)
         if process.slowest_time >= SLOW * step:
@@ -254,41 +265,95 @@ def _components(fit: AxisFit, tau0: float, step: int) -> tuple[list[Process], li
             # half of the variance of its aliases, which are at random frequencies
             white += 0.5 * step * variance * process.alias_variance(step)
         else:
-            components.append(process)
-            others.append(variance)
-    known = [white or math.nan, math.nan, math.nan, *others]
-    return components, known
+            fast[process] = fast.get(process, 0.0) + variance
+    known = {White(): white or math.nan, **fast}
+    processes = (*NOISE, *fast)
+    return _BlockNoise(processes, np.array([known.get(each, math.nan) for each in processes]))
+
+
+class _NoiseFit(NamedTuple):
+    """Fit of the noise to a part of the contrasts of the block means, and its data."""
+
+    data: AxisData
+    fit: Fit
+
+    def slow_noise(self, tau0: float) -> SlowNoise:
+        """Return B and K in SI, with their intervals."""
+        data, fit = self
+        errors = np.sqrt(np.diag(fit.covariance()))
+
+        def estimate(term: Process) -> Estimate:
+            at = fit.components.index(term)
+            return random_coefficient(
+                term,
+                variance=float(fit.p[at]) * data.scale,
+                error=float(errors[at]) * data.scale,
+                interval=profile_interval(data, fit, at).times(data.scale),
+                tau0=tau0,
+            )
+
+        return SlowNoise(B=estimate(Flicker()), K=estimate(RandomWalk()))
+
+
+class _Effects(NamedTuple):
+    """Effects of the temperature on the contrasts, by generalized least squares."""
+
+    values: Floats  # (effects,)
+    covariance: Floats  # (effects, effects)
+    dof: Floats  # (effects,) degrees of freedom of each variance
+
+
+def half_widths(variances: ArrayLike, dof: ArrayLike) -> Floats:
+    """Return half of the 95 % intervals of values whose variances have some degrees of freedom."""
+    from scipy.special import stdtrit  # slow to import
+
+    return np.asarray(stdtrit(dof, 0.975) * np.sqrt(variances))
 
 
 @dataclass(frozen=True, eq=False)
 class _Contrasts:
     """Contrasts of the block means of one axis without constants and lines, scaled to variance 1.
 
-    The coefficients of the components are relative to ``data.scale``, too.
+    Attributes
+    ----------
+    data : AxisData
+        The axis, of which the scale and the statistics are used.
+    processes : tuple of Process
+        Noise of the block means, with shapes in samples.
+    known : (processes,) array
+        Squared coefficients relative to ``data.scale``, NaN for those to be fitted.
+    z : (contrasts,) array
+    covariances : (processes, contrasts, contrasts) array
+        Covariance of the contrasts for unit noise of each process.
     """
 
     data: AxisData
-    components: list[Process]
-    known: Floats  # (components,) coefficients, NaN if they are not known
-    z: Floats  # (contrasts,)
-    covariances: Floats  # for unit noise, (components, contrasts, contrasts)
+    processes: tuple[Process, ...]
+    known: Floats
+    z: Floats
+    covariances: Floats
 
-    def fitted(self, basis: Floats) -> tuple[AxisData, Fit]:
-        """Return the part of the contrasts in a basis, and the fit of the noise to it."""
-        held = np.isfinite(self.known)
-        w = basis.T @ self.z
+    def fitted(self, basis: Floats) -> _NoiseFit:
+        """Return the fit of the noise to the part of the contrasts in a basis.
+
+        A known coefficient enters the likelihood as a measured power to which only its own process
+        contributes.
+        """
+        is_known = np.isfinite(self.known)
+        only_own = np.eye(len(self.processes))[is_known]
+        part = basis.T @ self.z
         data = replace(
             self.data,
-            power=self.known[held],
-            low=[LowBand(1, np.zeros(0), np.outer(w, w))],
-            dof=np.full(held.sum(), HELD_DOF),
-            used=np.ones(held.sum(), bool),
+            power=self.known[is_known],
+            dof=np.full(len(only_own), KNOWN_DOF),
+            used=np.ones(len(only_own), bool),
+            low=[LowBand(1, np.zeros(0), np.outer(part, part))],
         )
-        columns = Columns(np.eye(len(held))[held], [basis.T @ self.covariances @ basis])
-        return data, data.solve(self.components, columns)
+        columns = Columns(only_own, [basis.T @ self.covariances @ basis])
+        return _NoiseFit(data, data.solve(self.processes, columns))
 
-    def regression(self, fit: Fit, effects: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the effects by generalized least squares: values, covariance, dof of each.
+    def regression(self, fit: Fit, effects: Floats) -> _Effects:
+        """Return the effects, whose shapes are (contrasts, effects), by generalized least squares.
 
         The covariance and its degrees of freedom contain the errors of the noise (Kenward & Roger,
         Biometrics 53, 1997; Satterthwaite).
@@ -298,87 +363,80 @@ class _Contrasts:
         weighed = noise @ effects
         covariance = inverse(effects.T @ weighed)  # singular with only two temperatures
         gain = covariance @ weighed.T
-        moved = gain @ covariances  # (components, effects, contrasts)
+        moved = gain @ covariances  # (processes, effects, contrasts)
         errors = inverse(fit.information)
         slopes = np.einsum('kei,ei->ek', moved, gain)
         scatter = np.einsum('ek,kl,el->e', slopes, errors, slopes)
         dof = 2.0 * np.diag(covariance) ** 2 / np.maximum(scatter, 1e-300)
         rest = noise - weighed @ gain
         more = np.einsum('kei,kl,lfi->ef', moved @ rest, errors, moved, optimize=True)
-        return gain @ self.z, covariance + 2.0 * more, np.clip(dof, 1.0, 1e6)
-
-
-def _slow_noise(data: AxisData, fit: Fit, tau0: float) -> SlowNoise:
-    """Return B and K of a fit in SI, with their intervals."""
-    errors = np.sqrt(np.diag(fit.covariance()))
-
-    def estimate(at: int) -> Estimate:
-        return random_coefficient(
-            fit.components[at],
-            variance=float(fit.p[at]) * data.scale,
-            error=float(errors[at]) * data.scale,
-            interval=profile_interval(data, fit, at).times(data.scale),
-            tau0=tau0,
-        )
-
-    return SlowNoise(B=estimate(B), K=estimate(K))
+        return _Effects(gain @ self.z, covariance + 2.0 * more, np.clip(dof, 1.0, 1e6))
 
 
 def _contrasts(
     data: AxisData, fit: AxisFit, tau0: float, blocks: _Blocks, basis: Floats
 ) -> _Contrasts:
     """Return the contrasts of one axis; ``basis`` excludes constants and lines."""
-    components, known = _components(fit, tau0, blocks.step)
+    noise = _block_noise(fit, tau0, blocks.step)
     lags = np.abs(np.subtract.outer(blocks.time, blocks.time))
     lags = np.maximum(np.round(lags, 6), 1.0 - np.eye(len(lags)))
     same = np.equal.outer(blocks.recording, blocks.recording)
-    gammas = (c.gamma(blocks.step, lags) for c in components)
+    gammas = (process.gamma(blocks.step, lags) for process in noise.processes)
     covariances = np.array([basis.T @ np.where(same, gamma, 0.0) @ basis for gamma in gammas])
     z = basis.T @ blocks.values[:, data.axis]
     scale = float(z @ z) / len(z) or 1.0
-    data = replace(data, scale=scale)
-    return _Contrasts(data, components, np.array(known) / scale, z / math.sqrt(scale), covariances)
+    data, known = replace(data, scale=scale), noise.known / scale
+    return _Contrasts(data, noise.processes, known, z / math.sqrt(scale), covariances)
 
 
 def _model(
-    known: _Contrasts, tau0: float, blocks: _Blocks, effects: Floats, basis: Floats
-) -> dict[str, Any]:
-    """Return the values of the model of one axis, except for the temperatures.
+    contrasts: _Contrasts, tau0: float, blocks: _Blocks, effects: Floats, basis: Floats
+) -> TemperatureModel | None:
+    """Return the model of one axis; None if an interval is unknown.
 
-    ``effects``, (blocks, 3), are the columns of b1, b2 and the hysteresis.
+    ``effects``, (blocks, 3), are the columns of b1, b2 and the hysteresis. ``basis`` is that of the
+    contrasts.
     """
-    from scipy.special import fdtrc, stdtrit  # slow to import
+    from scipy.special import fdtrc  # slow to import
 
-    scale, columns = known.data.scale, basis.T @ effects
-    corrected, fit = known.fitted(_complement(columns))
-    value, covariance, dof = known.regression(fit, columns)
-    test = value[:2] @ np.linalg.solve(covariance[:2, :2], value[:2]) / 2.0
-    value, covariance = value * math.sqrt(scale), covariance * scale
+    scale, columns = contrasts.data.scale, basis.T @ effects
+    corrected = contrasts.fitted(_complement(columns))
+    found = contrasts.regression(corrected.fit, columns)
+    slopes, of_slopes = found.values[:2], found.covariance[:2, :2]
+    test = slopes @ np.linalg.solve(of_slopes, slopes) / 2.0
+    values, covariance = found.values * math.sqrt(scale), found.covariance * scale
     # the mean of all blocks has white noise of its own, and the errors of the effects
-    y, center = blocks.values[:, known.data.axis], effects.mean(axis=0)
-    white = float(fit.p[N]) * scale / blocks.step
-    level = float(y.mean() - center @ value)
-    levels = [level, *value]
-    variances = [white / len(y) + center @ covariance @ center, *np.diag(covariance)]
-    halves = stdtrit([dof.min(), *dof], 0.975) * np.sqrt(variances)
-    ends = [(float(v - h), float(v + h)) for v, h in zip(levels, halves)]
+    y, center = blocks.values[:, contrasts.data.axis], effects.mean(axis=0)
+    white = float(corrected.fit.p[NOISE.index(White())]) * scale / blocks.step
+    level = float(y.mean() - center @ values)
+    of_level = white / len(y) + center @ covariance @ center
+    half_of_level = float(half_widths(of_level, found.dof.min()))
+    halves = half_widths(np.diag(covariance), found.dof)
+    b1_ci95, b2_ci95, hysteresis_ci95 = (
+        (float(v - h), float(v + h)) for v, h in zip(values, halves)
+    )
+    if not np.isfinite([half_of_level, *halves[:2]]).all():
+        return None
     drift, left = (
         sum(float(np.sum((x[p] - x[p].mean()) ** 2)) for p in blocks.parts) / len(y) - white
-        for x in (y, y - effects[:, :2] @ value[:2])
+        for x in (y, y - effects[:, :2] @ values[:2])
     )
     drifts = drift > 3.0 * math.sqrt(2.0 / len(y)) * white
-    return {
-        'b0': level,
-        'b0_ci95': ends[0],
-        'b1': float(value[0]),
-        'b1_ci95': ends[1],
-        'b2': float(value[1]),
-        'b2_ci95': ends[2],
-        'hysteresis': float(value[2]),
-        'hysteresis_ci95': ends[3],
-        'resolved': bool(fdtrc(2.0, dof[:2].min(), test) < TEMPERATURE_RESOLVED),
-        'explained': min(max(1.0 - left / drift, 0.0), 1.0) if drifts else None,
-        'averaging_time': blocks.step * tau0,
-        'measured': _slow_noise(*known.fitted(np.eye(len(columns))), tau0),
-        'corrected': _slow_noise(corrected, fit, tau0),
-    }
+    return TemperatureModel(
+        reference=blocks.reference,
+        lowest=float(blocks.celsius.min()),
+        highest=float(blocks.celsius.max()),
+        b0=level,
+        b0_ci95=(level - half_of_level, level + half_of_level),
+        b1=float(values[0]),
+        b1_ci95=b1_ci95,
+        b2=float(values[1]),
+        b2_ci95=b2_ci95,
+        hysteresis=float(values[2]),
+        hysteresis_ci95=hysteresis_ci95,
+        resolved=bool(fdtrc(2.0, found.dof[:2].min(), test) < TEMPERATURE_RESOLVED),
+        explained=min(max(1.0 - left / drift, 0.0), 1.0) if drifts else None,
+        averaging_time=blocks.step * tau0,
+        measured=contrasts.fitted(np.eye(len(columns))).slow_noise(tau0),
+        corrected=corrected.slow_noise(tau0),
+    )
