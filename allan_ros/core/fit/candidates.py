@@ -170,6 +170,10 @@ class Kind:
 
         ``low`` are the contrasts of the axis under the fit, for all groups of segments.
         """
+        return self.moments(data, fit, low).gains(fit)
+
+    def moments(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Moments:
+        """Return the derivatives of the log likelihood for the candidates beside a fit."""
         s, half = fit.spectrum(), data.dof[data.used] / 2.0
         relative = self.power[:, data.used] / s
         moments = Moments(
@@ -184,7 +188,7 @@ class Kind:
                 more = of_group.waves(self.waves[group])
             for total, part in zip(moments, more):
                 total[self.slow] += part
-        return moments.gains(fit)
+        return moments
 
     def allowed(self, shortest: float, fastest: float) -> Floats:
         """Return 1 for each candidate within the limits of a search, and 0 for others.

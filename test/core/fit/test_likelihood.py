@@ -7,12 +7,10 @@ import pytest
 from scipy.optimize import approx_fprime
 from support.sums import noise, sums_of
 
-from allan_ros.core.fit.candidates import Candidates, LowBandFit
 from allan_ros.core.fit.likelihood import LEVEL_95, AxisData, profile_interval
 from allan_ros.core.fit.statistics import statistics
-from allan_ros.core.noise import TERMS, GaussMarkov, Model
+from allan_ros.core.noise import TERMS, GaussMarkov
 from allan_ros.core.noise.processes.random_walk import RandomWalk
-from allan_ros.core.simulate import simulate_axis
 
 PROCESSES = (*TERMS, GaussMarkov(50.0))
 
@@ -71,18 +69,3 @@ def test_the_ends_of_an_interval_have_the_same_likelihood(data):
     assert interval.gain > LEVEL_95
     half = (interval.high - interval.low) / 2.0
     assert half == pytest.approx(1.96 * math.sqrt(fit.covariance()[at, at]), rel=0.3)
-
-
-@pytest.mark.parametrize('seed', [3, 4])
-def test_a_candidate_that_equals_a_term_has_no_gain(seed):
-    """Beside K, a Gauss-Markov process of the longest correlation times is no other noise."""
-    terms = Model.of(N=1.0, B=0.1, K=1e-3)
-    y = simulate_axis(20_000, 1.0, terms, np.random.default_rng(seed))[:, None]
-    known = statistics(sums_of(y))
-    candidates, axis = Candidates(known), AxisData.of(known, 0)
-    fit = axis.solve(TERMS, tolerance=0.03)
-    low = LowBandFit.all_of(axis, fit)
-    for kind in candidates.kinds:
-        if kind.first.low_band == 'dense':
-            gains = kind.gains(axis, fit, low) * kind.allowed(8.0, 0.5)
-            assert np.all(gains < 20.0) and len(gains) > 4
