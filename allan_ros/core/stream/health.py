@@ -368,6 +368,7 @@ def stream_findings(
     ratios, seconds = health.largest_decrease, c.noise_decreased / rate
     decreased = health.rate_hz and c.noise_decreased and ratios
     least = min(ratios.values(), default=1.0)
+    decreased = decreased and all(fault.id != 'noise_decreased' for fault in health.faults)
     add('noise_decreased', decreased, tuple(ratios), ratio=least, seconds=seconds)
     never = c.moving and not c.used and health.rate_hz
     add('never_still', never, seconds=c.moving / rate)

@@ -170,7 +170,10 @@ class MotionGate:
             return ()
         rows = np.concatenate([part.samples.rows for part in parts], axis=1)
         windows = Windows.joined(part.windows for part in parts)
-        return present_faults(self._axes, floor, rows, windows)
+        latest = parts[-1].samples.stamps_ns[-1]
+        motion = self._rest.motion
+        began = motion.began_ns if motion is not None else parts[0].samples.stamps_ns[0]
+        return present_faults(self._axes, floor, rows, windows, float(latest - began) * 1e-9)
 
     @property
     def noise(self) -> dict[str, float]:

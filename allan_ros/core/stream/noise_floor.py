@@ -148,10 +148,16 @@ def idle_share(rows: Floats, size: int) -> Floats:
     ``rows`` are the samples of one sensor, (axes, n). A sample is idle if all axes are zero or
     repeat the previous sample.
     """
-    values = rows[:, : rows.shape[1] // size * size]
-    idle = np.asarray(~values.any(axis=0))
-    idle[1:] |= (values[:, 1:] == values[:, :-1]).all(axis=0)
-    return np.asarray(idle.reshape(-1, size).mean(axis=1))
+    number = rows.shape[1] // size
+    idle = np.ones(number * size, bool)
+    zero = idle.copy()
+    idle[:1] = False
+    for values in rows[:, : number * size]:
+        idle[1:] &= values[1:] == values[:-1]
+        zero &= values == 0.0
+        if np.count_nonzero(idle) + np.count_nonzero(zero) == 0:
+            return np.zeros(number)
+    return np.asarray((idle | zero).reshape(-1, size).mean(axis=1))
 
 
 def is_stuck(rows: Floats, size: int) -> Flags:
@@ -316,13 +322,15 @@ class NoiseFloor:
         repeated. ``rows``, (axes, k * size), are the samples of windows of ``size`` samples.
         """
         foreign = np.zeros(windows.mean.shape[1], bool)
-        for sensor in (self.gyro, ~self.gyro):
-            if np.count_nonzero(sensor) == 3 and (self.variance > self.lsb**2)[sensor].all():
-                foreign |= idle_share(rows[sensor], size) >= IDLE_SHARE
-        if np.isfinite(known := self.gravity):
+        known = self.variance > self.lsb**2
+        for first in np.flatnonzero(np.diff(self.gyro, prepend=not self.gyro[0])):
+            axes = slice(first, first + 3)  # of one sensor
+            if len(self.gyro[axes]) == 3 and known[axes].all():
+                foreign |= idle_share(rows[axes], size) >= IDLE_SHARE
+        if np.isfinite(gravity := self.gravity):
             now = np.linalg.norm(windows.mean[~self.gyro], axis=0)
-            change = np.abs(now - known)
-            foreign |= change > np.maximum(GRAVITY_CHANGE, SAME_GRAVITY * np.maximum(now, known))
+            largest = SAME_GRAVITY * np.maximum(now, gravity)
+            foreign |= np.abs(now - gravity) > np.maximum(GRAVITY_CHANGE, largest)
         return np.asarray(foreign)
 
     def has_wrong_unit(self, later: NoiseFloor) -> bool:

@@ -12,7 +12,7 @@ from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..imu import SENSORS, STANDARD_GRAVITY, Floats, sensor_of
 from .health import WEIGHTLESS, StreamHealth, are_degrees, gravity_findings, gravity_unit
-from .noise_floor import SAME_GRAVITY, NoiseFloor, Windows
+from .noise_floor import SAME_GRAVITY, NoiseFloor, Windows, is_stuck
 from .sensors import zeros_and_repeats
 
 STEADY = 0.1
@@ -25,11 +25,12 @@ The former has an error of 4 % with 8 windows of 50 samples, 8 % with 8 windows 
 
 
 def present_faults(
-    axes: tuple[str, ...], floor: NoiseFloor, rows: Floats, windows: Windows
+    axes: tuple[str, ...], floor: NoiseFloor, rows: Floats, windows: Windows, seconds: float
 ) -> tuple[Finding, ...]:
     """Return the known faults that explain why the latest windows are not at rest.
 
     ``rows``, (axes, n), are the samples of the windows, and ``floor`` is the noise of the IMU.
+    ``seconds`` is the time since the last sample at rest.
     """
     found: list[Finding] = []
     for sensor in SENSORS:
@@ -45,6 +46,11 @@ def present_faults(
     accel = tuple(axis for axis in axes if sensor_of(axis) == 'accel')
     if not found and len(accel) == 3:
         found += _gravity(accel, floor, windows, variance[~floor.gyro])
+    quiet = np.asarray((floor.decreased(windows) & ~is_stuck(rows, floor.size)).all(axis=1))
+    if not found and quiet.any():
+        least = float(np.sqrt(variance[quiet] / floor.variance[quiet]).min())
+        named = tuple(axis for axis, flag in zip(axes, quiet) if flag)
+        found.append(finding('noise_decreased', named, ratio=least, seconds=seconds))
     return tuple(found)
 
 

@@ -227,9 +227,9 @@ class TransportMonitor:
             'noise_decreased': ('noise_decreased',),
         }
         live = (*LIVE, *noise.get(health.state, ()))
-        known = {(f.id, f.axes) for f in health.faults}
+        known = {f.id for f in health.faults}
         present += health.faults
-        present += [f for f in stream if f.id in live and (f.id, f.axes) not in known]
+        present += [f for f in stream if f.id in live and f.id not in known]
         events, past = self._recent_findings(health)
         # present ones first: a past event must not hide a fault
         return *by_consequence([*events, *present]), *by_consequence(past)
