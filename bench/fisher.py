@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.linalg import toeplitz
 
-from allan_ros.core.fit.result import RANDOM_TERMS
-from allan_ros.core.noise import TERMS
+from allan_ros.core.noise import RANDOM_TERMS
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +39,7 @@ def second_difference_covariance(lags: int, step: int) -> Floats:
     """
     lag = np.abs(np.arange(-1, lags + 1))
     second = np.array([-1.0, 2.0, -1.0]) * step**2
-    rows = [np.convolve(t.gamma(step, lag), second, mode='valid') for t in TERMS]
+    rows = [np.convolve(t.gamma(step, lag), second, mode='valid') for t in RANDOM_TERMS]
     if step == 1:
         # For large lags the difference of t^2 ln t / (2 pi) loses its digits: use an expansion.
         t = np.arange(lags, dtype=float)
@@ -109,9 +108,7 @@ def main() -> None:
         power = np.array([(q / tau0) ** 2, w**2 / tau0, b**2, k**2 * tau0])
         powers, ramp = bound(round(scenario.rate * scenario.seconds), power)
         cells = [
-            f'{term} {50.0 * sd / p:.3f} %'
-            for term, sd, p in zip(RANDOM_TERMS, powers, power)
-            if p > 0.0
+            f'{term} {50.0 * sd / p:.3f} %' for term, sd, p in zip('QNBK', powers, power) if p > 0.0
         ]
         if r != 0.0:
             cells.append(f'R {100.0 * ramp / abs(r * tau0):.1f} %')

@@ -20,7 +20,7 @@ from ..allan.periods import BlockMeans
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..imu import SENSORS, sensor_of
-from ..noise import TERMS, Process
+from ..noise import RANDOM_TERMS, Process
 from ..noise.derived import avar
 from ..noise.processes.sinusoid import daily_cycle
 from ..number_text import duration_text
@@ -122,7 +122,7 @@ class Segment:
             groups=(group,),
         )
         daily = daily_cycle(means.samples, tau0)
-        components = (*TERMS, daily) if daily else TERMS
+        components = (*RANDOM_TERMS, daily) if daily else RANDOM_TERMS
         return cls(means, tau0, own, max(cut - NEAR_OCTAVES, 0), components)
 
     def contrasts_of(self, shapes: Floats) -> Floats:
@@ -190,7 +190,7 @@ class AxisSegment:
 
     def deviation(self, fit: Fit, m: float) -> float:
         """Return the Allan deviation of the terms of a fit at the averaging factor m, in SI."""
-        variance = sum(p * float(avar(c, max(m, 1.0))) for p, c in zip(fit.p, TERMS))
+        variance = sum(p * float(avar(c, max(m, 1.0))) for p, c in zip(fit.p, RANDOM_TERMS))
         return math.sqrt(variance * self.data.scale)
 
     def walk(self, fit: Fit) -> float:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..estimate import Estimate, Status
-from ..noise import TERMS, Model, Part, Process
+from ..noise import RANDOM_TERMS, Model, Part, Process
 from ..noise.model import Covariance
 from ..noise.process import GAIN_RESOLVED
 from ..noise.processes.low_pass import LowPass
@@ -87,7 +87,9 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
     fit = data.solve(start.components, start.columns, start.p, signed=rules.signed)
     tested = selected._replace(fit=fit)
     errors = Errors.of(data, fit, rules.base)
-    intervals = [profile_interval(data, fit, i, errors.information) for i in range(len(TERMS))]
+    intervals = [
+        profile_interval(data, fit, i, errors.information) for i in range(len(RANDOM_TERMS))
+    ]
     if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
         # A q that is not resolved nearly doubles the error of N.
         fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
@@ -100,7 +102,7 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
             interval=intervals[i].times(data.scale),
             tau0=tau0,
         )
-        for i, term in enumerate(TERMS)
+        for i, term in enumerate(RANDOM_TERMS)
     }
     ramp = ramp_estimate(data, fit)
     ramp = None if ramp is None else ramp.times(math.sqrt(data.scale) / tau0)
@@ -139,7 +141,7 @@ def random_coefficient(
     Parameters
     ----------
     term : Process
-        One of `TERMS`.
+        One of `RANDOM_TERMS`.
     variance, error : float
         Square of the coefficient and its standard error, in the squared unit of the samples, with
         the sample period as the unit of time.
@@ -220,9 +222,9 @@ def _covariance(
     """
     names, units = [], []
     numbers: Counter[str] = Counter()
-    at = [*range(len(TERMS)), *(k for k in order if k >= len(TERMS))]
+    at = [*range(len(RANDOM_TERMS)), *(k for k in order if k >= len(RANDOM_TERMS))]
     for k in at:
-        process = TERMS[k] if k < len(TERMS) else components[k]
+        process = RANDOM_TERMS[k] if k < len(RANDOM_TERMS) else components[k]
         names.append(process.letter or f'{process.name} {numbers[process.name]}')
         numbers[process.name] += 1
         units.append(process.coefficient_of(1.0, tau0) ** 2)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..allan.grid import octave
-from ..noise import TERMS, Process
+from ..noise import RANDOM_TERMS, Process
 from ..noise.process import GAIN_RESOLVED
 from .candidates import Candidates
 from .likelihood import AxisData, Fit, inverse
@@ -114,7 +114,7 @@ class SelectedModel(NamedTuple):
         if not self.rules.signed:
             return 0.0
         f = data.statistics.f
-        filters = np.array([c in (TERMS[Q], FILTER) for c in fit.components])
+        filters = np.array([c in (RANDOM_TERMS[Q], FILTER) for c in fit.components])
         columns = replace(data, used=np.ones(len(f), bool)).columns(fit.components).power
         change = np.where(
             f < self.top,
@@ -162,8 +162,8 @@ def estimate(
     """
     if possible is None:
         return _estimate(Selection(data, candidates))
-    found = _estimate(Selection(data, candidates, (*TERMS, possible)))
-    at = len(TERMS)
+    found = _estimate(Selection(data, candidates, (*RANDOM_TERMS, possible)))
+    at = len(RANDOM_TERMS)
     others = (*found.fit.components[:at], *found.fit.components[at + 1 :])
     signed = tuple(i - (i > at) for i in found.fit.signed)
     without = found.rules.data.solve(others, None, np.delete(found.fit.p, at), signed=signed)
@@ -327,7 +327,7 @@ def _test(rules: Selection, fit: Fit) -> _Verdict:
     tails.append(_tail(sum(x for x, _ in parts), sum(n for _, n in parts)))
     s = fit.spectrum()
     on = np.flatnonzero(fit.p != 0.0)
-    component = FILTER if rules.signed else TERMS[Q]
+    component = FILTER if rules.signed else RANDOM_TERMS[Q]
     power = data.statistics.column(component, data.axis).power[data.used]
     root = np.sqrt(data.dof[data.used] / 2.0)
     a = np.column_stack([power, fit.columns.power[:, on]]) * (root / s)[:, None]

@@ -21,10 +21,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-RANDOM_TERMS = ('Q', 'N', 'B', 'K')
-"""The random terms, in the order of all arrays of variance coefficients (q, w, b, k)."""
-
-Q, N, B, K = range(len(RANDOM_TERMS))
+Q, N, B, K = range(4)
+"""Indices of `RANDOM_TERMS` in all arrays of variance coefficients (q, w, b, k)."""
 
 Z_95 = 1.96
 """Normal quantile of 97.5 %, for both ends of a 95 % interval and for a 95 % upper limit.

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from ..allan.grid import LONGEST_BLOCK
-from ..noise import REPLACEMENTS, TERMS, Parameter, Process
+from ..noise import RANDOM_TERMS, REPLACEMENTS, Parameter, Process
 from ..noise.process import FREQUENCY, LEAST_PERIODS, Search
 from .candidates import SHORTEST_TIME, Candidates, LowBandFit
 from .likelihood import AxisData, Fit, Shape
@@ -72,7 +72,7 @@ class Selection:
 
     data: AxisData
     candidates: Candidates
-    base: tuple[Process, ...] = TERMS
+    base: tuple[Process, ...] = RANDOM_TERMS
     signed: tuple[int, ...] = ()
     shortest: float = SHORTEST_TIME
     fastest: float = 0.5
@@ -247,7 +247,7 @@ class Selection:
         K is a Gauss-Markov process of infinite correlation time T; 1/T > 0 is one more coefficient.
         """
         for term, kind in REPLACEMENTS.items():
-            fit = self._replaced(fit, TERMS.index(term()), kind)
+            fit = self._replaced(fit, RANDOM_TERMS.index(term()), kind)
         return fit
 
     def _replaced(self, fit: Fit, at: int, kind: type[Process]) -> Fit:

@@ -8,15 +8,15 @@ from .model import Model, Part
 from .process import Gamma, Parameter, Process
 from .processes.flicker import FLICKER_FLOOR
 from .processes.gauss_markov import GaussMarkov
-from .registry import LETTERS, PROCESSES, REPLACEMENTS, SEARCHED, TERMS
+from .registry import LETTERS, PROCESSES, RANDOM_TERMS, REPLACEMENTS, SEARCHED
 
 __all__ = [
     'FLICKER_FLOOR',
     'LETTERS',
     'PROCESSES',
+    'RANDOM_TERMS',
     'REPLACEMENTS',
     'SEARCHED',
-    'TERMS',
     'Gamma',
     'GaussMarkov',
     'Model',

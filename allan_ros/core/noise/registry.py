@@ -32,7 +32,7 @@ def _place(one: type[Process]) -> tuple[int, int, str]:
 PROCESSES: Mapping[str, type[Process]] = {one.name: one for one in sorted(_classes(), key=_place)}
 """Name -> class."""
 
-TERMS: tuple[Process, ...] = tuple(
+RANDOM_TERMS: tuple[Process, ...] = tuple(
     one()
     for one in PROCESSES.values()
     if one.letter and not one.parameters and not one.is_regressor

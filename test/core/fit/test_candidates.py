@@ -9,7 +9,7 @@ from support.sums import noise, sums_of
 from allan_ros.core.fit.candidates import Candidates, LowBandFit
 from allan_ros.core.fit.likelihood import AxisData
 from allan_ros.core.fit.statistics import statistics
-from allan_ros.core.noise import SEARCHED, TERMS, Model
+from allan_ros.core.noise import RANDOM_TERMS, SEARCHED, Model
 from allan_ros.core.simulate import simulate_axis
 
 
@@ -22,7 +22,7 @@ def known():
 @pytest.mark.parametrize('name', [one.name for one in SEARCHED])
 def test_moments_are_those_of_a_fit_with_the_candidate_at_zero(known, name):
     data = AxisData.of(known, 0)
-    fit = data.solve(TERMS)
+    fit = data.solve(RANDOM_TERMS)
     (kind,) = (each for each in Candidates(known).kinds if each.first.name == name)
     found = kind.moments(data, fit, LowBandFit.all_of(data, fit))
     some = {0, len(kind.processes) // 2, *kind.slow.tolist()[::5]}
@@ -30,7 +30,7 @@ def test_moments_are_those_of_a_fit_with_the_candidate_at_zero(known, name):
     p = np.append(fit.p, 0.0)
     for i in some:
         process = kind.processes[i]
-        columns = data.columns((*TERMS, process))
+        columns = data.columns((*RANDOM_TERMS, process))
         if not np.any(kind.slow == i):  # in the block means, only its aliases remain
             for low in columns.low:
                 low[-1] = 0.0
@@ -49,7 +49,7 @@ def test_a_candidate_that_equals_a_term_has_no_gain(seed):
     y = simulate_axis(20_000, 1.0, terms, np.random.default_rng(seed))[:, None]
     known = statistics(sums_of(y))
     candidates, axis = Candidates(known), AxisData.of(known, 0)
-    fit = axis.solve(TERMS, tolerance=0.03)
+    fit = axis.solve(RANDOM_TERMS, tolerance=0.03)
     low = LowBandFit.all_of(axis, fit)
     for kind in candidates.kinds:
         if kind.first.low_band == 'dense':

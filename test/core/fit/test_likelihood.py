@@ -9,10 +9,10 @@ from support.sums import noise, sums_of
 
 from allan_ros.core.fit.likelihood import LEVEL_95, AxisData, profile_interval
 from allan_ros.core.fit.statistics import statistics
-from allan_ros.core.noise import TERMS, GaussMarkov
+from allan_ros.core.noise import RANDOM_TERMS, GaussMarkov
 from allan_ros.core.noise.processes.random_walk import RandomWalk
 
-PROCESSES = (*TERMS, GaussMarkov(50.0))
+PROCESSES = (*RANDOM_TERMS, GaussMarkov(50.0))
 
 
 @pytest.fixture(scope='module')
@@ -43,28 +43,28 @@ def test_a_solution_is_a_maximum(data):
 
 def test_the_start_does_not_matter(data):
     ends = [
-        data.solve(TERMS, p=np.array(p), tolerance=1e-6).value
+        data.solve(RANDOM_TERMS, p=np.array(p), tolerance=1e-6).value
         for p in ((1.0, 1.0, 1.0, 1.0), (1e-3, 1e-3, 1e-3, 1e-6), (5.0, 0.01, 1e-6, 1e-2))
     ]
     assert max(ends) - min(ends) < 0.01
 
 
 def test_a_spectrum_that_is_not_positive_is_refused(data):
-    columns = data.columns(TERMS)
+    columns = data.columns(RANDOM_TERMS)
     assert data.moments(columns, np.array([-10.0, 1.0, 0.0, 0.0])) is None
     start = np.array([-10.0, 1.0, 0.1, 1e-4])
-    assert data.solve(TERMS, columns, start, signed=(0,)).value == math.inf
-    fit = data.solve(TERMS, columns, np.array([-0.01, 1.0, 0.1, 1e-4]), signed=(0,))
+    assert data.solve(RANDOM_TERMS, columns, start, signed=(0,)).value == math.inf
+    fit = data.solve(RANDOM_TERMS, columns, np.array([-0.01, 1.0, 0.1, 1e-4]), signed=(0,))
     assert math.isfinite(fit.value) and np.all(fit.spectrum() > 0.0)
 
 
 def test_the_ends_of_an_interval_have_the_same_likelihood(data):
-    fit = data.solve(TERMS, tolerance=1e-6)
-    at = TERMS.index(RandomWalk())
+    fit = data.solve(RANDOM_TERMS, tolerance=1e-6)
+    at = RANDOM_TERMS.index(RandomWalk())
     interval = profile_interval(data, fit, at)
     assert interval.low < fit.p[at] < interval.high
     for end in interval[:2]:
-        held = data.solve(TERMS, p=fit.p, held={at: end}, tolerance=1e-6)
+        held = data.solve(RANDOM_TERMS, p=fit.p, held={at: end}, tolerance=1e-6)
         assert held.value - fit.value == pytest.approx(LEVEL_95, abs=0.15)
     assert interval.gain > LEVEL_95
     half = (interval.high - interval.low) / 2.0

@@ -15,7 +15,7 @@ from allan_ros.core.fit.likelihood import AxisData
 from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.selection import Selection
 from allan_ros.core.fit.statistics import statistics
-from allan_ros.core.noise import TERMS, Model
+from allan_ros.core.noise import RANDOM_TERMS, Model
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
 from allan_ros.core.simulate import simulate_axis
 
@@ -120,10 +120,12 @@ def test_a_false_alarm_of_the_test_for_filters_keeps_the_sinusoids(monkeypatch):
 
 def test_bins_have_full_weight_again_when_no_sinusoid_remains(monkeypatch):
     data, candidates = three_sinusoids()
-    monkeypatch.setattr(Selection, 'without_superfluous', lambda rules, fit: rules.fit(TERMS))
+    monkeypatch.setattr(
+        Selection, 'without_superfluous', lambda rules, fit: rules.fit(RANDOM_TERMS)
+    )
     rules, fit = Selection(data, candidates).selected()
     assert np.array_equal(rules.data.dof, data.dof)
-    assert fit.value == pytest.approx(data.solve(TERMS).value, rel=1e-4)
+    assert fit.value == pytest.approx(data.solve(RANDOM_TERMS).value, rel=1e-4)
 
 
 def test_a_wandering_frequency_changes_neither_n_nor_its_interval():

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from support.sums import sums_of
 
 from allan_ros.core.fit.statistics import contrasts, statistics
-from allan_ros.core.noise import TERMS, GaussMarkov, Model
+from allan_ros.core.noise import RANDOM_TERMS, GaussMarkov, Model
 from allan_ros.core.noise.processes.bounded_walk import BoundedWalk
 from allan_ros.core.noise.processes.resonance import Resonance
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
@@ -53,7 +53,7 @@ def known(component):
 
 
 COMPONENTS = [
-    *TERMS,
+    *RANDOM_TERMS,
     *(GaussMarkov(time) for time in (2.0, 30.0, 500.0)),
     BoundedWalk(200.0),
     *(Sinusoid(f) for f in (0.137, 0.0021)),

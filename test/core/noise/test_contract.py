@@ -28,7 +28,7 @@ from allan_ros.core.noise.derived import (
 )
 from allan_ros.core.noise.process import Process, Search
 from allan_ros.core.noise.processes.white import White
-from allan_ros.core.noise.registry import PROCESSES, REPLACEMENTS, SEARCHED, TERMS
+from allan_ros.core.noise.registry import PROCESSES, RANDOM_TERMS, REPLACEMENTS, SEARCHED
 from allan_ros.results.documents import results_from_document, results_to_document
 
 N = 4096
@@ -168,7 +168,7 @@ def test_every_process_with_a_shape_is_found_by_the_fit() -> None:
             for parameter, value in zip(each.parameters, each.shape):
                 low, high = each.bounds(parameter, SEARCH)
                 assert 0.0 < low <= high and value < 2.0 * high
-    assert [one.letter for one in TERMS] == ['Q', 'N', 'B', 'K']
+    assert [one.letter for one in RANDOM_TERMS] == ['Q', 'N', 'B', 'K']
     findings = [one.finding for one in shaped]
     assert len(set(findings)) == len(findings), 'each process has a finding of its own'
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.noise import FLICKER_FLOOR, TERMS, GaussMarkov, Model, Part
+from allan_ros.core.noise import FLICKER_FLOOR, RANDOM_TERMS, GaussMarkov, Model, Part
 from allan_ros.core.noise.derived import avar
 from allan_ros.core.noise.processes.low_pass import LowPass
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
@@ -26,7 +26,7 @@ def test_gauss_markov_equals_the_mean_over_all_pairs_of_samples(time, m, lag):
 
 def test_allan_variances_are_those_of_the_standard():
     m = np.array([1.0, 7.0, 100.0])
-    q, n, b, k = (avar(term, m) for term in TERMS)
+    q, n, b, k = (avar(term, m) for term in RANDOM_TERMS)
     assert q == pytest.approx(3.0 / m**2)
     assert n == pytest.approx(1.0 / m)
     assert b == pytest.approx([FLICKER_FLOOR] * 3)

@@ -15,9 +15,6 @@ from ..process import Floats, Process
 FLICKER_FLOOR = 2.0 * math.log(2.0) / math.pi
 """Ratio of the Allan variance of bias instability to B^2: (0.664)^2 (IEEE Std 952-1997, C.1.3)."""
 
-FLICKER_FLOOR = 2.0 * math.log(2.0) / math.pi
-"""Ratio of the Allan variance of bias instability to B^2: (0.664)^2 (IEEE Std 952-1997, C.1.3)."""
-
 SERIES_FROM = 30
 """Lag from which the autocovariance is computed by a series."""
 
