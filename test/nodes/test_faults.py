@@ -94,6 +94,55 @@ def test_the_covariance_follows_noise_that_doubles_and_a_fan(graph, still_imu) -
     graph.until(lambda: variance() < 4.0 * before)
 
 
+def held(x: np.ndarray) -> np.ndarray:
+    return x[np.arange(len(x)) // 2 * 2]
+
+
+def without_gravity(x: np.ndarray) -> np.ndarray:
+    return x - [0, 0, 0, 0, 0, 9.8]
+
+
+def in_g(x: np.ndarray) -> np.ndarray:
+    return x / [1, 1, 1, 9.80665, 9.80665, 9.80665]
+
+
+@pytest.mark.parametrize(
+    'fault, name', [(held, 'held'), (without_gravity, 'gravity_removed'), (in_g, 'accel_unit')]
+)
+def test_a_fault_in_mid_run_is_named_and_leaves_nothing_behind(
+    graph, still_imu, fault, name: str
+) -> None:
+    graph.run('monitor')
+    publisher = graph.publisher()
+    healthy = still_imu(8000)
+    graph.send(publisher, healthy)
+    graph.until(lambda: float(graph.value('input', 'static data') or 0) > 30.0)
+    bad = continued(still_imu(2000, seed=2), healthy)
+    bad.samples[:] = fault(bad.samples)
+    graph.send(publisher, bad)
+    found = graph.until(lambda: graph.value('input', f'finding: {name}'))
+    assert found.startswith('now: ') and graph.status('input').level != OK
+    graph.send(publisher, continued(still_imu(6000, seed=3), bad))
+    graph.until(lambda: float(graph.value('input', 'static data') or 0) > 60.0)
+    assert graph.until(lambda: (s := graph.status('input')).level == OK and s)
+    assert not (graph.value('input', f'finding: {name}') or '').startswith('now')
+
+
+def test_a_robot_that_never_rests_is_warned_about_covariances_of_zero(graph, still_imu) -> None:
+    graph.run('monitor', **{'relay.enabled': True})
+    batch = still_imu(6000)
+    turn = 0.3 * np.sin(2 * np.pi * 0.3 * np.arange(len(batch)) / 200.0)
+    batch.samples[:] += turn[:, None] * [0.2, 0.1, 1.0, 3.0, 2.0, 1.0]
+    graph.send(graph.publisher(), batch)
+    graph.until(lambda: 'never_still' in str(graph.status('input').values))
+    status = graph.until(
+        lambda: (
+            (s := graph.status('relay')) and 'covariances of zero are passed on' in s.message and s
+        )
+    )
+    assert status.level == WARN and graph.value('relay', 'variance of gyro x') is None
+
+
 def results_of(seconds: int, method: str) -> Results:
     """Return the results of white noise at 200 Hz."""
     n = 200 * seconds
