@@ -25,6 +25,7 @@ from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Part
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..results.from_datasheet import FROM_DATASHEET
+from ..results.verdict import UNSUITABLE
 from .target import ExportOptions, Key, Row, Target
 
 if TYPE_CHECKING:
@@ -34,8 +35,9 @@ if TYPE_CHECKING:
 DIGITS = 6
 """Significant digits of numbers in a file, more than any interval justifies."""
 
-REFUSED = ('gyro_unit', 'accel_unit', 'accel_scale')
-"""Ids of findings that the samples are not in SI units: no file is written without `--force`."""
+REFUSED = ('gyro_unit', 'accel_unit', 'accel_scale', *UNSUITABLE)
+"""Ids of findings that the samples are not in SI units, or that the recording does not show the
+noise of the sensor: no file is written without `--force`."""
 
 DEFAULT_TOPIC = '/imu0'
 """Topic in files of recordings without a topic, as in the examples of Kalibr."""

@@ -26,6 +26,7 @@ from ..core.filters.bias import turn_on_bias
 from ..core.findings import Finding
 from ..core.fit.axis_findings import rounding_step, with_deviations
 from ..core.fit.model_curve import dominant_regions
+from ..core.fit.not_noise import not_noise_findings
 from ..core.fit.result import NoiseModel
 from ..core.fit.stationary import fit_stationary
 from ..core.fit.temperature import temperature_models
@@ -130,6 +131,7 @@ def analyze_recorded(
     findings = (
         *recorded.provenance.findings,
         *(f for s in sums for f in sums_findings(s)),
+        *not_noise_findings(fits, longest.samples * tau0),
         *(f for fit in fits for f in fit.findings),
         *warmed,
         *moved,

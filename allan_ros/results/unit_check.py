@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from ..core.compare import Check
 from ..core.findings import Finding, by_consequence
 from .plan import Plan
-from .verdict import SENSOR_FAULTS, WRONG_UNITS, too_short
+from .verdict import SENSOR_FAULTS, UNSUITABLE, WRONG_UNITS, too_short
 
 if TYPE_CHECKING:
     from .results import Results
@@ -111,7 +111,7 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     unchecked = tuple(plan.unchecked(results)) if plan else ()
     verdicts = {check.verdict for check in checks}
     # a datasheet is not compared with too few data, or with a wrong unit of measurement
-    usable = not too_short(results) and not any(f.id in WRONG_UNITS for f in found)
+    usable = not too_short(results) and not any(f.id in (*WRONG_UNITS, *UNSUITABLE) for f in found)
     compared = {c.verdict for c in results.comparisons} if usable else set()
     if broken or 'exceeds' in verdicts | compared:
         decision = Decision.EXCEEDS

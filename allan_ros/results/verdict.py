@@ -22,6 +22,9 @@ SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
 WRONG_UNITS = ('gyro_unit', 'gyro_unit_changed', 'accel_unit')
 """Ids of findings because of which a comparison is about the units and not about the sensor."""
 
+UNSUITABLE = ('not_noise', 'not_settled')
+"""Ids of findings because of which the numbers are not those of the sensor at rest."""
+
 TOO_SHORT_S = 20.0
 """Time at rest in s below which no verdict is given."""
 
@@ -58,8 +61,8 @@ def level_of(results: Judged) -> Level:
     """Return the level of the IMU.
 
     'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably wrong
-    units, another error, or no decided comparison; 'measured' without a datasheet or earlier run to
-    compare with; 'attention' for a warning.
+    units, a recording of motion or of a warm-up, another error, or no decided comparison;
+    'measured' without a datasheet or earlier run to compare with; 'attention' for a warning.
     """
     comparisons = results.comparisons
     severities = {finding.severity for finding in results.findings}
@@ -67,7 +70,7 @@ def level_of(results: Judged) -> Level:
         return 'failed'
     if too_short(results):
         return 'unknown'
-    if {finding.id for finding in results.findings} & set(WRONG_UNITS):
+    if {finding.id for finding in results.findings} & {*WRONG_UNITS, *UNSUITABLE}:
         return 'unknown'
     if 'exceeds' in {c.verdict for c in comparisons}:
         return 'failed'

@@ -17,6 +17,7 @@ from ..results.results import Results
 from ..results.verdict import (
     SENSOR_FAULTS,
     TOO_SHORT_S,
+    UNSUITABLE,
     WRONG_UNITS,
     Level,
     level_of,
@@ -48,8 +49,9 @@ class Verdict:
     ----------
     level : 'healthy', 'attention', 'measured', 'unknown' or 'failed'
         'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably
-        wrong units, another error, or no decided comparison; 'measured' without a datasheet or
-        earlier run to compare with; 'attention' for a warning.
+        wrong units, a recording of motion or of a warm-up, another error, or no decided
+        comparison; 'measured' without a datasheet or earlier run to compare with; 'attention' for a
+        warning.
     summary : str
         One sentence.
     reasons : tuple of str
@@ -76,7 +78,7 @@ def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
 
 def _summary(results: Results, comparisons: Sequence[Check], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
-    wrong = [f for f in grouped(results.findings) if f.id in WRONG_UNITS]
+    wrong = [f for f in grouped(results.findings) if f.id in (*WRONG_UNITS, *UNSUITABLE)]
     if wrong and not faults and not too_short(results):
         return finding_text(wrong[0], results, units)
     beyond = [c for c in comparisons if c.verdict == 'exceeds']

@@ -151,7 +151,8 @@ def _without_warm_up(
     after = f'after {duration_text(last.age * tau0)}'
     settles = f'in about {duration_text(rest)}' if rest > 0.0 else after
     long = 2.0 * last.age * tau0
-    return sums, [finding('warm_up', axes, size=size, settles=settles, how_long=long)]
+    name = 'not_settled' if rest > 0.0 else 'warm_up'
+    return sums, [finding(name, axes, size=size, settles=settles, how_long=long)]
 
 
 # --- findings about the level ---------------------------------------------------------------------
