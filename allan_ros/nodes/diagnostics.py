@@ -209,7 +209,7 @@ def _state_text(health: StreamHealth, static_s: float, passes: int) -> str:
     }[health.state]
 
 
-NOTED = ('warm_up', 'settled_part', 'bias_steps', 'level_changes', 'level_changed')
+NOTED = ('warm_up', 'not_settled', 'settled_part', 'bias_steps', 'level_changes', 'level_changed')
 """Findings of the fit that are listed in the status of an axis but do not change its level."""
 
 

@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 DEG_H = from_datasheet('B', 'gyro', 1.0)
 HOUR = 3600
 CHANGES = {
-    'warm_up', 'settled_part', 'bias_steps', 'level_changes', 'level_changed',
+    'warm_up', 'not_settled', 'settled_part', 'bias_steps', 'level_changes', 'level_changed',
 }  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def test_a_warm_up_that_does_not_end_is_reported() -> None:
     sums = sums_of(y + decay)
     used, _ = fit_stationary(sums)
     assert used is sums
-    assert 'warm_up' in changes(sums)
+    assert 'not_settled' in changes(sums)
 
 
 def test_steps_of_the_bias_are_located() -> None:
