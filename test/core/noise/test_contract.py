@@ -173,6 +173,13 @@ def test_every_process_with_a_shape_is_found_by_the_fit() -> None:
     assert len(set(findings)) == len(findings), 'each process has a finding of its own'
 
 
+@pytest.mark.parametrize('text', ['label', 'meaning'])
+def test_every_process_states_its_own_texts(text: str) -> None:
+    """A process that is a subclass of another one must not be shown under the name of that one."""
+    inherited = [one.name for one in PROCESSES.values() if text not in vars(one)]
+    assert not inherited, f'{text}: inherited'
+
+
 SHAPE = {'s': 100.0, 'Hz': 0.05}
 """Numbers of the shape of a process in the tests of the fit, in samples and cycles per sample."""
 
