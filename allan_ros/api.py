@@ -193,7 +193,8 @@ class Results(PlainResults):
         path : path, optional
             The text is also written to this file, or into this folder.
         **options
-            Options of `allan export` with underscores, such as ``inflate=2``.
+            Options of `allan export` with underscores, such as ``inflate=2``,
+            ``inflate={'gyro': 2, 'accel': 3}`` or ``motion=True``.
 
         Raises
         ------
@@ -712,7 +713,8 @@ def inflate(
     -------
     Inflation
         For each axis (``axes``), N and K with motors off and on, and their ratio, such as
-        ``axes['gyro_x']['N'].factor``; and the largest factor for N of all axes (``factor``).
+        ``axes['gyro_x']['N'].factor``; the largest factor for N of all axes (``factor``); and the
+        largest one for each sensor as the option ``inflate`` of `Results.export` (``option``).
 
     Raises
     ------

@@ -96,7 +96,7 @@ Measure what running motors add to the noise of a robot at rest.
 
 REST is the robot at rest with its motors off, RUNNING the robot at rest with its motors on, each as
 a results.json, the folder of an analysis, or a recording. The output is N and K for a filter, their
-increase as a factor, and the ratio of the Allan deviations.
+increase as a factor, the ratio of the Allan deviations, and the option for `allan export`.
 
   allan inflate rest/results.json motors_on/results.json
   allan inflate rest_bag motors_on_bag --json > inflation.json

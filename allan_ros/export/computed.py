@@ -34,15 +34,16 @@ MATRIX_DIGITS = 12
 def _document(noise: FilterNoise) -> Iterator[Row]:
     yield Row(('schema',), SCHEMA)
     yield Row(('rate_hz',), noise.rate)
-    step, inflate = 1.0 / noise.rate, noise.options.inflate
+    step = 1.0 / noise.rate
     for axis, result in noise.results.axes.items():
+        factors = noise.factors[sensor_of(axis)]
         reduction = noise.reduction(axis, 'processes')
         model, levels = reduction.model, tuple(reduction.levels.values())
         processes = [
-            (rounded(inflate * part.value), type(part.process)(*rounded(part.process.shape)))
+            (rounded(factors['K'] * part.value), type(part.process)(*rounded(part.process.shape)))
             for part in model.shaped.parts
         ]
-        white, walk = (rounded(inflate * model.value(term)) for term in 'NK')
+        white, walk = (rounded(factors[term] * model.value(term)) for term in 'NK')
         space = StateSpace(white, walk, tuple(processes))
         document = {
             'unit': SI_UNITS[sensor_of(axis)]['B'],
@@ -93,7 +94,7 @@ def _gazebo(noise: FilterNoise) -> Iterator[Row]:
                 words = (
                     f'of {name} [{unit}]: scatter of the means of {turn_on.recordings} recordings'
                 )
-                sigma = rounded(noise.options.inflate * turn_on.scatter.value)
+                sigma = rounded(noise.factors[sensor]['K'] * turn_on.scatter.value)
                 yield Row((*path, 'bias_stddev'), sigma, words)
             yield replace(
                 bias, path=(*path, bias.key), value=bias.value[i], words=bias_words, unit=''
@@ -119,14 +120,17 @@ def _madgwick(noise: FilterNoise) -> Iterator[Row]:
     K / sqrt(h), because a random walk moves by K sqrt(h) within h.
     """
     horizon, axes = noise.horizon, noise.axes_of('gyro')
-    factor = MADGWICK_FACTOR * noise.options.inflate
+    factors = noise.factors['gyro']
     gains = []
     for axis, result in axes.items():
         bias, white = noise.bias.get(axis, 0.0), noise.level(axis, 'N')
 
         def gain(model: Model, n: float, bias: float = bias) -> float:
-            variance = float(model.changed(N=n).drift.avar([horizon])[0])
-            return factor * math.hypot(math.sqrt(variance), bias)
+            drift = math.sqrt(float(model.changed(N=0.0).drift.avar([horizon])[0]))
+            white = n / math.sqrt(horizon)
+            return MADGWICK_FACTOR * math.hypot(
+                factors['N'] * white, factors['K'] * drift, factors['K'] * bias
+            )
 
         ends = interval_models(result.fit)
         low, high = map(gain, ends, white.interval) if ends else (0.0, math.inf)

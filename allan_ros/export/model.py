@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..core.errors import AllanError
+from ..core.filters.motion_factors import LEAST_DRIVES
 from ..core.filters.noise_parameters import axis_level, reduce_axis
 from ..core.filters.reductions import Level, Reduction, States, closest_process, horizon_text
 from ..core.findings import Finding, finding
@@ -89,6 +90,35 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
     return float(f'{value:.{digits}g}')
 
 
+def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapping[str, float]]:
+    """Return the factors on N and K for each sensor: sensor -> 'N' or 'K' -> factor.
+
+    With ``options.motion`` they are those in motion, at least 1: on N if the errors of drives grow
+    like white noise, on K if they grow faster, on both if the drives do not tell.
+
+    Raises
+    ------
+    AllanError
+        If ``options.motion`` is set and the results have no factors in motion.
+    """
+    if not options.motion:
+        return {sensor: dict.fromkeys('NK', f) for sensor, f in options.factors.items()}
+    if results.motion is None:
+        raise AllanError(
+            'motion: these results have no factor in motion; analyze a recording with at least '
+            f'{LEAST_DRIVES} drives between rests',
+            tuple(f for f in results.findings if f.id == 'motion_not_measured'),
+        )
+    raised = {'white': 'N', 'slow': 'K', 'all': 'NK'}
+    return {
+        sensor: {
+            term: max(one.factor.value or 1.0, 1.0) if term in raised[one.part] else 1.0
+            for term in 'NK'
+        }
+        for sensor, one in results.motion.sensors.items()
+    }
+
+
 class FilterNoise:
     """The noise of one IMU in the convention of one target, with one set of options.
 
@@ -103,6 +133,8 @@ class FilterNoise:
         Longest integration time in s over which N and K describe the error growth.
     bias : mapping of axis name to float
         Bias at rest in SI, of axes of which it is known.
+    factors : mapping of sensor to mapping of term to float
+        Factors on N and on the drift (K, R and processes) of 'gyro' and 'accel'.
     used : dict of axis name to Reduction
         The reduced-order models whose N and K are written to the file.
     """
@@ -135,6 +167,7 @@ class FilterNoise:
         elif target.rate_hz:
             self.rate, self.rate_words = rounded(target.rate_hz), "the filter's own step"
         self.horizon = options.horizon or target.horizon_s
+        self.factors = noise_factors(results, options)
         self.used: dict[str, Reduction] = {}
 
     def rows(self) -> list[Row]:
@@ -165,7 +198,7 @@ class FilterNoise:
 
     def level_row(self, path: tuple[str, ...], sensor: str, term: str, notation: Notation) -> Row:
         """Return the row of N, K or R of a sensor: of the worst axis, or of x, y and z."""
-        units, inflate = SI_UNITS[sensor], self.options.inflate
+        units, factor = SI_UNITS[sensor], self.factors[sensor]['N' if term == 'N' else 'K']
         levels = [self.level(axis, term) for axis in self.axes_of(sensor)]
         if not self.target.three:
             levels = [max(levels, key=lambda level: level.value)]
@@ -175,10 +208,10 @@ class FilterNoise:
         words = (
             f'[{unit}]{f" = {formula}" if formula else ""}: {"; ".join(map(level_words, levels))}'
         )
-        values = [rounded(notation.number(inflate * one.value, self.rate)) for one in levels]
+        values = [rounded(notation.number(factor * one.value, self.rate)) for one in levels]
         intervals = (one.interval for one in levels)
         widest = max(intervals, key=lambda ends: ends[1] / ends[0] if ends[0] else math.inf)
-        low, high = (notation.number(inflate * end, self.rate) for end in widest)
+        low, high = (notation.number(factor * end, self.rate) for end in widest)
         value = values if self.target.three else values[0]
         return Row(path, value, words, unit, (low, high), tuple(levels))
 
@@ -214,7 +247,8 @@ class FilterNoise:
         taus = [pair[1] for pair in pairs]
         if key.what == 'tau':
             return Row(path, rounded(taus), '[s]', key.unit)
-        values = [self.options.inflate * sigma / UNITS[key.unit].factor for sigma, _ in pairs]
+        factor = self.factors[key.sensor]['K'] / UNITS[key.unit].factor
+        values = [factor * sigma for sigma, _ in pairs]
         equals = ''
         if key.what == 'driving':
             equals = ' = sigma sqrt(2 / tau)'

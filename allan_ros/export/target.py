@@ -7,11 +7,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any, NamedTuple
 
+from ..core.errors import AllanError, one_line
 from ..core.filters.reductions import Level
 from ..core.findings import Finding
-from ..core.settings import CheckedSettings, parameter
+from ..core.imu import SENSORS
+from ..core.settings import CheckedSettings, check_range, parameter
 
 VIO_HORIZON_S = 30.0
 """Longest integration in s between corrections by a camera or lidar."""
@@ -33,12 +36,15 @@ Value = Any
 class ExportOptions(CheckedSettings):
     """Options of a file for a filter."""
 
-    inflate: float = parameter(
-        1.0,
+    inflate: str = parameter(
+        '1',
         'Factor on every noise level, for vibration and model errors that add to the noise at '
-        'rest; measure it with `allan inflate`.',
-        low=1.0,
-        high=1000.0,
+        'rest; or one for each sensor, such as gyro=2,accel=3. `allan inflate` measures it.',
+    )
+    motion: bool = parameter(
+        False,
+        'Multiply N and K of each sensor by its factor in motion, which `allan analyze` measures '
+        'in a recording with drives between rests.',
     )
     filter_rate: float = parameter(
         0.0,
@@ -66,8 +72,47 @@ class ExportOptions(CheckedSettings):
         '', 'The Imu topic to name in the file; empty: the topic of the recording.'
     )
     force: bool = parameter(
-        False, 'Write the file although the units of the samples are probably wrong.'
+        False,
+        'Write the file although the units of the samples are probably wrong, or the recording '
+        'does not show the noise of the sensor.',
     )
+
+    def __post_init__(self) -> None:
+        text = self.inflate  # Python also accepts a number, or sensor -> number
+        if isinstance(text, Mapping):
+            text = ','.join(f'{sensor}={factor}' for sensor, factor in text.items())
+        elif isinstance(text, Real) and not isinstance(text, bool):
+            text = str(text)
+        object.__setattr__(self, 'inflate', text)
+        super().__post_init__()
+        if set(self.factors.values()) != {1.0} and self.motion:
+            raise AllanError('inflate and motion are two factors on the same noise: give one')
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """Sensor -> factor on its noise levels, from ``inflate``."""
+        parts = [part.strip() for part in self.inflate.split(',')]
+        if len(parts) == 1 and '=' not in parts[0]:
+            return dict.fromkeys(SENSORS, _factor(parts[0]))
+        found = dict.fromkeys(SENSORS, 1.0)
+        for part in parts:
+            sensor, sign, number = part.partition('=')
+            if not sign or sensor.strip() not in SENSORS:
+                raise AllanError(
+                    f'inflate is {one_line(self.inflate):.60}: write a factor such as 2, or one '
+                    'for each sensor: gyro=2,accel=3'
+                )
+            found[sensor.strip()] = _factor(number)
+        return found
+
+
+def _factor(text: str) -> float:
+    try:
+        factor = float(text)
+    except ValueError:
+        raise AllanError(f'inflate is {one_line(text)!r:.60}: a number is expected') from None
+    check_range(1.0, 1000.0, inflate=factor)
+    return factor
 
 
 class Key(NamedTuple):

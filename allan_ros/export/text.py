@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -15,7 +16,7 @@ import yaml
 from ..core.errors import one_line
 from ..core.filters.reductions import horizon_text
 from ..core.findings import Finding
-from ..core.number_text import duration_text, significant
+from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..results.from_datasheet import FROM_DATASHEET
 from ..version import __version__
 from .model import REFUSED, FilterNoise
@@ -38,7 +39,7 @@ def header_lines(
     They state source, date, convention, units, rate, axes, intervals and warnings. ``name`` is the
     target, ``rows`` are the keys of the file; ``words`` returns the text of a finding.
     """
-    results, target, inflate = noise.results, noise.target, noise.options.inflate
+    results, target = noise.results, noise.target
     limits = dict.fromkeys(row.key for row in rows if row.is_limit)
     unsure = dict.fromkeys(row.key for row in rows if row.no_interval)
     first = (*REFUSED, 'from_datasheet')
@@ -57,13 +58,12 @@ def header_lines(
             *(f'source: {source.path}' for source in results.provenance.sources),
         ]
     rule = 'each (x, y, z)' if target.three else 'worst (the largest of x, y, z)'
-    inflation = f'x{inflate:g} on every N, K and bias; the levels below are without it'
     lines = [
         *(f'warning: {words(note)}' for note in results.findings if note.id in first),
         *title,
         f'convention: {target.convention}',
         f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
-        f'axis rule: {rule}; inflation: {inflation if inflate > 1 else "none"}',
+        f'axis rule: {rule}; inflation: {_inflation(noise)}',
     ]
     if noise.options.fidelity == 'coefficients':
         lines.append('fidelity: N and K as measured; they underestimate flicker and drift')
@@ -79,6 +79,11 @@ def header_lines(
         f'upper limits instead of measurements: {", ".join(limits) or "none"}',
         *([f'values without a 95 % interval: {", ".join(unsure)}'] if unsure else []),
         *(f'note: {note}' for note in target.notes),
+        *(
+            f'note: {words(note)}'
+            for note in results.findings
+            if noise.options.motion and note.id == 'error_in_motion'
+        ),
         *dict.fromkeys(f'note: {words(note)}' for row in rows for note in row.findings),
         *(f'warning: {words(note)}' for note in noise.findings()),
         *(
@@ -88,6 +93,28 @@ def header_lines(
         ),
     ]
     return [one_line(line) for line in lines]
+
+
+def _inflation(noise: FilterNoise) -> str:
+    """Return the factors on the noise levels as text."""
+    without, motion = 'the levels below are without it', noise.results.motion
+    if noise.options.motion and motion is not None:
+        shown = []
+        for sensor, one in motion.sensors.items():
+            low, high = one.factor.ci95 or (0.0, math.inf)
+            raised = ' and '.join(t for t, f in noise.factors[sensor].items() if f > 1.0)
+            factor = significant(one.factor.value or 1.0, LIMIT_DIGITS)
+            ends = ' to '.join(significant(end, LIMIT_DIGITS) for end in (low, high))
+            what = f'{raised} x' if raised else 'none, factor '
+            shown.append(f'{sensor} {what}{factor} ({ends})')
+        return f'in motion, {", ".join(shown)}, from {len(motion.drives)} drives; {without}'
+    factors = noise.options.factors
+    every = set(factors.values())
+    if every == {1.0}:
+        return 'none'
+    each = ', '.join(f'{sensor} x{factor:g}' for sensor, factor in factors.items())
+    which = each if len(every) > 1 else f'x{every.pop():g}'
+    return f'{which} on every N, K and bias; {without}'
 
 
 def _sources(results: Results) -> str:

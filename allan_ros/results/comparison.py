@@ -274,8 +274,16 @@ class Inflation:
 
     @property
     def factor(self) -> float:
-        """Largest factor for N of all axes, the value for ``allan export --inflate``."""
+        """Largest factor for N of all axes."""
         return max(axis['N'].factor for axis in self.axes.values())
+
+    @property
+    def option(self) -> str:
+        """The largest factor for N of each sensor, as the value of ``allan export --inflate``."""
+        factors = {sensor_of(name): 1.0 for name in self.axes}
+        for name, axis in self.axes.items():
+            factors[sensor_of(name)] = max(factors[sensor_of(name)], axis['N'].factor)
+        return ','.join(f'{sensor}={significant(f, 3)}' for sensor, f in factors.items())
 
     def ratios(self, axis: str) -> list[Check]:
         """Return the ratios of the Allan deviations of an axis, one for each averaging time."""
@@ -289,6 +297,7 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
         'schema': 'allan_ros/inflation/1',
         'horizon_s': [shortest_horizon(inflation.horizon), inflation.horizon],
         'factor': inflation.factor,
+        'inflate': inflation.option,
         'axes': {
             name: {
                 **{
@@ -321,6 +330,8 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
         nearest = {d.tau: d for tau in SHOWN_TAU_S if (d := _nearest(ratios, tau)) is not None}
         cells = [f'{tau:g} s: {_ratio(d)}' for tau, d in nearest.items()]
         yield f'{name:9}{"  ".join(cells)}'
+    yield ''
+    yield f'For `allan export`: --inflate {inflation.option}'
 
 
 def _nearest(ratios: list[Check], tau: float) -> Check | None:

@@ -5,11 +5,13 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 from allan_ros.cli.main import main
+from allan_ros.export import ExportOptions
 
 RATE, SECONDS = 50.0, 600
 
@@ -44,6 +46,7 @@ def test_the_factor_is_measured_with_vibration_included(
     shown = capsys.readouterr().out
     assert 'N and K for a filter, over 1 to 30 s' in shown
     assert 'in motion' not in shown
+    assert re.search(r'^For `allan export`: --inflate gyro=4\.\d+,accel=1\.\d+$', shown, re.M)
     assert main(['inflate', *recordings, '--json']) == 0
     document = json.loads(capsys.readouterr().out)
     gyro, accel = document['axes']['gyro_x'], document['axes']['accel_y']
@@ -51,6 +54,7 @@ def test_the_factor_is_measured_with_vibration_included(
     assert gyro['N']['use'] == gyro['N']['running']
     assert accel['N']['factor'] == pytest.approx(1.0, abs=0.1)
     assert document['factor'] == pytest.approx(4.0, rel=0.1)
+    assert ExportOptions(inflate=document['inflate']).factors['gyro'] == pytest.approx(4.0, rel=0.1)
     at_1s = min(gyro['deviation'], key=lambda d: abs(d['tau_s'] - 1.0))
     assert at_1s['ci95'][0] < 4.0 < at_1s['ci95'][1]
     assert main(['inflate', *recordings, '--horizon', '0']) == 1

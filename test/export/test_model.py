@@ -4,8 +4,11 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import yaml
@@ -13,6 +16,12 @@ from support.exports import with_coefficient
 
 from allan_ros.core.errors import AllanError
 from allan_ros.core.estimate import Estimate, Status
+from allan_ros.core.filters.motion_factors import (
+    DriveRatio,
+    NoiseInMotion,
+    Part,
+    SensorInMotion,
+)
 from allan_ros.core.findings import finding
 from allan_ros.export import (
     TARGETS,
@@ -33,7 +42,7 @@ def results(known_results: Results) -> Results:
 
 
 def test_inflation_multiplies_the_worst_axis_and_a_topic_is_named(results: Results) -> None:
-    options = ExportOptions(10.0, topic='/imu7', fidelity='coefficients')
+    options = ExportOptions('10', topic='/imu7', fidelity='coefficients')
     read = yaml.safe_load(make_export(results, 'kalibr', options).text)
     assert read['gyroscope_noise_density'] == pytest.approx(10.0 * 1e-3, rel=1e-5)
     assert read['rostopic'] == '/imu7'
@@ -100,6 +109,92 @@ def test_rows_have_names_units_and_intervals(results: Results) -> None:
             low, high = row.interval
             inside = low <= max(row.values) * 1.00001 and min(row.values) <= high * 1.00001
             assert inside or 'lies outside' in row.words, (target, row.name)
+
+
+@pytest.mark.parametrize(
+    'given', ['gyro=2,accel=3', ' accel = 3, gyro=2.0', {'gyro': 2, 'accel': 3}]
+)
+def test_each_sensor_has_its_own_factor(results: Results, given: Any) -> None:
+    text = make_export(results, 'kalibr', ExportOptions(inflate=given)).text
+    plain, inflated = map(yaml.safe_load, (make_export(results, 'kalibr').text, text))
+    for sensor, factor in (('gyroscope', 2.0), ('accelerometer', 3.0)):
+        for key in (f'{sensor}_noise_density', f'{sensor}_random_walk'):
+            assert inflated[key] == pytest.approx(factor * plain[key], rel=1e-5)
+    assert 'inflation: gyro x2, accel x3 on every N, K and bias' in text
+
+
+@pytest.mark.parametrize(
+    ('given', 'said'),
+    [
+        ('', "inflate is '': a number is expected"),
+        ('gyro=2,magnet=3', 'inflate is gyro=2,magnet=3: write a factor such as 2, or one for'),
+        ('gyro=0.5', 'inflate is 0.5: it must lie between 1 and 1000'),
+        ('nan', 'inflate is nan'),
+        ('gyro=two', "inflate is 'two': a number is expected"),
+        ({'gyro': None}, "inflate is 'None': a number is expected"),
+        (True, 'inflate is True: a text is expected'),
+        ([2.0, 3.0], 'a text is expected'),
+    ],
+)
+def test_a_wrong_factor_is_refused(given: Any, said: str) -> None:
+    with pytest.raises(AllanError, match=re.escape(said)):
+        ExportOptions(inflate=given)
+
+
+def in_motion(results: Results, gyro: Part, accel: Part) -> Results:
+    """Return results with the factors 3 of the gyro and 0.8 of the accelerometer in motion."""
+    motion = NoiseInMotion(
+        SensorInMotion(Estimate(3.0, (2.5, 3.6)), gyro),
+        SensorInMotion(Estimate(0.8, (0.6, 1.1)), accel),
+        (),
+        tuple(DriveRatio(20.0, 1.0, 3.0, 0.8) for _ in range(24)),
+    )
+    return replace(results, motion=motion)
+
+
+@pytest.mark.parametrize(
+    ('part', 'factors'), [('white', (3, 1)), ('slow', (1, 3)), ('all', (3, 3))]
+)
+def test_the_factors_in_motion_raise_the_noise_that_grew(
+    results: Results, part: Part, factors: tuple[float, float]
+) -> None:
+    text = make_export(in_motion(results, part, 'all'), 'kalibr', ExportOptions(motion=True)).text
+    plain, raised = map(yaml.safe_load, (make_export(results, 'kalibr').text, text))
+    for key, factor in zip(('noise_density', 'random_walk'), factors):
+        assert raised[f'gyroscope_{key}'] == pytest.approx(factor * plain[f'gyroscope_{key}'], 1e-5)
+        # a factor below 1 lowers nothing: the noise at rest is also there in motion
+        assert raised[f'accelerometer_{key}'] == plain[f'accelerometer_{key}']
+    name = {'white': 'N', 'slow': 'K', 'all': 'N and K'}[part]
+    (line,) = (line for line in text.splitlines() if 'inflation:' in line)
+    assert line.endswith(
+        f'inflation: in motion, gyro {name} x3.00 (2.50 to 3.60), accel none, factor 0.800 '
+        '(0.600 to 1.10), from 24 drives; the levels below are without it'
+    )
+
+
+@pytest.mark.parametrize('part', ['white', 'slow', 'all'])
+def test_factors_in_motion_reach_every_computed_file(results: Results, part: Part) -> None:
+    moved, options = in_motion(results, part, 'all'), ExportOptions(motion=True)
+    gain, plain = (
+        target_rows(known, 'imu_filter_madgwick', chosen)[0].value
+        for known, chosen in ((moved, options), (results, ExportOptions()))
+    )
+    assert 1.0 < gain / plain <= 3.001
+    before, after = (
+        json.loads(make_export(known, 'state_space', chosen).text)
+        for known, chosen in ((results, ExportOptions()), (moved, options))
+    )
+    for term, key in (('N', 'white'), ('K', 'walk')):
+        factor = 3.0 if term in {'white': 'N', 'slow': 'K', 'all': 'NK'}[part] else 1.0
+        ratio = after['axes']['gyro_x'][key] / before['axes']['gyro_x'][key]
+        assert ratio == pytest.approx(factor, rel=1e-5)
+
+
+def test_factors_in_motion_are_refused_if_they_are_not_known(results: Results) -> None:
+    with pytest.raises(AllanError, match='no factor in motion; analyze a recording'):
+        make_export(results, 'kalibr', ExportOptions(motion=True))
+    with pytest.raises(AllanError, match='inflate and motion are two factors'):
+        ExportOptions(inflate='gyro=2', motion=True)
 
 
 def test_a_gain_without_an_interval_has_none(results: Results) -> None:

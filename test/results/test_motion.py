@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
+from allan_ros.cli.main import main
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
@@ -53,6 +54,18 @@ def test_the_document_keeps_everything(scaled: ar.Results, tmp_path: Path) -> No
     scaled.save(tmp_path / 'out')
     again = ar.load(tmp_path / 'out' / 'results.json')
     assert again.motion == scaled.motion
+
+
+def test_the_exported_file_has_the_factor(
+    scaled: ar.Results, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scaled.save(tmp_path)
+    assert main(['export', str(tmp_path), '--to', 'openvins', '--motion']) == 0
+    text = capsys.readouterr().out
+    assert 'inflation: in motion, gyro ' in text and 'from 12 drives' in text
+    assert 'note: In motion the angle error is' in ' '.join(text.replace('# ', '').split())
+    assert text == scaled.export('openvins', motion=True)
+    assert text != scaled.export('openvins')
 
 
 def test_the_sums_of_an_analysis_keep_the_drives_out(scaled: ar.Results, tmp_path: Path) -> None:
