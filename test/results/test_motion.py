@@ -42,6 +42,20 @@ def test_the_factor_and_its_cause_are_results(scaled: ar.Results) -> None:
     assert len(motion.drives) == 12
 
 
+def test_each_drive_has_the_ratio_of_its_errors_to_the_prediction(scaled: ar.Results) -> None:
+    """Without errors the mean square is 1, or less because the Earth does not rotate here.
+
+    False alarms: 12 drives have about 24 degrees of freedom; 0.3 and 1.9 are their 0.03 % limits.
+    """
+    clean = ar.analyze(recording(Route(drives=12, tilt=0.15)))
+    squares = {
+        name: np.array([(each.rotation**2, each.velocity**2) for each in results.motion.drives])
+        for name, results in (('clean', clean), ('scaled', scaled))
+    }
+    assert np.all((squares['clean'].mean(axis=0) > 0.3) & (squares['clean'].mean(axis=0) < 1.9))
+    assert np.all(squares['scaled'].mean(axis=0) > 4.0)
+
+
 def test_the_sentence_states_the_factor_and_the_cause(scaled: ar.Results) -> None:
     (found,) = (f for f in scaled.findings if f.id == 'error_in_motion' and 'gyro_x' in f.axes)
     message = texts_of(found).message

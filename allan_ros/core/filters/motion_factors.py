@@ -108,8 +108,9 @@ class Cause:
 
 @dataclass(frozen=True)
 class DriveRatio:
-    """Errors of one drive over their prediction from the noise at rest, root mean square.
+    """Lengths of the errors of one drive over their rms as predicted from the noise at rest.
 
+    The errors are without the estimated bias of the accelerometer.
     ``duration`` is the duration of the drive in s, ``turned`` the angle it turned in rad;
     ``rotation`` is the ratio of the errors of the rotation, ``velocity`` of the velocity.
     """
@@ -226,7 +227,7 @@ def noise_in_motion(
         for sensor, factor in data.factors(plain).items()
     }
     causes = tuple(data.cause(best, name, gains[name]) for name in names)
-    ratios = zip(drives, data.ratios().tolist())
+    ratios = zip(drives, data.ratios(plain).tolist())
     return NoiseInMotion(
         **sensors,
         causes=causes,
@@ -292,6 +293,7 @@ class _Stack:
     y: Floats  # (n,)
     noise: Mapping[str, Floats]  # part of a sensor -> (drives, rows, rows)
     fixed: Floats  # F without matrices, (n, n)
+    own: Floats  # part of F that is independent from drive to drive, (drives, rows, rows)
     effects: Mapping[str, Floats]  # cause -> (n, 9)
 
     @classmethod
@@ -313,13 +315,13 @@ class _Stack:
             fixed += np.einsum('di,de,ej->diej', h, between, h)
         at = np.arange(d)
         earth = np.array([each.earth for each in drives]) * (EARTH_RATE / math.sqrt(3.0))
-        fixed[at, :, at, :] += earth @ earth.transpose(0, 2, 1)
-        fixed[at, :, at, :] += predicted.pop('rests')
+        own = earth @ earth.transpose(0, 2, 1) + predicted.pop('rests')
+        fixed[at, :, at, :] += own
         effects = {
             name: np.array([getattr(each, name) for each in drives]).reshape(n, 9)
             for name in CAUSES
         }
-        return cls(residual.ravel(), predicted, fixed.reshape(n, n), effects)
+        return cls(residual.ravel(), predicted, fixed.reshape(n, n), own, effects)
 
     @property
     def drives(self) -> int:
@@ -456,18 +458,26 @@ class _Stack:
         )
         return Cause(name, gain, elements)
 
-    def ratios(self) -> Floats:
-        """Return the root mean square of rotation and velocity errors over their prediction."""
-        d = self.drives
-        at = np.arange(d)
-        v = self.fixed.reshape(d, ROWS, d, ROWS)[at, :, at, :] + sum(self.noise.values())
-        y = self.y.reshape(d, ROWS)
-        out = []
-        for rows in (slice(0, 3), slice(3, 6)):
-            part = y[:, rows]
-            inverse = np.linalg.inv(v[:, rows, rows])
-            out.append(np.sqrt(np.einsum('di,dij,dj->d', part, inverse, part) / 3.0))
-        return np.stack(out, axis=1)
+    def ratios(self, fit: _Fit) -> Floats:
+        """Return the lengths of rotation and velocity errors over their predicted rms, (drives, 2).
+
+        The prediction is that of the noise at rest, with what else is unknown in a single drive.
+        The errors are without what all drives tell about the bias of the accelerometer (best
+        linear prediction, which needs the covariance with the factors).
+        """
+        v = sum(self.noise.values(), self.own)
+        weighted = fit.weighted.reshape(self.drives, ROWS)
+        shared = (self.fixed @ fit.weighted).reshape(self.drives, ROWS)
+        shared -= np.einsum('dij,dj->di', self.own, weighted)
+        y = self.y.reshape(self.drives, ROWS) - shared
+        squares = y**2, np.einsum('dii->di', v)
+        return np.stack(
+            [
+                np.sqrt(np.divide(*(each[:, rows].sum(axis=1) for each in squares)))
+                for rows in (slice(0, 3), slice(3, 6))
+            ],
+            axis=1,
+        )
 
 
 def _change_variance(noise: NoiseAtRest, apart: Floats) -> Floats:

@@ -43,7 +43,7 @@ from ..verdict_text import (
     verdict_of,
     where,
 )
-from .chart_data import sensor_charts, temperature_chart, times, to_script
+from .chart_data import motion_chart, sensor_charts, temperature_chart, times, to_script
 from .sensor_tables import (
     baseline_html,
     datasheet_html,
@@ -94,6 +94,7 @@ def render_report(
         'units': units,
         'times': times(signal),
         'temperature': temperature_chart(signal),
+        'motion': motion_chart(results),
         'sensors': charts,
     }
     verdict = verdict_of(results, units)
@@ -105,14 +106,18 @@ def render_report(
         *(_sensor_section(sensor, axes) for sensor, axes in sensors.items()),
         '</div>',
         '<noscript><p class="note">The charts of this page need JavaScript.</p></noscript>',
-        *_comparisons(results, sensors),
         '<div class="pair">',
         f'<section id="filter"><h2>Numbers for a filter: imu.yaml</h2>{filter_html(results)}'
         '</section>',
         *_next_steps(results, verdict),
         '</div>',
+        '<div class="pair">',
+        *(_curve_section(sensor) for sensor in sensors),
+        '</div>',
+        *_comparisons(results, sensors),
         *_findings_section(results),
     ]
+    body += _fold('motion', 'Error in motion', [*_motion(results)], shown=True)
     heat = '<div class="charts" data-kind="temperature"></div>' if data['temperature'] else ''
     body += _fold('trends', 'Bias and noise over time', [*_hosts(charts, 'trends'), heat])
     body += _fold('density', 'Noise density', _hosts(charts, 'density'))
@@ -283,6 +288,17 @@ def _value(value: object) -> str:
     return f'{value:g}' if isinstance(value, float) else str(value) if value != '' else '–'
 
 
+def _motion(results: Results) -> Iterator[str]:
+    if results.motion is not None:
+        yield '<div class="charts pair" data-kind="motion"></div>'
+        yield (
+            '<p class="note">Each point is one drive between two rests. 1 (dashed): the error that '
+            'the noise at rest predicts, with the rotation of the Earth, whose direction is '
+            'unknown. If the noise itself is larger in motion, all drives have large ratios; scale '
+            'factors and misalignments enlarge those of drives with much rotation.</p>'
+        )
+
+
 def _findings_section(results: Results) -> Iterator[str]:
     shown, notes = findings_and_notes(results)
     if shown or notes:
@@ -309,6 +325,12 @@ def _block(finding: Finding, results: Results) -> str:
 def _sensor_section(sensor: str, axes: Mapping[str, AxisResult]) -> str:
     return (
         f'<section id="{sensor}" class="sensor"><h2>{SENSOR_NAMES[sensor]}</h2>'
-        f'{headline_html(axes)}'
+        f'{headline_html(axes)}</section>'
+    )
+
+
+def _curve_section(sensor: str) -> str:
+    return (
+        f'<section id="{sensor}-curve" class="sensor"><h3>{SENSOR_NAMES[sensor]}</h3>'
         f'<div class="charts" data-kind="allan" data-sensor="{sensor}"></div></section>'
     )

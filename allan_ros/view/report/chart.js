@@ -293,6 +293,19 @@ const Chart = (() => {
       chart.zoom = { x: range('x', 0), y: tall ? range('y', 1) : null };
       return render();
     });
+    // Show a part of the range of x around the cursor, or around the middle without a cursor.
+    chart.zoomBy = (factor) => {
+      const { x, area } = plot;
+      const [left, right] = [area.left, area.left + area.width];
+      const center = chart.at === null ? (left + right) / 2 : x.forward(spec.xs[chart.at]);
+      const ends = [left, right].map((end) => center + (end - center) / factor);
+      const whole = spec.x.full();
+      const [first, last] = whole.map(x.forward);
+      const range = [ends[0] > first ? x.back(ends[0]) : whole[0], ends[1] < last ? x.back(ends[1]) : whole[1]];
+      const isWhole = ends[0] < first + 1 && ends[1] > last - 1;  // up to a pixel
+      chart.zoom = isWhole ? null : { x: range, y: chart.zoom && chart.zoom.y };
+      render();
+    };
     svg.addEventListener('dblclick', () => { chart.zoom = null; render(); });
     svg.addEventListener('pointerleave', () => show(null));
     box.addEventListener('blur', () => show(null));
@@ -317,14 +330,19 @@ const Chart = (() => {
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
 
-  // Buttons that save a chart.
+  // Buttons that change the range of a chart and save it.
   function saving(chart) {
+    const zooms = [['+', 2, 'zoom in'], ['−', 0.5, 'zoom out']].map(([text, factor, title]) => {
+      const button = element('button', { type: 'button', title, 'aria-label': title, 'data-zoom': String(factor) }, text);
+      button.addEventListener('click', () => chart.zoomBy(factor));
+      return button;
+    });
     const buttons = ['SVG', 'PNG'].map((form) => {
       const button = element('button', { type: 'button', 'data-form': form }, form);
       button.addEventListener('click', () => chart.save(form));
       return button;
     });
-    return element('span', { class: 'save' }, 'save', ...buttons);
+    return element('span', { class: 'save' }, 'zoom', ...zooms, 'save', ...buttons);
   }
 
   // A row of buttons that are on or off; a sample shows how each is drawn while it is on.

@@ -205,6 +205,23 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
     return {'source': temperature.source, 'time': time, 'celsius': celsius}
 
 
+def motion_chart(results: Results) -> dict[str, Any] | None:
+    """Return the error of each drive over its prediction; None if it was not measured.
+
+    Durations are in s and angles in deg.
+    """
+    if results.motion is None:
+        return None
+    drives = results.motion.drives
+    columns = {
+        'duration': [drive.duration for drive in drives],
+        'turned': [math.degrees(drive.turned) for drive in drives],
+        'rotation': [drive.rotation for drive in drives],
+        'velocity': [drive.velocity for drive in drives],
+    }
+    return {'drives': {name: rounded(values, 4) for name, values in columns.items()}}
+
+
 def model_density(axis: AxisResult, spectrum: Spectrum) -> Floats:
     """Return the one-sided power spectral density of the model, SI unit^2/Hz, (points,).
 

@@ -330,5 +330,37 @@ const Charts = (() => {
     return [chart];
   }
 
-  return { allan, density, trends, signal, temperature };
+  // Error of each drive over its prediction, against the duration of the drive and the angle turned.
+  function motion(host, page) {
+    const { drives } = page.motion;
+    const kinds = [['rotation', 'angle', 'x'], ['velocity', 'velocity', 'y']];
+    const most = Math.max(1, ...kinds.flatMap(([key]) => drives[key]));
+    const made = [['duration', 'duration of the drive [s]', 's'], ['turned', 'angle turned [°]', '°']].map(([key, label, unit]) => {
+      const x = drives[key];
+      const last = Math.max(...x);
+      const shown = new Set();
+      const cell = element('div');
+      host.append(cell);
+      const visible = () => kinds.filter(([kind]) => shown.has(kind));
+      const chart = create(cell, {
+        title: `Error in motion: ${label}`, name: `motion_${key}`, height: 220, xs: x,
+        x: { full: () => [0, 1.05 * last || 1], label: () => label },
+        y: { full: () => [0, 1.1 * most], label: () => 'error / its prediction from rest' },
+        draw(pen) {
+          pen.line([0, 1.05 * last || 1], [1, 1], { color: 'var(--ink-2)', dash: REFERENCE });
+          for (const [kind, , color] of visible()) pen.marks(x, drives[kind], color, ink(color), 2.6, ink(color));
+        },
+        describe: (at) => [
+          [`${number(drives.duration[at], 3)} s, ${number(drives.turned[at], 3)}°`, ''],
+          ...visible().map(([kind, text, color]) => [`${text} error  ${number(drives[kind][at], 3)} times its prediction`, ink(color)]),
+        ],
+      });
+      below(cell, chart, [], shown, kinds.map(([kind, text, color]) => ({ key: kind, text: `${text} error`, color: ink(color) })));
+      chart.render();
+      return chart;
+    });
+    return made;
+  }
+
+  return { allan, density, trends, signal, temperature, motion };
 })();

@@ -15,6 +15,7 @@ from support.chromium import Chromium
 
 import allan_ros as ar
 from allan_ros.core.estimate import Estimate
+from allan_ros.core.filters.motion_factors import DriveRatio, NoiseInMotion, SensorInMotion
 from allan_ros.core.imu import ImuBatch, ImuIdentity
 from allan_ros.core.stream.health import Event, Segment
 from allan_ros.core.stream.signal import SignalEnvelope, TemperatureTrace, summarize_signal
@@ -78,7 +79,10 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     spans = [Segment(int(stamps[5000]), 15_000, 300.0)]
     moved = Event('motion', int(stamps[0]), 100.0)
     summary = summarize_signal([envelope], spans, 1000, [moved], [temperature])
-    results = replace(results, baselines={'May': small_results})
+    factors = SensorInMotion(Estimate(3.0, (2.5, 3.6)), 'all')
+    drives = tuple(DriveRatio(5.0 + i, 0.5 * i, 1.0 + i % 4, 0.5 + i % 3) for i in range(12))
+    motion = NoiseInMotion(factors, factors, (), drives)
+    results = replace(results, baselines={'May': small_results}, motion=motion)
     path = tmp_path_factory.mktemp('page') / 'report.html'
     page = render_report(results, 'deg/h', summary, {'command': 'x'}, ['results.json'])
     path.write_text(page, encoding='utf-8')
@@ -138,22 +142,24 @@ def test_the_page_is_drawn_without_overlaps_and_sends_no_request(
             assert browser.evaluate(IN_CHART.replace('INDEX', str(i))) == []
 
 
-def test_the_first_screen_has_the_verdict_the_coefficients_and_the_chart(
+def test_the_first_screen_has_the_verdict_the_coefficients_and_the_numbers_for_a_filter(
     browser: Chromium, page: Path
 ) -> None:
     browser.open(page, 1280)
     browser.wait_for('Chart.all[0].box.querySelectorAll("path").length > 4')
-    for selector in ('#verdict', '#gyro .coefficients', '#accel .coefficients', '#accel .plot'):
+    for selector in ('#verdict', '#gyro .coefficients', '#accel .coefficients', '#filter'):
         bottom = f'document.querySelector("{selector}").getBoundingClientRect().bottom'
         assert browser.evaluate(bottom) <= 800, selector
+    top = 'document.querySelector("#accel-curve .plot").getBoundingClientRect().top'
+    assert browser.evaluate(top) <= 900
 
 
 def test_hovering_and_keys_show_the_numbers(browser: Chromium, page: Path) -> None:
     opened(browser, page, 1280)
-    x, y, width, height = place_of(browser, '#gyro .plot svg')
+    x, y, width, height = place_of(browser, '#gyro-curve .plot svg')
     browser.point_at(x + width / 2, y + height / 2)
-    browser.wait_for('!document.querySelector("#gyro .tip").hidden')
-    said = browser.evaluate('document.querySelector("#gyro .tip").innerText')
+    browser.wait_for('!document.querySelector("#gyro-curve .tip").hidden')
+    said = browser.evaluate('document.querySelector("#gyro-curve .tip").innerText')
     assert said.startswith('τ ')
     assert [line[0] for line in said.splitlines()[1:4]] == ['x', 'y', 'z']
     assert '°/h' in said and '..' in said
@@ -161,8 +167,10 @@ def test_hovering_and_keys_show_the_numbers(browser: Chromium, page: Path) -> No
         '(box => { box.focus(); box.dispatchEvent(new KeyboardEvent("keydown", {key: "Home"})); })'
         '(document.querySelector("SELECTOR .plot"))'
     )
-    browser.evaluate(press.replace('SELECTOR', '#gyro'))
-    assert 'τ 0.02000 s' in browser.evaluate('document.querySelector("#gyro .spoken").textContent')
+    browser.evaluate(press.replace('SELECTOR', '#gyro-curve'))
+    assert 'τ 0.02000 s' in browser.evaluate(
+        'document.querySelector("#gyro-curve .spoken").textContent'
+    )
     browser.evaluate(press.replace('SELECTOR', '#signal'))
     spoken = browser.evaluate('document.querySelector("#signal .spoken").textContent')
     assert spoken.endswith('20.0 °C, excluded: the IMU moved')
@@ -170,7 +178,7 @@ def test_hovering_and_keys_show_the_numbers(browser: Chromium, page: Path) -> No
 
 def test_dragging_zooms_and_a_double_click_goes_back(browser: Chromium, page: Path) -> None:
     opened(browser, page, 1280)
-    x, y, wide, high = place_of(browser, '#gyro .plot svg')
+    x, y, wide, high = place_of(browser, '#gyro-curve .plot svg')
     whole = browser.evaluate('Chart.all[0].spec.x.full()')
     middle = y + high / 2
     for kind, at in (
@@ -186,17 +194,31 @@ def test_dragging_zooms_and_a_double_click_goes_back(browser: Chromium, page: Pa
     decades = np.log10(whole[1] / whole[0])
     assert np.log10(end / low) == pytest.approx(0.3 * wide / plot * decades, rel=0.02)
     browser.evaluate(
-        'document.querySelector("#gyro .plot svg").dispatchEvent(new MouseEvent("dblclick"))'
+        'document.querySelector("#gyro-curve .plot svg").dispatchEvent(new MouseEvent("dblclick"))'
     )
+    assert browser.evaluate('Chart.all[0].zoom') is None
+
+
+def test_buttons_zoom_in_and_out(browser: Chromium, page: Path) -> None:
+    opened(browser, page, 390)
+    low, high = browser.evaluate('Chart.all[0].spec.x.full()')
+    for factor, share in ((2, 0.5), (2, 0.25), (0.5, 0.5)):
+        browser.evaluate(
+            f'document.querySelector("#gyro-curve [data-zoom=\\"{factor}\\"]").click()'
+        )
+        near, far = browser.evaluate('Chart.all[0].zoom.x')
+        assert np.log(far / near) == pytest.approx(share * np.log(high / low), rel=1e-6)
+        assert near * far == pytest.approx(low * high, rel=1e-6), 'around the middle'
+    browser.evaluate('document.querySelector("#gyro-curve [data-zoom=\\"0.5\\"]").click()')
     assert browser.evaluate('Chart.all[0].zoom') is None
 
 
 def test_axes_and_parts_are_switched(browser: Chromium, page: Path) -> None:
     opened(browser, page, 1280)
-    drawn = 'document.querySelector("#gyro .plot svg").innerHTML'
+    drawn = 'document.querySelector("#gyro-curve .plot svg").innerHTML'
     for key in ('y', 'model', 'limits', 'references'):
         before = browser.evaluate(drawn)
-        button = f'document.querySelector("#gyro button[data-key={key}]")'
+        button = f'document.querySelector("#gyro-curve button[data-key={key}]")'
         browser.evaluate(f'{button}.click()')
         assert browser.evaluate(f'{button}.ariaPressed') == 'false'
         assert browser.evaluate(drawn) != before
@@ -223,8 +245,8 @@ def test_charts_are_saved_in_light_colors(browser: Chromium, page: Path) -> None
         'document.querySelector("SELECTOR").click(); })'
     )
     for selector, name in (
-        ('#gyro [data-form=SVG]', 'allan_gyro.svg'),
-        ('#gyro [data-form=PNG]', 'allan_gyro.png'),
+        ('#gyro-curve [data-form=SVG]', 'allan_gyro.svg'),
+        ('#gyro-curve [data-form=PNG]', 'allan_gyro.png'),
     ):
         answer = browser.call(
             'Runtime.evaluate',
