@@ -138,6 +138,8 @@ class ImuWatch(Part):
             self._faults = finding('no_data'), *self._faults
         larger = noise_now(health, self._sums)
         self._faults, found = (*self._faults, *larger), (*found, *larger)
+        if health.state == 'moving':
+            self._faults = *self._faults, finding('moving_now')
         if self._state() != self.output.state:
             self._publish(self._total())
         # the findings of a live input replace the findings of a complete stream
@@ -217,7 +219,7 @@ class ImuWatch(Part):
         earlier stamps mean that the recording is played again.
         """
         segmenter, hardware_id = self._segmenter.value, self._imu.hardware_id
-        self._stream = ImuStream(segmenter, hardware_id, self._sensor)
+        self._stream = ImuStream(segmenter, hardware_id, self._sensor, with_drives=True)
         self._splitter = PassSplitter(latest_ns)
         self._first_ns: int | None = None  # first and latest stamp of this pass
         self._latest_ns: int | None = None
@@ -304,7 +306,8 @@ class ImuWatch(Part):
         """Publish the sums, together with the accelerometer of another topic if there is one."""
         means, faults = self._stream.means(), self._faults
         hardware_id = self._imu.hardware_id
-        snapshot = Snapshot(total, self.frame_id, hardware_id, self._axes, means, faults)
+        drives = self._stream.drives()
+        snapshot = Snapshot(total, self.frame_id, hardware_id, self._axes, means, faults, drives)
         accel = self._accel.output.latest if self._accel is not None else None
         self.output.put(snapshot, self._state(), accel)
 

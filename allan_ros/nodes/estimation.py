@@ -12,6 +12,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
@@ -21,16 +22,27 @@ from ..core.allan.recent import NoiseStep, noise_steps
 from ..core.allan.sums import AllanSums
 from ..core.compare import Check
 from ..core.errors import AllanError, one_line
+from ..core.filters.motion_factors import LEAST_DRIVES
 from ..core.findings import Finding, finding
 from ..core.imu import SI_UNITS, ImuIdentity, sensor_of
+from ..core.stream.drive_recorder import Drives
+from ..core.stream.drives import DriveErrors
 from ..core.stream.transport import faults_of
 from ..results.analysis import analyze_sums
 from ..results.checkpoint import Total
 from ..results.datasheets import load_sensor
 from ..results.documents import load
+from ..results.motion import with_motion
 from ..results.results import Results
 from ..view.result_document import result_document
-from .diagnostics import NOTED, AxisView, axis_status, key_values, status_name, status_of
+from .diagnostics import (
+    NOTED,
+    AxisView,
+    axis_status,
+    key_values,
+    status_name,
+    status_of,
+)
 from .messages import (
     REPLACED_SHARE,
     BiasPublisher,
@@ -40,6 +52,7 @@ from .messages import (
     replaced_because,
     replaced_share,
 )
+from .motion_diagnostics import motion_status
 from .node import AllanNode, Part
 from .settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
@@ -86,7 +99,8 @@ class ImuEstimate(Part):
         self._failed: Finding | None = None
         self._invalidated: Finding | None = None
         self._faults: tuple[Finding, ...] = ()
-        self._fitting: Future[tuple[Results, float]] | None = None
+        self._fitting: Future[Fitted] | None = None
+        self._driven: tuple[DriveErrors, ...] = ()  # drives of the present factors in motion
         self._outdated = False  # whether the sums of the running fit have been replaced
         self._compared: tuple[Results | None, float, tuple[Check, ...]] = None, 0.0, ()
         self._fit_ended = self._next_fit = 0.0
@@ -123,14 +137,16 @@ class ImuEstimate(Part):
             self._fit_if_due()
             return
         try:
-            self._results, took = fitting.result()
+            fitted = fitting.result()
         except Exception as error:
             self._fail(error)
             return
         self._failed = self._invalidated = None
-        wait = min(took * (1.0 / FIT_SHARE - 1.0), LONGEST_WAIT_S)
-        self._fit_ended, self._next_fit = now, now + wait
-        self._publish(self._results)
+        self._next_fit = now + min(fitted.took * (1.0 / FIT_SHARE - 1.0), LONGEST_WAIT_S)
+        if fitted.sums_were_fitted:
+            self._fit_ended = now
+        self._results = fitted.results
+        self._publish(fitted.results)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """Return one status per axis; no status before the first message."""
@@ -140,7 +156,14 @@ class ImuEstimate(Part):
         known = [(axis, s, s.identity) for s in latest.sums for axis in s.axes]
         connected = ImuIdentity(latest.frame_id, latest.hardware_id)
         waiting = [(axis, None, connected) for axis in latest.axes]
-        return [self._axis_status(now, *each) for each in known or waiting]
+        statuses = [self._axis_status(now, *each) for each in known or waiting]
+        if latest.drives.errors or latest.drives.unused:
+            name = status_name(self._node, self._label, 'in motion')
+            imu = one_line(latest.hardware_id or latest.frame_id)
+            known, limit = self._results, self._settings.value.motion_limit
+            rest_s, motion = (known.duration_s, known.motion) if known else (0.0, None)
+            statuses.append(motion_status(name, imu, latest.drives, rest_s, motion, limit))
+        return statuses
 
     def _comparisons(self, margin: float) -> tuple[Check, ...]:
         """Return the comparisons with the references, computed once per fit and margin."""
@@ -187,17 +210,31 @@ class ImuEstimate(Part):
         """Start a fit if the sums have changed enough and the last fit was long enough ago."""
         if self._snapshot is None or self._fitting is not None:
             return
-        if time.monotonic() >= self._next_fit and self._has_changed(self._snapshot.sums):
-            self._start(self._snapshot.total)
+        if time.monotonic() < self._next_fit:
+            return
+        drives = self._snapshot.drives
+        if self._has_changed(self._snapshot.sums):
+            self._start(self._snapshot.total, drives)
+        elif self._results is not None and self._are_new(drives):
+            self._driven = drives.errors
+            self._fitting = self._worker.submit(partial(_drive_factors, self._results, drives))
 
     def _has_changed(self, sums: tuple[AllanSums, ...]) -> bool:
         samples, fitted = (max((s.samples for s in x), default=0) for x in (sums, self._fitted))
         grown = samples >= fitted * (1.0 + self._settings.value.growth)
         return samples > 0 and (grown or samples < fitted)
 
-    def _start(self, total: Total) -> None:
-        self._fitted, self._outdated = total[0], False
-        self._fitting = self._worker.submit(partial(_timed_fit, total, self._settings.value.method))
+    def _are_new(self, drives: Drives) -> bool:
+        """Return whether there are other drives than those of the present factors in motion."""
+        latest, before = (
+            [each.start for each in errors] for errors in (drives.errors, self._driven)
+        )
+        return len(latest) >= LEAST_DRIVES and latest != before
+
+    def _start(self, total: Total, drives: Drives) -> None:
+        self._fitted, self._outdated, self._driven = total[0], False, drives.errors
+        method = self._settings.value.method
+        self._fitting = self._worker.submit(partial(_fit, total, method, drives))
 
     def _fail(self, error: Exception) -> None:
         if not isinstance(error, AllanError):
@@ -241,7 +278,7 @@ class ImuEstimate(Part):
         elif self._fitting is not None:
             response.message = 'a fit is in progress; its result is published on noise_model'
         else:
-            self._start(self._snapshot.total)
+            self._start(self._snapshot.total, self._snapshot.drives)
             response.success = True
             response.message = 'fitting; the result is published on noise_model'
         return response
@@ -289,8 +326,20 @@ class SumsInput(Part):
             self._problem = ''
 
 
-def _timed_fit(total: Total, method: str) -> tuple[Results, float]:
-    """Return the results of a fit, and its CPU time in s."""
+class Fitted(NamedTuple):
+    """Results, and how they were computed."""
+
+    results: Results
+    took: float  # CPU time in s
+    sums_were_fitted: bool  # or only the factors in motion were computed anew
+
+
+def _fit(total: Total, method: str, drives: Drives) -> Fitted:
     began = time.thread_time()
-    results = analyze_sums(*total, method)
-    return results, time.thread_time() - began
+    results = with_motion(analyze_sums(*total, method), drives)
+    return Fitted(results, time.thread_time() - began, True)
+
+
+def _drive_factors(results: Results, drives: Drives) -> Fitted:
+    began = time.thread_time()
+    return Fitted(with_motion(results, drives), time.thread_time() - began, False)

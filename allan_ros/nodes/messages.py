@@ -21,6 +21,7 @@ from ..core.fields import Fields
 from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
 from ..core.findings import Finding
 from ..core.imu import AXES, ImuIdentity
+from ..core.stream.drive_recorder import NO_DRIVES, Drives
 from ..core.stream.health import Means
 from ..readers.files import parse_json
 from ..readers.recorded import with_accel
@@ -56,7 +57,8 @@ class Snapshot:
     describe the messages that are received, which may come from another IMU than the sums. ``axes``
     are known before there are sums. ``means`` are means over 1 s of the latest samples at rest;
     each `Means` contains the axes of one sample rate. ``faults`` are the findings because of which
-    the present samples must not be used.
+    the present samples must not be used. ``drives`` are the latest drives between two rests; they
+    are not part of the document.
     """
 
     total: Total
@@ -65,6 +67,7 @@ class Snapshot:
     axes: tuple[str, ...] = ()
     means: tuple[Means, ...] = ()
     faults: tuple[Finding, ...] = ()
+    drives: Drives = NO_DRIVES
 
     @property
     def sums(self) -> tuple[AllanSums, ...]:

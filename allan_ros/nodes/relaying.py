@@ -106,8 +106,21 @@ def cover_bias(
     return {**variances, 'gyro': (x, y, z)}
 
 
+def in_motion(variances: dict[str, Variances], results: Results) -> dict[str, Variances]:
+    """Return the variances multiplied by the squares of the factors in motion of both sensors.
+
+    Nothing changes without these factors, or if the IMU does not move at present. A factor below 1
+    lowers nothing.
+    """
+    motion = results.motion
+    if motion is None or not any(f.id == 'moving_now' for f in results.findings):
+        return variances
+    factors = {sensor: max(one.factor.value or 1.0, 1.0) for sensor, one in motion.sensors.items()}
+    return louder(variances, {axis: factors[sensor_of(axis)] for axis in AXES})
+
+
 def louder(variances: dict[str, Variances], ratios: Mapping[str, float]) -> dict[str, Variances]:
-    """Return the variances multiplied by the square of the ratio of the present noise of axes."""
+    """Return the variances multiplied by the squares of ratios of axes."""
     out = dict(variances)
     for sensor, values in variances.items():
         x, y, z = (
@@ -301,6 +314,8 @@ class ImuRelay(Part):
             stated = noise.keys() - measured.keys()
             bias = {**bias_in_model(results), **bias}
             noise = louder(noise, noise_ratios(results.findings))
+            if settings.motion:
+                noise = in_motion(noise, results)
         if not settings.debiased:
             noise = cover_bias(noise, bias, settings.horizon * rate)
         self._variances, self._from_datasheet = noise, tuple(s for s in SENSORS if s in stated)

@@ -171,6 +171,13 @@ class EstimatorSettings(CheckedSettings):
         low=0.0,
         high=100.0,
     )
+    motion_limit: float = parameter(
+        10.0,
+        'Warn when the errors in motion exceed the prediction from the noise at rest by more than '
+        'this factor, with their entire 95 % interval.',
+        low=1.0,
+        high=1e6,
+    )
     recent_window: float = fixed_parameter(
         3600.0,
         'Length of the window whose noise is compared with earlier data.',
@@ -202,6 +209,11 @@ class RelaySettings(CheckedSettings):
         'The driver removes the gyro bias or the filter estimates it, so no variance covers it.',
     )
     inflate: float = parameter(1.0, 'Factor on the standard deviation.', '', 1.0, 1000.0)
+    motion: bool = parameter(
+        False,
+        'Multiply the standard deviation of each sensor by its factor in motion while the IMU '
+        'moves.',
+    )
     overwrite: bool = parameter(False, 'Replace covariances that the driver has set.')
 
 

@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from ..core.filters.motion_factors import (
     LEAST_DRIVES,
@@ -18,6 +20,9 @@ from ..core.imu import AXES
 from ..core.noise import Model
 from ..core.stream.drive_recorder import Drives
 from .axis_result import AxisResult
+
+if TYPE_CHECKING:
+    from .results import Results
 
 LEAST_REST_S = 60.0
 """Least time at rest in s from which the noise at rest is known well enough to be compared."""
@@ -36,6 +41,16 @@ CAUSE_NAMES = {
     'accel_matrix': 'scale factors or misalignments of the accelerometer',
     'g_sensitivity': 'a sensitivity of the gyro to acceleration',
 }
+
+
+def with_motion(results: Results, drives: Drives) -> Results:
+    """Return results of a robot in use with the noise in motion of its latest drives.
+
+    Without enough drives, or data at rest, ``results.motion`` is None, and no finding says so.
+    """
+    motion, found = measure_motion(drives, results.axes, results.duration_s, 0.0)
+    others = (f for f in results.findings if f.id != 'error_in_motion')
+    return replace(results, motion=motion, findings=(*others, *found))
 
 
 def measure_motion(

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
@@ -74,9 +75,17 @@ class DriveRecorder:
         # of the present rest: number of samples, its first and last samples
         self._at_rest = 0
         self._first: list[Floats] = []
-        self._last: list[Floats] = []
+        self._last: deque[Floats] = deque()
         self._before: Rest | None = None  # the rest before the present drive
         self._drive: tuple[float, Floats] | None = None  # whose second rest is not complete
+
+    def __deepcopy__(self, memo: object) -> DriveRecorder:
+        """Return a recorder that shares the samples with this one: they never change."""
+        other = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, (deque, list, Counter)):
+                setattr(other, name, copy.copy(value))
+        return other
 
     def add_samples(self, blocks: Iterable[ImuBatch]) -> None:
         """Add all evenly spaced samples, before those at rest among them are added."""
@@ -96,6 +105,11 @@ class DriveRecorder:
             self._is_long = True
 
     @property
+    def complete(self) -> Drives:
+        """The drives whose second rest is over or long enough."""
+        return Drives(tuple(self._drives), Counter(self._unused))
+
+    @property
     def result(self) -> Drives:
         """The drives as if the input ended here."""
         drives, unused = tuple(self._drives), Counter(self._unused)
@@ -112,7 +126,7 @@ class DriveRecorder:
         """End the drive before a rest, and the rest before that drive."""
         self._complete()
         begin = int(block.stamps_ns[0])
-        rest = self._mean(self._last)
+        rest = self._mean(self._last, latest=True)
         between, is_split = self._samples_before(begin)
         seconds = len(between) * self._tau0
         if self._at_rest and block.cut == 'motion':
@@ -132,7 +146,7 @@ class DriveRecorder:
                 self._unused[reason] += 1
         self._is_long = False
         self._at_rest = 0
-        self._first, self._last = [], []
+        self._first, self._last = [], deque()
 
     def _continue_rest(self, block: ImuBatch) -> None:
         self._samples_before(int(block.stamps_ns[-1]) + 1)
@@ -141,8 +155,8 @@ class DriveRecorder:
             self._first.append(block.samples[:room].copy())
         self._at_rest += len(block)
         self._last.append(block.samples[-self._rest_samples :].copy())
-        last = np.concatenate(self._last)[-self._rest_samples :]
-        self._last = [last]
+        while sum(map(len, self._last)) - len(self._last[0]) >= self._rest_samples:
+            self._last.popleft()
         if room > 0 and self._at_rest >= self._rest_samples:
             self._complete()
 
@@ -165,8 +179,10 @@ class DriveRecorder:
         drive = Drive(start, k * self._tau0, means[:, :3], means[:, 3:], before, after)
         return drive_errors(drive)
 
-    def _mean(self, parts: list[Floats]) -> Rest | None:
-        rows = np.concatenate(parts) if parts else np.empty((0, len(AXES)))
+    def _mean(self, parts: Iterable[Floats], latest: bool = False) -> Rest | None:
+        """Return the means of some rows, of at most the ``latest`` ones of a rest."""
+        rows = np.concatenate([np.empty((0, len(AXES))), *parts])
+        rows = rows[-self._rest_samples :] if latest else rows
         seconds = len(rows) * self._tau0
         if seconds < LEAST_REST_S:
             return None

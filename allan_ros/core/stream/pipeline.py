@@ -141,11 +141,14 @@ class ImuStream:
         """Return the latest drives between two rests; empty unless requested.
 
         They belong to the frame_id with the most data. There are none if gyro and accelerometer
-        have different rates or are in different streams.
+        have different rates or are in different streams. Before `end`, a drive is complete when its
+        second rest is over or long enough.
         """
         frame = max(self._frames.values(), key=lambda each: each.counts.used, default=self._present)
         recorders = [each.recorder for each in frame.sensors if each.recorder is not None]
-        return recorders[0].result if recorders else NO_DRIVES
+        if not recorders:
+            return NO_DRIVES
+        return recorders[0].result if self._ended else recorders[0].complete
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream is not changed."""

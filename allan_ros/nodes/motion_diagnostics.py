@@ -1,0 +1,68 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Status of the errors of an IMU in motion, for `/diagnostics`."""
+
+from __future__ import annotations
+
+import math
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from ..core.filters.motion_factors import LEAST_DRIVES, NoiseInMotion
+from ..core.findings import finding
+from ..core.imu import AXES, sensor_of
+from ..core.number_text import significant
+from ..core.stream.drive_recorder import Drives
+from ..results.motion import CAUSE_NAMES, ERRORS, LEAST_REST_S
+from .diagnostics import status_of
+
+ENDS = ('', ' low', ' high')
+"""Suffixes of the keys of a value and of the ends of its 95 % interval."""
+
+
+def motion_status(
+    name: str,
+    hardware_id: str,
+    drives: Drives,
+    rest_s: float,
+    motion: NoiseInMotion | None,
+    limit: float,
+) -> DiagnosticStatus:
+    """Return the status of the errors in motion of one IMU.
+
+    ``rest_s`` is the time at rest in s from which the noise was measured. ``motion`` is None before
+    the errors are known. Their factor is a warning if its 95 % interval lies above ``limit``.
+    """
+    unused = sum(drives.unused.values())
+    pairs: list[tuple[str, object]] = [('drives', len(drives.errors)), ('drives not used', unused)]
+    if motion is None:
+        text = (
+            f'not measured yet: {len(drives.errors)} of at least {LEAST_DRIVES} drives between '
+            f'rests, {rest_s:.0f} of at least {LEAST_REST_S:g} s at rest'
+        )
+        return status_of(name, [], text, pairs, hardware_id=hardware_id)
+    findings, shown = [], []
+    for sensor, one in motion.sensors.items():
+        low, high = one.factor.ci95 or (0.0, math.inf)
+        ratio, error = one.factor.value or 1.0, ERRORS[sensor]
+        numbers = [significant(value, 2) for value in (ratio, low, high)]
+        shown.append(f'{error} error {numbers[0]} ({numbers[1]} to {numbers[2]})')
+        pairs += [(f'factor of the {error} error{end}', text) for end, text in zip(ENDS, numbers)]
+        if low > limit:
+            axes = tuple(axis for axis in AXES if sensor_of(axis) == sensor)
+            findings.append(
+                finding(
+                    'worse_in_motion',
+                    axes,
+                    error=error,
+                    ratio=ratio,
+                    low=low,
+                    high=high,
+                    drives=len(motion.drives),
+                    limit=limit,
+                )
+            )
+    causes = ' and '.join(CAUSE_NAMES[cause.name] for cause in motion.causes)
+    pairs.append(('cause', causes or None))
+    text = f'in motion: {", ".join(shown)} times the noise at rest, {len(motion.drives)} drives'
+    return status_of(name, findings, text, pairs, hardware_id=hardware_id)
