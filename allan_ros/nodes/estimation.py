@@ -160,8 +160,8 @@ class ImuEstimate(Part):
         if latest.drives.errors or latest.drives.unused:
             name = status_name(self._node, self._label, 'in motion')
             imu = one_line(latest.hardware_id or latest.frame_id)
-            known, limit = self._results, self._settings.value.motion_limit
-            rest_s, motion = (known.duration_s, known.motion) if known else (0.0, None)
+            results, limit = self._results, self._settings.value.motion_limit
+            rest_s, motion = (results.duration_s, results.motion) if results else (0.0, None)
             statuses.append(motion_status(name, imu, latest.drives, rest_s, motion, limit))
         return statuses
 
