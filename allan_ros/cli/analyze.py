@@ -20,12 +20,14 @@ import argparse
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 from ..api import is_document
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding
+from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
 from ..export import target_of
 from ..readers import ReadOptions
@@ -114,6 +116,9 @@ INPUTS = (
 RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
 """Suffixes of the recordings that `analyze` reads."""
 
+TABLES = ('.csv', '.tsv')
+"""Suffixes of tables, of which an IMU may have one for each sensor."""
+
 METADATA = 'metadata.yaml'
 
 STORAGES = ('.mcap', '.db3')
@@ -182,7 +187,7 @@ def run(args: argparse.Namespace) -> int:
     console = Console.of(args)
     paths = [path for given in args.inputs for path in recordings_in(given)]
     jobs = read_jobs(paths, args, bool(args.output))
-    if len(paths) == 1 or len(paths) > len(args.inputs):
+    if len(paths) == 1 or (len(paths) > len(args.inputs) and not are_two_sensors(jobs)):
         separate = split_by_topic(jobs)
         if len(separate) > 1:
             return run_batch(separate, args)
@@ -196,6 +201,19 @@ def run(args: argparse.Namespace) -> int:
     if not recordings and not stored:
         raise AllanError('; '.join(finding_line(finding) for finding in failed))
     return show_results(add_recordings([*recordings, *stored]).with_findings(failed), args)
+
+
+def are_two_sensors(jobs: Sequence[ReadJob]) -> bool:
+    """Return whether two tables contain the gyro and the accelerometer, as those of a phone do."""
+    if len(jobs) != 2 or not all(Path(job.path).suffix.lower() in TABLES for job in jobs):
+        return False
+    sensors = []
+    for job in jobs:
+        with suppress(AllanError):  # it is reported when the samples are read
+            recording = job.open()
+            sensors.append({sensor_of(axis) for axis in recording.axes})
+            recording.close()
+    return sensors in ([{'gyro'}, {'accel'}], [{'accel'}, {'gyro'}])
 
 
 def _check_references(settings: ResultSettings) -> None:

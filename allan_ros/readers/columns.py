@@ -269,6 +269,36 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
     )
 
 
+_WORDS = re.compile(r'[A-Z]?[a-z]+|[A-Z]+')
+
+_SENSOR_WORDS = {
+    'gyro': ('gyro', 'gyroscope', 'gyroskop'),
+    'accel': ('accel', 'accelerometer', 'acceleration', 'beschleunigung'),
+}
+"""Sensor -> words in the names of files that apps on a phone write, one for each sensor."""
+
+
+def names_by_file(stem: str, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of columns with the sensor that the name of the file states.
+
+    This is for columns that are called x, y and z only.
+
+    Examples
+    --------
+    >>> names_by_file('TotalAcceleration', ('time', 'z', 'y', 'x'))
+    ('time', 'acceleration_z', 'acceleration_y', 'acceleration_x')
+    """
+    if not {'x', 'y', 'z'} <= {name.strip().lower() for name in names}:
+        return names
+    stated = [word.lower() for word in _WORDS.findall(stem)]
+    words = [w for known in _SENSOR_WORDS.values() for w in known if w in stated]
+    if len(words) != 1:
+        return names
+    return tuple(
+        f'{words[0]}_{n.strip()}' if n.strip().lower() in {'x', 'y', 'z'} else n for n in names
+    )
+
+
 def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) -> tuple[str, ...]:
     """Rename columns by pairs such as ``gx=w_x`` (new name, name in the header).
 

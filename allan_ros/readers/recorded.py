@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..core.allan.sums import AllanSums, add_sums
 from ..core.errors import AllanError
 from ..core.findings import SEVERITIES, Finding, finding
-from ..core.imu import MAX_NAME, NANOSECONDS, ImuIdentity, sensor_of
+from ..core.imu import MAX_NAME, NANOSECONDS, SENSORS, ImuIdentity, sensor_of
 from ..core.settings import SegmenterSettings
 from ..core.stream.drive_recorder import NO_DRIVES, Drives
 from ..core.stream.health import Counts, Event, Segment
@@ -359,8 +359,41 @@ def _interrupts_blocked() -> Iterator[None]:
 
 
 def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
-    """Return the sums of all recordings of one IMU, added in the order of their first samples."""
-    return reduce(add, sorted(recordings, key=_start_ns))
+    """Return the sums of all recordings of one IMU, added in the order of their first samples.
+
+    A recording of the gyro and one of the accelerometer, as apps on a phone write them, are the two
+    sensors of one IMU if they were made at the same time.
+    """
+    return reduce(add, _with_both_sensors(sorted(recordings, key=_start_ns)))
+
+
+def _with_both_sensors(recordings: Sequence[RecordingSums]) -> Sequence[RecordingSums]:
+    """Unite the recordings of single sensors in pairs, unless they do not belong together."""
+    sensors = [{sensor_of(axis) for s in r.sums for axis in s.axes} for r in recordings]
+    gyros, accels = (
+        [r for r, present in zip(recordings, sensors) if present == {sensor}] for sensor in SENSORS
+    )
+    pairs = list(zip(gyros, accels))
+    if len(gyros) != len(accels) or len(gyros) + len(accels) < len(recordings):
+        return recordings
+    if not all(_overlap(gyro, accel) for gyro, accel in pairs):
+        return recordings
+    return [_joined(gyro, accel) for gyro, accel in pairs]
+
+
+def _overlap(one: RecordingSums, other: RecordingSums) -> bool:
+    """Return whether two recordings have most of their time in common."""
+    spans = []
+    for each in (one, other):
+        times = [(s.start_ns * 1e-9, s.duration_s) for s in each.provenance.segments]
+        begin = min((start for start, _ in times), default=0.0)
+        spans.append((begin, max((start + length for start, length in times), default=begin)))
+    (a, b), (c, d) = spans
+    return min(b, d) - max(a, c) > MOSTLY * max(b - a, d - c)
+
+
+MOSTLY = 0.5
+"""Share of the longer one of two recordings that both have in common if they were made together."""
 
 
 def _start_ns(recorded: RecordingSums) -> tuple[int, int]:

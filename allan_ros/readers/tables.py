@@ -38,6 +38,7 @@ from .columns import (
     Columns,
     columns_of,
     listed,
+    names_by_file,
     picked_names,
 )
 from .files import open_regular
@@ -230,7 +231,7 @@ def _names(
             f'{path}: has {len(first)} columns of numbers and no header: '
             f'name them, such as --columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
         )
-    return (picked_names(path, names, given) if picked else names), line
+    return (picked_names(path, names, given) if picked else names_by_file(path.stem, names)), line
 
 
 def _number(cell: str) -> float:

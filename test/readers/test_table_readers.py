@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from support.recordings import read, refused
 
-from allan_ros.core.imu import STANDARD_GRAVITY, ImuBatch
+import allan_ros as ar
+from allan_ros.cli.main import main
+from allan_ros.core.errors import AllanError
+from allan_ros.core.imu import AXES, STANDARD_GRAVITY, ImuBatch
 from allan_ros.readers import tables, writing
 from allan_ros.view.finding_text import finding_line
 
@@ -202,6 +206,40 @@ def test_naming_the_time_keeps_the_other_columns(tmp_path: Path) -> None:
     path = table(tmp_path, f'clock,gx,gy,gz,ax,ay,az\n0.5,{ROW}\n')
     back = read(path, columns=('t=clock',))
     np.testing.assert_array_equal(back.samples, [VALUES])
+
+
+def phone(folder: Path, gyro: str, accel: str, later_s: float = 0.0) -> tuple[Path, Path]:
+    """Write the gyro and the accelerometer of 60 s as two tables with the columns of an app."""
+    rng, t = np.random.default_rng(5), np.arange(6000) / 100.0
+    for name, sigma, shift in ((gyro, 1e-3, 0.0), (accel, 1e-2, 0.003 + later_s)):
+        values = rng.normal(0.0, sigma, (len(t), 3)) + ([0, 0, 9.8] if name == accel else 0.0)
+        rows = np.column_stack([t + shift, values[:, ::-1]])
+        header = 'seconds_elapsed,z,y,x'
+        np.savetxt(folder / f'{name}.csv', rows, '%.9g', ',', header=header, comments='')
+    return folder / f'{gyro}.csv', folder / f'{accel}.csv'
+
+
+@pytest.mark.parametrize('accel', ['Accelerometer', 'TotalAcceleration'])
+def test_two_tables_of_a_phone_are_one_imu(
+    tmp_path: Path, accel: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their columns are only called x, y and z: the name of the file states the sensor."""
+    files = phone(tmp_path, 'Gyroscope', accel)
+    results = ar.analyze([*files])
+    assert tuple(results.axes) == AXES
+    assert results['gyro_x'].N.value == pytest.approx(1e-4, rel=0.05)
+    assert results['accel_z'].N.value == pytest.approx(1e-3, rel=0.05)
+    assert main(['analyze', str(tmp_path), '--json']) == 0
+    folder = json.loads(capsys.readouterr().out)
+    assert main(['analyze', *map(str, reversed(files)), '--json']) == 0
+    assert json.loads(capsys.readouterr().out)['axes'] == folder['axes']
+    assert set(folder['axes']) == set(AXES)
+
+
+def test_tables_of_two_sensors_at_different_times_are_not_one_imu(tmp_path: Path) -> None:
+    files = phone(tmp_path, 'Gyroscope', 'Accelerometer', later_s=3600.0)
+    with pytest.raises(AllanError, match='the sensors differ'):
+        ar.analyze([*files])
 
 
 def test_columns_that_are_not_recognized_are_listed(tmp_path: Path) -> None:
