@@ -241,7 +241,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
                 assumed.setdefault(kind, name)
             stated = stated or SAMPLE_SI[kind]
             units.setdefault(kind, stated)
-            axes[axis] = column, UNITS[stated].factor
+            axes[axis] = column, UNITS[stated].factor / getattr(options, f'{kind}_counts')
         elif kind == 'temperature':
             if temperature is None and not unknown:
                 temperature = column, unit

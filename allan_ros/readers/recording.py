@@ -11,6 +11,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding
 from ..core.imu import (
@@ -74,6 +76,19 @@ class ReadOptions(CheckedSettings):
         'unit of the acceleration; empty: as stated in the recording, else m/s^2',
         choices=('', *SAMPLE_UNITS['accel']),
     )
+    gyro_counts: float = parameter(
+        1.0,
+        'raw counts of the gyro per unit, its sensitivity in the datasheet, such as 131 with '
+        '--gyro-unit deg/s',
+        low=1e-12,
+        high=1e12,
+    )
+    accel_counts: float = parameter(
+        1.0,
+        'raw counts of the accelerometer per unit, such as 16384 with --accel-unit g',
+        low=1e-12,
+        high=1e12,
+    )
     stamp_unit: str = parameter(
         '',
         'unit of the stamp column of a table or array; empty: as stated in its name, else '
@@ -84,7 +99,8 @@ class ReadOptions(CheckedSettings):
     def in_si(self, batch: ImuBatch) -> ImuBatch:
         """Convert samples from the units of the options to SI."""
         known = self.with_units()
-        factors = sample_factors(known.gyro_unit, known.accel_unit)
+        counts = np.repeat([self.gyro_counts, self.accel_counts], 3)
+        factors = sample_factors(known.gyro_unit, known.accel_unit) / counts
         if (factors == 1.0).all():
             return batch
         return replace(batch, samples=batch.samples * factors)

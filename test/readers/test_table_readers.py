@@ -236,6 +236,20 @@ def test_two_tables_of_a_phone_are_one_imu(
     assert set(folder['axes']) == set(AXES)
 
 
+def test_raw_counts_are_divided_by_the_sensitivity(tmp_path: Path) -> None:
+    counts = np.arange(12.0).reshape(2, 6)
+    batch = ImuBatch(np.array([10**18, 10**18 + 10**7]), counts)
+    sensitivity = {'gyro_counts': 131.0, 'accel_counts': 16384.0}
+    units = {'gyro_unit': 'deg/s', 'accel_unit': 'g'}
+    expected = np.column_stack(
+        [np.deg2rad(counts[:, :3] / 131.0), counts[:, 3:] / 16384.0 * STANDARD_GRAVITY]
+    )
+    for name in ('counts.csv', 'counts.npz', 'counts.mcap'):
+        writing.write_recording(tmp_path / name, [batch])
+        found = read(tmp_path / name, **sensitivity, **units)
+        np.testing.assert_allclose(found.samples, expected, rtol=1e-12)
+
+
 def test_tables_of_two_sensors_at_different_times_are_not_one_imu(tmp_path: Path) -> None:
     files = phone(tmp_path, 'Gyroscope', 'Accelerometer', later_s=3600.0)
     with pytest.raises(AllanError, match='the sensors differ'):
