@@ -56,6 +56,7 @@ from .results.datasheets import load_sensor
 from .results.documents import RESULTS, SUMS, labels_of, load_sums
 from .results.documents import load as load_results
 from .results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
+from .results.from_truth import is_truth, results_of_truth
 from .results.references import compared
 from .results.results import Results as PlainResults
 from .view.coefficient_table import coefficient_list
@@ -414,11 +415,14 @@ def results_of(
 
     If ``path`` is already a `Results` object, it is returned unchanged. ``method`` is the method of
     the fit of sums and recordings. A recording is processed with the settings ``segmenter``, and
-    ``observer`` receives the progress of reading. Raises AllanError when the path cannot be read.
+    ``observer`` receives the progress of reading. The truth file of a simulated recording gives
+    results that are known exactly. Raises AllanError when the path cannot be read.
     """
     expect((PlainResults, *PATH), 'results or a path', source=path)
     if isinstance(path, PlainResults):
         return path
+    if is_truth(path):
+        return results_of_truth(path)
     if is_document(path):
         return load_results(path, method)
     (recorded,) = read_in_turn([ReadJob(str(path), segmenter=segmenter)], observer)
@@ -569,7 +573,8 @@ def compare(
     ----------
     *sources : Results or path
         Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
-        analysis, or a recording. In the output, their names are the paths, or A, B, C ...
+        analysis, a recording, or the truth file of a simulated recording. In the output, their
+        names are the paths, or A, B, C ...
     sensor : str or sequence of str
         Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
         .yaml files.
@@ -608,6 +613,7 @@ def compare(
     expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
     sensors = [sensor] if isinstance(sensor, PATH) else sensor
     sheets = [load_sensor(str(name)) for name in sensors]
+    sources = tuple(sorted(sources, key=lambda s: not (isinstance(s, PATH) and is_truth(s))))
     paths = [
         chr(ord('A') + i) if isinstance(s, PlainResults) else str(s) for i, s in enumerate(sources)
     ]

@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """List significant differences between recordings, or from a datasheet.
 
-An input is a results.json, a sums.json, the folder of an analysis, a recording, or sensor:NAME for
-a datasheet. Recordings are compared with the first one, and with each datasheet. --method applies
-to recordings and sums; a results.json is not fitted again.
+An input is a results.json, a sums.json, the folder of an analysis, a recording, the truth file of
+a simulation, or sensor:NAME for a datasheet. Recordings are compared with the truth or else with
+the first one, and with each datasheet. --method applies to recordings and sums; a results.json is
+not fitted again.
 
   allan compare monday tuesday
   allan compare results sensor:adis16475-3 --fail-on-difference
   allan compare reference today --within 5% --fail-on-difference
+  allan compare results simulated.mcap.truth.json --fail-on-difference
   allan compare left.mcap right.mcap top.mcap --common
 """
 

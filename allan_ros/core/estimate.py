@@ -191,7 +191,7 @@ def value_text(estimate: Estimate, unit: ShownUnit) -> str:
 
 
 def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
-    """Return the 95 % interval of a resolved estimate as ``low..high``, else ''.
+    """Return the 95 % interval of a resolved estimate as ``low..high``; '' if it has no width.
 
     >>> interval_text(Estimate(-2.0, (-2.5, -1.5)), ShownUnit('', 1.0))
     '-2.50..-1.50'
@@ -199,6 +199,8 @@ def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
     if estimate.status != 'estimated' or estimate.ci95 is None:
         return ''
     low, high = estimate.ci95
+    if low == high:  # it is known exactly
+        return ''
     narrow = high - low < 0.02 * max(abs(low), abs(high))
     digits = VALUE_DIGITS if narrow else LIMIT_DIGITS
     return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))

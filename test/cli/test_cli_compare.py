@@ -36,6 +36,28 @@ def test_a_recording_and_its_results_compare_equally(
     assert f'{recording.stem} ratio' in said
 
 
+@pytest.mark.parametrize('noisy', [False, True])
+def test_results_of_a_simulation_are_scored(tmp_path: Path, capsys, noisy: bool) -> None:
+    """False alarms: 5 %, the probability of a difference in `compare`; the seed is fixed."""
+    recording = tmp_path / 'made.csv'
+    made = ['simulate', str(recording), '--gyro', 'N=0.3', '--accel', 'N=0.05', '--seed', '1']
+    assert main([*made, '--hours', '0.05', '--rate', '50']) == 0
+    truth = tmp_path / 'made.csv.truth.json'
+    if noisy:
+        document = json.loads(truth.read_text())
+        document['noise']['gyro_z']['N']['value'] /= 2.0
+        truth.write_text(json.dumps(document))
+    capsys.readouterr()
+    words = ['compare', str(recording), str(truth), '--json', '--fail-on-difference']
+    assert main(words) == (3 if noisy else 0)
+    (pair,) = json.loads(capsys.readouterr().out)['pairs']
+    found = {(d['axis'], d['quantity']): d for d in pair['differences']}
+    n = found['gyro_z', 'N']
+    assert n['verdict'] == ('higher' if noisy else 'alike')
+    assert n['ratio'] == pytest.approx(2.0 if noisy else 1.0, rel=0.1)
+    assert found['gyro_z', 'B']['ratio'] is None, 'a term that was not simulated'
+
+
 def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path, capsys) -> None:
     document = json.loads((analyzed / 'results.json').read_text())
     noise = document['axes']['gyro_z']['noise']

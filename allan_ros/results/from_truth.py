@@ -1,0 +1,57 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The true noise of a simulated recording as `Results`, to score measured results."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ..core.estimate import Estimate
+from ..core.fields import Fields
+from ..core.fit.result import TERMS, AxisFit
+from ..core.imu import ImuIdentity
+from ..core.noise import Model
+from ..readers import SourceInfo
+from ..readers.files import read_yaml
+from ..readers.recorded import Provenance
+from .axis_result import AxisResult
+from .results import Results
+from .simulation import TRUTH_SCHEMA, TRUTH_SUFFIX, read_noise
+
+TRUTH = 'truth'
+"""Method of results that are the truth."""
+
+
+def is_truth(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a truth file, by its name and its schema."""
+    place = Path(path)
+    if not (place.name == 'truth.json' or place.name.endswith(TRUTH_SUFFIX)):
+        return False
+    document = read_yaml(place)
+    return isinstance(document, dict) and document.get('schema') == TRUTH_SCHEMA
+
+
+def results_of_truth(path: str | os.PathLike[str]) -> Results:
+    """Return the noise in the truth file of a simulated recording; it is known exactly.
+
+    A term that was not simulated is 0 and has no interval, so that it is not compared. Raises
+    AllanError when the file is invalid.
+    """
+    fields = Fields(read_yaml(Path(path)), str(path))
+    tau0, seconds = 1.0 / fields.number('rate_hz'), fields.number('seconds')
+    axes = {
+        axis: AxisResult(tau0, AxisFit(_estimates(model), model), name=axis)
+        for axis, model in read_noise(path).items()
+    }
+    samples = round(seconds / tau0)
+    provenance = Provenance((SourceInfo(str(path), '', '', ''),))
+    return Results(ImuIdentity(TRUTH), TRUTH, tau0, samples, seconds, 1, axes, provenance, ())
+
+
+def _estimates(model: Model) -> dict[str, Estimate]:
+    values = {term: model.value(term) for term in TERMS}
+    return {
+        term: Estimate(value, (value, value)) if value else Estimate(None, status='not_observable')
+        for term, value in values.items()
+    }
