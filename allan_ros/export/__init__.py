@@ -53,8 +53,9 @@ TARGETS = {
     'kf_gins': 'KF-GINS imunoise: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias, of each axis',
     'pyins': 'pyins EstimationModel in Python: continuous densities N and K of each axis',
     'imu_filter_madgwick': 'imu_filter_madgwick ROS 2 parameters: gain and zeta at a horizon',
+    'covariance': 'driver parameters: covariance matrices of sensor_msgs/Imu, 9 elements each',
     'temperature': 'YAML: bias of each axis over temperature (b0, b1, b2) in SI and K',
-    'state_space': 'JSON allan_ros/state_space/2: all processes, and Phi, Qd, R of each axis',
+    'state_space': 'JSON allan_ros/state_space/3: all processes, and Phi, Qd, R of each axis',
     'gazebo': 'Gazebo SDF <imu>: std per sample and a Gauss-Markov bias, of each axis',
 }
 """Target -> description of its file."""
@@ -68,7 +69,8 @@ def target_of(name: str) -> Target:
     if name in WITHOUT_PARAMETERS:
         raise AllanError(
             f'{name} has no parameters for the noise of an IMU: it reads the covariances of the '
-            'messages, which the node allan_imu_relay fills in'
+            'messages, which the node allan_imu_relay fills in; for the parameters of a driver, '
+            'use the target covariance'
         )
     if name not in TARGETS:
         near = difflib.get_close_matches(name.lower().replace('-', '_'), TARGETS, 1)

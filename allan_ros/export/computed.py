@@ -21,7 +21,7 @@ from ..core.filters.state_space import StateSpace
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import Model
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
-from .model import FilterNoise, Notation, clamped, rounded
+from .model import NOTATIONS, FilterNoise, Notation, clamped, rounded
 from .target import ANY_NODE, INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
 from .text import json_form, xml_form, yaml_form
 
@@ -151,6 +151,15 @@ def _madgwick(noise: FilterNoise) -> Iterator[Row]:
     yield clamped(zeta, -1.0, 1.0)
 
 
+def _covariance(noise: FilterNoise) -> Iterator[Row]:
+    """Yield the covariance matrices of the samples, row by row, as in sensor_msgs/Imu."""
+    for name, sensor in (('angular_velocity', 'gyro'), ('linear_acceleration', 'accel')):
+        path = (*ANY_NODE, f'{name}_covariance')
+        row = noise.level_row(path, sensor, 'N', NOTATIONS['variance'])
+        x, y, z = row.value
+        yield replace(row, value=[x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z])
+
+
 def _temperature(noise: FilterNoise) -> Iterator[Row]:
     """Yield T0, and b0, b1 and b2 of the sensors whose three axes have a model of the bias.
 
@@ -230,6 +239,20 @@ COMPUTED = {
             'estimates no bias',
         ),
         horizon_s=10.0,
+        walk=False,
+    ),
+    'covariance': Target(
+        'imu_covariance.yaml',
+        'covariance matrices of sensor_msgs/Imu, row by row: N^2 f of x, y, z on the diagonal',
+        yaml_form,
+        rows=_covariance,
+        notes=(
+            'for a driver with such parameters; robot_localization and fuse read the matrices from '
+            'each Imu message',
+            'the matrices contain white noise alone; for a filter without a state for the bias, '
+            'the node allan_imu_relay also covers bias and drift (relay.horizon)',
+        ),
+        three=True,
         walk=False,
     ),
     'temperature': Target(

@@ -75,6 +75,7 @@ READERS: dict[str, tuple[Callable[[str], Any], tuple[str, ...]]] = {
     'kf_gins': (read_yaml, ('imunoise',)),
     'pyins': (run_python, ()),
     'imu_filter_madgwick': (read_yaml, NODE),
+    'covariance': (read_yaml, NODE),
     'temperature': (read_yaml, ()),
     'state_space': (json.loads, ('axes', 'accel_z')),
     'gazebo': (read_gazebo, ()),
@@ -112,6 +113,8 @@ fast_lio acc_cov 8e-4 gyr_cov 2e-4 b_acc_cov 1.8e-7 b_gyr_cov 2e-8
 fast_livo2 gyr_cov 2e-4 acc_cov 8e-4
 point_lio imu_meas_omg_cov 2e-4 imu_meas_acc_cov 8e-4
 point_lio gyr_cov_input 2e-4 acc_cov_input 8e-4 b_gyr_cov 2e-8 b_acc_cov 1.8e-7
+covariance angular_velocity_covariance 7.2e-5,0,0,0,1.28e-4,0,0,0,2e-4
+covariance linear_acceleration_covariance 2.88e-4,0,0,0,5.12e-4,0,0,0,8e-4
 # times sqrt(100), the step of EKF2; times sqrt(1 / 0.012) = 9.12871, the step of EK3
 px4 EKF2_GYR_NOISE 0.01 EKF2_ACC_NOISE 0.02 EKF2_GYR_B_NOISE 1e-4 EKF2_ACC_B_NOISE 3e-4
 ardupilot EK3_GYRO_P_NSE 9.12871e-3 EK3_ACC_P_NSE 0.0182574
