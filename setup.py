@@ -37,7 +37,7 @@ def ros_wheels(distro):
 
 setup(
     name=PACKAGE,
-    version='1.0.0',
+    version='1.1.0',
     description='Allan variance of IMUs on ROS 2: noise coefficients with 95 % intervals',
     author='the allan_ros authors',
     maintainer='the allan_ros authors',

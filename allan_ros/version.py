@@ -2,4 +2,4 @@
 # SPDX-License-Identifier: Apache-2.0
 """Version of the package. It has its own module, so that no other module imports the package."""
 
-__version__ = '1.0.0'
+__version__ = '1.1.0'

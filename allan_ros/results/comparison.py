@@ -292,9 +292,9 @@ class Inflation:
 
 
 def inflation_document(inflation: Inflation) -> dict[str, Any]:
-    """Return the result as a JSON object of the schema ``allan_ros/inflation/1``, in SI."""
+    """Return the result as a JSON object of the schema ``allan_ros/inflation/2``, in SI."""
     return {
-        'schema': 'allan_ros/inflation/1',
+        'schema': 'allan_ros/inflation/2',
         'horizon_s': [shortest_horizon(inflation.horizon), inflation.horizon],
         'factor': inflation.factor,
         'inflate': inflation.option,
