@@ -30,6 +30,7 @@ from ..core.errors import AllanError
 from ..core.fields import MAX_INTEGER
 from ..core.findings import finding
 from ..core.imu import AXES, MAX_NAME, SENSORS, ImuBatch, even_stamps
+from ..core.stream.signal import MAX_BINS, TemperatureTrace, trace_of
 from .columns import EXAMPLE, FIRST_ROWS, Columns, columns_of
 from .files import open_regular
 from .recording import (
@@ -43,6 +44,7 @@ from .recording import (
     in_batches,
     translated,
 )
+from .unit_names import to_celsius
 
 NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE}
 """Number of columns of an array -> their names."""
@@ -229,7 +231,27 @@ def recording_in_memory(
     elif index.dtype.kind in 'Mm' and not found.stamp:
         stamps = _nanoseconds('the samples', index, 1)
     batch, found = _batch('the samples', names, columns, found, options, stamps)
-    return _recording(batch, options.with_units(found.units), found.given)
+    recording = _recording(batch, options.with_units(found.units), found.given)
+    trace = _temperature(names, columns, found, batch)
+    return replace(recording, temperature=lambda frame_id: trace)
+
+
+def _temperature(
+    names: Sequence[str], columns: Any, found: Columns, batch: ImuBatch
+) -> TemperatureTrace | None:
+    """Return the column of the temperature over time; None if there is none."""
+    if found.temperature is None:
+        return None
+    at, unit = found.temperature
+    values = _numbers(columns[at])[:, 0]
+    if len(values) != len(batch):
+        raise AllanError(
+            f'the column {names[at]!r} has {len(values)} values, but there are {len(batch)} '
+            'samples: give one for each'
+        )
+    some = slice(None, None, len(values) // MAX_BINS + 1)
+    stamps, values = batch.stamps_ns[some].tolist(), values[some].tolist()
+    return trace_of(names[at], ((t, t, to_celsius(v, unit)) for t, v in zip(stamps, values)))
 
 
 def _recording(

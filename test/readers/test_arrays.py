@@ -169,3 +169,25 @@ def test_named_columns_are_understood_as_in_a_table(times: dict[str, np.ndarray]
     np.testing.assert_allclose(batch.stamps_ns, STAMPS, atol=200)  # of a float in us
     np.testing.assert_array_equal(batch.samples[:, :3], IMU[:, 1:4] * (np.pi / 180))
     assert found.options.gyro_unit == 'deg/s'
+
+
+@pytest.mark.parametrize(('name', 'shift'), [('temp', 0.0), ('temperature [K]', 273.15)])
+@pytest.mark.parametrize('kind', ['mapping', 'DataFrame'])
+def test_a_temperature_column_is_used(name: str, shift: float, kind: str) -> None:
+    n = 40_000
+    celsius = np.linspace(20.0, 30.0, n)
+    columns: Any = {'t': np.arange(n) / 100.0, 'gz': np.zeros(n), name: celsius + shift}
+    if kind == 'DataFrame':
+        columns = pytest.importorskip('pandas').DataFrame(columns)
+    found = arrays.recording_in_memory(columns, ReadOptions())
+    trace = found.temperature('')
+    assert trace is not None and trace.source == name
+    expected = 20.0 + 10.0 * trace.header_ns * 1e-9 / (n / 100.0)
+    np.testing.assert_allclose(trace.celsius, expected, atol=1e-3)
+    assert 1000 < len(trace.celsius) <= 2048
+
+
+def test_a_temperature_column_has_one_value_for_each_sample() -> None:
+    columns = {'t': np.arange(100) / 100.0, 'gz': np.zeros(100), 'temp': np.zeros(7)}
+    with pytest.raises(AllanError, match="the column 'temp' has 7 values"):
+        arrays.recording_in_memory(columns, ReadOptions())
