@@ -149,11 +149,14 @@ class Model:
 
     @property
     def drift(self) -> Model:
-        """The model without processes whose integral is bounded, such as vibration.
+        """The model of what contributes to the growth of an integrated error.
 
-        They do not contribute to the growth of an integrated error.
+        Processes whose integral is bounded, such as quantization and sinusoids, are left out. Of a
+        resonance, the density at 0 Hz is added to the white noise.
         """
-        return self.where(lambda process: process.is_drift)
+        drift = self.where(lambda process: process.is_drift)
+        added = sum(part.value**2 * part.process.density_at_zero for part in self.parts)
+        return drift.changed(N=math.sqrt(self.value('N') ** 2 + added)) if added else drift
 
     @property
     def has_drift(self) -> bool:

@@ -161,6 +161,14 @@ class Process:
         return True
 
     @property
+    def density_at_zero(self) -> float:
+        """Two-sided density at 0 Hz of vibration with the coefficient 1, in s; 0 for a line.
+
+        The integral of vibration grows like that of white noise of this density.
+        """
+        return 0.0
+
+    @property
     def slowest_time(self) -> float:
         """Time within which the process changes, for a comparison with slow disturbances."""
         return math.inf

@@ -13,6 +13,7 @@ from allan_ros.core.errors import AllanError
 from allan_ros.core.noise import FLICKER_FLOOR, RANDOM_TERMS, GaussMarkov, Model, Part
 from allan_ros.core.noise.derived import avar
 from allan_ros.core.noise.processes.low_pass import LowPass
+from allan_ros.core.noise.processes.resonance import Resonance
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
 
 
@@ -78,3 +79,13 @@ def test_a_model_at_the_ends_of_its_intervals():
 def test_impossible_coefficients_are_refused(bad):
     with pytest.raises(AllanError):
         Model.of(**bad)
+
+
+@given(st.floats(2.0, 50.0), st.floats(1.0, 20.0))
+def test_a_resonance_grows_like_white_noise_of_its_density_at_0_hz(f, periods):
+    """Its mean over a long time has the same variance, and the integral grows with it."""
+    model = Model.of((1.0, Resonance(f, periods / f)), N=0.05)
+    tau = 2000.0 * periods / f
+    white = float(model.avar([tau])[0]) * tau
+    assert model.drift.value('N') ** 2 == pytest.approx(white, rel=2e-3)
+    assert [part.process.name for part in model.drift.parts] == ['white']

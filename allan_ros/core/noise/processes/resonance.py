@@ -54,6 +54,12 @@ class Resonance(Process):
         return False
 
     @property
+    def density_at_zero(self) -> float:
+        """The integral of exp(-|t|/T) cos(2 pi f t) over all t."""
+        turned = 2.0 * math.pi * self.frequency * self.correlation_time
+        return 2.0 * self.correlation_time / (1.0 + turned**2)
+
+    @property
     def slowest_time(self) -> float:
         return 0.0  # it is always fast
 
