@@ -71,7 +71,7 @@ def test_a_folder_of_damaged_logs_has_a_line_for_each(
     [
         ('export {truth} --to kalibr', "schema is 'allan_ros/truth/"),
         ('analyze {folder}/results.json', "schema is 'allan_ros/results/"),
-        ('compare {npz} {truth}', "schema is 'allan_ros/truth/"),
+        ('check {truth}', "schema is 'allan_ros/truth/"),
         ('simulate x.npz --spec {folder}/results.json', "schema is 'allan_ros/results/"),
         ('check {folder}/imu.yaml', 'not a known type of recording'),
         ('check x.csv --rate -1', 'rate is -1.0: it must lie between 1e-06 and 1e+06 Hz'),
