@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -17,7 +17,6 @@ from ..core.errors import one_line
 from ..core.findings import LIVE, Finding, finding
 from ..core.imu import AXES, SENSORS, ImuBatch
 from ..core.settings import SegmenterSettings
-from ..core.stream.cleaning import PassSplitter
 from ..core.stream.health import StreamHealth
 from ..core.stream.pipeline import ImuStream
 from ..core.stream.present_faults import noise_now
@@ -35,9 +34,6 @@ from .sums_output import SumsOutput
 
 UPDATE_S = 0.5
 """Period in s at which fetched messages are decoded and accumulated."""
-
-NEW_PASS_SHARE = 0.1
-"""If stamps jump back to a point within this share of the pass, the recording is played again."""
 
 
 class ImuWatch(Part):
@@ -69,7 +65,6 @@ class ImuWatch(Part):
         self._log = node.get_logger()
         self._input = ImuInput(node, imu.topic, self._settings.value)
         self._checkpoint = Checkpoint(imu.checkpoint, self._log, finding_line)
-        self._noted: tuple[Finding, ...] = ()
         now = time.monotonic()
         self._monitor = TransportMonitor(self._input.topic, now)
         self._last_stamp_ns: int | None = None
@@ -79,8 +74,7 @@ class ImuWatch(Part):
         self._received = 0  # number of messages at the last status
         self._clock_ns = -1  # time of the node at the last status
         self._events: tuple[object, ...]
-        self._passes = 0
-        self._begin(self._checkpoint.last_stamp_ns)
+        self._begin(self._checkpoint.covered)
 
         node.create_service(Trigger, f'{home}reset', self._on_reset)
         node.create_service(Trigger, f'{home}save', self._on_save)
@@ -164,9 +158,8 @@ class ImuWatch(Part):
             health,
             statistics,
             (*found, *self._checkpoint.findings),
-            (*(f for f in stream_findings if f.id not in live), *self._noted),
+            tuple(f for f in stream_findings if f.id not in live),
             static_s=max((s.elapsed_ns * 1e-9 for s in self._sums), default=0.0),
-            passes=self._passes,
             streams=max(1, len(self._result.sums)),
             others=others,
         )
@@ -186,8 +179,6 @@ class ImuWatch(Part):
         """Accumulate the remaining messages, and write the checkpoint."""
         self._input.drain()
         self._update()
-        for _, piece in self._splitter.flush():
-            self._accumulate(piece)
         self._input.close()
         self._checkpoint.save(self._total())
         self._checkpoint.close()
@@ -212,18 +203,22 @@ class ImuWatch(Part):
 
     # --- samples in -------------------------------------------------------------------------------
 
-    def _begin(self, latest_ns: int | None = None) -> None:
-        """Start new sums.
+    def _begin(self, covered: Sequence[tuple[int, int]] = ()) -> None:
+        """Start new sums; ``covered`` is the time whose samples are in the checkpoint.
 
-        ``latest_ns`` is the latest stamp in the checkpoint. With simulated time, samples with
-        earlier stamps mean that the recording is played again.
+        With simulated time, a recording may be played again, which contains no new data: each time
+        is counted once. With real time, stamps that go back mean that the clock was set, which
+        only splits the data.
         """
-        segmenter, hardware_id = self._segmenter.value, self._imu.hardware_id
-        self._stream = ImuStream(segmenter, hardware_id, self._sensor, with_drives=True)
-        self._splitter = PassSplitter(latest_ns)
-        self._first_ns: int | None = None  # first and latest stamp of this pass
+        is_simulated = bool(self._node.get_parameter('use_sim_time').value)
+        self._stream = ImuStream(
+            self._segmenter.value,
+            self._imu.hardware_id,
+            self._sensor,
+            with_drives=True,
+            covered=covered if is_simulated else None,
+        )
         self._latest_ns: int | None = None
-        self._passes += 1
         self._result = self._stream.result()
         self._sums: tuple[AllanSums, ...] = ()  # including earlier runs of the node
         self._outdated = True  # whether samples were added since `_result` was computed
@@ -231,28 +226,8 @@ class ImuWatch(Part):
 
     def _update(self) -> None:
         """Accumulate the fetched messages."""
-        # With simulated time a recording may be looped; its second pass contains no new data. With
-        # real time, stamps that go back mean that the clock was set, which only splits the data.
-        played = bool(self._node.get_parameter('use_sim_time').value)
         for batch in self._input.batches():
-            if not played:
-                self._accumulate(batch)
-                continue
-            for back, piece in self._splitter.split(batch):
-                if back and self._is_start(int(piece.stamps_ns[0])):
-                    self._begin_pass()
-                self._accumulate(piece)
-
-    def _is_start(self, stamp_ns: int) -> bool:
-        """Return whether a stamp that jumped back lies at the start of the pass, or before it.
-
-        If not, the simulation or the playback was only set back a little: the sums are kept, and
-        the stream reports that the clock was set back.
-        """
-        if self._first_ns is None or self._latest_ns is None:
-            return True
-        passed = self._latest_ns - self._first_ns
-        return stamp_ns - self._first_ns <= NEW_PASS_SHARE * passed
+            self._accumulate(batch)
 
     def _accumulate(self, batch: ImuBatch) -> None:
         self._stream.update(batch)
@@ -263,20 +238,7 @@ class ImuWatch(Part):
             self._axes = tuple(axis for axis in self._usable_axes if axis in known)
         self.frame_id = batch.frame_id
         self._last_stamp_ns = int(batch.stamps_ns[-1])
-        if self._first_ns is None:
-            self._first_ns = int(batch.stamps_ns[0])
         self._latest_ns = max(self._latest_ns or 0, int(batch.stamps_ns.max()))
-
-    def _begin_pass(self) -> None:
-        """Save the sums of a recording that is played again, and start new ones."""
-        where = self._checkpoint.start_over(self._total())
-        splitter = self._splitter
-        self._begin()
-        self._splitter = splitter  # it is in the middle of a batch
-        self._publish(self._total())
-        note = finding('run_began_anew', kept=f'in {where}' if where else 'dropped')
-        self._noted = (note,)
-        self._log.info(finding_line(note))
 
     # --- sums out ---------------------------------------------------------------------------------
 

@@ -145,15 +145,14 @@ def input_status(
     noted: Sequence[Finding] = (),
     *,
     static_s: float = 0.0,
-    passes: int = 1,
     streams: int = 1,
     others: Iterable[tuple[str, object]] = (),
 ) -> DiagnosticStatus:
     """Return the status of one input.
 
-    ``static_s`` is the time at rest in the sums, in s. ``passes`` is the number of times that the
-    sums were started. ``streams`` is the number of different sample rates of the sensors. ``noted``
-    are findings that do not change the level, ``others`` more values.
+    ``static_s`` is the time at rest in the sums, in s. ``streams`` is the number of different
+    sample rates of the sensors. ``noted`` are findings that do not change the level, ``others``
+    more values.
     """
     c, r = health.counts, statistics
     excluded = {
@@ -165,7 +164,7 @@ def input_status(
         'duplicate': c.duplicate,
         'stamped backward': c.backward,
         'without a time': c.untimed,
-        'skipped at the start': c.skipped,
+        'skipped': c.skipped,
         'of another frame_id': c.other_frame,
     }
     # with several rates, most counts are sums of the sensors
@@ -189,14 +188,12 @@ def input_status(
         ('stamps used', health.stamps),
         *others,
     ]
-    text = _state_text(health, static_s, passes)
+    text = _state_text(health, static_s)
     return status_of(name, findings, text, pairs, noted=noted, hardware_id=hardware_id)
 
 
-def _state_text(health: StreamHealth, static_s: float, passes: int) -> str:
+def _state_text(health: StreamHealth, static_s: float) -> str:
     static = f'{duration_text(static_s, 3)} of static data'
-    if passes > 1:
-        static += f' since reset or playback began again (pass {passes})'
     rate = f'{health.rate_hz:.4g} Hz' if health.rate_hz else 'unknown rate'
     measured = f'{static} so far' if static_s else 'not at rest yet, so nothing is measured'
     return {

@@ -44,7 +44,7 @@ class Provenance:
 
     Segments are in the order of time. Findings come from the reader and the stream. Settings are
     plain values. ``last_stamp_ns`` is the latest stamp in the sums of a node. With simulated
-    time, earlier samples show that the recording is played again.
+    time, earlier samples are not counted again.
     """
 
     sources: tuple[SourceInfo, ...] = ()

@@ -84,12 +84,15 @@ class Checkpoint:
             self._open()
 
     @property
-    def last_stamp_ns(self) -> int | None:
-        """Latest stamp in ns of the samples whose sums are in the file; None if unknown."""
-        provenance = self.earlier[1]
+    def covered(self) -> tuple[tuple[int, int], ...]:
+        """First and latest stamp in ns of the samples in the file; empty if there are none."""
+        sums, provenance = self.earlier
+        begins = [p.begin_ns for each in sums for r in each.recordings for p in r.periods]
         ends = [s.start_ns + round(s.duration_s * 1e9) for s in provenance.segments]
-        known = provenance.last_stamp_ns
-        return max(ends if known is None else [known, *ends], default=None)
+        last = max(ends, default=provenance.last_stamp_ns)
+        if not begins or last is None:
+            return ()
+        return ((min(begins), max(last, provenance.last_stamp_ns or last)),)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

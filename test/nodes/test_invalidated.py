@@ -59,8 +59,8 @@ def test_growing_sums_are_not_replaced(still_imu) -> None:
 
 
 def test_replaced_sums_withdraw_the_model_at_once_and_are_fitted(graph, still_imu) -> None:
-    """The sums of a robot that was driven at boot are discarded when it comes to rest. The second
-    pass of a looped recording has the same stamps but other noise.
+    """The sums of a robot that was driven at boot are discarded when it comes to rest. Sums of
+    other samples with the same stamps replace them, too.
     """
     publisher, models = estimator(graph)
     publisher.publish(String(data=sums_text(still_imu(8000))))

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Selects header or record stamps, sorts samples by stamp, and splits looped recordings.
+"""Selects header or record stamps, sorts samples by stamp, and counts each time once.
 
 Duplicates, samples that are not finite, and samples with backward stamps are excluded. Samples
 that a driver repeats at random are interpolated.
@@ -8,7 +8,7 @@ that a driver repeats at random are interpolated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -49,6 +49,16 @@ EPOCH_S = (1e9, 4e9)
 
 SLOWEST_S = 0.1
 """Longest sample period, in s, for which the unit of the stamps is recognized."""
+
+
+NEAR_NS = NANOSECONDS
+"""Longest gap between two stamps, in ns, whose time counts as covered by samples."""
+
+NEVER_NS = -(2**62)
+"""A stamp before all others."""
+
+MOST_COVERED = 256
+"""Number of covered stretches of time that are kept apart."""
 
 
 def unit_of_stamps(stamps: Stamps) -> str:
@@ -170,6 +180,49 @@ class StampSorter:
         out = self._pending.part(slice(number))
         self._pending = self._pending.part(slice(number, None)).copy()
         return out
+
+
+class CoveredTime:
+    """Drops samples of a time that is already covered, as when a recording is played again.
+
+    ``covered`` are stretches of time that are covered before the first sample: (first, last) in ns.
+    Consecutive samples may have equal stamps. ``dropped`` is the number of dropped samples.
+    """
+
+    def __init__(self, covered: Sequence[tuple[int, int]] = ()) -> None:
+        self.dropped = 0
+        self._stretches = [[first, last] for first, last in covered]
+        self._present = [NEVER_NS, NEVER_NS]  # the stretch of the latest sample
+        self._was_new = False  # whether the latest sample was kept
+
+    def feed(self, samples: ImuBatch) -> ImuBatch:
+        """Return the samples of times that are not covered."""
+        stamps = samples.stamps_ns
+        if not len(stamps):
+            return samples
+        first, last, present = int(stamps[0]), int(stamps[-1]), self._present
+        steps = np.diff(stamps, prepend=present[1])
+        ahead = steps[0] >= (not self._was_new) and steps.min() >= 0 and steps.max() <= NEAR_NS
+        if ahead and not any(first <= begin <= last for begin, _ in self._stretches):
+            present[1], self._was_new = last, True
+            return samples
+        new = np.fromiter(map(self._is_new, stamps.tolist()), bool, len(stamps))
+        self.dropped += int(np.count_nonzero(~new))
+        return samples.part(new)
+
+    def _is_new(self, stamp: int) -> bool:
+        """Return whether a stamp is in no stretch, and add it to one."""
+        if self._was_new and stamp == self._present[1]:
+            return True
+        for stretch in self._stretches:
+            if stretch[0] <= stamp <= stretch[1]:
+                self._present, self._was_new = stretch, False
+                return False
+        if not 0 <= stamp - self._present[1] <= NEAR_NS:
+            self._present = [stamp, stamp]
+            self._stretches = [*self._stretches[1 - MOST_COVERED :], self._present]
+        self._present[1], self._was_new = stamp, True
+        return True
 
 
 class SampleFilter:
@@ -303,55 +356,3 @@ class RepeatFilter:
         old = max(0, end - LONGEST_REPEAT - 1)
         self._samples, self._past = have.part(slice(old, None)).copy(), end - old
         return [done.part(slice(begin, end), have.cut if begin == 0 else '')]
-
-
-class PassSplitter:
-    """Splits a stream where its stamps jump back permanently, as in a looped recording.
-
-    Each part is a pass. Samples stamped before the latest stamp are buffered. If `BACKWARD_RUN` of
-    them are consecutive, the first one begins a new pass; if not, `SampleFilter` drops them later.
-    ``latest_ns`` is the latest stamp in the checkpoint from which the stream continues, if any.
-    """
-
-    def __init__(self, latest_ns: int | None = None) -> None:
-        self._latest = latest_ns
-        self._pending: ImuBatch | None = None
-
-    def split(self, batch: ImuBatch) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield the samples in order, each part with a flag: whether it begins a new pass."""
-        if self._pending is not None:
-            if self._pending.frame_id == batch.frame_id:
-                batch = joined([self._pending, batch])
-            else:
-                yield False, self._pending
-            self._pending = None
-        new_pass = False
-        while len(batch):
-            number, another = self._count_this_pass(batch)
-            if number:
-                yield new_pass, batch[:number]
-            batch = batch[number:]
-            if not another:
-                self._pending = batch if len(batch) else None
-                return
-            self._latest, new_pass = None, True
-
-    def flush(self) -> Iterator[tuple[bool, ImuBatch]]:
-        """Yield the samples that are still buffered at the end of the input; the flag is False."""
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            yield False, pending
-
-    def _count_this_pass(self, batch: ImuBatch) -> tuple[int, bool]:
-        """Return how many samples belong to this pass, and whether a new pass follows them."""
-        stamps = batch.stamps_ns
-        latest = stamps[0] if self._latest is None else self._latest
-        reached = np.maximum.accumulate(np.concatenate([[latest], stamps]))
-        ahead = np.flatnonzero(stamps >= reached[:-1])
-        # all samples between two samples with later stamps have earlier stamps
-        edges = np.concatenate([[-1], ahead, [len(stamps)]])
-        long = np.flatnonzero(np.diff(edges) > BACKWARD_RUN)
-        if len(long):
-            return int(edges[long[0]]) + 1, True
-        self._latest = int(reached[-1])
-        return int(edges[-2]) + 1, False

@@ -81,7 +81,7 @@ class Counts:
     received: int = 0
     used: int = 0  # in the sums, including interpolated ones
     # dropped
-    skipped: int = 0  # in the warm-up time at the start
+    skipped: int = 0  # in the warm-up time at the start, or of a time that was covered before
     other_frame: int = 0  # with an earlier frame_id whose sums were dropped
     not_finite: int = 0
     duplicate: int = 0  # the stamp and all values repeat the previous sample

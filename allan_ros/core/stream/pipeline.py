@@ -9,6 +9,7 @@ sensors if their rates differ, and `SensorStream` runs the stages from samples t
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from heapq import nlargest
@@ -20,10 +21,10 @@ from ..allan.replaced import RunningStretches
 from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
 from ..errors import AllanError
-from ..findings import Finding
+from ..findings import Finding, finding
 from ..imu import AXES, LARGEST, SENSORS, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
-from .cleaning import RepeatFilter, SampleFilter, StampChoice, StampSorter
+from .cleaning import CoveredTime, RepeatFilter, SampleFilter, StampChoice, StampSorter
 from .drive_recorder import NO_DRIVES, DriveRecorder, Drives
 from .health import (
     LISTED_EVENTS,
@@ -79,7 +80,9 @@ class ImuStream:
     look-ahead. ``hardware_id`` identifies the IMU if the user states it. ``sensor`` is 'gyro' or
     'accel' if the other sensor is in another stream; its values in this one are ignored.
     ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` what is needed of the
-    latest drives between two rests.
+    latest drives between two rests. With ``covered``, each time is counted once: samples are
+    skipped if their time is covered by samples before, or is in one of these stretches (first and
+    last stamp in ns).
     """
 
     def __init__(
@@ -89,10 +92,11 @@ class ImuStream:
         sensor: str = '',
         with_samples: bool = False,
         with_drives: bool = False,
+        covered: Sequence[tuple[int, int]] | None = None,
     ) -> None:
         self._hardware_id = hardware_id
         self._settings = settings
-        self._options = settings, sensor, with_samples, with_drives
+        self._options = settings, sensor, with_samples, with_drives, covered
         self._received = 0
         self._frames: dict[str, FrameStream] = {}
         self._present = FrameStream(ImuIdentity('', hardware_id), *self._options)
@@ -235,6 +239,8 @@ class ImuStream:
             present.noise,
         )
         notes = [note for frame in self._frames.values() for note in frame.notes]
+        if repeated := sum(frame.repeated for frame in self._frames.values()):
+            notes.append(finding('time_repeated', count=repeated))
         if clock is not None:  # the stamps became usable later
             notes = [note for note in notes if note.id != 'stamps_missing']
         # the share of the first samples is known earlier, that of all samples is better
@@ -260,6 +266,7 @@ class FrameStream:
         sensor: str,
         with_samples: bool,
         with_drives: bool,
+        covered: Sequence[tuple[int, int]] | None,
     ) -> None:
         self.identity = identity
         self._options = settings, with_samples, with_drives
@@ -278,6 +285,7 @@ class FrameStream:
         self._learned = 0
         self._skip_ns = round(settings.skip * 1e9)  # 0 once the warm-up time is over
         self._skipped = 0  # number of samples during this time
+        self._covered = None if covered is None else CoveredTime(covered)
 
     @property
     def state(self) -> State:
@@ -298,9 +306,14 @@ class FrameStream:
         )
 
     @property
+    def repeated(self) -> int:
+        """Number of samples of a time that was covered before."""
+        return 0 if self._covered is None else self._covered.dropped
+
+    @property
     def counts(self) -> Counts:
         """Counts of all sensor streams; ``received`` is 0, since `ImuStream` counts it."""
-        counts = Counts(skipped=self._skipped, reordered=self._sorter.sorted)
+        counts = Counts(skipped=self._skipped + self.repeated, reordered=self._sorter.sorted)
         counts.add(self._dropped)
         for sensor in (*self.earlier, *self.sensors):
             counts.add(sensor.counts)
@@ -369,6 +382,8 @@ class FrameStream:
         self._learning, self._learned = [samples], len(samples)
 
     def _feed(self, samples: ImuBatch) -> None:
+        if self._covered is not None:
+            samples = self._covered.feed(samples)
         if not len(samples):
             return
         if self.first_ns is None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Single stages: looped recordings, repeated samples, two IMUs, and means over a second."""
+"""Single stages: repeated time, repeated samples, two IMUs, and means over a second."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from allan_ros.core.imu import ImuBatch, joined
 from allan_ros.core.stream.cleaning import (
-    BACKWARD_RUN,
     LONGEST_REPEAT,
-    PassSplitter,
+    NEAR_NS,
+    CoveredTime,
     RepeatFilter,
 )
 from allan_ros.core.stream.health import KEPT_MEANS, RunningMeans
@@ -24,41 +24,37 @@ def batch(stamps):
     return ImuBatch(stamps, np.repeat(stamps[:, None], 6, axis=1).astype(float), frame_id='imu')
 
 
-def runs(stamps, chunk, latest=None):
-    splitter, found = PassSplitter(latest), [[]]
+def new_times(stamps, chunk, covered=()):
+    time = CoveredTime(covered)
     pieces = [batch(stamps[i : i + chunk]) for i in range(0, len(stamps), chunk)]
-    parts = [part for piece in pieces for part in splitter.split(piece)]
-    for new_run, part in [*parts, *splitter.flush()]:
-        if new_run:
-            found.append([])
-        found[-1] += part.stamps_ns.tolist()
+    found = [stamp for piece in pieces for stamp in time.feed(piece).stamps_ns.tolist()]
+    assert len(found) + time.dropped == len(stamps)
     return found
 
 
-@pytest.mark.parametrize('chunk', [1, 7, 16, 17, 1000])
-def test_a_loop_is_split_at_its_first_sample(chunk):
+@pytest.mark.parametrize('chunk', [1, 7, 100, 1000])
+def test_a_time_is_counted_once(chunk):
     once = list(range(100))
-    assert runs(once * 3, chunk) == [once] * 3
+    assert new_times([*once * 3, *range(50, 150)], chunk) == list(range(150))
+    assert new_times(once, chunk, covered=[(-5, 9)]) == once[10:]
 
 
-@pytest.mark.parametrize('chunk', [1, 5, 1000])
-def test_some_backward_stamps_are_left_in_their_run(chunk):
-    back = list(range(50, 50 + BACKWARD_RUN - 1))
-    stream = [*range(100), *back, *range(100, 200)]
-    assert runs(stream, chunk) == [stream]
+@pytest.mark.parametrize('chunk', [1, 7, 1000])
+def test_the_time_of_a_gap_is_not_covered(chunk):
+    """One recording after the other, the later one first; and a single wrong stamp."""
+    late, early = range(5 * NEAR_NS, 5 * NEAR_NS + 50), range(50)
+    assert new_times([*late, *early, *late], chunk) == [*late, *early]
+    assert new_times([*early, 10**12, *range(50, 90)], chunk) == [*early, 10**12, *range(50, 90)]
 
 
-def test_data_that_were_there_before_count_as_the_run_before():
-    again = list(range(100))
-    assert runs(again, 30, latest=500) == [[], again]
-    assert runs(again, 30, latest=-1) == [again]
+def test_equal_stamps_are_kept():
+    assert new_times([0, 0, 1, 1], 2) == [0, 0, 1, 1]
 
 
 @given(st.lists(st.integers(0, 40), max_size=120), st.integers(1, 50))
-def test_no_sample_is_lost_and_chunks_do_not_matter(stamps, chunk):
-    found = runs(stamps, chunk)
-    assert [stamp for run in found for stamp in run] == stamps
-    assert found == runs(stamps, max(len(stamps), 1))
+def test_new_times_do_not_depend_on_chunks(steps, chunk):
+    stamps = [step * NEAR_NS // 4 for step in steps]
+    assert new_times(stamps, chunk) == new_times(stamps, max(len(stamps), 1))
 
 
 def filtered(rows, groups, lengths):
