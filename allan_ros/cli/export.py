@@ -37,12 +37,12 @@ def run(args: argparse.Namespace) -> int:
     """Write or print a file for a filter, or list the targets."""
     console = Console.of(args)
     if args.list and console.json:
-        console.document({'targets': TARGETS})
+        console.document({'targets': {name: target.title for name, target in TARGETS.items()}})
         return 0
     if args.list:
         width = max(map(len, TARGETS))
-        for name, what in TARGETS.items():
-            print(f'{name:{width}}  {what}')
+        for name, target in TARGETS.items():
+            print(f'{name:{width}}  {target.title}')
         return 0
     if bool(args.results) == bool(args.sensor) or not args.to:
         raise AllanError(

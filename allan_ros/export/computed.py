@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Export targets whose rows are computed: state space, Gazebo, Madgwick filter, temperature.
+"""Rows that are no table of keys: state space, Gazebo, Madgwick filter, temperature.
 
 The document ``allan_ros/state_space/3`` has for each axis under ``axes``: the levels ``white``,
 ``walk`` and ``processes`` in SI, and the matrices of
@@ -22,8 +22,7 @@ from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import Model
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from .model import NOTATIONS, FilterNoise, Notation, clamped, rounded
-from .target import ANY_NODE, INS_HORIZON_S, SIMULATOR_HORIZON_S, Key, Row, Target
-from .text import json_form, xml_form, yaml_form
+from .target import ANY_NODE, Key, Row
 
 SCHEMA = 'allan_ros/state_space/3'
 
@@ -31,7 +30,8 @@ MATRIX_DIGITS = 12
 """Significant digits of the matrices: diagonal elements of Phi are close to 1."""
 
 
-def _document(noise: FilterNoise) -> Iterator[Row]:
+def state_space_rows(noise: FilterNoise) -> Iterator[Row]:
+    """Yield the document with the levels and matrices of each axis."""
     yield Row(('schema',), SCHEMA)
     yield Row(('rate_hz',), noise.rate)
     step = 1.0 / noise.rate
@@ -62,7 +62,7 @@ def _document(noise: FilterNoise) -> Iterator[Row]:
         yield Row(('axes', axis), document, levels=levels)
 
 
-def _gazebo(noise: FilterNoise) -> Iterator[Row]:
+def gazebo_rows(noise: FilterNoise) -> Iterator[Row]:
     """Yield the noise elements of <imu> in SDF.
 
     In each step, Gazebo adds noise of the variance sigma_b^2 tau/2 (1 - exp(-2 dt/tau)) to the
@@ -111,7 +111,7 @@ MADGWICK_FACTOR = math.sqrt(3.0 / 4.0)
 for inertial and inertial/magnetic sensor arrays, 2010, section on filter gains)."""
 
 
-def _madgwick(noise: FilterNoise) -> Iterator[Row]:
+def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
     """Yield the parameters gain and zeta of the Madgwick filter at the horizon h.
 
     The gain is sqrt(3/4) times the error of the gyro: its Allan deviation at h without quantization
@@ -151,7 +151,7 @@ def _madgwick(noise: FilterNoise) -> Iterator[Row]:
     yield clamped(zeta, -1.0, 1.0)
 
 
-def _covariance(noise: FilterNoise) -> Iterator[Row]:
+def covariance_rows(noise: FilterNoise) -> Iterator[Row]:
     """Yield the covariance matrices of the samples, row by row, as in sensor_msgs/Imu."""
     for name, sensor in (('angular_velocity', 'gyro'), ('linear_acceleration', 'accel')):
         path = (*ANY_NODE, f'{name}_covariance')
@@ -160,7 +160,7 @@ def _covariance(noise: FilterNoise) -> Iterator[Row]:
         yield replace(row, value=[x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z])
 
 
-def _temperature(noise: FilterNoise) -> Iterator[Row]:
+def temperature_rows(noise: FilterNoise) -> Iterator[Row]:
     """Yield T0, and b0, b1 and b2 of the sensors whose three axes have a model of the bias.
 
     Where the temperature has no effect that is resolved, b1 and b2 are 0.
@@ -191,83 +191,3 @@ def _temperature(noise: FilterNoise) -> Iterator[Row]:
             values = rounded([value if use else 0.0 for use, (value, _) in zip(used, pairs)])
             widest = max((ends for _, ends in pairs), key=lambda ends: ends[1] - ends[0])
             yield Row((f'{sensor}_{what}',), values, f'[{unit}]: {"; ".join(text)}', unit, widest)
-
-
-COMPUTED = {
-    'state_space': Target(
-        'state_space.json',
-        'exact discrete state space of the fitted processes (IEEE Std 952; van Loan 1978); '
-        'Phi, Qd: a step of 1/rate_hz of (integral, walk, states of the processes); '
-        'R = N^2 f: variance of a sample',
-        json_form,
-        rows=_document,
-        notes=(
-            'walk is a state even if it is 0: it represents the turn-on bias',
-            'walk covers a ramp and slow sinusoids over the horizon, because they have no '
-            'states; if K is not resolved, it contains 15 % of the expected K^2',
-        ),
-        three=True,
-        horizon_s=INS_HORIZON_S,
-        walk=False,
-    ),
-    'gazebo': Target(
-        'gazebo_imu.sdf',
-        'standard deviation per sample, and a Gauss-Markov bias of the driving density '
-        'dynamic_bias_stddev (gz-sensors, src/GaussianNoiseModel.cc)',
-        xml_form,
-        rows=_gazebo,
-        notes=(
-            'put it into <sensor type="imu">; f must be its update_rate',
-            'bias_stddev (turn-on bias) needs results of several recordings; precision is written '
-            'where rounding causes more than a tenth of the white noise',
-        ),
-        three=True,
-        horizon_s=SIMULATOR_HORIZON_S,
-        walk=False,
-        bound=False,
-    ),
-    'imu_filter_madgwick': Target(
-        'imu_filter_madgwick.yaml',
-        "Madgwick's beta (rad/s) and zeta (rad/s^2): sqrt(3/4) times the error and the drift "
-        'of the gyro (imu_filter_madgwick/src/imu_filter.cpp; ranges of imu_filter_ros.cpp)',
-        yaml_form,
-        rows=_madgwick,
-        notes=(
-            'the gain covers noise, not the bias of the gyro: it must exceed 0.87 times the bias '
-            'in rad/s unless the bias is subtracted before; the default of 0.1 covers 6 deg/s',
-            'zeta has an effect only with a magnetometer (use_mag); without one, the filter '
-            'estimates no bias',
-        ),
-        horizon_s=10.0,
-        walk=False,
-    ),
-    'covariance': Target(
-        'imu_covariance.yaml',
-        'covariance matrices of sensor_msgs/Imu, row by row: N^2 f of x, y, z on the diagonal',
-        yaml_form,
-        rows=_covariance,
-        notes=(
-            'for a driver with such parameters; robot_localization and fuse read the matrices from '
-            'each Imu message',
-            'the matrices contain white noise alone; for a filter without a state for the bias, '
-            'the node allan_imu_relay also covers bias and drift (relay.horizon)',
-        ),
-        three=True,
-        walk=False,
-    ),
-    'temperature': Target(
-        'temperature.yaml',
-        'SI and K: the bias at T degC is b0 + b1 (T - reference) + b2 (T - reference)^2, and a '
-        'filter subtracts it from the samples x, y, z',
-        yaml_form,
-        rows=_temperature,
-        notes=(
-            'the noise remains: N and K are in the file of the filter',
-            'b0 is the mean of this recording; it contains the rotation of the Earth and differs '
-            'after each switch-on. The level of an accelerometer contains gravity and is not here',
-        ),
-        three=True,
-        walk=False,
-    ),
-}
-"""Name -> target."""

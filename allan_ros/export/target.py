@@ -218,6 +218,7 @@ Form = Callable[[Sequence[Row], Sequence[str]], str]
 class Target:
     """A filter, simulator or calibration tool."""
 
+    title: str  # the file and the meaning of its numbers, for a list of all targets
     file_name: str  # name of its file in a results folder
     convention: str  # meaning of the numbers, and the source file of the target that shows it
     form: Form

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Export targets for filters and calibration tools: keys, convention and format of each file.
+"""All export targets: title, keys, convention and format of each file.
 
 Each convention was verified in the source file that it names. In formulas, N and K are the
 continuous densities, f is the rate in Hz.
@@ -10,8 +10,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from .target import ANY_NODE, INS_HORIZON_S, Key, Target, Value, keys_of, noise_keys
-from .text import json_form, line_form, opencv_form, yaml_form
+from .computed import (
+    covariance_rows,
+    gazebo_rows,
+    madgwick_rows,
+    state_space_rows,
+    temperature_rows,
+)
+from .target import (
+    ANY_NODE,
+    INS_HORIZON_S,
+    SIMULATOR_HORIZON_S,
+    Key,
+    Target,
+    Value,
+    keys_of,
+    noise_keys,
+)
+from .text import json_form, line_form, opencv_form, xml_form, yaml_form
 
 KALIBR_KEYS = keys_of("""
 accelerometer_noise_density  accel  N
@@ -75,8 +91,9 @@ FLOOR_NOTE = (
     'the defaults of the autopilot include them; use lower values only after checking the logs'
 )
 
-FILTERS = {
+TARGETS = {
     'kalibr': Target(
+        'Kalibr imu.yaml: continuous densities N and K',
         'imu.yaml',
         'continuous time; Kalibr divides by sqrt(1/update_rate) itself and refuses values <= 0 '
         '(kalibr_common/ConfigReader.py)',
@@ -84,6 +101,7 @@ FILTERS = {
         KALIBR_KEYS,
     ),
     'openvins': Target(
+        'OpenVINS kalibr_imu_chain.yaml: continuous densities N and K',
         'kalibr_imu_chain.yaml',
         'continuous time; OpenVINS makes them discrete with its time steps '
         '(ov_msckf/src/state/Propagator.cpp)',
@@ -101,6 +119,7 @@ FILTERS = {
     # N sqrt(f) thus propagates half of the variance; N sqrt(2f) propagates all of it. The bias
     # block of V is dt, so K^2 dt needs gyr_w = K sqrt(f).
     'vins_fusion': Target(
+        'VINS-Mono and VINS-Fusion: std per sample, N sqrt(f) and K sqrt(f)',
         'vins_fusion_imu.yaml',
         'standard deviation per sample (vins_estimator/src/factor/integration_base.h)',
         opencv_form,
@@ -116,6 +135,7 @@ FILTERS = {
         ),
     ),
     'orb_slam3': Target(
+        'ORB-SLAM3 settings: continuous densities N and K, and the rate',
         'orb_slam3_imu.yaml',
         'continuous time; ORB-SLAM3 multiplies the noises by sqrt(IMU.Frequency) and divides '
         'the walks by it (src/Tracking.cc); it reads real numbers (src/Settings.cc)',
@@ -126,6 +146,7 @@ FILTERS = {
         ),
     ),
     'lio_sam': Target(
+        'LIO-SAM ROS 2 parameters: continuous densities N and K',
         'lio_sam_imu.yaml',
         'continuous time, squared for GTSAM; the walks become the noise of the factor between '
         'two biases, times the root of the time between (src/imuPreintegration.cpp)',
@@ -134,6 +155,7 @@ FILTERS = {
         parent=ANY_NODE,
     ),
     'fast_lio': Target(
+        'FAST-LIO and FAST-LIO2 ROS 2 parameters: variances N^2 f and K^2 f',
         'fast_lio_imu.yaml',
         "variance per sample; the filter adds (dt F) Q (dt F)' (src/IMU_Processing.hpp, "
         'IKFoM_toolkit/esekfom/esekfom.hpp)',
@@ -146,6 +168,7 @@ FILTERS = {
         ),
     ),
     'fast_livo2': Target(
+        'FAST-LIVO2 parameters: variance N^2 f',
         'fast_livo2_imu.yaml',
         'variance per sample; the filter adds cov dt^2 (src/LIVMapper.cpp, src/IMU_Processing.cpp)',
         yaml_form,
@@ -161,6 +184,7 @@ FILTERS = {
         walk=False,
     ),
     'point_lio': Target(
+        'Point-LIO parameters: variances N^2 f and K^2 f',
         'point_lio_imu.yaml',
         'variance per sample: imu_meas_*_cov is R of the IMU as a measurement; Q dt^2 has *_input '
         'and b_*_cov (src/Estimator.cpp, include/IKFoM/IKFoM_toolkit/esekfom/esekfom.hpp)',
@@ -179,6 +203,7 @@ FILTERS = {
         ),
     ),
     'glim': Target(
+        'GLIM config_sensors.json: continuous density N, and K for the time between two scans',
         'glim_config_sensors.json',
         'continuous densities, squared for GTSAM (src/glim/common/imu_integration.cpp); '
         'imu_bias_noise is the standard deviation of the change of each bias between two scans '
@@ -198,6 +223,7 @@ FILTERS = {
         rate_hz=10.0,
     ),
     'lvi_sam': Target(
+        'LVI-SAM params_lidar.yaml: continuous densities N and K',
         'lvi_sam_imu.yaml',
         'continuous time, squared for GTSAM; the walks are multiplied by the root of the time '
         'between two biases (src/lidar_odometry/imuPreintegration.cpp)',
@@ -207,6 +233,7 @@ FILTERS = {
         notes=('params_camera.yaml has the convention of VINS: write it with --to vins_fusion',),
     ),
     'gtsam': Target(
+        'GTSAM PreintegrationCombinedParams in Python: continuous covariances N^2 and K^2',
         'gtsam_imu.py',
         'continuous covariances, divided or multiplied by the time step '
         '(gtsam/navigation/PreintegrationParams.h, CombinedImuFactor.cpp)',
@@ -219,6 +246,7 @@ FILTERS = {
         three=True,
     ),
     'basalt': Target(
+        'Basalt calibration JSON: continuous densities N and K of each axis',
         'basalt_imu.json',
         'continuous time; Basalt multiplies by sqrt(imu_update_rate) itself '
         '(basalt/calibration/calibration.hpp, dicrete_time_gyro_noise_std)',
@@ -235,6 +263,7 @@ FILTERS = {
         three=True,
     ),
     'msckf_vio': Target(
+        'MSCKF_VIO parameters: continuous densities N and K',
         'msckf_vio_imu.yaml',
         "continuous time; Q = Phi G Qc G' Phi' dt (src/msckf_vio.cpp, processModel)",
         yaml_form,
@@ -248,6 +277,7 @@ FILTERS = {
     # the variance of the bias, where dt is the step of the filter; samples are averaged to this
     # step before.
     'px4': Target(
+        'PX4 EKF2 parameters: std per EKF step, within their ranges',
         'px4_imu.params',
         'standard deviation per EKF2 step of 10 ms (src/modules/ekf2/EKF/covariance.cpp, '
         'EKF2_PREDICT_US)',
@@ -265,6 +295,7 @@ FILTERS = {
         horizon_s=INS_HORIZON_S,
     ),
     'ardupilot': Target(
+        'ArduPilot EK3 parameters: std per EKF step, within their ranges',
         'ardupilot_imu.parm',
         'standard deviation per EK3 step of 12 ms '
         '(libraries/AP_NavEKF3/AP_NavEKF3_core.cpp, EKF_TARGET_DT)',
@@ -280,6 +311,7 @@ FILTERS = {
         horizon_s=INS_HORIZON_S,
     ),
     'kf_gins': Target(
+        'KF-GINS imunoise: deg/sqrt(hr), m/s/sqrt(hr) and a Gauss-Markov bias, of each axis',
         'kf_gins_imu.yaml',
         'continuous random walks; bias as a first-order Gauss-Markov process with the noise '
         '2 sigma^2 / corrtime (src/kf_gins.cpp, src/kf-gins/gi_engine.cpp)',
@@ -303,6 +335,7 @@ FILTERS = {
         walk=False,
     ),
     'pyins': Target(
+        'pyins EstimationModel in Python: continuous densities N and K of each axis',
         'pyins_imu.py',
         'continuous time: Q of noise and bias_walk squared, made discrete by van Loan '
         '(pyins/inertial_sensor.py, pyins/filters.py)',
@@ -311,5 +344,85 @@ FILTERS = {
         three=True,
         horizon_s=INS_HORIZON_S,
     ),
+    'imu_filter_madgwick': Target(
+        'imu_filter_madgwick ROS 2 parameters: gain and zeta at a horizon',
+        'imu_filter_madgwick.yaml',
+        "Madgwick's beta (rad/s) and zeta (rad/s^2): sqrt(3/4) times the error and the drift "
+        'of the gyro (imu_filter_madgwick/src/imu_filter.cpp; ranges of imu_filter_ros.cpp)',
+        yaml_form,
+        rows=madgwick_rows,
+        notes=(
+            'the gain covers noise, not the bias of the gyro: it must exceed 0.87 times the bias '
+            'in rad/s unless the bias is subtracted before; the default of 0.1 covers 6 deg/s',
+            'zeta has an effect only with a magnetometer (use_mag); without one, the filter '
+            'estimates no bias',
+        ),
+        horizon_s=10.0,
+        walk=False,
+    ),
+    'covariance': Target(
+        'driver parameters: covariance matrices of sensor_msgs/Imu, 9 elements each',
+        'imu_covariance.yaml',
+        'covariance matrices of sensor_msgs/Imu, row by row: N^2 f of x, y, z on the diagonal',
+        yaml_form,
+        rows=covariance_rows,
+        notes=(
+            'for a driver with such parameters; robot_localization and fuse read the matrices from '
+            'each Imu message',
+            'the matrices contain white noise alone; for a filter without a state for the bias, '
+            'the node allan_imu_relay also covers bias and drift (relay.horizon)',
+        ),
+        three=True,
+        walk=False,
+    ),
+    'temperature': Target(
+        'YAML: bias of each axis over temperature (b0, b1, b2) in SI and K',
+        'temperature.yaml',
+        'SI and K: the bias at T degC is b0 + b1 (T - reference) + b2 (T - reference)^2, and a '
+        'filter subtracts it from the samples x, y, z',
+        yaml_form,
+        rows=temperature_rows,
+        notes=(
+            'the noise remains: N and K are in the file of the filter',
+            'b0 is the mean of this recording; it contains the rotation of the Earth and differs '
+            'after each switch-on. The level of an accelerometer contains gravity and is not here',
+        ),
+        three=True,
+        walk=False,
+    ),
+    'state_space': Target(
+        'JSON allan_ros/state_space/3: all processes, and Phi, Qd, R of each axis',
+        'state_space.json',
+        'exact discrete state space of the fitted processes (IEEE Std 952; van Loan 1978); '
+        'Phi, Qd: a step of 1/rate_hz of (integral, walk, states of the processes); '
+        'R = N^2 f: variance of a sample',
+        json_form,
+        rows=state_space_rows,
+        notes=(
+            'walk is a state even if it is 0: it represents the turn-on bias',
+            'walk covers a ramp and slow sinusoids over the horizon, because they have no '
+            'states; if K is not resolved, it contains 15 % of the expected K^2',
+        ),
+        three=True,
+        horizon_s=INS_HORIZON_S,
+        walk=False,
+    ),
+    'gazebo': Target(
+        'Gazebo SDF <imu>: std per sample and a Gauss-Markov bias, of each axis',
+        'gazebo_imu.sdf',
+        'standard deviation per sample, and a Gauss-Markov bias of the driving density '
+        'dynamic_bias_stddev (gz-sensors, src/GaussianNoiseModel.cc)',
+        xml_form,
+        rows=gazebo_rows,
+        notes=(
+            'put it into <sensor type="imu">; f must be its update_rate',
+            'bias_stddev (turn-on bias) needs results of several recordings; precision is written '
+            'where rounding causes more than a tenth of the white noise',
+        ),
+        three=True,
+        horizon_s=SIMULATOR_HORIZON_S,
+        walk=False,
+        bound=False,
+    ),
 }
-"""Name -> target."""
+"""Name -> target, in the order of `allan export --list`."""

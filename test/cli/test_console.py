@@ -39,7 +39,9 @@ def test_json_output_is_only_the_results_document(
 
 def test_json_of_export(analyzed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(['export', '--list', '--json']) == 0
-    assert json.loads(capsys.readouterr().out) == {'targets': TARGETS}
+    assert json.loads(capsys.readouterr().out) == {
+        'targets': {name: target.title for name, target in TARGETS.items()}
+    }
     words = ['export', str(analyzed / 'results.json'), '--to', 'orb_slam3', '--json']
     words += ['--fidelity', 'coefficients']  # upper limits of K: there is a finding
     assert main(words) == 0

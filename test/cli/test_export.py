@@ -50,7 +50,7 @@ def test_list_explains_each_target_in_a_line(capsys: pytest.CaptureFixture[str])
     assert main(['export', '--list']) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == list(TARGETS)
-    assert all(what in line for line, what in zip(lines, TARGETS.values()))
+    assert all(target.title in line for line, target in zip(lines, TARGETS.values()))
 
 
 def test_the_own_file_is_compared_and_not_changed(
