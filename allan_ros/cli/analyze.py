@@ -1,18 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure the noise of an IMU from its recordings.
-
-An input is a rosbag2 folder, .mcap, .db3, ROS 1 .bag, .csv, .tsv, .npz, .npy or .ulg, or the sums
-of an earlier analysis: its folder, sums.json, or the checkpoint of a node. Several inputs must be
-of the same IMU: their sums are added. A folder of separate recordings is a batch: each recording
-has its own results, and a summary lists all. The same applies to a bag with several Imu topics.
-
-  allan analyze my_bag -o results
-  allan analyze monday.mcap results_of_tuesday -o results --export openvins,px4
-  allan analyze folder_of_recordings -o results --jobs 2
-  allan analyze table.csv --columns t,gx,gy,gz,ax,ay,az --gyro-unit deg/s
-  allan analyze my_bag --json | jq .axes.gyro_x.noise.N.value
-"""
+"""The verbs `analyze` and `check`, which read recordings."""
 
 from __future__ import annotations
 
@@ -30,7 +18,7 @@ from ..core.findings import Finding
 from ..core.imu import sensor_of
 from ..core.settings import SegmenterSettings, check_rate
 from ..export import target_of
-from ..readers import ReadOptions
+from ..readers import FORMATS, SUFFIXES, ReadOptions
 from ..readers.recorded import (
     ReadJob,
     RecordingSums,
@@ -38,6 +26,7 @@ from ..readers.recorded import (
     read_in_processes,
     read_in_turn,
 )
+from ..readers.recording import METADATA
 from ..readers.serials import SerialRule
 from ..results.datasheets import load_sensor
 from ..results.documents import RESULTS, load, load_sums
@@ -113,14 +102,6 @@ INPUTS = (
     ),
 )
 
-RECORDINGS = ('.mcap', '.db3', '.bag', '.csv', '.tsv', '.npz', '.npy', '.ulg')
-"""Suffixes of the recordings that `analyze` reads."""
-
-TABLES = ('.csv', '.tsv')
-"""Suffixes of tables, of which an IMU may have one for each sensor."""
-
-METADATA = 'metadata.yaml'
-
 STORAGES = ('.mcap', '.db3')
 """Suffixes of files that can be parts of a split bag."""
 
@@ -139,7 +120,7 @@ def recordings_in(path: str, units: bool = False) -> list[str]:
     if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
         return [path]
     children = sorted(folder.iterdir())
-    files = [child for child in children if child.suffix.lower() in RECORDINGS and child.is_file()]
+    files = [child for child in children if child.suffix.lower() in SUFFIXES and child.is_file()]
     files = [file for file in files if file.name != SUMMARY]
     bags = [child for child in children if child.is_dir() and (child / METADATA).is_file()]
     if _one_bag(files, units) and not bags:
@@ -205,7 +186,8 @@ def run(args: argparse.Namespace) -> int:
 
 def are_two_sensors(jobs: Sequence[ReadJob]) -> bool:
     """Return whether two tables contain the gyro and the accelerometer, as those of a phone do."""
-    if len(jobs) != 2 or not all(Path(job.path).suffix.lower() in TABLES for job in jobs):
+    suffixes = FORMATS['table'].suffixes
+    if len(jobs) != 2 or not all(Path(job.path).suffix.lower() in suffixes for job in jobs):
         return False
     sensors = []
     for job in jobs:
@@ -293,6 +275,22 @@ def check(args: argparse.Namespace) -> int:
     return run_check([Unit(*unit) for unit in zip(units, jobs, short)], args, unread)
 
 
+ANALYZE_TEXT = f"""
+Measure the noise of an IMU from its recordings.
+
+An input is a rosbag2 folder, a file ({', '.join(SUFFIXES)}), or
+the sums of an earlier analysis: its folder, sums.json, or the checkpoint of a node. Several inputs
+must be of the same IMU: their sums are added. A folder of separate recordings is a batch: each
+recording has its own results, and a summary lists all. The same applies to a bag with several Imu
+topics.
+
+  allan analyze my_bag -o results
+  allan analyze monday.mcap results_of_tuesday -o results --export openvins,px4
+  allan analyze folder_of_recordings -o results --jobs 2
+  allan analyze table.csv --columns t,gx,gy,gz,ax,ay,az --gyro-unit deg/s
+  allan analyze my_bag --json | jq .axes.gyro_x.noise.N.value
+"""
+
 CHECK_TEXT = """
 Check IMUs for production tests and continuous integration: one line for each unit, the totals, and
 an exit code. A unit passes only if every limit is met and nothing makes it suspect.
@@ -340,7 +338,7 @@ CHECK_INPUTS = (
 )
 
 ANALYZE = Command(
-    __doc__ or '',
+    ANALYZE_TEXT,
     [*INPUTS, *SERIAL_FROM, Settings('result', ResultSettings), *FAIL_ON, *READ],
     run,
     EXITS,

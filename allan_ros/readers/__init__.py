@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Opens any recording of an IMU: bags (also the files of a folder), tables, arrays and PX4 logs.
 
-Each family of formats has a module (`rosbag2`, `tables`, `arrays`, `ulog`), which is imported when
-such a recording is opened. All of them return a `Recording`, which yields `ImuBatch` in SI units.
+Each format has a module, which is imported when such a recording is opened (`FORMATS`). All of them
+return a `Recording`, which yields `ImuBatch` in SI units.
 """
 
 from __future__ import annotations
@@ -12,39 +12,56 @@ import os
 from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 from ..core.errors import AllanError
 from .recording import METADATA, ReadOptions, Recording, SourceInfo, first_bytes
 
-__all__ = ['ReadOptions', 'Recording', 'SourceInfo', 'family_of', 'open_recordings', 'topics_of']
+__all__ = [
+    'FORMATS',
+    'SUFFIXES',
+    'ReadOptions',
+    'Recording',
+    'SourceInfo',
+    'open_recordings',
+    'topics_of',
+]
 
-_MAGICS = {
-    b'\x89MCAP0\r\n': 'bag',
-    b'SQLite format 3\0': 'bag',
-    b'#ROSBAG': 'bag',
-    b'\x28\xb5\x2f\xfd': 'bag',  # zstd: a compressed file of a bag
-    b'ULog\x01\x12\x35': 'ulog',
-    b'PK\x03\x04': 'array',
-    b'\x93NUMPY': 'array',
-}
-"""First bytes of a file -> family of formats."""
 
-_FAMILIES = {
-    **dict.fromkeys(('.db3', '.mcap', '.bag', '.zstd', '.zst', '.active'), 'bag'),
-    **dict.fromkeys(('.npz', '.npy'), 'array'),
-    '.ulg': 'ulog',
-    **dict.fromkeys(('.csv', '.tsv', '.txt', '.dat'), 'table'),
-}
-"""Suffix of a file -> family of formats, if the first bytes are unknown."""
+class Format(NamedTuple):
+    """A format of recordings, and the function that opens one.
 
-_OPENERS = {
-    'bag': ('.rosbag2', 'open_bag'),
-    'table': ('.tables', 'open_table'),
-    'array': ('.arrays', 'open_array'),
-    'ulog': ('.ulog', 'open_ulog'),
+    The function ``opener`` of ``module`` has the arguments path and `ReadOptions`, and returns a
+    `Recording`. A file has the format if it begins with one of ``magics``, else by its suffix. A
+    file in a folder of recordings is read only if it has one of ``suffixes``.
+    """
+
+    module: str
+    opener: str
+    suffixes: tuple[str, ...]
+    other_suffixes: tuple[str, ...] = ()
+    magics: tuple[bytes, ...] = ()
+
+
+ZSTD = b'\x28\xb5\x2f\xfd'
+"""First bytes of a compressed file, which is a bag."""
+
+FORMATS = {
+    'bag': Format(
+        'rosbag2',
+        'open_bag',
+        ('.mcap', '.db3', '.bag'),
+        ('.zstd', '.zst', '.active'),
+        (b'\x89MCAP0\r\n', b'SQLite format 3\0', b'#ROSBAG', ZSTD),
+    ),
+    'table': Format('tables', 'open_table', ('.csv', '.tsv'), ('.txt', '.dat')),
+    'array': Format('arrays', 'open_array', ('.npz', '.npy'), magics=(b'PK\x03\x04', b'\x93NUMPY')),
+    'ulog': Format('ulog', 'open_ulog', ('.ulg',), magics=(b'ULog\x01\x12\x35',)),
 }
-"""Family of formats -> module, and its function that opens a recording."""
+"""Name -> format; a folder is a bag."""
+
+SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
+"""Suffixes of the files that are recordings in a folder."""
 
 
 def open_recordings(
@@ -62,7 +79,7 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
     """Return the Imu topics of a bag; the list is empty for other formats and unreadable files."""
     place = Path(path)
     try:
-        if family_of(place) != 'bag':
+        if format_of(place) != 'bag':
             return []
         from .rosbag2 import imu_topics
 
@@ -74,26 +91,28 @@ def topics_of(path: str | os.PathLike[str]) -> list[str]:
 def _open(path: Path, options: ReadOptions) -> Recording:
     if path.name == METADATA:
         path = path.parent
-    family = family_of(path)
-    if options.accel_topic and family != 'bag':
+    name = format_of(path)
+    if options.accel_topic and name != 'bag':
         raise AllanError(f'{path}: is not a bag: omit --accel-topic')
-    module, opener = _OPENERS[family]
-    return cast(Recording, getattr(import_module(module, __package__), opener)(path, options))
+    module = import_module(f'.{FORMATS[name].module}', __package__)
+    return cast(Recording, getattr(module, FORMATS[name].opener)(path, options))
 
 
-def family_of(path: Path) -> str:
-    """Return the family of formats of a path: by its first bytes, else by its suffix.
+def format_of(path: Path) -> str:
+    """Return the name of the format of a path: by its first bytes, else by its suffix.
 
     Raises AllanError when it is unknown.
     """
     if path.is_dir():
         return 'bag'
-    head = first_bytes(path)
-    family = next((kind for magic, kind in _MAGICS.items() if head.startswith(magic)), None)
-    family = family or _FAMILIES.get(path.suffix.lower())
-    if family is None:
-        raise AllanError(
-            f'{path}: not a known type of recording: give a rosbag2 folder, .db3, .mcap, '
-            'ROS 1 .bag, .csv, .tsv, .npz, .npy or .ulg'
-        )
-    return family
+    head, suffix = first_bytes(path), path.suffix.lower()
+    by_magic = [name for name, form in FORMATS.items() if head.startswith(form.magics)]
+    by_suffix = [
+        name for name, form in FORMATS.items() if suffix in (*form.suffixes, *form.other_suffixes)
+    ]
+    for name in (*by_magic, *by_suffix):
+        return name
+    raise AllanError(
+        f'{path}: not a known type of recording: give a rosbag2 folder, or a file of the type '
+        f'{", ".join(SUFFIXES[:-1])} or {SUFFIXES[-1]}'
+    )

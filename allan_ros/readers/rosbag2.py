@@ -88,7 +88,12 @@ def imu_topics(path: Path) -> list[str]:
     are more than `MAX_TOPICS`.
     """
     bag = bag_of(path)
-    imus = survey_bag(bag).imus()
+    found: dict[Key, None] = {}
+    for file in bag.files if bag.described is None else ():
+        topics = bag.storage(file).topics
+        found |= {(t.name, t.type): None for t in topics if t.type == IMU_TYPE}
+    # counting the messages of an sqlite3 file reads it completely
+    imus = [*found] if len(found) == 1 else survey_bag(bag).imus()
     bag.close()
     return [name for name, _ in imus] if len(imus) <= MAX_TOPICS else []
 

@@ -13,8 +13,7 @@ from typing import Any
 from ..core.errors import AllanError, one_line
 from ..core.imu import MAX_NAME
 from .files import open_regular, read_yaml
-
-METADATA = 'metadata.yaml'
+from .recording import METADATA
 
 LONGEST_LINE = 100_000
 """Longest line of a table in characters."""

@@ -39,6 +39,7 @@ class Sqlite3Storage:
         self._path = path
         self._connection = connection
         self.truncation: Truncation | None = None
+        self._counts: dict[int, int] | None = None
         self.topics = self._read_topics()
         ((pages,),), ((page_bytes,),) = map(self._query, ('PRAGMA page_count', 'PRAGMA page_size'))
         if size is not None and size < pages * page_bytes:
@@ -61,20 +62,20 @@ class Sqlite3Storage:
         ]
 
     def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages; this reads the complete table."""
-        with translated(self._path, _LIBRARY_ERRORS, REMEDY):
-            return dict(self._query('SELECT topic_id, count(*) FROM messages GROUP BY topic_id'))
+        """Return topic id -> number of messages; this reads the complete table once."""
+        if self._counts is None:
+            with translated(self._path, _LIBRARY_ERRORS, REMEDY):
+                self._counts = dict(
+                    self._query('SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY 1')
+                )
+        return self._counts
 
     def stated(self, ids: set[int], read: int) -> int:
         """Return the number of messages of these topics in the table.
 
         They are read by the index on the times, from which damage can remove rows.
         """
-        with translated(self._path, _LIBRARY_ERRORS, REMEDY):
-            ((rows,),) = self._query(
-                f'SELECT count(*) FROM messages NOT INDEXED WHERE topic_id IN {_listed(ids)}'
-            )
-        return int(rows)
+        return sum(self.counts().get(number, 0) for number in ids)
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
         """Yield the next messages of these topics, in the order of record time."""

@@ -12,7 +12,7 @@ import pytest
 from support.recordings import read, refused
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.imu import AXES, STANDARD_GRAVITY, joined
+from allan_ros.core.imu import AXES, STANDARD_GRAVITY, ImuBatch, joined
 from allan_ros.readers import ReadOptions, arrays, recording
 
 RNG = np.random.default_rng(3)
@@ -25,6 +25,11 @@ STAMPS = 1_700_000_000_000_000_001 + np.arange(N) * 5_000_000
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read every file in several blocks, of which the last is shorter."""
     monkeypatch.setattr(recording, 'BATCH', 300)
+
+
+def example(path: Path, batch: ImuBatch) -> None:
+    """Write samples in this format."""
+    np.savez(path, imu=batch.samples, stamps_ns=batch.stamps_ns)
 
 
 def test_dates_are_not_samples() -> None:

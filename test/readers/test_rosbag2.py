@@ -15,7 +15,7 @@ import pytest
 from support.recordings import imu_batches, outcome, read, refused
 
 from allan_ros.core.errors import AllanError
-from allan_ros.core.imu import joined
+from allan_ros.core.imu import ImuBatch, joined
 from allan_ros.readers import open_recordings
 from allan_ros.readers.cdr import IMU_TYPE, encode_imus
 from allan_ros.readers.writing import write_recording
@@ -30,6 +30,11 @@ yaml = pytest.importorskip('yaml')
 
 STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 SUFFIX = {'mcap': '.mcap', 'sqlite3': '.db3'}
+
+
+def example(path: Path, batch: ImuBatch) -> None:
+    """Write samples in this format."""
+    write_recording(path, [batch])
 
 
 def write_split(folder: Path, batches: list[Any], storage: str) -> None:

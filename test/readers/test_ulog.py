@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support.recordings import outcome, read, refused
 
+from allan_ros.core.imu import ImuBatch
 from allan_ros.view.finding_text import finding_line
 
 pytest.importorskip('pyulog')
@@ -53,6 +54,16 @@ def delta(i: int, dt: int = 5000, scale: float = 1.0) -> bytes:
 def combined(i: int, period: int = 5000, relative: int = 0) -> bytes:
     stamp = START_US + period * i
     return struct.pack('<Q3fIi3f', stamp, 1.0, 2.0, 3.0, 5000, relative, 4.0, 5.0, 6.0)
+
+
+def example(path: Path, batch: ImuBatch) -> None:
+    """Write samples in this format."""
+    stamps_us = (batch.stamps_ns - batch.stamps_ns[0]) // 1000 + START_US
+    bodies = [
+        struct.pack('<Q3fIi3f', stamp, *row[:3], 5000, 0, *row[3:])
+        for stamp, row in zip(stamps_us.tolist(), batch.samples.tolist())
+    ]
+    path.write_bytes(log([(COMBINED_FORMAT, 'sensor_combined', 0, bodies)]))
 
 
 def test_delta_angles_are_divided_by_their_time(tmp_path: Path) -> None:

@@ -32,6 +32,11 @@ def table(folder: Path, text: str) -> Path:
     return folder / 'imu.csv'
 
 
+def example(path: Path, batch: ImuBatch) -> None:
+    """Write samples in this format."""
+    writing.write_recording(path, [batch])
+
+
 def echoed(name: str) -> str:
     return f'field.{name}.x,field.{name}.y,field.{name}.z,field.{name}_covariance0'
 
