@@ -28,6 +28,8 @@ from numpy.typing import NDArray
 from .grid import FIRST_FACTORS, LEVEL_FACTORS, SAMPLE_OCTAVES, octave, tapers
 
 Floats = NDArray[np.float64]
+Floating = NDArray[np.floating]
+Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 FIRST_BLOCK, BLOCK = 512, 4096
@@ -51,16 +53,22 @@ class Level:
     stride: int  # samples between two points
     block: int  # largest number of points per block
     factors: tuple[int, ...]  # averaging factors in units of the stride
-    octaves: range
+    groups: tuple[range, ...]  # octaves with equal numbers of bins
+
+    @property
+    def octaves(self) -> list[int]:
+        """All octaves of the level."""
+        return [o for group in self.groups for o in group]
 
 
 @lru_cache
 def level_of(j: int) -> Level:
     """Return factors and octaves of level j."""
     if j == 0:
-        return Level(1, BLOCK, FIRST_FACTORS + LEVEL_FACTORS, range(SAMPLE_OCTAVES))
+        groups = range(1), range(1, SAMPLE_OCTAVES)
+        return Level(1, BLOCK, FIRST_FACTORS + LEVEL_FACTORS, groups)
     o = SAMPLE_OCTAVES + j - 1
-    return Level(1 << j, BLOCK // 2, LEVEL_FACTORS, range(o, o + 1))
+    return Level(1 << j, BLOCK // 2, LEVEL_FACTORS, (range(o, o + 1),))
 
 
 @dataclass(frozen=True)
@@ -110,29 +118,64 @@ class Block:
 
 
 @lru_cache
-def _half_tapers(o: int, kind: str) -> NDArray[np.floating]:
-    """Return real and imaginary parts of both halves of the tapers, (half a block, 4 bins)."""
-    _, size, bins = octave(o)
-    first, second = np.split(tapers(size, bins).T, 2)
-    return np.concatenate([first.real, first.imag, second.real, second.imag], axis=1).astype(kind)
+def _half_tapers(o: int, kind: str) -> Floating:
+    """Return the tapers of the first and of the second half of a block, (half a block, 4 bins).
+
+    The columns of each are its real, then its imaginary parts. They are divided by the number of
+    samples per mean, because they are multiplied by sums.
+    """
+    step, size, bins = octave(o)
+    halves = np.split(tapers(size, bins).T / step, 2)
+    return np.concatenate([f(h) for h in halves for f in (np.real, np.imag)], axis=1).astype(kind)
 
 
 @dataclass(frozen=True)
-class _HalfBlock:
-    """Last half block of an octave. It is also the first half of the next block."""
+class _HalfBlocks:
+    """Last half block of each octave of a group. It is also the first half of the next block."""
 
-    early: NDArray[np.floating]  # (axes, 1, 2 bins) product with the first half of the tapers
-    interpolated: float  # number of its samples that are interpolated
-    used: bool  # whether the block that ends with it is not excluded
+    early: Floating  # (octaves, axes, 2 bins) products with the tapers of the first half
+    # (octaves,) number of its samples that are interpolated; infinite before the first sample
+    interpolated: Floats
+    used: Flags  # (octaves,) whether the block that ends with it is not excluded
+
+    @classmethod
+    def none(cls, octaves: range, axes: int, kind: str) -> _HalfBlocks:
+        """Return the half blocks before the first sample."""
+        number, columns = len(octaves), 2 * len(octave(octaves[0]).bins)
+        early = np.zeros((number, axes, columns), kind)
+        return cls(early, np.full(number, np.inf), np.zeros(number, bool))
+
+    def copy(self) -> _HalfBlocks:
+        return _HalfBlocks(self.early.copy(), self.interpolated.copy(), self.used.copy())
 
 
-class _OctaveSums(NamedTuple):
-    """Power of the blocks of one octave that end in some samples, and the last half block."""
+class _Layout(NamedTuple):
+    """Rows of the half blocks of an octave in n samples or sums."""
 
-    power: Floats  # (bins, axes)
-    blocks: int
-    pairs: int  # of overlapping blocks
-    last: _HalfBlock | None
+    octave: int
+    half: int  # samples per half block
+    number: int  # half blocks of each axis
+    begin: int  # row of the first of them; those of an axis follow each other
+    end: int
+
+
+@lru_cache(256)
+def _layout(octaves: range, axes: int, n: int) -> list[_Layout]:
+    """Return the rows of each octave."""
+    rows: list[_Layout] = []
+    for o in octaves:
+        half, begin = octave(o).size // 2, rows[-1].end if rows else 0
+        rows.append(_Layout(o, half, n // half, begin, begin + axes * (n // half)))
+    return rows
+
+
+class _GroupSums(NamedTuple):
+    """Power of the blocks of a group of octaves that end in some samples, and the last halves."""
+
+    power: list[Floats]  # (bins, axes) of each octave
+    blocks: list[int]
+    pairs: list[int]  # of overlapping blocks
+    last: _HalfBlocks
 
 
 class _RunningLevel:
@@ -140,7 +183,7 @@ class _RunningLevel:
 
     ``points`` contains the last `_KEPT` points up to the last summed one, then the first ``fill``
     points of the current block. The last row is the number of interpolated samples so far. A point
-    is the phase minus ``origin``, (rows, 1): second differences do not depend on it.
+    of level 0 is the phase minus ``origin``, (rows, 1): second differences do not depend on it.
     """
 
     def __init__(self, level: int, rows: int) -> None:
@@ -149,7 +192,12 @@ class _RunningLevel:
         self.origin = np.zeros((rows, 1))
         self.fill = 0
         self.summed = 0  # number of summed points after the first, theta(0)
-        self.halves: tuple[_HalfBlock | None, ...] = (None,) * len(level_of(level).octaves)
+        # the rounding errors of float32 are much smaller than the noise of single samples, but
+        # not than the noise of long means
+        self.kind = 'f8' if level else 'f4'
+        self.halves = [
+            _HalfBlocks.none(group, rows - 1, self.kind) for group in level_of(level).groups
+        ]
 
     def append(self, points: Floats) -> None:
         """Append points to the current block."""
@@ -162,9 +210,14 @@ class _RunningLevel:
         return min(max(self.summed, FIRST_BLOCK), level_of(self.level).block)
 
     def phase(self, more: Floats) -> Floats:
-        """Return the phase from the last summed point to the end of the block and ``more``."""
+        """Return the phase from the last summed point to the end of the block and ``more``.
+
+        At higher levels, it is a view if ``more`` is empty.
+        """
         own = self.points[:, _KEPT - 1 : _KEPT + self.fill]
-        return (np.concatenate([own, more], axis=1) if more.shape[1] else own) + self.origin
+        if more.shape[1]:
+            own = np.concatenate([own, more], axis=1)
+        return own if self.level else own + self.origin
 
     def close(self) -> LevelSums:
         """Return the sums of the full block, and begin a new one."""
@@ -183,84 +236,87 @@ class _RunningLevel:
         self.points[:, :_KEPT] -= last
         self.origin += last
 
-    def sums_of(self, points: Floats) -> tuple[LevelSums, tuple[_HalfBlock | None, ...]]:
+    def sums_of(self, points: Floats) -> tuple[LevelSums, list[_HalfBlocks]]:
         """Return the sums of a block, and its last half blocks.
 
         ``points`` are (rows, n): `_KEPT` earlier points, then the points of the block.
         """
-        kept = min(self.summed + 1, _KEPT)
+        kept, level = min(self.summed + 1, _KEPT), level_of(self.level)
         points = points[:, _KEPT - kept :]
         squares, groups, number = _second_differences(
-            points[:-1], kept, self.summed + 1 - kept, level_of(self.level).factors
+            points[:-1], kept, self.summed + 1 - kept, level.factors
         )
-        octaves = self._spectra(points[:, kept - 1 :])
-        values = np.concatenate([*squares, *groups, *(each.power for each in octaves)])
-        counts = [*number, *(o.blocks for o in octaves), *(o.pairs for o in octaves)]
-        sums = LevelSums(self.level, values, np.array(counts, np.int64))
-        return sums, tuple(each.last for each in octaves)
-
-    def _spectra(self, points: Floats) -> list[_OctaveSums]:
-        """Return the spectra of each octave in a block; ``points`` begin with the one before it."""
-        level = level_of(self.level)
-        # the rounding errors of float32 are much smaller than the noise of single samples, but
-        # not than the noise of long means
-        kind = 'f8' if self.level else 'f4'
-        with np.errstate(over='ignore'):
-            samples = np.subtract(points[:-1, 1:], points[:-1, :-1], dtype=float).astype(kind)
-        if self.level:
-            samples /= level.stride
-        found = zip(level.octaves, self.halves)
-        return [_octave_sums(samples, points[-1], o, before) for o, before in found]
+        points = points[:, kept - 1 :]
+        with np.errstate(over='ignore', invalid='ignore'):
+            # no sensor has values above 1e38, the largest float32; the fit refuses them
+            samples = (points[:-1, 1:] - points[:-1, :-1]).astype(self.kind)
+            spectra = [
+                _group_sums(samples, points[-1], group, before)
+                for group, before in zip(level.groups, self.halves)
+            ]
+        values = [*squares, *groups, *(power for each in spectra for power in each.power)]
+        counts = [*number, *(b for s in spectra for b in s.blocks)]
+        counts += [p for s in spectra for p in s.pairs]
+        sums = LevelSums(self.level, np.concatenate(values), np.array(counts, np.int64))
+        return sums, [each.last for each in spectra]
 
 
-def _octave_sums(
-    samples: NDArray[np.floating], interpolated: Floats, o: int, before: _HalfBlock | None
-) -> _OctaveSums:
-    """Return the power of octave o in samples or means, (axes, n).
+def _group_sums(
+    samples: Floating, interpolated: Floats, octaves: range, before: _HalfBlocks
+) -> _GroupSums:
+    """Return the power of a group of octaves in samples or sums over their step, (axes, n).
 
-    ``interpolated`` is the cumulative number of interpolated samples, (n + 1,), and ``before`` the
-    half block before the first sample.
+    ``interpolated`` is the cumulative number of interpolated samples, (n + 1,), and ``before`` are
+    the half blocks before the first sample.
     """
-    axes, n = samples.shape
-    _, size, bins = octave(o)
-    half, columns = size // 2, 2 * len(bins)
-    number = n // half
-    if not number:
-        return _OctaveSums(np.zeros((len(bins), axes)), 0, 0, before)
-    # a tapered block is the sum of the products of its two halves
-    with np.errstate(invalid='ignore'):  # no sensor has values above 1e38; the fit refuses them
-        products = samples[:, : number * half].reshape(axes * number, half) @ _half_tapers(
-            o, samples.dtype.str
-        )
-    products = products.reshape(axes, number, 2 * columns)
-    amplitudes = products[:, 0 if before else 1 :, columns:]
-    amplitudes[:, 1 if before else 0 :] += products[:, : number - 1, :columns]
-    if before:
-        amplitudes[:, :1] += before.early
-    used, missing = _used_blocks(np.diff(interpolated[: number * half + 1 : half]), o, before)
-    if not used.all():
-        amplitudes = amplitudes[:, used]
-    exact = amplitudes.astype(float)  # squares of large samples exceed the range of float32
-    power = np.einsum('akc,akc->ac', exact, exact).T
-    pairs = int(np.count_nonzero(used[:-1] & used[1:]))
-    pairs += bool(before and before.used and len(used) and used[0])
-    last = _HalfBlock(products[:, -1:, :columns].copy(), missing, bool(len(used) and used[-1]))
-    return _OctaveSums(
-        power[: len(bins)] + power[len(bins) :], int(np.count_nonzero(used)), pairs, last
-    )
+    layout = _layout(octaves, *samples.shape)
+    last = before.copy()
+    amplitudes = _amplitudes(samples, layout, before.early, last.early)
+    all_used = interpolated[-1] == interpolated[0] and not before.interpolated.any()
+    power, blocks, pairs = [], [], []
+    for i, (o, half, number, begin, end) in enumerate(layout):
+        found = amplitudes[begin:end].reshape(len(samples), number, amplitudes.shape[1])
+        if all_used:
+            blocks.append(number)
+            pairs.append(number - (not before.used[i]) if number else 0)
+            last.used[i] = number > 0
+        else:
+            counts = interpolated[: number * half + 1 : half]
+            counts = np.concatenate([before.interpolated[i : i + 1], counts[1:] - counts[:-1]])
+            used = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
+            found = found[:, used]
+            used = np.concatenate([before.used[i : i + 1], used])  # with the block before
+            blocks.append(int(np.count_nonzero(used[1:])))
+            pairs.append(int(np.count_nonzero(used[1:] & used[:-1])))
+            last.interpolated[i], last.used[i] = counts[-1], used[-1]
+        squares = np.einsum('akc,akc->ac', found, found).T
+        power.append(squares[: len(squares) // 2] + squares[len(squares) // 2 :])
+    return _GroupSums(power, blocks, pairs, last)
 
 
-def _used_blocks(
-    interpolated: Floats, o: int, before: _HalfBlock | None
-) -> tuple[NDArray[np.bool_], float]:
-    """Return which blocks of octave o are used, and the interpolated samples of the last half.
+def _amplitudes(
+    samples: Floating, layout: list[_Layout], before: Floating, last: Floating
+) -> Floats:
+    """Return the amplitudes of the blocks that end with each half block, (rows, 2 bins).
 
-    ``interpolated``, (halves,), is the number of interpolated samples in each half block.
+    ``before``, (octaves, axes, 2 bins), is the product of the half block before the first sample
+    with the tapers of the first half; that of the last half block is written to ``last``.
     """
-    if before:
-        interpolated = np.concatenate([[before.interpolated], interpolated])
-    used = interpolated[:-1] + interpolated[1:] <= MAX_INTERPOLATED * octave(o).length
-    return np.asarray(used), float(interpolated[-1])
+    rows, columns = layout[-1].end, before.shape[2]
+    products = np.empty((rows, 2 * columns), samples.dtype)
+    for o, half, number, begin, end in layout:
+        whole = samples[:, : number * half].reshape(-1, half)
+        np.matmul(whole, _half_tapers(o, samples.dtype.str), out=products[begin:end])
+    early, late = products[:, :columns], products[:, columns:]
+    # the amplitude of a block is the sum of the products of its two halves
+    amplitudes = np.empty(late.shape, samples.dtype)
+    np.add(early[:-1], late[1:], out=amplitudes[1:])
+    for i, (_, _, number, begin, end) in enumerate(layout):
+        if number:
+            amplitudes[begin:end:number] = before[i] + late[begin:end:number]
+            last[i] = early[begin + number - 1 : end : number]
+    del products, early, late
+    return amplitudes.astype(float)  # squares of large samples exceed float32
 
 
 def _second_differences(
@@ -322,11 +378,14 @@ class Cascade:
             begin = _KEPT + bottom.fill
             phase = bottom.points[:, begin : begin + take]
             np.subtract(samples[:, at : at + take], self.reference[:, None], out=phase[:-1])
-            phase[-1] = 0.0 if interpolated is None else interpolated[at : at + take]
+            if interpolated is None:
+                phase[-1], rows = bottom.points[-1, begin - 1], slice(-1)
+            else:
+                phase[-1], rows = interpolated[at : at + take], slice(None)
             # adding the last point before cumsum makes the order of additions the same for any
             # chunking
-            phase[:, 0] += bottom.points[:, begin - 1]
-            np.cumsum(phase, axis=1, out=phase)
+            phase[rows, 0] += bottom.points[rows, begin - 1]
+            np.cumsum(phase[rows], axis=1, out=phase[rows])
             bottom.fill += take
             at += take
             self.samples += take
@@ -340,12 +399,12 @@ class Cascade:
             if level.fill < level.size:
                 return
             phase = level.phase(level.points[:, :0])
-            yield Block(level.summed << j, level.close(), phase[:, :0] if j else phase)
-            if j == 0:
-                level.move_origin()
             if j + 1 == len(self._levels):
                 self._levels.append(_RunningLevel(j + 1, len(phase)))
             self._levels[j + 1].append(phase[:, 2::2])
+            yield Block(level.summed << j, level.close(), phase[:, :0] if j else phase)
+            if j == 0:
+                level.move_origin()
 
     def open_blocks(self) -> Iterator[Block]:
         """Yield the blocks that are not full as if the segment ended; the state is unchanged."""

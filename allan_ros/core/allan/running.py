@@ -47,9 +47,12 @@ class _RunningPeriod:
         """Return the period with more sums of some levels."""
         both = list(self.levels)
         for more in levels:
-            for j in range(len(both), more.level + 1):
+            for j in range(len(both), more.level):
                 both.append(LevelSums.zero(j, more.values.shape[1]))
-            both[more.level] = both[more.level] + more
+            if more.level == len(both):
+                both.append(more)
+            else:
+                both[more.level] = both[more.level] + more
         return _RunningPeriod(self.begin, self.start, self.samples, self.total, tuple(both))
 
     def extended(self, later: _RunningPeriod) -> _RunningPeriod:
