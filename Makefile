@@ -59,6 +59,7 @@ unit: $(VENV)/.tested  ## run the tests alone (TESTS=test/core for some of them)
 
 golden: $(VENV)/.tested  ## store every number of several recordings, and list what changed
 	PYTHONPATH=.:test $(VENV)/bin/python -m golden.harness
+	STORE_GOLDEN=1 $(VENV)/bin/python -m pytest -q test/export/test_targets.py -k word_for_word
 
 golden-check: $(VENV)/.tested  ## compare every number of several recordings with the stored ones
 	PYTHONPATH=.:test $(VENV)/bin/python -m golden.harness --check

@@ -8,6 +8,7 @@ format. Its stamps are multiples of 1 us, and its values are exact in 32 bits.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from support.recordings import outcome, read, refused
 
+from allan_ros import readers as formats
 from allan_ros.cli.analyze import recordings_in
 from allan_ros.core.imu import ImuBatch
 from allan_ros.readers import FORMATS, SUFFIXES, open_recordings
@@ -98,6 +100,17 @@ def test_of_a_truncated_file_no_wrong_sample_is_read(written: Written, share: fl
     if not error:
         known = {row.tobytes() for row in np.round(BATCH_6.samples, 6)}
         assert all(row.tobytes() in known for row in np.round(read(path).samples[:-1], 6))
+
+
+def test_every_function_that_opens_a_recording_has_a_format() -> None:
+    folder = Path(formats.__file__).parent
+    opener = re.compile(r'^def (open_\w+)\(path: Path, options: ReadOptions\) -> Recording:', re.M)
+    found = {
+        (path.stem, name)
+        for path in folder.glob('*.py')
+        for name in opener.findall(path.read_text(encoding='utf-8'))
+    }
+    assert found == {(form.module, form.opener) for form in FORMATS.values()}
 
 
 def test_no_suffix_belongs_to_two_formats() -> None:
