@@ -50,7 +50,7 @@ from .readers.recorded import (
 from .results.analysis import analyze_recorded, one_thread
 from .results.common_noise import CommonResult as PlainCommonResult
 from .results.common_noise import common_of
-from .results.comparison import REST, RUNNING, Inflation, RunComparison, Subject, compare_runs
+from .results.comparison import REST, RUNNING, Inflation, RunComparison, compare_runs
 from .results.datasheets import Datasheet as PlainDatasheet
 from .results.datasheets import load_sensor
 from .results.documents import RESULTS, SUMS, labels_of, load_sums
@@ -591,9 +591,10 @@ def compare(
     Returns
     -------
     RunComparison
-        The differences of each recording from the first one (``pairs``), the comparisons with
-        the datasheets (``checked``), and whether any of them is significant (``differs``); with
-        ``within``, whether the recordings are the same up to this fraction (``equivalent``).
+        The differences of each recording from the first one (``differences``), the results
+        compared with the datasheets (``checked``), and whether any difference is significant
+        (``differs``); with ``within``, whether the recordings are the same up to this fraction
+        (``equivalent``).
 
     Raises
     ------
@@ -623,7 +624,7 @@ def compare(
     if len(sources) + len(sheets) < 2 or not sources:
         raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
     runs = (results_of(source, method, observer) for source in sources)
-    return compare_runs([Subject(*run) for run in zip(names, runs)], sheets, margin, within)
+    return compare_runs(dict(zip(names, runs)), sheets, margin, within)
 
 
 @public
@@ -741,7 +742,7 @@ def inflate(
     loud = results_of(running, 'likelihood', observer, still)
     fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (quiet, loud)]
     axes = measure_inflation(fits[0], fits[1], horizon)
-    return Inflation(axes, compare_runs([Subject(REST, quiet), Subject(RUNNING, loud)]), horizon)
+    return Inflation(axes, compare_runs({REST: quiet, RUNNING: loud}), horizon)
 
 
 def _settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:

@@ -57,12 +57,12 @@ def main() -> None:
     for pair in range(args.pairs):
         seed = 3 * (args.seed * args.pairs + pair)
         first, second = (simulated(args.hours, seed + i) for i in (1, 2))
-        (found,) = ar.compare(first, second).pairs
-        alarms += bool(found.significant)
-        equal.update(_answers(found.differences, args.within))
+        (found,) = ar.compare(first, second).differences.values()
+        alarms += any(check.significant for check in found)
+        equal.update(_answers(found, args.within))
         shifted = simulated(args.hours, seed, 1.0 + args.within)
-        for pair_at_limit in ar.compare(first, shifted).pairs:
-            at_limit.update(_answers(pair_at_limit.differences, args.within))
+        for found_at_limit in ar.compare(first, shifted).differences.values():
+            at_limit.update(_answers(found_at_limit, args.within))
     low, high = clopper_pearson(alarms, args.pairs)
     print(f'pairs of equal noise told apart: {alarms} of {args.pairs} ({low:.1%} to {high:.1%})')
     for what, counts in (('of equal noise', equal), ('at the limit', at_limit)):

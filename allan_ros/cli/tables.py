@@ -8,16 +8,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..core.compare import Check, Judgement
+from ..core.compare import Check, Judgement, worst_verdict
 from ..core.errors import AllanError
 from ..core.estimate import NOTHING_KNOWN
 from ..core.imu import AXES, SENSORS, ShownUnit, sensor_of, shown_unit
 from ..core.number_text import LIMIT_DIGITS, significant
 from ..export import RAISED
-from ..results.datasheets import DatasheetComparison
-from ..results.measured import measured_check_text
-from ..results.results import Results
-from ..results.verdict import Level, too_short
+from ..results.measured import against_measured, measured_check_text
+from ..results.results import Level, Results
 from ..view.coefficient_table import coefficient_cell, coefficient_table
 from ..view.comparison_table import runs_table
 from ..view.finding_text import texts_of
@@ -54,23 +52,23 @@ HEADLINES: dict[Judgement | None, str] = {
 }
 
 
-def datasheet_lines(
-    comparison: DatasheetComparison, units: str, columns: int, judged: bool = True
-) -> Iterator[str]:
+def datasheet_lines(results: Results, units: str, columns: int) -> Iterator[str]:
     """Yield the lines of a comparison with a datasheet: a headline, then one entry per limit.
 
-    ``units`` is 'deg/h' or 'SI', ``columns`` the width of the text. ``judged`` is False if the
-    results are too short for a verdict.
+    ``units`` is 'deg/h' or 'SI', ``columns`` the width of the text. There are no lines without a
+    datasheet.
     """
-    sheet = comparison.datasheet
-    found = HEADLINES[comparison.verdict] if judged else 'not judged'
+    sheet, checks = results.datasheet, results.datasheet_checks
+    if sheet is None:
+        return
+    found = 'not judged' if results.is_too_short else HEADLINES[worst_verdict(checks)]
     headline = f'compared with the datasheet of {sheet.name}: {found}'
     yield from wrapped(headline, columns, '  ')
     groups: dict[tuple[str, str, float], list[Check]] = {}
-    for c in comparison.comparisons:  # axes of one sensor with the same limit of a term
+    for c in checks:  # axes of one sensor with the same limit of a term
         groups.setdefault((sensor_of(c.axis), c.quantity, c.limit), []).append(c)
     for group in groups.values():
-        stated = comparison.limit(group[0]).stated
+        stated = sheet.limits[group[0].axis][group[0].quantity].stated
         yield from wrapped(_line(group, stated, units), columns, ' ' * 9)
 
 
@@ -125,9 +123,7 @@ def results_lines(
     yield ''
     yield from wrapped(_legend(results), columns)
     if results.datasheet is not None:
-        yield ''
-        judged = not too_short(results)
-        yield from datasheet_lines(results.datasheet, units, columns, judged)
+        yield from ('', *datasheet_lines(results, units, columns))
     yield from findings_lines(results, units, columns, colors, complete)
     yield from _step_lines(results, verdict, columns)
 
@@ -212,7 +208,7 @@ SMALL_DEVIATION = 0.05
 def _deviation(results: Results, axis: str) -> str:
     deviation = results.axes[axis].fit.deviation
     large = deviation is not None and abs(deviation.relative) >= SMALL_DEVIATION
-    return deviation_text(deviation) if large and not too_short(results) else NOTHING_KNOWN
+    return deviation_text(deviation) if large and not results.is_too_short else NOTHING_KNOWN
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
@@ -220,18 +216,18 @@ def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Ite
     for sentence in str(comparison).splitlines():
         yield from wrapped(sentence, columns, '  ')
     for where in SENSORS.values():
-        axes = [a for a in AXES[where] if any(a in r.results.axes for r in comparison.runs)]
+        axes = [a for a in AXES[where] if any(a in r.axes for r in comparison.runs.values())]
         if axes:
             yield from ('', *terminal_lines(runs_table(comparison, axes, units), columns))
-    if comparison.pairs:
+    if comparison.differences:
         yield ''
         yield from wrapped(
-            f'ratios to {comparison.runs[0].label} with 95 % intervals; "higher" and "lower" are '
+            f'ratios to {comparison.first} with 95 % intervals; "higher" and "lower" are '
             f'significant (at most {100.0 * comparison.family_error:g} % false alarms overall)',
             columns,
         )
-    for one in comparison.checked:
-        yield from ('', one.label, *datasheet_lines(one.datasheet, units, columns))
-        if one.measured:
-            yield f'compared with measured units of {one.datasheet.datasheet.name}:'
-            yield from (f'         {measured_check_text(known)}' for known in one.measured)
+    for label, results in comparison.checked:
+        yield from ('', label, *datasheet_lines(results, units, columns))
+        if results.datasheet and (known := against_measured(results.datasheet, results)):
+            yield f'compared with measured units of {results.datasheet.name}:'
+            yield from (f'         {measured_check_text(one)}' for one in known)

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .allan.curve import CI_LEVEL, AxisCurve
-from .estimate import Estimate
+from .estimate import UNKNOWN, Estimate
 from .fit.result import TERMS, Z_95
 
 MARGIN = 0.2
@@ -71,10 +71,6 @@ Floats = NDArray[np.float64]
 
 Known = tuple[float, float, float]
 """(value, low, high): a positive value and the ends of its 95 % interval."""
-
-
-UNKNOWN = Estimate(None, status='not_observable')
-"""A number of which nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +131,11 @@ class Check:
         """Lower end of the 95 % interval of the ratio; 0 if unknown."""
         return (self.ratio.ci95 or (self.ratio.value or 0.0,))[0]
 
+    @property
+    def factor(self) -> float:
+        """The ratio, but at least 1: by how much the number of the other recording is too small."""
+        return max(self.ratio.value or 1.0, 1.0)
+
     def beyond(self, margin: float) -> bool:
         """Return whether two recordings differ significantly by more than the fraction ``margin``.
 
@@ -192,6 +193,16 @@ class Check:
             'p': self.p,
             'verdict': self.verdict,
         }
+
+
+WORST_FIRST: tuple[Judgement, ...] = ('exceeds', 'undecided', 'within')
+"""Verdicts of comparisons with limits, the worst first."""
+
+
+def worst_verdict(checks: Iterable[Check]) -> Judgement | None:
+    """Return the worst verdict of comparisons with limits; None without a comparison."""
+    found = {check.verdict for check in checks}
+    return next((verdict for verdict in WORST_FIRST if verdict in found), None)
 
 
 def check_limits(

@@ -177,6 +177,10 @@ class Estimate:
         return f'{value} {self.unit}'.rstrip()
 
 
+UNKNOWN = Estimate(None, status='not_observable')
+"""A number of which nothing is known."""
+
+
 def value_text(estimate: Estimate, unit: ShownUnit) -> str:
     """Return an estimate as text: its value, ``< limit`` if it has only a limit, or '-'.
 

@@ -26,7 +26,7 @@ from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Part
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..results.from_datasheet import FROM_DATASHEET
-from ..results.verdict import UNSUITABLE
+from ..results.results import UNSUITABLE
 from .target import ExportOptions, Key, Row, Target
 
 if TYPE_CHECKING:

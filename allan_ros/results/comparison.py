@@ -5,18 +5,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-from ..core.compare import FAMILY_ERROR, Check, differences
+from ..core.compare import FAMILY_ERROR, Check, differences, worst_verdict
 from ..core.errors import AllanError, one_line
 from ..core.fields import plain
-from ..core.filters.noise_parameters import TermInflation
 from ..core.filters.reductions import horizon_text, shortest_horizon
 from ..core.imu import SI_UNITS, sensor_of
 from ..core.number_text import significant
-from .datasheets import Datasheet, DatasheetComparison, comparison_to_document
+from .datasheets import Datasheet, sheet_to_document
 from .documents import results_to_document
 from .measured import against_measured
 from .results import Results
@@ -25,71 +24,50 @@ SCHEMA = 'allan_ros/comparison/2'
 
 
 @dataclass(frozen=True)
-class Subject:
-    """The results of one recording and its label, in which control characters are escaped."""
-
-    label: str
-    results: Results
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, 'label', one_line(self.label))
-
-
-@dataclass(frozen=True)
-class Pair:
-    """The differences between the first recording and another one, with the labels of both."""
-
-    first: str
-    second: str
-    differences: tuple[Check, ...]
-
-    @property
-    def significant(self) -> tuple[Check, ...]:
-        """The significant differences."""
-        return tuple(d for d in self.differences if d.significant)
-
-    def of(self, axis: str, quantity: str) -> Check | None:
-        """Return the difference of a coefficient such as 'N', or None if an axis is missing."""
-        known = (d for d in self.differences if (d.axis, d.quantity) == (axis, quantity))
-        return next(known, None)
-
-
-class Checked(NamedTuple):
-    """The comparison of a recording with a datasheet, and with measured units of the sensor."""
-
-    label: str
-    datasheet: DatasheetComparison
-    measured: Sequence[Check]
-
-
-@dataclass(frozen=True)
 class RunComparison:
     """Several recordings, their differences from the first one, and comparisons with datasheets.
 
-    ``pairs`` has one element for each recording after the first. ``family_error`` is the
-    probability of any significant difference if all recordings have equal noise. Printed, it is a
-    sentence for each pair, and a line for each comparison with a datasheet.
+    Printed, it is a sentence for each recording but the first, and a line for each comparison with
+    a datasheet.
+
+    Attributes
+    ----------
+    runs : mapping of label to Results
+        In the labels, control characters are escaped.
+    differences : mapping of label to tuple of Check
+        For each recording but the first one, the comparisons with the first one.
+    checked : tuple of (label, Results)
+        Each recording, compared with each datasheet that has limits for it.
+    family_error : float
+        Probability of any significant difference if all recordings have equal noise.
+    within : float
+        Fraction for the tests of equivalence; 0 for none.
     """
 
-    runs: tuple[Subject, ...]
-    pairs: tuple[Pair, ...]
-    checked: tuple[Checked, ...] = ()
+    runs: Mapping[str, Results]
+    differences: Mapping[str, tuple[Check, ...]]
+    checked: tuple[tuple[str, Results], ...] = ()
     family_error: float = FAMILY_ERROR
-    within: float = 0.0  # fraction for the tests of equivalence; 0 for none
+    within: float = 0.0
 
     def __repr__(self) -> str:
-        pairs = [_sentence(pair, self.family_error) for pair in self.pairs]
+        found = [_sentence(self, *each) for each in self.differences.items()]
         if self.within:
-            pairs += [_equivalence_sentence(pair, self.within) for pair in self.pairs]
-        return '\n'.join([*pairs, *map(_datasheet_sentence, self.checked)])
+            found += [_equivalence_sentence(self, *each) for each in self.differences.items()]
+        return '\n'.join([*found, *(_datasheet_sentence(*each) for each in self.checked)])
+
+    @property
+    def first(self) -> str:
+        """Label of the recording with which the others are compared."""
+        return next(iter(self.runs))
 
     @property
     def equivalent(self) -> bool:
         """Whether N of all axes is the same up to ``within``, and no other term is different."""
         results = (
             (d.quantity, d.equivalence(self.within))
-            for pair in self.pairs
-            for d in pair.differences
+            for checks in self.differences.values()
+            for d in checks
             if d.tau is None
         )
         return all(r == 'same' or (r == 'undecided' and term != 'N') for term, r in results)
@@ -100,66 +78,82 @@ class RunComparison:
 
         With ``within``, equality up to this fraction is required instead.
         """
-        if any(one.datasheet.verdict == 'exceeds' for one in self.checked):
+        if any(worst_verdict(one.datasheet_checks) == 'exceeds' for _, one in self.checked):
             return True
-        return not self.equivalent if self.within else any(p.significant for p in self.pairs)
+        if self.within:
+            return not self.equivalent
+        return any(significant_of(checks) for checks in self.differences.values())
+
+
+def significant_of(checks: Iterable[Check]) -> list[Check]:
+    """Return the significant differences of two recordings."""
+    return [d for d in checks if d.significant]
 
 
 def compare_runs(
-    runs: Sequence[Subject],
+    runs: Mapping[str, Results],
     datasheets: Sequence[Datasheet] = (),
     margin: float = 0.0,
     within: float = 0.0,
 ) -> RunComparison:
     """Compare each recording with the first one, and every recording with each datasheet.
 
-    With ``within``, the comparison also tests whether the coefficients are the same up to this
-    fraction. A limit of a datasheet is exceeded if the 95 % interval is completely above
-    limit * (1 + ``margin``). Raises AllanError when two recordings have no common axis.
+    ``runs`` has their results by label. With ``within``, the comparison also tests whether the
+    coefficients are the same up to this fraction. A limit of a datasheet is exceeded if the 95 %
+    interval is completely above limit * (1 + ``margin``). Raises AllanError when two recordings
+    have no common axis.
     """
-    first, *others = runs
-    for other in others:
-        if not set(first.results.axes) & set(other.results.axes):
+    runs = {one_line(label): results for label, results in runs.items()}
+    (first, known), *others = runs.items()
+    for label, other in others:
+        if not set(known.axes) & set(other.axes):
             raise AllanError(
-                f'no common axis: {other.label} has {", ".join(other.results.axes)}, '
-                f'{first.label} has {", ".join(first.results.axes)}'
+                f'no common axis: {label} has {", ".join(other.axes)}, '
+                f'{first} has {", ".join(known.axes)}'
             )
-    found = differences(
-        (first.label, first.results.measured, other.results.measured) for other in others
-    )
-    pairs = (Pair(first.label, other.label, changes) for other, changes in zip(others, found))
+    found = differences((first, known.measured, other.measured) for _, other in others)
     checked = (
-        Checked(run.label, known, against_measured(sheet, run.results))
+        (label, results.against_datasheet(sheet, margin))
         for sheet in datasheets
-        for run in runs
-        if (known := run.results.against_datasheet(sheet, margin).datasheet)
+        for label, results in runs.items()
     )
-    return RunComparison(tuple(runs), tuple(pairs), tuple(checked), within=within)
+    return RunComparison(
+        runs,
+        {label: changes for (label, _), changes in zip(others, found)},
+        tuple(checked),
+        within=within,
+    )
 
 
 def comparison_document(comparison: RunComparison) -> dict[str, Any]:
     """Return the comparison as a JSON object of the schema ``allan_ros/comparison/2``, in SI."""
-    pairs = plain(comparison.pairs)
-    for pair, found in zip(comparison.pairs, pairs) if comparison.within else ():
-        for d, one in zip(pair.differences, found['differences']):
-            one['equivalence'] = d.equivalence(comparison.within)
+    within = comparison.within
+
+    def document(check: Check) -> dict[str, Any]:
+        tested = {'equivalence': check.equivalence(within)} if within else {}
+        return {**plain(check), **tested}
+
     return {
         'schema': SCHEMA,
         'family_error': comparison.family_error,
-        'within': comparison.within or None,
+        'within': within or None,
         'differs': comparison.differs,
         'runs': [
-            {'label': run.label, 'results': results_to_document(run.results, curves=False)}
-            for run in comparison.runs
+            {'label': label, 'results': results_to_document(results, curves=False)}
+            for label, results in comparison.runs.items()
         ],
-        'pairs': pairs,
+        'pairs': [
+            {'first': comparison.first, 'second': label, 'differences': [*map(document, checks)]}
+            for label, checks in comparison.differences.items()
+        ],
         'datasheets': [
             {
-                'run': one.label,
-                **comparison_to_document(one.datasheet),
-                'measured': plain(one.measured),
+                'run': label,
+                **sheet_to_document(results.datasheet, results.datasheet_checks, results.margin),
+                'measured': plain(against_measured(results.datasheet, results)),
             }
-            for one in comparison.checked
+            for label, results in comparison.checked
+            if results.datasheet is not None
         ],
     }
 
@@ -194,31 +188,32 @@ def quantity_text(difference: Check) -> str:
     return f'{axis} deviation at {significant(difference.tau, 2)} s'
 
 
-def _sentence(pair: Pair, family_error: float) -> str:
-    found = pair.significant
+def _sentence(comparison: RunComparison, label: str, checks: Sequence[Check]) -> str:
+    first, found = comparison.first, significant_of(checks)
     if not found:
-        terms = sum(d.tau is None and d.verdict == 'alike' for d in pair.differences)
-        deviations = sum(d.tau is not None and d.verdict == 'alike' for d in pair.differences)
+        terms = sum(d.tau is None and d.verdict == 'alike' for d in checks)
+        deviations = sum(d.tau is not None and d.verdict == 'alike' for d in checks)
         if not terms + deviations:
-            return f'{pair.second} and {pair.first} have nothing that can be compared'
+            return f'{label} and {first} have nothing that can be compared'
         return (
-            f'{pair.second} and {pair.first} do not differ significantly in {terms} coefficients '
-            f'and {deviations} deviations ({100.0 * family_error:g} % false alarms overall)'
+            f'{label} and {first} do not differ significantly in {terms} coefficients '
+            f'and {deviations} deviations '
+            f'({100.0 * comparison.family_error:g} % false alarms overall)'
         )
     # Coefficients take precedence, and a ratio of two measured values comes before a bound.
     named = [d for d in found if d.tau is None] or found
     largest = max(named, key=lambda d: (d.ratio.value is not None, _size(d)))
     return (
-        f'{pair.second} differs from {pair.first} in {len(found)} of {len(pair.differences)} '
-        f'comparisons, most in {quantity_text(largest)}: {ratio_text(largest)} times'
+        f'{label} differs from {first} in {len(found)} of {len(checks)} comparisons, most in '
+        f'{quantity_text(largest)}: {ratio_text(largest)} times'
     )
 
 
-def _equivalence_sentence(pair: Pair, within: float) -> str:
+def _equivalence_sentence(comparison: RunComparison, label: str, checks: Sequence[Check]) -> str:
     found: dict[str, dict[str, list[str]]] = {'same': {}, 'different': {}, 'undecided': {}}
-    for d in pair.differences:
+    for d in checks:
         if d.tau is None and d.p is not None:
-            terms = found[d.equivalence(within)]
+            terms = found[d.equivalence(comparison.within)]
             terms.setdefault(d.quantity, []).append(d.axis.replace('_', ' '))
     texts = (
         '; '.join(f'{term} of {", ".join(axes)}' for term, axes in terms.items())
@@ -226,8 +221,9 @@ def _equivalence_sentence(pair: Pair, within: float) -> str:
     )
     same, different, undecided = (text or 'no term' for text in texts)
     return (
-        f'{pair.second} is the same as {pair.first} to {100.0 * within:g} % in {same}; it differs '
-        f'by more in {different}; undecided, because the intervals are too wide: {undecided}'
+        f'{label} is the same as {comparison.first} to {100.0 * comparison.within:g} % in {same}; '
+        f'it differs by more in {different}; undecided, because the intervals are too wide: '
+        f'{undecided}'
     )
 
 
@@ -237,16 +233,16 @@ def _size(difference: Check) -> float:
     return math.log(low) if low > 1.0 else -math.log(high)
 
 
-def _datasheet_sentence(checked: Checked) -> str:
-    name, checks = checked.datasheet.datasheet.name, checked.datasheet.comparisons
+def _datasheet_sentence(label: str, results: Results) -> str:
+    name, checks = results.datasheet.name if results.datasheet else '', results.datasheet_checks
     beyond = [f'{c.axis.replace("_", " ")} {c.quantity}' for c in checks if c.verdict == 'exceeds']
     if beyond:
-        return f'{checked.label} exceeds the datasheet of {name} in {", ".join(beyond)}'
+        return f'{label} exceeds the datasheet of {name} in {", ".join(beyond)}'
     unsettled = sum(c.verdict == 'undecided' for c in checks)
     if unsettled == len(checks):
-        return f'{checked.label} cannot be judged by the datasheet of {name}'
+        return f'{label} cannot be judged by the datasheet of {name}'
     note = f'; {unsettled} of {len(checks)} are undecided' if unsettled else ''
-    return f'{checked.label} is within the datasheet of {name}{note}'
+    return f'{label} is within the datasheet of {name}{note}'
 
 
 REST, RUNNING = 'at rest', 'at rest, motors on'
@@ -260,12 +256,18 @@ SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
 class Inflation:
     """Ratio of the noise of an IMU at rest with motors on to its noise with motors off.
 
-    ``axes`` has N and K for a filter with motors off and on, and their ratios. These N and K bound
-    the growth of the integrated error up to ``horizon`` (s). ``comparison`` has the ratios of the
-    Allan deviations with intervals.
+    Attributes
+    ----------
+    axes : mapping of axis to term to Check
+        N and K for a filter with motors on, compared with those with motors off (``limit``). They
+        bound the growth of the integrated error up to ``horizon``.
+    comparison : RunComparison
+        The ratios of the Allan deviations with intervals.
+    horizon : float
+        Longest time in s for which the filter integrates without a correction.
     """
 
-    axes: dict[str, dict[str, TermInflation]]
+    axes: Mapping[str, Mapping[str, Check]]
     comparison: RunComparison
     horizon: float
 
@@ -287,8 +289,13 @@ class Inflation:
 
     def ratios(self, axis: str) -> list[Check]:
         """Return the ratios of the Allan deviations of an axis, one for each averaging time."""
-        (pair,) = self.comparison.pairs
-        return [d for d in pair.differences if d.axis == axis and d.tau is not None]
+        (checks,) = self.comparison.differences.values()
+        return [d for d in checks if d.axis == axis and d.tau is not None]
+
+
+def use_of(check: Check) -> float:
+    """Return the value for a filter: the larger one of those with motors off and on."""
+    return max(check.limit, check.measured.value or 0.0)
 
 
 def inflation_document(inflation: Inflation) -> dict[str, Any]:
@@ -301,8 +308,13 @@ def inflation_document(inflation: Inflation) -> dict[str, Any]:
         'axes': {
             name: {
                 **{
-                    term: {'rest': t.rest, 'running': t.running, 'factor': t.factor, 'use': t.use}
-                    for term, t in axis.items()
+                    term: {
+                        'rest': c.limit,
+                        'running': c.measured.value,
+                        'factor': c.factor,
+                        'use': use_of(c),
+                    }
+                    for term, c in axis.items()
                 },
                 'deviation': [
                     {'tau_s': d.tau, 'ratio': plain(d.ratio.value), 'ci95': plain(d.ratio.ci95)}
@@ -320,7 +332,7 @@ def inflation_lines(inflation: Inflation) -> Iterator[str]:
     yield f'{"":9}{"N to use":>34}  {"factor":>6}{"K to use":>36}  {"factor":>6}'
     for name, axis in inflation.axes.items():
         units = SI_UNITS[sensor_of(name)]
-        n, k = (f'{significant(t.use, 4)} {units[term]:16}' for term, t in axis.items())
+        n, k = (f'{significant(use_of(c), 4)} {units[term]:16}' for term, c in axis.items())
         factors = axis['N'].factor, axis['K'].factor
         yield f'{name:9}{n:>34}  {factors[0]:6.2f}{k:>36}  {factors[1]:6.2f}'.rstrip()
     yield ''

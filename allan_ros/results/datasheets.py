@@ -15,11 +15,11 @@ has no figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from ..core.compare import Check, Judgement, check_limits
+from ..core.compare import Check, check_limits, worst_verdict
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.fields import Fields, located, plain
@@ -174,54 +174,27 @@ BELOW = 3.0
 """Measured white noise below the figure of a datasheet by more than this factor is implausible."""
 
 
-VERDICTS: tuple[Judgement, ...] = ('exceeds', 'undecided', 'within')
-"""Verdicts of a comparison, the worst first; an 'undecided' interval contains the limit."""
-
-
-@dataclass(frozen=True)
-class DatasheetComparison:
-    """The comparisons of all coefficients that have a limit in a datasheet, by axis, then term.
-
-    A coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
-    fraction ``margin``.
-    """
-
-    datasheet: Datasheet
-    margin: float
-    comparisons: tuple[Check, ...]
-
-    @property
-    def verdict(self) -> Judgement | None:
-        """The worst verdict; None if nothing could be compared."""
-        found = {c.verdict for c in self.comparisons}
-        return next((one for one in VERDICTS if one in found), None)
-
-    def of(self, axis: str, term: str) -> Check | None:
-        """Return the comparison of a coefficient; None if it has no limit."""
-        return next((c for c in self.comparisons if (c.axis, c.quantity) == (axis, term)), None)
-
-    def limit(self, check: Check) -> Limit:
-        """Return the limit of a comparison, with its number, note and source."""
-        return self.datasheet.limits[check.axis][check.quantity]
-
-
 def against_datasheet(
     noise: Mapping[str, Mapping[str, Estimate]], datasheet: Datasheet, margin: float
-) -> DatasheetComparison:
+) -> tuple[Check, ...]:
     """Compare the coefficients (axis -> term -> coefficient) with the limits of a datasheet.
 
     A coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
-    fraction ``margin``.
+    fraction ``margin``. A coefficient without a limit is left out.
     """
-    found = []
-    for axis, terms in noise.items():
-        for term in (term for term in TERMS if term in datasheet.limits.get(axis, {})):
-            limit = datasheet.limits[axis][term].value
-            known = terms[term].magnitude
-            found.append(
-                check_limits(axis, term, datasheet.name, known, upper=limit, margin=margin)
-            )
-    return DatasheetComparison(datasheet, margin, tuple(found))
+    return tuple(
+        check_limits(
+            axis,
+            term,
+            datasheet.name,
+            terms[term].magnitude,
+            upper=datasheet.limits[axis][term].value,
+            margin=margin,
+        )
+        for axis, terms in noise.items()
+        for term in TERMS
+        if term in datasheet.limits.get(axis, {})
+    )
 
 
 def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding:
@@ -264,12 +237,11 @@ def below_typical(check: Check, axes: tuple[str, ...]) -> Finding | None:
     )
 
 
-def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
-    """Return the comparison as the object ``datasheet`` of results.json."""
-    sheet = comparison.datasheet
+def sheet_to_document(sheet: Datasheet, checks: Sequence[Check], margin: float) -> dict[str, Any]:
+    """Return a datasheet and the checks of `against_datasheet` as JSON, for results.json."""
     axes: dict[str, dict[str, Any]] = {}
-    for c in comparison.comparisons:
-        limit = plain(comparison.limit(c))
+    for c in checks:
+        limit = plain(sheet.limits[c.axis][c.quantity])
         axes.setdefault(c.axis, {})[c.quantity] = {
             'limit': limit.pop('value'),
             'unit': SI_UNITS[sensor_of(c.axis)][c.quantity],
@@ -280,20 +252,15 @@ def comparison_to_document(comparison: DatasheetComparison) -> dict[str, Any]:
         'name': sheet.name,
         'maker': sheet.maker,
         'remark': sheet.remark,
-        'margin': comparison.margin,
-        'verdict': comparison.verdict,
+        'margin': margin,
+        'verdict': worst_verdict(checks),
         'sources': plain(sheet.sources),
         'axes': axes,
     }
 
 
-def comparison_from_document(
-    fields: Fields, noise: Mapping[str, Mapping[str, Estimate]]
-) -> DatasheetComparison:
-    """Read the object ``datasheet`` of results.json, and compare the coefficients with its limits.
-
-    ``noise`` are the coefficients of the same document: axis -> term -> coefficient.
-    """
+def sheet_from_document(fields: Fields) -> Datasheet:
+    """Read the datasheet in the object ``datasheet`` of results.json."""
     sources = fields.fields('sources')
     limits: dict[str, dict[str, Limit]] = {}
     axes = fields.fields('axes')
@@ -305,8 +272,7 @@ def comparison_from_document(
             limits.setdefault(axis, {})[term] = f.record(Limit, value=f.number('limit'))
     stated = {key: _source(sources.fields(key)) for key in sources}
     name, maker, remark = (fields.text(key) for key in ('name', 'maker', 'remark'))
-    sheet = Datasheet(name, maker, stated, limits, remark)
-    return against_datasheet(noise, sheet, fields.number('margin'))
+    return Datasheet(name, maker, stated, limits, remark)
 
 
 def sensor_names() -> list[str]:

@@ -40,7 +40,7 @@ from ..readers.recorded import Provenance, RecordingSums
 from ..version import __version__
 from .analysis import analyze_recorded
 from .axis_result import AxisResult
-from .datasheets import comparison_from_document, comparison_to_document
+from .datasheets import sheet_from_document, sheet_to_document
 from .results import Results
 
 RESULTS_SCHEMA = 'allan_ros/results/3'
@@ -87,7 +87,9 @@ def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]
         'segment_count': results.segments,
         **_provenance_to_document(results.provenance),
         'findings': [each.document() for each in results.findings],
-        'datasheet': comparison_to_document(results.datasheet) if results.datasheet else None,
+        'datasheet': None
+        if results.datasheet is None
+        else sheet_to_document(results.datasheet, results.datasheet_checks, results.margin),
         'motion': plain(results.motion),
         'axes': {
             name: _axis_to_document(name, axis, curves) for name, axis in results.axes.items()
@@ -107,8 +109,6 @@ def results_from_document(document: object, where: str = 'results') -> Results:
     axes = {name: _axis_from_document(name, stated.fields(name)) for name in _axes_of(stated)}
     stated_sheet = fields.optional_fields('datasheet')
     moved = fields.optional_fields('motion')
-    noise = {name: axis.fit.noise for name, axis in axes.items()}
-    datasheet = comparison_from_document(stated_sheet, noise) if stated_sheet else None
     return Results(
         ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
         fields.text('method'),
@@ -119,8 +119,8 @@ def results_from_document(document: object, where: str = 'results') -> Results:
         axes,
         provenance,
         provenance.findings,
-        datasheet,
-        margin=MARGIN if datasheet is None else datasheet.margin,
+        sheet_from_document(stated_sheet) if stated_sheet else None,
+        margin=stated_sheet.number('margin') if stated_sheet else MARGIN,
         motion=None if moved is None else moved.record(NoiseInMotion),
     )
 

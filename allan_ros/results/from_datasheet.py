@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 from ..core.errors import AllanError
-from ..core.estimate import Estimate
+from ..core.estimate import UNKNOWN, Estimate
 from ..core.findings import finding
 from ..core.fit.result import TERMS, AxisFit, model_of_terms
 from ..core.imu import SENSORS, ImuIdentity
@@ -37,7 +37,6 @@ def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Res
     it covers the error growth of N and B over the horizon of the filter. Raises AllanError if
     the datasheet states no N of an axis of a sensor.
     """
-    unknown = Estimate(None, status='not_observable')
     axes, assumed = {}, []
     for axis, terms in sheet.values().items():
         if 'N' not in terms:
@@ -49,7 +48,7 @@ def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Res
             assumed.append(axis)
         flicker = terms['N'] / math.sqrt(FLICKER_FLOOR * CROSSING_S)
         known = {'N': Estimate(terms['N']), 'B': Estimate(terms.get('B', flicker))}
-        noise = {term: known.get(term, unknown) for term in TERMS}
+        noise = {term: known.get(term, UNKNOWN) for term in TERMS}
         fit = AxisFit(noise, model_of_terms(noise))
         axes[axis] = AxisResult(1.0 / rate, fit, name=axis)
     low, high = known_factors(map(load_sensor, sensor_names()))

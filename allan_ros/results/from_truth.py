@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from ..core.estimate import Estimate
+from ..core.estimate import UNKNOWN, Estimate
 from ..core.fields import Fields
 from ..core.fit.result import TERMS, AxisFit
 from ..core.imu import ImuIdentity
@@ -52,6 +52,6 @@ def results_of_truth(path: str | os.PathLike[str]) -> Results:
 def _estimates(model: Model) -> dict[str, Estimate]:
     values = {term: model.value(term) for term in TERMS}
     return {
-        term: Estimate(value, (value, value)) if value else Estimate(None, status='not_observable')
+        term: Estimate(value, (value, value)) if value else UNKNOWN
         for term, value in values.items()
     }

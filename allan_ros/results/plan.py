@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.allan.at_rest import AtRest
-from ..core.compare import MARGIN, UNKNOWN, Check, check_limits
+from ..core.compare import MARGIN, Check, check_limits
 from ..core.errors import AllanError
-from ..core.estimate import Estimate
+from ..core.estimate import UNKNOWN, Estimate
 from ..core.fields import Fields, located
 from ..core.imu import (
     AXES,

@@ -44,7 +44,7 @@ def compared(
     elif str(baseline):
         (label,) = labels_of([str(baseline)])
         results = replace(results, baselines={label: load(baseline)})
-    sheet = results.datasheet.datasheet if results.datasheet else None
+    sheet = results.datasheet
     if sensor:
         sheet = sensor if isinstance(sensor, Datasheet) else load_sensor(str(sensor))
     return results if sheet is None else results.against_datasheet(sheet, stated)

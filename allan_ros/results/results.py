@@ -7,27 +7,35 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import Literal, TypeVar
 
-from ..core.compare import MARGIN, AxisNoise, Check, Run, differences
+from ..core.compare import MARGIN, AxisNoise, Check, Run, differences, worst_verdict
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.filters.motion_factors import NoiseInMotion
 from ..core.findings import Finding
+from ..core.fit.record_length import longest_recommended, recommended_duration
 from ..core.fit.temperature import TemperatureModel
 from ..core.imu import ImuIdentity, sensor_of
 from ..readers.recorded import Provenance, RecordingSums
 from .axis_result import AxisResult
-from .datasheets import (
-    Datasheet,
-    DatasheetComparison,
-    against_datasheet,
-    below_typical,
-    exceeds_limit,
-)
-from .verdict import TOO_SHORT_S, Level, level_of
+from .datasheets import Datasheet, against_datasheet, below_typical, exceeds_limit
 
 R = TypeVar('R', bound='Results')
+
+Level = Literal['healthy', 'attention', 'measured', 'unknown', 'failed']
+
+SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
+"""Ids of findings that indicate a broken sensor."""
+
+WRONG_UNITS = ('gyro_unit', 'gyro_unit_changed', 'accel_unit')
+"""Ids of findings because of which a comparison is about the units and not about the sensor."""
+
+UNSUITABLE = ('not_noise', 'not_settled')
+"""Ids of findings because of which the numbers are not those of the sensor at rest."""
+
+TOO_SHORT_S = 20.0
+"""Time at rest in s below which no verdict is given."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +62,13 @@ class Results:
         The recordings, their segments and counts of samples, and the settings.
     findings : tuple of Finding
         Messages about the recording, the fit, and the comparison with a datasheet.
-    datasheet : DatasheetComparison or None
-        The comparison with a datasheet; None if no datasheet was given.
+    datasheet : Datasheet or None
+        The datasheet with which the coefficients are compared; None if there is none.
     baselines : mapping of name to Results
         Earlier runs of this IMU with which the results are compared.
     margin : float
-        A coefficient exceeds a limit or an earlier run if its complete 95 % interval lies above it
-        by this fraction.
+        A coefficient exceeds a limit of the datasheet or an earlier run if its complete 95 %
+        interval lies above it by this fraction.
     motion : NoiseInMotion or None
         Errors in motion relative to the prediction from the noise at rest; None if the recordings
         have too few drives between two rests.
@@ -82,15 +90,17 @@ class Results:
     ('N', 'within')
     >>> results.export('kalibr').splitlines()[-1]
     'update_rate: 50.0'
-    >>> sheet = checked.datasheet.datasheet
-    >>> results.against_datasheet(sheet, margin=0.2).comparisons == checked.comparisons
+    >>> again = results.against_datasheet(checked.datasheet, margin=0.2)
+    >>> again.comparisons == checked.comparisons == checked.datasheet_checks
     True
     >>> results.measured['gyro_x'].curve is results['gyro_x'].curve
     True
     >>> results.temperature_models  # no temperature was recorded
     {}
-    >>> results.level, results.undecided_if_short([])
-    ('measured', ())
+    >>> results.level, results.is_measured, results.is_too_short, checked.is_decided
+    ('measured', True, False, True)
+    >>> results.time_to_record  # s, and the terms that are resolved then
+    (14400.0, ('B', 'K'))
     """
 
     identity: ImuIdentity
@@ -102,32 +112,74 @@ class Results:
     axes: Mapping[str, AxisResult]
     provenance: Provenance
     findings: tuple[Finding, ...]
-    datasheet: DatasheetComparison | None = None
+    datasheet: Datasheet | None = None
     baselines: Mapping[str, Results] = field(default_factory=dict, repr=False, compare=False)
     margin: float = field(default=MARGIN, repr=False, compare=False)
     recorded: RecordingSums | None = field(default=None, repr=False, compare=False)
     motion: NoiseInMotion | None = None
-
-    def __post_init__(self) -> None:
-        if self.datasheet is not None:
-            checks = self.undecided_if_short(self.datasheet.comparisons)
-            object.__setattr__(self, 'datasheet', replace(self.datasheet, comparisons=checks))
-
-    def undecided_if_short(self, comparisons: Sequence[Check]) -> tuple[Check, ...]:
-        """Return the comparisons, with the verdict 'undecided' below `TOO_SHORT_S` of data at
-        rest."""
-        short = self.duration_s < TOO_SHORT_S
-        return tuple(replace(c, verdict='undecided') if short else c for c in comparisons)
 
     @property
     def rate_hz(self) -> float:
         """Sample rate in Hz."""
         return 1.0 / self.tau0
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether any coefficient of any axis is resolved."""
+        return any(c.resolved for axis in self.axes.values() for c in axis.fit.noise.values())
+
+    @property
+    def is_too_short(self) -> bool:
+        """Whether there is too little data at rest for a verdict."""
+        return not self.is_measured or self.duration_s < TOO_SHORT_S
+
     @cached_property
     def level(self) -> Level:
-        """Whether the IMU is healthy."""
-        return level_of(self)
+        """Whether the IMU is healthy.
+
+        'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably
+        wrong units, a recording of motion or of a warm-up, another error, or no decided comparison;
+        'measured' without a datasheet or earlier run to compare with; 'attention' for a warning.
+        """
+        found = {finding.id for finding in self.findings}
+        severities = {finding.severity for finding in self.findings}
+        if found & {*SENSOR_FAULTS}:
+            return 'failed'
+        if self.is_too_short or found & {*WRONG_UNITS, *UNSUITABLE}:
+            return 'unknown'
+        if worst_verdict(self.comparisons) == 'exceeds':
+            return 'failed'
+        if 'error' in severities or not self.is_decided:
+            return 'unknown'
+        if not self.comparisons:
+            return 'measured'
+        return 'attention' if 'warning' in severities else 'healthy'
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether N is within all its limits, and without a limit of N all other terms are.
+
+        The other terms often need a longer recording.
+        """
+        required = [c for c in self.comparisons if c.quantity == 'N'] or self.comparisons
+        return all(c.verdict == 'within' for c in required)
+
+    @property
+    def time_to_record(self) -> tuple[float, tuple[str, ...]] | None:
+        """The recommended length of a recording in s and the terms that it resolves.
+
+        None if the present length suffices, or the method is not 'likelihood'.
+        """
+        if self.method != 'likelihood':
+            return None
+        longest = max((s.duration_s for s in self.provenance.segments), default=0.0)
+        limits: dict[str, dict[str, float]] = {}
+        for c in self.datasheet_checks:
+            limits.setdefault(c.axis, {})[c.quantity] = c.limit
+        return longest_recommended(
+            recommended_duration(axis.fit, longest or self.duration_s, limits.get(name))
+            for name, axis in self.axes.items()
+        )
 
     @property
     def noise(self) -> dict[str, Mapping[str, Estimate]]:
@@ -149,13 +201,23 @@ class Results:
         return found
 
     @cached_property
+    def datasheet_checks(self) -> tuple[Check, ...]:
+        """The comparisons of all coefficients that have a limit in the datasheet, by axis and term.
+
+        The verdict is 'undecided' below `TOO_SHORT_S` of data at rest.
+        """
+        sheet = self.datasheet
+        found = () if sheet is None else against_datasheet(self.noise, sheet, self.margin)
+        return self._undecided_if_short(found)
+
+    @cached_property
     def comparisons(self) -> tuple[Check, ...]:
         """The comparisons of the coefficients with the datasheet and with the earlier runs.
 
         Allan deviations are compared with the earlier runs, too. If a deviation of an axis exceeds
         an earlier run although none of its coefficients does, the largest such excess is included.
         """
-        found = list(self.datasheet.comparisons) if self.datasheet else []
+        found: list[Check] = []
         pairs = [(name, run.measured, self.measured) for name, run in self.baselines.items()]
         for name, of_run in zip(self.baselines, differences(pairs)):
             known = [c for d in of_run if (c := d.as_limit(self.margin)) is not None]
@@ -166,7 +228,11 @@ class Results:
                 if c.tau is not None and c.verdict == 'exceeds' and c.axis not in explained:
                     excess[c.axis] = c
             found += excess.values()
-        return self.undecided_if_short(found)
+        return *self.datasheet_checks, *self._undecided_if_short(found)
+
+    def _undecided_if_short(self, checks: Sequence[Check]) -> tuple[Check, ...]:
+        short = self.duration_s < TOO_SHORT_S
+        return tuple(replace(c, verdict='undecided') if short else c for c in checks)
 
     def __getitem__(self, axis: str) -> AxisResult:
         try:
@@ -186,9 +252,8 @@ class Results:
         and each N that is implausibly small.
         """
         others = (f for f in self.findings if f.id not in ('exceeds_limit', 'below_typical'))
-        comparison = against_datasheet(self.noise, datasheet, margin)
-        checks = self.undecided_if_short(comparison.comparisons)
+        judged = replace(self, datasheet=datasheet, margin=margin)
+        checks = judged.datasheet_checks
         found = [exceeds_limit(c, margin, (c.axis,)) for c in checks if c.verdict == 'exceeds']
         quiet = [f for c in checks if (f := below_typical(c, (c.axis,))) is not None]
-        findings = (*others, *found, *quiet)
-        return replace(self, datasheet=comparison, margin=margin, findings=findings)
+        return replace(judged, findings=(*others, *found, *quiet))

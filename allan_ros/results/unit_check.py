@@ -7,15 +7,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 from ..core.compare import Check
 from ..core.findings import Finding, by_consequence
 from .plan import Plan
-from .verdict import SENSOR_FAULTS, UNSUITABLE, WRONG_UNITS, too_short
-
-if TYPE_CHECKING:
-    from .results import Results
+from .results import SENSOR_FAULTS, UNSUITABLE, WRONG_UNITS, Results
 
 
 class Decision(IntEnum):
@@ -111,24 +107,18 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     unchecked = tuple(plan.unchecked(results)) if plan else ()
     verdicts = {check.verdict for check in checks}
     # a datasheet is not compared with too few data, or with a wrong unit of measurement
-    usable = not too_short(results) and not any(f.id in (*WRONG_UNITS, *UNSUITABLE) for f in found)
+    usable = not results.is_too_short and not any(
+        f.id in (*WRONG_UNITS, *UNSUITABLE) for f in found
+    )
     compared = {c.verdict for c in results.comparisons} if usable else set()
+    is_decided = results.is_decided and bool(checks or results.comparisons)
     if broken or 'exceeds' in verdicts | compared:
         decision = Decision.EXCEEDS
-    elif causes or not usable or 'undecided' in verdicts or _is_open(results, checks):
+    elif causes or not usable or not is_decided or 'undecided' in verdicts:
         decision = Decision.NOT_JUDGED
     else:
         decision = Decision.WITHIN
     return UnitCheck(decision, plan, checks, unchecked, causes)
-
-
-def _is_open(results: Results, checks: Sequence[Check]) -> bool:
-    """Return whether nothing was compared, or a datasheet or an earlier run does not decide."""
-    comparisons = results.comparisons
-    if not comparisons:
-        return not checks
-    required = [c for c in comparisons if c.quantity == 'N'] or comparisons
-    return any(c.verdict != 'within' for c in required)
 
 
 def worst(decisions: Sequence[Decision]) -> Decision:

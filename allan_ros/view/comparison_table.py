@@ -7,11 +7,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from ..core.compare import Check
-from ..core.estimate import NOTHING_KNOWN, Estimate
+from ..core.estimate import NOTHING_KNOWN, UNKNOWN, Estimate
 from ..core.fit.result import TERMS
 from ..core.imu import sensor_of, shown_unit
 from ..core.number_text import prefixed
-from ..results.comparison import RunComparison, ratio_text, verdict_text
+from ..results.comparison import (
+    RunComparison,
+    ratio_text,
+    significant_of,
+    verdict_text,
+)
 from ..results.results import Results
 from .coefficient_table import (
     Coefficients,
@@ -22,9 +27,6 @@ from .coefficient_table import (
 )
 from .format import NO_BREAK, pretty_unit
 from .table import Cell, Heading, Table
-
-ABSENT = Estimate(None, status='not_observable')
-"""What is known of a coefficient of an axis that was not recorded."""
 
 
 def limit_table(
@@ -100,7 +102,7 @@ def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Ta
     sensor = sensor_of(axes[0])
     rows: list[tuple[Heading, list[Cell]]] = []
     for term in TERMS:
-        known = {run.label: _of_axes(run.results, axes, term) for run in comparison.runs}
+        known = {run: _of_axes(each, axes, term) for run, each in comparison.runs.items()}
         size = largest([c for of_run in known.values() for c in of_run])
         unit = prefixed(shown_unit(sensor, term, units), size)
         cells = {run: [coefficient_cell(c, unit) for c in of_run] for run, of_run in known.items()}
@@ -109,15 +111,16 @@ def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Ta
         for i, (run, of_run) in enumerate(cells.items()):
             heading = Heading('') if i else Heading(term, unit.name)
             rows.append((heading, [Cell(run), *of_run]))
-        for pair in comparison.pairs:
-            ratios = [pair.of(axis, term) for axis in axes]
+        for run, checks in comparison.differences.items():
+            of_axis = {d.axis: d for d in checks if d.quantity == term}
+            ratios = [of_axis.get(axis) for axis in axes]
             texts = [f'{ratio_text(d)} {verdict_text(d)}'.strip() if d else '' for d in ratios]
-            rows.append((Heading(''), [Cell(f'{pair.second} ratio'), *map(Cell, texts)]))
-    for pair in comparison.pairs:
-        counts = [Cell(pair.second)]
+            rows.append((Heading(''), [Cell(f'{run} ratio'), *map(Cell, texts)]))
+    for run, checks in comparison.differences.items():
+        counts = [Cell(run)]
         for axis in axes:
-            tested = [d for d in pair.differences if d.axis == axis and d.tau is not None]
-            differ = sum(d.significant for d in tested)
+            tested = [d for d in checks if d.axis == axis and d.tau is not None]
+            differ = len(significant_of(tested))
             counts.append(Cell(f'{differ} of {len(tested)} differ' if tested else ''))
         rows.append((Heading('deviation'), counts))
     runs = Heading('', repeats=True)
@@ -126,7 +129,7 @@ def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Ta
 
 def _of_axes(results: Results, axes: Sequence[str], term: str) -> list[Estimate]:
     known = results.axes
-    return [known[axis].fit.noise[term] if axis in known else ABSENT for axis in axes]
+    return [known[axis].fit.noise[term] if axis in known else UNKNOWN for axis in axes]
 
 
 def stated_limits(texts: Mapping[str, Sequence[str]]) -> dict[str, str]:

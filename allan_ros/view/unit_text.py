@@ -12,9 +12,8 @@ from ..core.findings import grouped
 from ..core.imu import AXES, SENSORS, sensor_of
 from ..core.number_text import LIMIT_DIGITS, significant
 from ..results.plan import Limits, Plan
-from ..results.results import Results
+from ..results.results import WRONG_UNITS, Results
 from ..results.unit_check import BROKEN, UnitCheck
-from ..results.verdict import WRONG_UNITS
 from .finding_text import texts_of
 from .verdict_text import finding_text, verdict_of
 

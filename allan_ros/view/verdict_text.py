@@ -13,17 +13,13 @@ from ..core.findings import Finding, by_consequence, grouped, is_note
 from ..core.fit.record_length import ADVISED_TERMS
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
 from ..core.number_text import duration_text, significant
-from ..results.results import Results
-from ..results.verdict import (
+from ..results.results import (
     SENSOR_FAULTS,
     TOO_SHORT_S,
     UNSUITABLE,
     WRONG_UNITS,
     Level,
-    level_of,
-    measured,
-    time_to_record,
-    too_short,
+    Results,
 )
 from .finding_text import finding_line, texts_of
 
@@ -69,25 +65,24 @@ class Verdict:
 def verdict_of(results: Results, units: str = 'deg/h') -> Verdict:
     """Return the verdict on the IMU of the results; ``units`` of its texts is 'deg/h' or 'SI'."""
     comparisons = results.comparisons
-    level = level_of(results)
     summary = _summary(results, comparisons, units)
     reasons = tuple(finding_text(f, results, units) for f in warnings_and_errors(results))
-    steps = tuple(dict.fromkeys(_steps(level, results, comparisons)))
-    return Verdict(level, summary, reasons, steps)
+    steps = tuple(dict.fromkeys(_steps(results, comparisons)))
+    return Verdict(results.level, summary, reasons, steps)
 
 
 def _summary(results: Results, comparisons: Sequence[Check], units: str) -> str:
     faults = [f for f in results.findings if f.id in SENSOR_FAULTS]
     wrong = [f for f in grouped(results.findings) if f.id in (*WRONG_UNITS, *UNSUITABLE)]
-    if wrong and not faults and not too_short(results):
+    if wrong and not faults and not results.is_too_short:
         return finding_text(wrong[0], results, units)
     beyond = [c for c in comparisons if c.verdict == 'exceeds']
-    if beyond and not too_short(results):
+    if beyond and not results.is_too_short:
         excesses = list(_excesses(results, beyond, units))
         return f'Above {_references(beyond)}: {_joined(excesses)}.'
     if faults:
         return finding_text(faults[0], results, units)
-    if not measured(results):
+    if not results.is_measured:
         errors = [f for f in results.findings if f.severity == 'error']
         why = texts_of(errors[0]).message if errors else 'No coefficient is resolved.'
         return f'Nothing could be measured. {why}'
@@ -115,7 +110,7 @@ def quality(results: Results) -> str:
     """
     if not any(c.ci95 or c.upper95 for a in results.axes.values() for c in a.fit.noise.values()):
         return f'Method {results.method} gives no intervals.'
-    advice = time_to_record(results)
+    advice = results.time_to_record
     parts: list[str] = []
     needs: list[str] = []
     limits: list[str] = []
@@ -164,7 +159,8 @@ def warnings_and_errors(results: Results) -> list[Finding]:
     return [found for found in grouped(results.findings) if found.severity != 'info']
 
 
-def _steps(level: Level, results: Results, comparisons: Sequence[Check]) -> Iterator[str]:
+def _steps(results: Results, comparisons: Sequence[Check]) -> Iterator[str]:
+    level = results.level
     remedies: dict[str, list[str]] = {}
     for finding in by_consequence(results.findings):
         if finding.severity != 'info' and finding.id not in NO_STEP:
@@ -172,14 +168,14 @@ def _steps(level: Level, results: Results, comparisons: Sequence[Check]) -> Iter
     for remedy, axes in remedies.items():
         where = f' ({_axes_text(axes, results)})' if axes else ''
         yield f'{remedy.rstrip(".")}{where}.'
-    advice = time_to_record(results)
+    advice = results.time_to_record
     if advice is not None:
         seconds, terms = advice
         time = duration_text(seconds)
         yield f'Record {time} at rest, warmed up, to resolve or bound {_joined(terms)}.'
-    elif too_short(results) and level == 'unknown' and not remedies:
+    elif results.is_too_short and level == 'unknown' and not remedies:
         yield 'Record at least a minute at rest.'
-    if not comparisons and measured(results):
+    if not comparisons and results.is_measured:
         yield 'Compare with a datasheet (--sensor NAME) or an earlier run (--baseline FILE).'
     if level in ('healthy', 'attention', 'measured'):
         yield 'Write a file for a filter: allan export FOLDER --to openvins.'

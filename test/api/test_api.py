@@ -174,7 +174,7 @@ def test_a_comparison_keeps_its_margin_until_another_is_stated(tmp_path: Path) -
     lenient = plain.compared('adis16475-3', margin=0.5)
     lenient.save(tmp_path)
     for results in (lenient, ar.load(tmp_path)):
-        assert results.datasheet.margin == 0.5 and results.datasheet.comparisons
+        assert results.margin == 0.5 and results.datasheet_checks
         assert results.compared().comparisons == lenient.comparisons
         strict, expected = results.compared(margin=0.0), plain.compared('adis16475-3', margin=0.0)
         assert (strict.comparisons, strict.findings) == (expected.comparisons, expected.findings)

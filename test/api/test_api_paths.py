@@ -64,7 +64,7 @@ def test_paths_are_read_alone_together_and_in_processes(tmp_path: Path) -> None:
     both = ar.analyze(paths)
     assert (one.samples, both.samples) == (3600, 7200)
     assert repr(ar.analyze(paths, processes=2)) == repr(both)
-    assert ar.compare(one, paths[0]).runs[1].results.samples == one.samples
+    assert [*ar.compare(one, paths[0]).runs.values()][1].samples == one.samples
 
 
 def test_a_worker_that_dies_is_reported() -> None:

@@ -21,7 +21,7 @@ from allan_ros.core.findings import CATALOG, Finding, finding
 from allan_ros.core.fit.result import TERMS, Deviation
 from allan_ros.core.imu import shown_unit
 from allan_ros.export import origin_text, target_rows
-from allan_ros.results.comparison import Subject, compare_runs
+from allan_ros.results.comparison import compare_runs
 from allan_ros.results.datasheets import load_sensor
 from allan_ros.results.results import Results
 from allan_ros.view.coefficient_table import coefficient_table
@@ -187,13 +187,13 @@ def test_findings_follow_the_units(small_results: Results) -> None:
 def test_a_comparison_with_a_datasheet_has_no_two_empty_lines_in_a_row(
     small_results: Results,
 ) -> None:
-    comparison = compare_runs([Subject('a', small_results)], [load_sensor('mpu-6050')])
+    comparison = compare_runs({'a': small_results}, [load_sensor('mpu-6050')])
     lines = list(comparison_lines(comparison, 'deg/h', 100))
     assert '' in lines and ('', '') not in pairwise(lines)
 
 
 def test_a_term_that_neither_recording_resolves_has_no_row(small_results: Results) -> None:
-    runs = compare_runs([Subject('a', small_results), Subject('b', small_results)])
+    runs = compare_runs({'a': small_results, 'b': small_results})
     lines = list(comparison_lines(runs, 'deg/h', 100))
     headings = [i for i, line in enumerate(lines) if line.startswith(('gyro ', 'accel '))]
     assert headings and all(lines[i + 1][:1].isalpha() for i in headings)

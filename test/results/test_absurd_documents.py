@@ -21,7 +21,6 @@ from allan_ros.readers.files import to_json
 from allan_ros.readers.recorded import Provenance
 from allan_ros.results.analysis import analyze_sums
 from allan_ros.results.comparison import (
-    Subject,
     compare_runs,
     comparison_document,
 )
@@ -87,7 +86,7 @@ def test_results_are_used_or_rejected(seed: int, small_results: Results) -> None
             results = results_from_document(changed)
             used += 1
             use_results(results)
-            comparison = compare_runs([Subject('a', small_results), Subject('b', results)])
+            comparison = compare_runs({'a': small_results, 'b': results})
             to_json(comparison_document(comparison))
         except AllanError:
             continue

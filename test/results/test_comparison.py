@@ -10,15 +10,16 @@ from dataclasses import replace
 import pytest
 from support.exports import scaled
 
+from allan_ros.core.compare import worst_verdict
 from allan_ros.core.errors import AllanError
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.fit.result import TERMS
 from allan_ros.readers.files import to_json
 from allan_ros.results.comparison import (
     RunComparison,
-    Subject,
     compare_runs,
     comparison_document,
+    significant_of,
 )
 from allan_ros.results.datasheets import Datasheet, Limit, Source
 from allan_ros.results.documents import labels_of
@@ -28,7 +29,7 @@ HOSTILE = 'a\x1b[31m|\u202e<b>\r\n$x_{'
 
 
 def compared(*results: Results, sheets: tuple[Datasheet, ...] = ()) -> RunComparison:
-    return compare_runs([Subject(*run) for run in zip('abc', results)], sheets)
+    return compare_runs(dict(zip('abc', results)), sheets)
 
 
 def limited(name: str, **limits: Limit) -> Datasheet:
@@ -38,7 +39,7 @@ def limited(name: str, **limits: Limit) -> Datasheet:
 def test_a_run_does_not_differ_from_itself(small_results: Results) -> None:
     comparison = compared(small_results, small_results)
     assert not comparison.differs
-    assert {d.verdict for d in comparison.pairs[0].differences} <= {'alike', 'undecided'}
+    assert {d.verdict for d in comparison.differences['b']} <= {'alike', 'undecided'}
     assert repr(comparison).startswith('b and a do not differ significantly in ')
 
 
@@ -48,9 +49,9 @@ def test_the_sentence_names_what_differs_most(
 ) -> None:
     other = scaled(small_results, 1.3, axis='accel_x')
     comparison = compared(small_results, other, scaled(other, factor))
-    assert [(p.first, p.second) for p in comparison.pairs] == [('a', 'b'), ('a', 'c')]
+    assert comparison.first == 'a' and list(comparison.differences) == ['b', 'c']
     assert comparison.differs
-    found = [(d.axis, d.quantity) for d in comparison.pairs[1].significant]
+    found = [(d.axis, d.quantity) for d in significant_of(comparison.differences['c'])]
     assert found == [('gyro_z', 'N'), ('accel_x', 'N')]
     said = repr(comparison).splitlines()[1]
     assert said.startswith('c differs from a in 2 of ')
@@ -61,11 +62,15 @@ def test_every_run_is_held_against_every_datasheet(small_results: Results) -> No
     n = small_results.axes['gyro_x'].fit.noise['N'].value
     sheets = (limited('X', N=Limit(n / 2, '3')), limited('Y'))
     comparison = compared(*[small_results] * 3, sheets=sheets)
-    exceeded = [one.label for one in comparison.checked if one.datasheet.verdict == 'exceeds']
+    exceeded = [
+        label
+        for label, one in comparison.checked
+        if worst_verdict(one.datasheet_checks) == 'exceeds'
+    ]
     assert exceeded == [*'abc'] and comparison.differs
     assert 'c exceeds the datasheet of X in ' in repr(comparison)
     alone = compared(small_results, sheets=sheets)
-    assert alone.pairs == ()
+    assert alone.differences == {}
     assert 'a cannot be judged by the datasheet of Y' in repr(alone)
     short = replace(small_results, duration_s=5.0)
     assert not compared(short, sheets=sheets).differs
@@ -81,9 +86,7 @@ def test_runs_without_a_common_axis_are_rejected(small_results: Results) -> None
 
 
 def test_the_document_and_the_text_show_labels_safely(small_results: Results) -> None:
-    comparison = compare_runs(
-        [Subject(HOSTILE, small_results), Subject('b', scaled(small_results, 1.5))]
-    )
+    comparison = compare_runs({HOSTILE: small_results, 'b': scaled(small_results, 1.5)})
     assert not set(repr(comparison)) & set('\x1b\u202e\r') and '\\x1b' in repr(comparison)
     document = json.loads(to_json(comparison_document(comparison)))
     [known] = [d for d in document['pairs'][0]['differences'] if d['verdict'] == 'higher']

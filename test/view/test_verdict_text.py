@@ -15,8 +15,8 @@ from allan_ros.core.estimate import Estimate
 from allan_ros.core.findings import Finding, finding
 from allan_ros.core.fit.result import AxisFit
 from allan_ros.core.imu import AXES
-from allan_ros.results.comparison import Subject, compare_runs
-from allan_ros.results.datasheets import Datasheet, Limit, against_datasheet
+from allan_ros.results.comparison import compare_runs, significant_of
+from allan_ros.results.datasheets import Datasheet, Limit
 from allan_ros.results.documents import results_to_document
 from allan_ros.results.results import Results
 from allan_ros.view.verdict_text import verdict_of
@@ -29,7 +29,7 @@ def against_itself(results: Results, factor: float) -> Results:
         for axis, terms in results.noise.items()
     }
     sheet = Datasheet('May', '', {}, limits)
-    return replace(results, datasheet=against_datasheet(results.noise, sheet, 0.0))
+    return replace(results, datasheet=sheet, margin=0.0)
 
 
 def calm(results: Results) -> Results:
@@ -54,15 +54,13 @@ def test_the_level_follows_from_the_limits(
 
 
 def test_n_within_its_limit_is_enough(small_results: Results) -> None:
-    known = against_itself(calm(small_results), 0.999)
+    known = against_itself(calm(small_results), 1.01)
     assert known.datasheet is not None
-    comparisons = tuple(
-        replace(c, verdict='within' if c.quantity == 'N' else 'undecided')
-        for c in known.datasheet.comparisons
-    )
-    verdict = verdict_of(
-        replace(known, datasheet=replace(known.datasheet, comparisons=comparisons))
-    )
+    limits = {
+        axis: {**terms, 'B': replace(terms['B'], value=terms['B'].value / 1.02)}
+        for axis, terms in known.datasheet.limits.items()
+    }
+    verdict = verdict_of(replace(known, datasheet=replace(known.datasheet, limits=limits)))
     assert verdict.level == 'healthy'
     assert verdict.summary == (
         '6 of 12 numbers are within May, none is above; undecided: B of all axes.'
@@ -145,9 +143,9 @@ def test_an_earlier_run_and_compare_agree(small_results: Results) -> None:
     """What `compare` calls higher by more than the margin exceeds the earlier run."""
     louder = scaled(small_results, 1.5)
     comparisons = louder.compared(baseline=small_results, margin=0.2).comparisons
-    [pair] = compare_runs([Subject('a', small_results), Subject('b', louder)]).pairs
+    [changes] = compare_runs({'a': small_results, 'b': louder}).differences.values()
     beyond = [(c.axis, c.quantity) for c in comparisons if c.verdict == 'exceeds']
-    assert beyond == [(d.axis, d.quantity) for d in pair.significant] == [('gyro_z', 'N')]
+    assert beyond == [(d.axis, d.quantity) for d in significant_of(changes)] == [('gyro_z', 'N')]
     assert louder.check(baseline=small_results).summary.startswith(
         'Above the earlier run: N of gyro z (at least 1.5 times '
     )

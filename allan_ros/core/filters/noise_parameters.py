@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
+from ..compare import Check, check_limits
 from ..errors import AllanError
+from ..estimate import Estimate
 from ..fit.result import AxisFit
 from ..imu import AXES, SENSORS
 from ..noise import Model
@@ -132,28 +133,10 @@ def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
     return max(ratios)
 
 
-@dataclass(frozen=True)
-class TermInflation:
-    """N or K of one axis with motors off and with motors on, in SI."""
-
-    rest: float  # with motors off
-    running: float  # with motors on
-
-    @property
-    def use(self) -> float:
-        """Value for a filter: the larger of the two."""
-        return max(self.rest, self.running)
-
-    @property
-    def factor(self) -> float:
-        """Inflation: ratio of the value for a filter to the value with motors off, at least 1."""
-        return self.use / self.rest
-
-
 def measure_inflation(
     rest: Mapping[str, AxisFit], running: Mapping[str, AxisFit], horizon: float = HORIZON_S
-) -> dict[str, dict[str, TermInflation]]:
-    """Return the increase of N and K due to running motors: axis -> term -> increase.
+) -> dict[str, dict[str, Check]]:
+    """Return the increase of N and K due to running motors: axis -> term -> comparison.
 
     ``rest`` and ``running`` are the fits of a robot at rest, with motors off and with motors on. N
     and K are taken from models reduced to white noise and a random walk. ``horizon`` is the
@@ -172,5 +155,10 @@ def measure_inflation(
         quiet, loud = (
             reduce_axis(axis, fits[axis], 'walk', horizon).levels for fits in (rest, running)
         )
-        inflation[axis] = {t: TermInflation(quiet[t].value, loud[t].value) for t in 'NK'}
+        inflation[axis] = {
+            term: check_limits(
+                axis, term, 'motors off', Estimate(loud[term].value), upper=quiet[term].value
+            )
+            for term in 'NK'
+        }
     return inflation

@@ -29,7 +29,6 @@ from ...core.number_text import duration_text, significant
 from ...core.settings import UNIT_SYSTEMS
 from ...core.stream.signal import SignalSummary
 from ...results.axis_result import AxisResult
-from ...results.verdict import too_short
 from ...version import __version__
 from ..finding_text import texts_of
 from ..format import SENSOR_NAMES, pretty_unit
@@ -127,7 +126,7 @@ def render_report(
         ('growth', 'Predicted error without correction', growth_html),
     ):
         parts = [[*content(axes)] for axes in sensors.values()]
-        if id != 'model' or not too_short(results):
+        if id != 'model' or not results.is_too_short:
             body += _fold(id, title, _pair(sensors, parts))
     links = ' '.join(f'<a href="{escape(f)}">{escape(f)}</a>' for f in files)
     files_line = f'<p class="files">Files in the same folder: {links}</p>' if links else ''
@@ -238,8 +237,9 @@ def _comparisons(
     results: Results, sensors: Mapping[str, Mapping[str, AxisResult]]
 ) -> Iterator[str]:
     if results.datasheet:
-        name = escape(results.datasheet.datasheet.name)
-        parts = [[*datasheet_html(axes, results.datasheet)] for axes in sensors.values()]
+        name = escape(results.datasheet.name)
+        checks = results.datasheet_checks
+        parts = [[*datasheet_html(axes, results.datasheet, checks)] for axes in sensors.values()]
         title = f'Compared with the datasheet of {name}'
         yield from _fold('datasheet', title, _pair(sensors, parts), shown=True)
     for i, (run, baseline) in enumerate(results.baselines.items()):

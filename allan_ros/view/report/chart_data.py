@@ -123,12 +123,11 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
 def _references(
     axes: Mapping[str, AxisResult], results: Results, tau: Sequence[float]
 ) -> Iterator[dict[str, Any]]:
-    stated = results.datasheet.datasheet.values() if results.datasheet else {}
+    stated = results.datasheet.values() if results.datasheet else {}
     for name, axis in axes.items():
         if results.datasheet and stated.get(name) and tau:
             avar = Model.of(**stated[name]).avar(tau, axis.tau0)
-            sheet = results.datasheet.datasheet.name
-            yield {'name': sheet, 'axis': name, 'adev': rounded(np.sqrt(avar))}
+            yield {'name': results.datasheet.name, 'axis': name, 'adev': rounded(np.sqrt(avar))}
     for run, former in results.baselines.items():
         for name in axes:
             curve = former.axes[name].curve if name in former.axes else None

@@ -17,7 +17,7 @@ from ...core.fit.result import TERMS
 from ...core.imu import shown_unit
 from ...export import RAISED, target_of
 from ...results.axis_result import AxisResult
-from ...results.datasheets import DatasheetComparison
+from ...results.datasheets import Datasheet
 from ..coefficient_table import Coefficients, coefficient_table
 from ..comparison_table import baseline_table, limit_table, stated_limits
 from ..finding_text import explained
@@ -98,23 +98,23 @@ def _scatter(name: str, axis: AxisResult, units: str) -> str:
     return escape(f'{cell.text} {pretty_unit(unit.name)}{ends}')
 
 
-def datasheet_html(axes: Axes, comparison: DatasheetComparison) -> Iterator[str]:
+def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -> Iterator[str]:
     """Yield an HTML table of the limits of a datasheet; nothing if it has none for this sensor."""
     stated: dict[str, list[str]] = {}
     notes = []
     for term in TERMS:
-        checks = [c for axis in axes if (c := comparison.of(axis, term)) is not None]
-        limits = [comparison.limit(c) for c in checks]
+        known = (sheet.limits[c.axis] for c in comparisons if c.axis in axes and c.quantity == term)
+        limits = [terms[term] for terms in known]
         if limits:
             stated[term] = [limit.stated for limit in limits]
         texts = dict.fromkeys(n for limit in limits for n in (limit.note, limit.condition) if n)
         notes += [f'{term}: {note}' for note in texts]
-    notes.append('; '.join(str(source) for source in comparison.datasheet.sources.values()))
+    notes.append('; '.join(str(source) for source in sheet.sources.values()))
     if stated:
-        known, limits_of = _noise(axes), stated_limits(stated)
+        noise, limits_of = _noise(axes), stated_limits(stated)
         yield _scrolled(
             'comparison',
-            lambda units: limit_table(known, comparison.comparisons, units, limits_of),
+            lambda units: limit_table(noise, comparisons, units, limits_of),
         )
         yield from map(_note, notes)
 

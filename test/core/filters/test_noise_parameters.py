@@ -154,9 +154,9 @@ def test_the_larger_value_is_used_and_divided_by_the_value_at_rest() -> None:
     rest = {'gyro_x': fit(1e-3, 2e-5), 'gyro_y': fit(1e-3, 1e-5)}
     ((axis, one),) = measure_inflation(rest, {'gyro_x': fit(3e-3, 1e-5)}).items()
     assert axis == 'gyro_x'
-    assert (one['N'].use, one['N'].factor) == pytest.approx((3e-3, 3.0))
+    assert (one['N'].limit, one['N'].factor) == pytest.approx((1e-3, 3.0))
     # a smaller K with motors on is due to chance: the value at rest is used
-    assert (one['K'].use, one['K'].factor) == pytest.approx((2e-5, 1.0))
+    assert (one['K'].limit, one['K'].factor) == pytest.approx((2e-5, 1.0))
     with pytest.raises(AllanError, match='no axis in common'):
         measure_inflation(rest, {'accel_x': fit(1.0, 1.0)})
 
