@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from bisect import insort
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
@@ -236,8 +236,8 @@ class RunningMeans:
     """Computes means over consecutive seconds of samples without a gap."""
 
     def __init__(self, axes: tuple[str, ...]) -> None:
-        self._axes = axes
-        self._kept: deque[tuple[int, Floats]] = deque(maxlen=KEPT_MEANS)
+        self.means = Means(axes, np.empty(0, np.int64), np.empty((0, len(axes))))
+        """The latest `KEPT_MEANS` complete means."""
         self.cut()
 
     def cut(self) -> None:
@@ -252,34 +252,25 @@ class RunningMeans:
             self._start_ns = int(stamps[0])
         last = int(stamps[-1] - self._start_ns) // NANOSECONDS
         if last > self._second:
+            end_ns = self._start_ns + np.arange(self._second + 1, last + 1) * NANOSECONDS
+            ends = np.searchsorted(stamps, end_ns)
+            first = np.concatenate([*self._open, rows[:, : ends[0]]], axis=1)
             # each second is summed at once, so that the rounding does not depend on the batches
-            seconds = np.arange(self._second, last)
-            ends = np.searchsorted(stamps, self._start_ns + (seconds + 1) * NANOSECONDS)
-            first, end = int(ends[0]), int(ends[-1])
-            self._add(self._second, np.concatenate([*self._open, rows[:, :first]], axis=1))
+            sums, counts = np.add.reduceat(first, [0], axis=1), np.array([first.shape[1]])
             some = np.flatnonzero(np.diff(ends))  # none is empty at 1 Hz or more
             if len(some):
-                sums = np.add.reduceat(rows[:, :end], ends[some], axis=1)
-                for second, total, count in zip(seconds[some + 1], sums.T, np.diff(ends)[some]):
-                    self._keep(int(second), total / count)
+                later = np.add.reduceat(rows[:, : ends[-1]], ends[some], axis=1)
+                sums = np.concatenate([sums, later], axis=1)
+                counts = np.concatenate([counts, np.diff(ends)[some]])
+            self._keep(np.concatenate([end_ns[:1], end_ns[some + 1]]), (sums / counts).T)
             self._second, self._open = last, []
-            rows = rows[:, end:]
+            rows = rows[:, ends[-1] :]
         self._open.append(rows.copy())
 
-    def _add(self, second: int, rows: Floats) -> None:
-        """Keep the mean of the samples of a second, (axes, n)."""
-        self._keep(second, np.add.reduceat(rows, [0], axis=1)[:, 0] / rows.shape[1])
-
-    def _keep(self, second: int, mean: Floats) -> None:
-        assert self._start_ns is not None
-        self._kept.append((self._start_ns + (second + 1) * NANOSECONDS, mean))
-
-    @property
-    def means(self) -> Means:
-        """The latest `KEPT_MEANS` complete means."""
-        end_ns = np.array([end for end, _ in self._kept], np.int64)
-        values = np.array([value for _, value in self._kept]).reshape(-1, len(self._axes))
-        return Means(self._axes, end_ns, values)
+    def _keep(self, end_ns: NDArray[np.int64], values: Floats) -> None:
+        axes, *before = self.means
+        end_ns, values = (np.concatenate(a)[-KEPT_MEANS:] for a in zip(before, (end_ns, values)))
+        self.means = Means(axes, end_ns, values)
 
 
 def events(health: StreamHealth) -> Counter[str]:

@@ -110,21 +110,29 @@ class Clipping:
     """
 
     def __init__(self, axes: int) -> None:
-        self._pending = np.zeros((axes, 0))
+        self._chunk = np.empty((axes, CLIPPED_CHUNK))
+        self._filled = 0  # number of samples in the chunk
         self._clipped = np.zeros(axes)
         self.samples = 0
 
     def add(self, rows: Floats) -> None:
         """Add samples, (axes, n)."""
-        rows = np.concatenate([self._pending, rows], axis=1)
-        while rows.shape[1] >= CLIPPED_CHUNK:
-            chunk, rows = rows[:, :CLIPPED_CHUNK], rows[:, CLIPPED_CHUNK:]
-            self.samples += CLIPPED_CHUNK
-            for end in (chunk.max(axis=1), chunk.min(axis=1)):
-                often = (chunk == end[:, None]).mean(axis=1) >= MIN_CLIPPED
-                for axis in np.flatnonzero(often):
-                    self._clipped[axis] += CLIPPED_CHUNK * clipped_share(chunk[axis])
-        self._pending = rows.copy()
+        while rows.shape[1]:
+            room = CLIPPED_CHUNK - self._filled
+            part, rows = rows[:, :room], rows[:, room:]
+            self._chunk[:, self._filled : self._filled + part.shape[1]] = part
+            self._filled += part.shape[1]
+            if self._filled == CLIPPED_CHUNK:
+                self._examine()
+
+    def _examine(self) -> None:
+        """Count the clipped samples of the complete chunk, and begin another one."""
+        self._filled = 0
+        self.samples += CLIPPED_CHUNK
+        for ends in (self._chunk.max(axis=1), self._chunk.min(axis=1)):
+            for axis, (end, samples) in enumerate(zip(ends, self._chunk)):
+                if np.count_nonzero(samples == end) >= MIN_CLIPPED * CLIPPED_CHUNK:
+                    self._clipped[axis] += CLIPPED_CHUNK * clipped_share(samples)
 
     @property
     def shares(self) -> Floats:
