@@ -1,17 +1,16 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cascade of decimated phases of one segment: its second differences and octave spectra.
+"""Cascade of sums of one segment: second differences of its phase, and octave spectra.
 
-Level j of the cascade stores the phase (the cumulative sum of the samples) at every 2^j-th sample,
-in blocks of some thousand points. When a block is full, the second differences that end in it are
-squared and summed at the averaging factors of the level, the power of the spectral blocks that end
-in it is added, and every second point is passed to level j + 1. Blocks are counted from the start
-of the segment, so the sums are the same, bit for bit, for any chunking.
+A point of level j is the sum of 2^j samples. When a block of some thousand points is full, the
+second differences that end in it are squared and summed at the averaging factors of the level, the
+power of the spectral blocks that end in it is added, and the sums of two points are passed to level
+j + 1. Blocks are counted from the start of the segment, so the sums are the same, bit for bit, for
+any chunking.
 
-Source of the first statistic: IEEE Std 952-1997 annex C; NIST SP 1065 eq. 11 (overlapping Allan
-variance). To avoid rounding errors, the first sample of the segment is subtracted from all samples,
-and the phase starts from 0 in each block of level 0. Without this, an offset of 9.8 m/s^2 would
-cause relative errors of up to 1e-5 at the longest factors after 1e9 samples.
+A second difference of the phase (the cumulative sum of the samples) is the difference of the sums
+over neighboring points. Source: IEEE Std 952-1997 annex C; NIST SP 1065 eq. 11 (overlapping Allan
+variance). To avoid rounding errors, the first sample of the segment is subtracted from all samples.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..memory import WorkMemory, aligned
 from .grid import FIRST_FACTORS, LEVEL_FACTORS, SAMPLE_OCTAVES, octave, tapers
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 FIRST_BLOCK, BLOCK = 512, 4096
-"""Phase points of the first and of later blocks of level 0: 512, 512, 1024, 2048, 4096, 4096 ...
+"""Points of the first and of later blocks of level 0: 512, 512, 1024, 2048, 4096, 4096 ...
 Long blocks amortize the overhead of numpy calls, and still fit into the cache. Those of higher
 levels have at most half as many, which locates their sums more accurately in time."""
 
@@ -41,16 +41,18 @@ MAX_INTERPOLATED = 0.75
 """A spectral block is excluded if more than this share of its samples is interpolated on any axis:
 shocks. The fit knows the effect of short gaps."""
 
-_KEPT = 2 * LEVEL_FACTORS[-1]
-"""Number of points of the previous blocks that a level keeps: the length of its longest second
-difference."""
+_KEPT = 32
+"""Number of points of the previous blocks that a level keeps. The longest second difference needs
+2 * `LEVEL_FACTORS`[-1] - 1 of them; a multiple of 8 aligns the points of all axes in memory."""
+
+_work, _samples = WorkMemory(), WorkMemory()
 
 
 @dataclass(frozen=True)
 class Level:
     """One level of the cascade: its decimation, averaging factors and octave spectra."""
 
-    stride: int  # samples between two points
+    stride: int  # samples per point
     block: int  # largest number of points per block
     factors: tuple[int, ...]  # averaging factors in units of the stride
     groups: tuple[range, ...]  # octaves with equal numbers of bins
@@ -112,9 +114,9 @@ class Block:
 
     begin: int  # index of its first sample in the segment
     sums: LevelSums
-    # level 0: (axes + 1, samples + 1) phase before and after its samples; the last row is the
-    # number of interpolated samples. Empty at higher levels
-    phase: Floats
+    # level 0: (axes + 1, n) its samples minus the reference; the last row is 1 for interpolated
+    # ones, else 0. Empty at higher levels
+    samples: Floats
 
 
 @lru_cache
@@ -149,31 +151,42 @@ class _HalfBlocks:
         return _HalfBlocks(self.early.copy(), self.interpolated.copy(), self.used.copy())
 
 
-class _Layout(NamedTuple):
-    """Rows of the half blocks of an octave in n samples or sums."""
+class _Rows(NamedTuple):
+    """Rows of the half blocks of an octave; those of an axis follow each other."""
 
     octave: int
     half: int  # samples per half block
     number: int  # half blocks of each axis
-    begin: int  # row of the first of them; those of an axis follow each other
+    begin: int
     end: int
 
 
+class _Layout(NamedTuple):
+    """Rows of the half blocks of a group of octaves in n samples or sums."""
+
+    octaves: list[_Rows]  # without those whose half blocks are longer than n
+    firsts: Ints  # (octaves * axes,) row of the first half block
+    lasts: Ints  # (octaves * axes,)
+
+
 @lru_cache(256)
-def _layout(octaves: range, axes: int, n: int) -> list[_Layout]:
+def _layout(octaves: range, axes: int, n: int) -> _Layout:
     """Return the rows of each octave."""
-    rows: list[_Layout] = []
+    rows: list[_Rows] = []
     for o in octaves:
         half, begin = octave(o).size // 2, rows[-1].end if rows else 0
-        rows.append(_Layout(o, half, n // half, begin, begin + axes * (n // half)))
-    return rows
+        if number := n // half:
+            rows.append(_Rows(o, half, number, begin, begin + axes * number))
+    places = [np.zeros(0, np.int64), *(np.arange(r.begin, r.end, r.number) for r in rows)]
+    firsts = np.concatenate(places)
+    return _Layout(rows, firsts, firsts + np.repeat([r.number - 1 for r in rows], axes))
 
 
 class _GroupSums(NamedTuple):
     """Power of the blocks of a group of octaves that end in some samples, and the last halves."""
 
-    power: list[Floats]  # (bins, axes) of each octave
-    blocks: list[int]
+    power: Floats  # (bins of all octaves, axes)
+    blocks: list[int]  # of each octave
     pairs: list[int]  # of overlapping blocks
     last: _HalfBlocks
 
@@ -181,17 +194,16 @@ class _GroupSums(NamedTuple):
 class _RunningLevel:
     """Points of one level of the open segment that are not summed yet.
 
-    ``points`` contains the last `_KEPT` points up to the last summed one, then the first ``fill``
-    points of the current block. The last row is the number of interpolated samples so far. A point
-    of level 0 is the phase minus ``origin``, (rows, 1): second differences do not depend on it.
+    ``points`` contains the last `_KEPT` summed points, then the first ``fill`` points of the
+    current block. The last row is the number of interpolated samples.
     """
 
     def __init__(self, level: int, rows: int) -> None:
         self.level = level
-        self.points = np.zeros((rows, _KEPT + level_of(level).block))
-        self.origin = np.zeros((rows, 1))
+        self.points = aligned((rows, _KEPT + level_of(level).block))
+        self.points[:] = 0.0
         self.fill = 0
-        self.summed = 0  # number of summed points after the first, theta(0)
+        self.summed = 0  # number of summed points
         # the rounding errors of float32 are much smaller than the noise of single samples, but
         # not than the noise of long means
         self.kind = 'f8' if level else 'f4'
@@ -199,25 +211,21 @@ class _RunningLevel:
             _HalfBlocks.none(group, rows - 1, self.kind) for group in level_of(level).groups
         ]
 
-    def append(self, points: Floats) -> None:
-        """Append points to the current block."""
-        self.points[:, _KEPT + self.fill : _KEPT + self.fill + points.shape[1]] = points
-        self.fill += points.shape[1]
-
     @property
     def size(self) -> int:
         """Number of points of the current block when it is full."""
         return min(max(self.summed, FIRST_BLOCK), level_of(self.level).block)
 
-    def phase(self, more: Floats) -> Floats:
-        """Return the phase from the last summed point to the end of the block and ``more``.
+    @property
+    def current(self) -> Floats:
+        """The points of the current block, (rows, fill): a view."""
+        return self.points[:, _KEPT : _KEPT + self.fill]
 
-        At higher levels, it is a view if ``more`` is empty.
-        """
-        own = self.points[:, _KEPT - 1 : _KEPT + self.fill]
-        if more.shape[1]:
-            own = np.concatenate([own, more], axis=1)
-        return own if self.level else own + self.origin
+    def extend(self, number: int) -> Floats:
+        """Return the place of further points of the current block, (rows, number): a view."""
+        begin = _KEPT + self.fill
+        self.fill += number
+        return self.points[:, begin : begin + number]
 
     def close(self) -> LevelSums:
         """Return the sums of the full block, and begin a new one."""
@@ -227,34 +235,23 @@ class _RunningLevel:
         self.fill = 0
         return sums
 
-    def move_origin(self) -> None:
-        """Move the origin to the last point of a block that was just closed.
-
-        The numbers remain as small as the phase of one block, so that no digits are lost.
-        """
-        last = self.points[:, _KEPT - 1 : _KEPT].copy()
-        self.points[:, :_KEPT] -= last
-        self.origin += last
-
     def sums_of(self, points: Floats) -> tuple[LevelSums, list[_HalfBlocks]]:
         """Return the sums of a block, and its last half blocks.
 
         ``points`` are (rows, n): `_KEPT` earlier points, then the points of the block.
         """
-        kept, level = min(self.summed + 1, _KEPT), level_of(self.level)
-        points = points[:, _KEPT - kept :]
-        squares, groups, number = _second_differences(
-            points[:-1], kept, self.summed + 1 - kept, level.factors
-        )
-        points = points[:, kept - 1 :]
+        level = level_of(self.level)
+        squares, groups, number = _second_differences(points[:-1], self.summed, level.factors)
+        block = points[:, _KEPT:]
+        (samples,) = _samples.arrays(self.kind, (len(block) - 1, block.shape[1]))
         with np.errstate(over='ignore', invalid='ignore'):
             # no sensor has values above 1e38, the largest float32; the fit refuses them
-            samples = (points[:-1, 1:] - points[:-1, :-1]).astype(self.kind)
+            samples[...] = block[:-1]
             spectra = [
-                _group_sums(samples, points[-1], group, before)
+                _group_sums(samples, block[-1], group, before)
                 for group, before in zip(level.groups, self.halves)
             ]
-        values = [*squares, *groups, *(power for each in spectra for power in each.power)]
+        values = [*squares, *groups, *(each.power for each in spectra)]
         counts = [*number, *(b for s in spectra for b in s.blocks)]
         counts += [p for s in spectra for p in s.pairs]
         sums = LevelSums(self.level, np.concatenate(values), np.array(counts, np.int64))
@@ -266,88 +263,104 @@ def _group_sums(
 ) -> _GroupSums:
     """Return the power of a group of octaves in samples or sums over their step, (axes, n).
 
-    ``interpolated`` is the cumulative number of interpolated samples, (n + 1,), and ``before`` are
-    the half blocks before the first sample.
+    ``interpolated``, (n,), is the number of interpolated samples in each, and ``before`` are the
+    half blocks before the first one.
     """
-    layout = _layout(octaves, *samples.shape)
-    last = before.copy()
+    octave_count, axes, columns = before.early.shape
+    layout, last = _layout(octaves, *samples.shape), before.copy()
     amplitudes = _amplitudes(samples, layout, before.early, last.early)
-    all_used = interpolated[-1] == interpolated[0] and not before.interpolated.any()
-    power, blocks, pairs = [], [], []
-    for i, (o, half, number, begin, end) in enumerate(layout):
-        found = amplitudes[begin:end].reshape(len(samples), number, amplitudes.shape[1])
+    all_used = not (interpolated.any() or before.interpolated.any())
+    blocks, pairs = [0] * octave_count, [0] * octave_count
+    squares = np.zeros(before.early.shape)
+    for i, (o, half, number, begin, end) in enumerate(layout.octaves):
+        found = amplitudes[begin:end].reshape(axes, number, columns)
         if all_used:
-            blocks.append(number)
-            pairs.append(number - (not before.used[i]) if number else 0)
-            last.used[i] = number > 0
+            blocks[i], pairs[i] = number, number - (not before.used[i])
+            last.used[i] = True
         else:
-            counts = interpolated[: number * half + 1 : half]
-            counts = np.concatenate([before.interpolated[i : i + 1], counts[1:] - counts[:-1]])
+            counts = interpolated[: number * half].reshape(number, half).sum(axis=1)
+            counts = np.concatenate([before.interpolated[i : i + 1], counts])
             used = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
             found = found[:, used]
             used = np.concatenate([before.used[i : i + 1], used])  # with the block before
-            blocks.append(int(np.count_nonzero(used[1:])))
-            pairs.append(int(np.count_nonzero(used[1:] & used[:-1])))
+            blocks[i] = int(np.count_nonzero(used[1:]))
+            pairs[i] = int(np.count_nonzero(used[1:] & used[:-1]))
             last.interpolated[i], last.used[i] = counts[-1], used[-1]
-        squares = np.einsum('akc,akc->ac', found, found).T
-        power.append(squares[: len(squares) // 2] + squares[len(squares) // 2 :])
-    return _GroupSums(power, blocks, pairs, last)
+        np.einsum('akc,akc->ac', found, found, out=squares[i])
+    power = squares[:, :, : columns // 2] + squares[:, :, columns // 2 :]
+    return _GroupSums(power.transpose(0, 2, 1).reshape(-1, axes), blocks, pairs, last)
 
 
-def _amplitudes(
-    samples: Floating, layout: list[_Layout], before: Floating, last: Floating
-) -> Floats:
+def _amplitudes(samples: Floating, layout: _Layout, before: Floating, last: Floating) -> Floats:
     """Return the amplitudes of the blocks that end with each half block, (rows, 2 bins).
 
     ``before``, (octaves, axes, 2 bins), is the product of the half block before the first sample
     with the tapers of the first half; that of the last half block is written to ``last``.
     """
-    rows, columns = layout[-1].end, before.shape[2]
-    products = np.empty((rows, 2 * columns), samples.dtype)
-    for o, half, number, begin, end in layout:
+    if not layout.octaves:
+        return np.zeros((0, before.shape[2]))
+    rows, columns, kind = layout.octaves[-1].end, before.shape[2], samples.dtype.str
+    products, amplitudes = _work.arrays(kind, (rows, 2 * columns), (rows, columns))
+    for o, half, number, begin, end in layout.octaves:
         whole = samples[:, : number * half].reshape(-1, half)
-        np.matmul(whole, _half_tapers(o, samples.dtype.str), out=products[begin:end])
+        np.matmul(whole, _half_tapers(o, kind), out=products[begin:end])
     early, late = products[:, :columns], products[:, columns:]
     # the amplitude of a block is the sum of the products of its two halves
-    amplitudes = np.empty(late.shape, samples.dtype)
     np.add(early[:-1], late[1:], out=amplitudes[1:])
-    for i, (_, _, number, begin, end) in enumerate(layout):
-        if number:
-            amplitudes[begin:end:number] = before[i] + late[begin:end:number]
-            last[i] = early[begin + number - 1 : end : number]
-    del products, early, late
-    return amplitudes.astype(float)  # squares of large samples exceed float32
+    known = len(layout.octaves)
+    amplitudes[layout.firsts] = before[:known].reshape(-1, columns) + late[layout.firsts]
+    last[:known] = early[layout.lasts].reshape(known, -1, columns)
+    if amplitudes.itemsize == 8:
+        return amplitudes
+    exact = products.view('f8')  # squares of large samples exceed float32
+    exact[...] = amplitudes
+    return exact
 
 
 def _second_differences(
-    points: Floats, kept: int, first: int, factors: tuple[int, ...]
+    points: Floats, summed: int, factors: tuple[int, ...]
 ) -> tuple[list[Floats], list[Floats], list[int]]:
     """Return sums of squares of all and of non-overlapping differences, and the numbers of both.
 
-    ``points`` are (axes, n). Only differences count that end after the first ``kept`` points.
-    ``first`` is the index of the first point in the segment.
+    ``points``, (axes, `_KEPT` + n), are earlier points, of which ``summed`` are in the segment, and
+    the points of a block. Only differences count that end in the block.
     """
-    axes, n = points.shape
-    flat = points.reshape(-1)  # operations on one long row take less time than on short ones
-    g, d = np.empty((2, flat.size))
-    by_axis = d.reshape(axes, n)
+    axes, columns = points.shape
+    x = points.reshape(-1)  # operations on one long row take less time than on short ones
+    d, *work = _work.arrays('f8', *3 * [x.shape])
+    by_axis = d.reshape(axes, columns)
     squares, groups, number, apart = [], [], [], []
-    for f in factors:
-        start, end = max(kept - 2 * f, 0), n - 2 * f
-        if start >= end:
-            squares.append(np.zeros((1, axes)))
-            groups.append(squares[-1])
-            number.append(0)
-            apart.append(0)
-            continue
-        np.subtract(flat[f:], flat[:-f], out=g[:-f])
-        np.subtract(g[f:-f], g[: -2 * f], out=d[: -2 * f])
-        squares.append(_squares(by_axis[:, start:end]))
-        number.append(end - start)
-        chosen = by_axis[:, start + -(first + start) % f : end : f]
+    for f, sums in zip(factors, _sums_over(factors, x, *work)):
+        first = _KEPT - min(summed, 2 * f - 1)
+        end = max(columns - 2 * f + 1, first)
+        size = max(x.size - 2 * f + 1, 0)
+        np.subtract(sums[f : f + size], sums[:size], out=d[:size])
+        squares.append(_squares(by_axis[:, first:end]))
+        number.append(end - first)
+        chosen = by_axis[:, first + -(summed - _KEPT + first) % f : end : f]
         groups.append(_squares(chosen) if f > 1 else squares[-1])
         apart.append(chosen.shape[1])
     return squares, groups, number + apart
+
+
+def _sums_over(
+    factors: tuple[int, ...], x: Floats, pairs: Floats, more: Floats
+) -> Iterator[Floats]:
+    """Yield the sums over f neighboring points x, (n - f + 1,), for ascending factors f.
+
+    The factors are even, or 1 or 3. ``pairs`` and ``more``, (n,), are overwritten. A result is
+    valid until the next one.
+    """
+    sums, width = np.add(x[:-1], x[1:], out=pairs[:-1]), 2
+    for f in factors:
+        while width + 1 < f:
+            size = len(sums) - 2
+            sums = np.add(sums[:size], pairs[width : width + size], out=more[:size])
+            width += 2
+        if f == width:
+            yield sums
+        else:
+            yield x if f == 1 else np.add(sums[:-1], x[width:], out=more[: len(sums) - 1])
 
 
 def _squares(d: Floats) -> Floats:
@@ -375,18 +388,9 @@ class Cascade:
         bottom = self._levels[0]
         while at < n:
             take = min(bottom.size - bottom.fill, n - at)
-            begin = _KEPT + bottom.fill
-            phase = bottom.points[:, begin : begin + take]
-            np.subtract(samples[:, at : at + take], self.reference[:, None], out=phase[:-1])
-            if interpolated is None:
-                phase[-1], rows = bottom.points[-1, begin - 1], slice(-1)
-            else:
-                phase[-1], rows = interpolated[at : at + take], slice(None)
-            # adding the last point before cumsum makes the order of additions the same for any
-            # chunking
-            phase[rows, 0] += bottom.points[rows, begin - 1]
-            np.cumsum(phase[rows], axis=1, out=phase[rows])
-            bottom.fill += take
+            points = bottom.extend(take)
+            np.subtract(samples[:, at : at + take], self.reference[:, None], out=points[:-1])
+            points[-1] = 0.0 if interpolated is None else interpolated[at : at + take]
             at += take
             self.samples += take
             if bottom.fill == bottom.size:
@@ -398,13 +402,12 @@ class Cascade:
             level = self._levels[j]
             if level.fill < level.size:
                 return
-            phase = level.phase(level.points[:, :0])
+            points = level.current
             if j + 1 == len(self._levels):
-                self._levels.append(_RunningLevel(j + 1, len(phase)))
-            self._levels[j + 1].append(phase[:, 2::2])
-            yield Block(level.summed << j, level.close(), phase[:, :0] if j else phase)
-            if j == 0:
-                level.move_origin()
+                self._levels.append(_RunningLevel(j + 1, len(points)))
+            half = self._levels[j + 1].extend(level.fill // 2)
+            np.add(points[:, ::2], points[:, 1::2], out=half)
+            yield Block(level.summed << j, level.close(), points[:, :0] if j else points)
 
     def open_blocks(self) -> Iterator[Block]:
         """Yield the blocks that are not full as if the segment ended; the state is unchanged."""
@@ -413,9 +416,10 @@ class Cascade:
             if j >= len(self._levels) and not new.shape[1]:
                 return
             level = self._levels[j] if j < len(self._levels) else _RunningLevel(j, len(new))
-            phase = level.phase(new)
-            if phase.shape[1] > 1:
-                points = np.concatenate([level.points[:, : _KEPT + level.fill], new], axis=1)
+            points = np.concatenate([level.points[:, : _KEPT + level.fill], new], axis=1)
+            block = points[:, _KEPT:]
+            if block.shape[1]:
                 sums = level.sums_of(points)[0]
-                yield Block(level.summed << j, sums, phase[:, :0] if j else phase)
-            new = phase[:, 2::2]
+                yield Block(level.summed << j, sums, block[:, :0] if j else block)
+            even = block[:, : block.shape[1] // 2 * 2]
+            new = even[:, ::2] + even[:, 1::2]

@@ -62,21 +62,30 @@ class _RunningPeriod:
 
 
 class _OpenSegment:
-    """Cascade of the current segment, and its phase at every ``step``-th sample."""
+    """Cascade of the current segment, and its sums over each ``step`` samples.
+
+    The last sum may be incomplete.
+    """
 
     def __init__(self, first: Floats, start_ns: int, age: int) -> None:
         self.age = age  # of its first sample
         self.start_ns = self.last_ns = start_ns
         self.cascade = Cascade(first)
-        self.points, self.step = np.zeros((len(first), 1)), 1
+        self.sums, self.step = np.zeros((len(first), 0)), 1
 
     def extended(self, block: Block) -> tuple[Floats, int]:
-        """Return points and step after a block of level 0; a full phase doubles the step."""
-        phase = block.phase[:-1, 1 + -(block.begin + 1) % self.step :: self.step]
-        points, step = np.concatenate([self.points, phase], axis=1), self.step
-        while points.shape[1] > SEGMENT_MEANS + 1:
-            points, step = points[:, ::2], 2 * step
-        return points, step
+        """Return sums and step after a block of level 0; a full segment doubles the step."""
+        samples, step, sums = block.samples[:-1], self.step, self.sums.copy()
+        rest = min(-block.begin % step, samples.shape[1])  # samples that belong to the last sum
+        if rest:
+            sums[:, -1] += samples[:, :rest].sum(axis=1)
+        end = samples.shape[1] - (samples.shape[1] - rest) % step
+        complete = samples[:, rest:end].reshape(len(samples), -1, step) @ np.ones(step)
+        last = samples[:, end:].sum(axis=1, keepdims=True)[:, : samples.shape[1] - end]
+        sums = np.concatenate([sums, complete, last], axis=1)
+        while (block.begin + samples.shape[1]) // step > SEGMENT_MEANS:
+            sums, step = np.add.reduceat(sums, range(0, sums.shape[1], 2), axis=1), 2 * step
+        return sums, step
 
 
 @dataclass(frozen=True)
@@ -101,8 +110,7 @@ class _State:
         """Return the state after a block of the current segment was added."""
         periods, age = list(self.periods), segment.age + block.begin
         if block.sums.level == 0:
-            length = block.phase.shape[1] - 1
-            total = block.phase[:, -1] - block.phase[:, 0]
+            length, total = block.samples.shape[1], block.samples.sum(axis=1)
             total[:-1] += length * (segment.cascade.reference - self.reference)
             new = _RunningPeriod(age, (segment.start_ns, block.begin), length, total)
             if periods and periods[-1].samples < FIRST_BLOCK:
@@ -118,14 +126,14 @@ class _State:
 
     def with_end(self, segment: _OpenSegment) -> _State:
         """Return the state after the end of the current segment."""
-        state, points, step = self, segment.points, segment.step
+        state, sums, step = self, segment.sums, segment.step
         for block in segment.cascade.open_blocks():
             if block.sums.level == 0:
-                points, step = segment.extended(block)
+                sums, step = segment.extended(block)
             state = state.with_block(segment, block)
         shift = segment.cascade.reference - self.reference
-        values = rounded(np.diff(points, axis=1).T / step + shift, MEAN_BYTES)
         samples = segment.cascade.samples
+        values = rounded(sums[:, : samples // step].T / step + shift, MEAN_BYTES)
         means = BlockMeans(segment.age, segment.start_ns, samples, step, values)
         return replace(
             state,
@@ -180,7 +188,7 @@ class RunningSums:
         for block in segment.cascade.feed(values.T, interpolated):
             self._state = self._state.with_block(segment, block)
             if block.sums.level == 0:
-                segment.points, segment.step = segment.extended(block)
+                segment.sums, segment.step = segment.extended(block)
         segment.last_ns = last_ns
 
     def end_segment(self) -> None:
