@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Any
 from .version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from .api import Results, analyze, common, compare, inflate, load, sensor
+    from .api.analysis import analyze, load
+    from .api.comparison import common, compare, inflate
+    from .api.results import Results, sensor
     from .core.allan.curve import AxisCurve
     from .core.errors import AllanError
     from .core.estimate import Estimate
@@ -44,6 +46,9 @@ __all__ = [
 ]
 
 _HOME = {
+    **dict.fromkeys(('analyze', 'load'), 'api.analysis'),
+    **dict.fromkeys(('common', 'compare', 'inflate'), 'api.comparison'),
+    **dict.fromkeys(('Results', 'sensor'), 'api.results'),
     'AllanError': 'core.errors',
     'AxisCurve': 'core.allan.curve',
     'Estimate': 'core.estimate',
@@ -66,7 +71,7 @@ def __getattr__(name: str) -> Any:
     # Loaded at the first use: importing the package must be fast.
     if name not in __all__:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    value = getattr(import_module(f'.{_HOME.get(name, "api")}', __name__), name)
+    value = getattr(import_module(f'.{_HOME[name]}', __name__), name)
     globals()[name] = value
     return value
 

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import settings
 from support.chromium import Chromium, find_chromium
 
-from allan_ros.api import Results
+from allan_ros.api.results import Results
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit.result import NoiseModel
 from allan_ros.core.fit.stationary import fit_stationary

@@ -16,7 +16,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / 'allan_ros'
 
 ROOMS = ('core', 'readers', 'results', 'export', 'view', 'api', 'cli', 'nodes')
-"""The packages and `api.py`, from the bottom to the top. Each imports only what is below it; `cli`
+"""The packages, from the bottom to the top. Each imports only what is below it; `cli`
 and `nodes` do not import each other."""
 
 MAY_IMPORT = {
@@ -44,14 +44,12 @@ TOUCHES_THE_WORLD = {'datetime', 'io', 'logging', 'os', 'pathlib', 'shutil', 'su
 """Modules of the standard library that `core` must not import: files and wall clocks."""
 
 FILES = sorted(
-    path
-    for path in PACKAGE.rglob('*.py')
-    if path.relative_to(PACKAGE).parts[0] in (*ROOMS, 'api.py')
+    path for path in PACKAGE.rglob('*.py') if path.relative_to(PACKAGE).parts[0] in ROOMS
 )
 
 
 def package_of(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix('.py')
+    return path.relative_to(PACKAGE).parts[0]
 
 
 @functools.cache

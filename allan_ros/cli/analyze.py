@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from ..api import is_document
+from ..api.analysis import is_document
 from ..core.errors import AllanError, one_line
 from ..core.findings import Finding
 from ..core.imu import sensor_of

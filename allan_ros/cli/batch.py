@@ -18,7 +18,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ..api import is_document
+from ..api.analysis import is_document
 from ..core.compare import Check
 from ..core.errors import AllanError, one_line
 from ..core.estimate import value_text

@@ -20,7 +20,8 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
-from .. import api
+from ..api import comparison as api
+from ..api.analysis import is_document
 from ..core.errors import AllanError
 from ..results.comparison import comparison_document, inflation_document
 from ..view.common_table import common_lines
@@ -75,7 +76,7 @@ def _common(args: argparse.Namespace, console: Console) -> int:
             '--method'
         )
     for text in args.inputs:
-        if text.startswith(SENSOR_PREFIX) or api.is_document(text):
+        if text.startswith(SENSOR_PREFIX) or is_document(text):
             raise AllanError(
                 f'{text}: --common needs the samples: give recordings, not results or datasheets'
             )

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import allan_ros as ar
-from allan_ros.api import load, load_sums, results_of
+from allan_ros.api.analysis import load, load_sums, results_of
 from allan_ros.core.errors import AllanError
 from allan_ros.readers.files import to_json
 from allan_ros.readers.recorded import ReadJob, read_in_processes

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from allan_ros.api import Results
+from allan_ros.api.results import Results
 from allan_ros.cli.tables import results_lines
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError

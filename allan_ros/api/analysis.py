@@ -1,0 +1,242 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`analyze` and `load`: from recordings, samples or files of an earlier analysis to `Results`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from numbers import Integral
+from pathlib import Path
+from typing import Any
+
+from ..core.compare import MARGIN
+from ..core.errors import AllanError
+from ..core.settings import SegmenterSettings, check_names, check_rate, describe, expect
+from ..readers import ReadOptions
+from ..readers.files import PATH
+from ..readers.recorded import (
+    Observer,
+    ReadJob,
+    RecordingSums,
+    Silent,
+    add_recordings,
+    read_in_processes,
+    read_in_turn,
+    read_recording,
+)
+from ..results.analysis import analyze_recorded, one_thread
+from ..results.documents import RESULTS, SUMS, load_sums
+from ..results.documents import load as load_results
+from ..results.from_truth import is_truth, results_of_truth
+from ..results.references import compared
+from ..results.results import Results as PlainResults
+from ..view.settings import ResultSettings
+from .results import Results, public
+
+
+@public
+def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
+    """Read the results of an earlier analysis.
+
+    Parameters
+    ----------
+    path : path
+        The folder of an analysis, a results.json, or a sums.json or checkpoint, whose sums are
+        fitted again. Only results with sums (all but a results.json) can be added and saved.
+    method : str
+        Method of the fit of sums: 'likelihood' or 'paper', as in `analyze`.
+
+    Returns
+    -------
+    Results
+
+    Raises
+    ------
+    AllanError
+        When the file is missing, or is not such a document.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import allan_ros as ar
+    >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = results.save(folder)
+    ...     ar.load(folder).samples == results.samples
+    True
+    """
+    return Results.of(load_results(path, method))
+
+
+def results_of(
+    path: PlainResults | str | os.PathLike[str],
+    method: str = 'likelihood',
+    observer: Observer = Silent(),
+    segmenter: SegmenterSettings = SegmenterSettings(),
+) -> PlainResults:
+    """Load results from a JSON file or the folder of an analysis, or analyze a recording.
+
+    If ``path`` is already a `Results` object, it is returned unchanged. ``method`` is the method of
+    the fit of sums and recordings. A recording is processed with the settings ``segmenter``, and
+    ``observer`` receives the progress of reading. The truth file of a simulated recording gives
+    results that are known exactly. Raises AllanError when the path cannot be read.
+    """
+    expect((PlainResults, *PATH), 'results or a path', source=path)
+    if isinstance(path, PlainResults):
+        return path
+    if is_truth(path):
+        return results_of_truth(path)
+    if is_document(path):
+        return load_results(path, method)
+    (recorded,) = read_in_turn([ReadJob(str(path), segmenter=segmenter)], observer)
+    return analyze_recorded(recorded, method)
+
+
+def is_document(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path is a JSON file or the folder of an analysis, not a recording."""
+    place = Path(path)
+    in_folder = any((place / name).is_file() for name in (RESULTS, SUMS))
+    return in_folder or place.suffix.lower() == '.json'
+
+
+@public
+@one_thread()  # the sums and spectra of the samples, too
+def analyze(
+    source: Any,
+    *,
+    rate: float = 0.0,
+    axes: str | Sequence[str] | None = None,
+    gyro_unit: str = '',
+    accel_unit: str = '',
+    method: str = 'likelihood',
+    sensor: str = '',
+    baseline: PlainResults | str | os.PathLike[str] = '',
+    noise: PlainResults | str | os.PathLike[str] = '',
+    margin: float = MARGIN,
+    hardware_id: str = '',
+    processes: int = 1,
+    **options: Any,
+) -> Results:
+    """Measure the noise of an IMU from its recordings or samples.
+
+    Motion and gaps are detected and excluded.
+
+    Parameters
+    ----------
+    source : path, Results, sequence of these, array, DataFrame, mapping of columns, or ImuBatch
+        Several paths or results must be of the same IMU and give one common result. A path can also
+        be the sums of an earlier analysis: its folder, sums.json, or a checkpoint. Sums and results
+        are not read again, but added and fitted. Arrays are (n,) or (n, axes), with one row per
+        sample.
+    rate : float
+        Sample rate in Hz. It is required for samples without stamps. For recordings it is only
+        compared with the stamps, and 0 disables this check.
+    axes : str or sequence of str, optional
+        The axis of each column of an array, such as ``'gyro_z'``, ``'accel'`` or a list. By
+        default one column is ``gyro_x``, three are the gyro, six are gyro and accelerometer.
+    gyro_unit, accel_unit : str
+        Units of the samples, such as 'deg/s' and 'g', if the source does not state them. By default
+        rad/s and m/s^2.
+    method : str
+        Method of the fit: 'likelihood' (maximum likelihood, with confidence intervals) or 'paper'
+        (plain least squares, as in Cong et al. 2019).
+    sensor : str
+        Datasheet to compare with: a name that `allan sensors` lists, or the path of a .yaml file.
+    baseline : Results or path
+        An earlier run of this IMU to compare with: results, or the path of a results.json, a
+        sums.json or the folder of an analysis.
+    noise : Results or path
+        An earlier run of this IMU at rest, whose noise predicts the errors in motion. By default,
+        the noise of the rests of the source.
+    margin : float
+        A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval lies
+        above it by this fraction.
+    hardware_id : str
+        Serial number of the IMU; only results with equal serial numbers can be added.
+    processes : int
+        Number of recordings that are read at the same time, each in its own process.
+    **options
+        Further options of `allan analyze`, with underscores: ``skip`` (time in s excluded at the
+        start), ``motion_gate`` (False uses all data), ``topic``, ``columns`` ...
+
+    Returns
+    -------
+    Results
+        The coefficients, curves and findings of each axis.
+
+    Raises
+    ------
+    AllanError
+        When the source cannot be read, an argument is invalid, or no data at rest are found.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> white = np.random.default_rng(0).normal(scale=0.01, size=20_000)
+    >>> results = ar.analyze(white, rate=100, axes='gyro_z')
+    >>> round(results['gyro_z'].N.value, 4)  # rad/s/sqrt(Hz)
+    0.001
+    >>> round(results['gyro_z'].N.to('deg/sqrt(h)').value, 1)
+    3.4
+    >>> # two recordings of one IMU, without reading them again
+    >>> a, b = (ar.analyze(ar.simulate(hours=0.1, rate=50, seed=i)) for i in (1, 2))
+    >>> ar.analyze([a, b]).samples == a.samples + b.samples
+    True
+    """
+    units = {'gyro_unit': gyro_unit, 'accel_unit': accel_unit}
+    reading, segmenter = read_settings({**options, **units}, rate)
+    ResultSettings(method=method, margin=margin)  # checks them before recordings are read
+    expect(str, hardware_id=hardware_id)
+    expect(Integral, processes=processes)
+    expect((PlainResults, *PATH), 'results or a path', noise=noise)
+    at_rest = (
+        noise if isinstance(noise, PlainResults) else load_results(noise) if str(noise) else None
+    )
+    if axes is not None:
+        expect((str, Sequence), 'a text or a list', axes=axes)
+    given = list(source) if isinstance(source, (list, tuple)) else [source]
+    if given and all(isinstance(each, (PlainResults, *PATH)) for each in given):
+        if axes is not None:
+            raise AllanError(
+                'axes are for arrays, not files: name the columns of a table with columns='
+            )
+        known = [isinstance(each, PlainResults) or is_document(each) for each in given]
+        stored = [_stored(each) for each, is_known in zip(given, known) if is_known]
+        jobs = [
+            ReadJob(str(path), reading, segmenter, hardware_id, True)
+            for path, is_known in zip(given, known)
+            if not is_known
+        ]
+        several = min(processes, len(jobs)) > 1
+        read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
+        recorded = add_recordings([*read, *stored])
+    else:
+        from ..readers.arrays import recording_in_memory
+
+        recording = recording_in_memory(source, reading, axes)
+        job = ReadJob(recording.info.path, reading, segmenter, hardware_id, True)
+        recorded = read_recording(job, recording)
+    results = Results.of(analyze_recorded(recorded, method, at_rest))
+    return compared(results, sensor, baseline, margin)
+
+
+def read_settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:
+    """Divide the options into settings for reading and for the motion gate, both with ``rate``."""
+    check_rate(rate)
+    of_reading = [name for name in describe(ReadOptions) if name != 'rate_hz']
+    of_segmenter = [name for name in describe(SegmenterSettings) if name != 'declared_rate']
+    check_names(options, [*of_segmenter, *of_reading])
+    reading = {name: options[name] for name in of_reading if name in options}
+    segmenter = {name: options[name] for name in of_segmenter if name in options}
+    return ReadOptions(rate_hz=rate, **reading), SegmenterSettings(declared_rate=rate, **segmenter)
+
+
+def _stored(source: PlainResults | str | os.PathLike[str]) -> RecordingSums:
+    """Return the sums of results, or of the path of an earlier analysis."""
+    if not isinstance(source, PlainResults):
+        return load_sums(source)
+    if source.recorded is None:
+        raise AllanError('these results were read without their sums: give the folder or sums.json')
+    return source.recorded

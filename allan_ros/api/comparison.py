@@ -1,0 +1,231 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`compare`, `common` and `inflate`: several recordings beside each other."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..core.compare import MARGIN
+from ..core.errors import AllanError
+from ..core.filters.noise_parameters import measure_inflation
+from ..core.settings import LIST, SegmenterSettings, check_range, expect
+from ..readers import Recording, topics_of
+from ..readers.files import PATH
+from ..readers.recorded import Observer, ReadJob, Silent
+from ..results.common_noise import CommonResult as PlainCommonResult
+from ..results.common_noise import common_of
+from ..results.comparison import REST, RUNNING, Inflation, RunComparison, compare_runs
+from ..results.datasheets import load_sensor
+from ..results.documents import labels_of
+from ..results.from_truth import is_truth
+from ..results.results import Results as PlainResults
+from ..view.settings import ResultSettings
+from .analysis import read_settings, results_of
+from .results import public
+
+
+class CommonResult(PlainCommonResult):
+    __doc__ = PlainCommonResult.__doc__
+
+    def __repr__(self) -> str:
+        from ..view.common_table import common_lines
+
+        return '\n'.join(common_lines(self))
+
+    def plot(self) -> Any:
+        """Return a matplotlib Figure of the coherence over the averaging time."""
+        from ..view.plots import common_figure
+
+        return common_figure(self)
+
+
+@public
+def compare(
+    *sources: PlainResults | str | os.PathLike[str],
+    sensor: str | Sequence[str] = (),
+    margin: float = MARGIN,
+    within: float = 0.0,
+    method: str = 'likelihood',
+    observer: Observer = Silent(),
+) -> RunComparison:
+    """Compare recordings with the first of them, and with datasheets.
+
+    Parameters
+    ----------
+    *sources : Results or path
+        Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
+        analysis, a recording, or the truth file of a simulated recording. In the output, their
+        names are the paths, or A, B, C ...
+    sensor : str or sequence of str
+        Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
+        .yaml files.
+    margin : float
+        A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above it
+        by this fraction.
+    within : float
+        Also test whether the coefficients are the same up to this fraction; 0 for no such test.
+    method : str
+        Method of the fit of sums and recordings, as in `analyze`; results are not fitted again.
+    observer : Observer
+        Receives the progress of reading recordings; silent by default.
+
+    Returns
+    -------
+    RunComparison
+        The differences of each recording from the first one (``differences``), the results
+        compared with the datasheets (``checked``), and whether any difference is significant
+        (``differs``); with ``within``, whether the recordings are the same up to this fraction
+        (``equivalent``).
+
+    Raises
+    ------
+    AllanError
+        When an input cannot be read, or there is nothing to compare.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> quiet = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=1))
+    >>> noisy = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
+    >>> ar.compare(quiet, noisy).differs
+    True
+    """
+    ResultSettings(method=method, margin=margin)  # checks them before recordings are read
+    check_range(0.0, 10.0, within=within)
+    expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
+    sensors = [sensor] if isinstance(sensor, PATH) else sensor
+    sheets = [load_sensor(str(name)) for name in sensors]
+    sources = tuple(sorted(sources, key=lambda s: not (isinstance(s, PATH) and is_truth(s))))
+    paths = [
+        chr(ord('A') + i) if isinstance(s, PlainResults) else str(s) for i, s in enumerate(sources)
+    ]
+    names = labels_of(paths)
+    if len({*names}) < len(names):
+        raise AllanError('an input is given twice: give different recordings')
+    if len(sources) + len(sheets) < 2 or not sources:
+        raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
+    runs = (results_of(source, method, observer) for source in sources)
+    return compare_runs(dict(zip(names, runs)), sheets, margin, within)
+
+
+@public
+def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
+    """Separate the noise that several IMUs at rest on one body have in common from their own noise.
+
+    The samples are aligned by their stamps: the recordings must be made together, with one clock,
+    and the axes of the IMUs must be parallel.
+
+    Parameters
+    ----------
+    *sources : path, DataFrame, mapping of columns, or ImuBatch
+        One recording of each IMU, or a bag whose Imu topics are the IMUs. The axes of a single IMU
+        are compared with each other. In the output, the names of the IMUs are the paths or topics,
+        or A, B, C ...
+    rate : float
+        Sample rate in Hz, as in `analyze`.
+    **options
+        Options of `analyze` for reading and for the data at rest: ``topic``, ``skip`` ...
+
+    Returns
+    -------
+    CommonResult
+        For each axis and IMU (``rows``): N as measured; the own N of each of three or more IMUs (of
+        two, the mean of both) with its interval; and the coherence with the mean of the other IMUs
+        at each averaging time.
+
+    Raises
+    ------
+    AllanError
+        When a source cannot be read, or the sources have no axis, rate or time in common.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import allan_ros as ar
+    >>> vibration, *own = 1e-3 * np.random.default_rng(0).normal(size=(4, 20_000))
+    >>> three = ar.common(*({'gyro_z': 3.0 * vibration + one} for one in own), rate=100)
+    >>> row = three.rows[0]
+    >>> round(row.measured.value, 4), round(row.own.value, 4)
+    (0.0003, 0.0001)
+    >>> round(float(row.coherence.value[0]), 1)
+    0.9
+    """
+    from ..readers.arrays import recording_in_memory
+
+    reading, settings = read_settings(options, rate)
+    places = [Path(source).resolve() for source in sources if isinstance(source, PATH)]
+    if len({*places}) < len(places):
+        raise AllanError('a recording is given twice: give one of each IMU')
+    recordings: dict[str, Recording] = {}
+    paths = [str(s) if isinstance(s, PATH) else chr(ord('A') + i) for i, s in enumerate(sources)]
+    for source, path, label in zip(sources, paths, labels_of(paths)):
+        if not isinstance(source, PATH):
+            recordings[label] = recording_in_memory(source, reading)
+            continue
+        topics = [] if reading.topic else topics_of(path)
+        for topic in topics if len(topics) > 1 else [reading.topic]:
+            name = topic if topics[1:] and len(sources) == 1 else f'{label} {topic}'.strip()
+            recordings[name] = ReadJob(path, replace(reading, topic=topic)).open()
+    if not recordings:
+        raise AllanError('no recording is given: give one of each IMU')
+    found = common_of(recordings, settings)
+    return CommonResult(found.rows, found.findings)
+
+
+@public
+def inflate(
+    rest: PlainResults | str | os.PathLike[str],
+    running: PlainResults | str | os.PathLike[str],
+    *,
+    horizon: float = 30.0,
+    observer: Observer = Silent(),
+) -> Inflation:
+    """Measure by how much running motors increase the IMU noise of a robot at rest.
+
+    A filter that uses the noise at rest should multiply its N and K by the resulting factors.
+
+    Parameters
+    ----------
+    rest : Results or path
+        The robot at rest with its motors off: results, or the path of a results.json, a sums.json,
+        the folder of an analysis, or a recording.
+    running : Results or path
+        The robot at rest with its motors on. All samples of a recording are used, because the
+        vibration of motors could be mistaken for motion.
+    horizon : float
+        Longest time in s for which the filter integrates the IMU without a correction.
+    observer : Observer
+        Receives the progress of reading recordings; silent by default.
+
+    Returns
+    -------
+    Inflation
+        For each axis (``axes``), N and K with motors off and on, and their ratio, such as
+        ``axes['gyro_x']['N'].factor``; the largest factor for N of all axes (``factor``); and the
+        largest one for each sensor as the option ``inflate`` of `Results.export` (``option``).
+
+    Raises
+    ------
+    AllanError
+        When an input cannot be read, or the two have no axis in common.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> off = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=1, gyro={'N': 0.25}))
+    >>> on = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
+    >>> round(ar.inflate(off, on).axes['gyro_x']['N'].factor, 1)
+    2.0
+    """
+    check_range(1e-3, 1e9, 's', horizon=horizon)
+    quiet = results_of(rest, observer=observer)
+    still = SegmenterSettings(motion_gate=False)
+    loud = results_of(running, 'likelihood', observer, still)
+    fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (quiet, loud)]
+    axes = measure_inflation(fits[0], fits[1], horizon)
+    return Inflation(axes, compare_runs({REST: quiet, RUNNING: loud}), horizon)

@@ -1,0 +1,333 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The public classes of results: plain data with texts, export, plots and files by delegation.
+
+What an output needs is imported when it is made: most analyses need few of the outputs.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from ..core.errors import AllanError
+from ..core.findings import grouped
+from ..core.imu import sensor_of
+from ..core.settings import LIST, UNIT_SYSTEMS, choose, expect, settings_from
+from ..export import ExportOptions, make_export, target_of
+from ..readers.files import PATH, write_atomic
+from ..readers.files import public as with_checked_paths
+from ..results.datasheets import Datasheet as PlainDatasheet
+from ..results.datasheets import load_sensor
+from ..results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
+from ..results.references import compared
+from ..results.results import Results as PlainResults
+from ..view.finding_text import finding_line
+from ..view.settings import check_plots
+
+if TYPE_CHECKING:
+    from ..view.verdict_text import Verdict
+
+P = ParamSpec('P')
+T = TypeVar('T')
+
+
+def public(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorate a public function: its errors are AllanErrors with complete texts."""
+    checked = with_checked_paths(function)
+
+    @wraps(function)
+    def told(*args: P.args, **given: P.kwargs) -> T:
+        try:
+            return checked(*args, **given)
+        except AllanError as error:
+            from ..view.finding_text import explained
+
+            raise explained(error) from error.__cause__
+
+    return told
+
+
+class Results(PlainResults):
+    __doc__ = PlainResults.__doc__
+
+    def __repr__(self) -> str:
+        from ..view.verdict_text import summary_lines
+
+        return '\n'.join(summary_lines(self))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the IMU is healthy (``level``), with the reasons and the next steps."""
+        from ..view.verdict_text import verdict_of
+
+        return verdict_of(self)
+
+    def messages(self, units: str = 'deg/h') -> list[str]:
+        """Return the texts of the findings, the most important first.
+
+        ``units`` is 'deg/h' or 'SI'.
+
+        >>> import allan_ros as ar
+        >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50, vibration_gyro=3e-4))
+        >>> any('Vibration' in message for message in results.messages())
+        True
+        """
+        choose(UNIT_SYSTEMS, units=units)
+        return [finding_line(each, units) for each in grouped(self.findings)]
+
+    @classmethod
+    def of(cls, results: PlainResults) -> Results:
+        """Return results with the methods of this class.
+
+        >>> import allan_ros as ar
+        >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
+        >>> ar.Results.of(results) == results
+        True
+        """
+        return cls(**{each.name: getattr(results, each.name) for each in fields(results)})
+
+    def _repr_html_(self) -> str:
+        """Return the verdict and the coefficients for the output of a notebook cell."""
+        from ..view.notebook import notebook_html
+
+        return notebook_html(self)
+
+    def table(self, units: str = 'deg/h') -> Any:
+        """Return all coefficients as a table with one row for each axis and term.
+
+        Parameters
+        ----------
+        units : 'deg/h' or 'SI'
+            Units of the numbers.
+
+        Returns
+        -------
+        pandas.DataFrame or list of dict
+            The columns axis, term, value, ci95_low, ci95_high, upper95 and unit; a DataFrame if
+            pandas is installed. Unknown numbers are None, or NaN in a DataFrame.
+        """
+        from ..view.coefficient_table import coefficient_list
+        from ..view.table import records
+
+        choose(UNIT_SYSTEMS, units=units)
+        rows = records(coefficient_list(self.noise, units))
+        try:
+            import pandas
+        except ImportError:
+            return rows
+        return pandas.DataFrame(rows)
+
+    def plot(self, what: str = 'gyro', ax: Any = None, units: str = 'deg/h') -> Any:
+        """Draw the Allan deviation with its confidence limits and the fitted model.
+
+        Parameters
+        ----------
+        what : str
+            'gyro' or 'accel' for all axes of a sensor, or the name of an axis.
+        ax : matplotlib Axes, optional
+            Axes to draw into; by default a figure with a panel for each axis is created.
+        units : 'deg/h' or 'SI'
+            Units of the drawing.
+
+        Returns
+        -------
+        matplotlib Axes or Figure
+            The given axes, or the created figure.
+
+        Raises
+        ------
+        AllanError
+            When there is no such sensor or axis, or an argument is invalid.
+        """
+        from ..view.plots import draw_axes, sensor_figure
+
+        choose(UNIT_SYSTEMS, units=units)
+        names = [name for name in self.axes if what in (name, sensor_of(name))]
+        if not names:
+            raise AllanError(f'there is no {what!r}: choose one of {", ".join(self.axes)}')
+        axes = {name: self.axes[name] for name in names}
+        if ax is None:
+            return sensor_figure(replace(self, axes=axes), sensor_of(names[0]), units=units)
+        if not hasattr(ax, 'loglog'):
+            raise AllanError(f'ax is {ax!r:.60}: a matplotlib Axes is expected')
+        draw_axes(ax, axes, units)
+        return ax
+
+    @public
+    def export(
+        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+    ) -> str:
+        """Return the noise as the text of a file for a filter or simulator.
+
+        Parameters
+        ----------
+        target : str
+            A target that `allan export --list` lists, such as 'kalibr'.
+        path : path, optional
+            The text is also written to this file, or into this folder.
+        **options
+            Options of `allan export` with underscores, such as ``inflate=2``,
+            ``inflate={'gyro': 2, 'accel': 3}`` or ``motion=True``.
+
+        Raises
+        ------
+        AllanError
+            When the target or an option is unknown, the target needs an axis that was not
+            measured, or the file cannot be written.
+        """
+        expect(str, target=target)
+        text = make_export(self, target, settings_from(ExportOptions, options), finding_line).text
+        if path is not None:
+            expect(PATH, 'a path', path=path)
+            place = Path(path)
+            write_atomic(place / target_of(target).file_name if place.is_dir() else place, text)
+        return text
+
+    @public
+    def save(
+        self,
+        folder: str | os.PathLike[str],
+        units: str = 'deg/h',
+        targets: Sequence[str] = (),
+        plots: Sequence[str] = (),
+        overwrite: bool = False,
+    ) -> list[Path]:
+        """Write the results, the report, filter files and figures, and return their paths.
+
+        `allan analyze -o` writes the same files. `load` reads the folder again.
+
+        Parameters
+        ----------
+        folder : path
+            Folder for the files; it is created if it is missing.
+        units : 'deg/h' or 'SI'
+            Units of the report and the figures.
+        targets : sequence of str
+            Targets that `allan export --list` lists; their files are written in addition to the
+            file of Kalibr.
+        plots : sequence of str
+            File formats of figures in addition to the report: 'png', 'svg', 'pdf'.
+        overwrite : bool
+            Whether to replace results of another recording in this folder.
+
+        Raises
+        ------
+        AllanError
+            When the sums are not known, an argument is invalid, the folder has results of another
+            recording, or a file cannot be written.
+        """
+        from ..view.result_files import write_result_files
+
+        expect(PATH, 'a path', folder=folder)
+        choose(UNIT_SYSTEMS, units=units)
+        expect(LIST, targets=targets, plots=plots)
+        check_plots(plots)
+        expect(bool, overwrite=overwrite)
+        return write_result_files(
+            folder, self, units=units, targets=targets, plots=plots, overwrite=overwrite
+        )[1]
+
+    @public
+    def check(
+        self,
+        sensor: PlainDatasheet | str = '',
+        baseline: PlainResults | str | os.PathLike[str] = '',
+        margin: float | None = None,
+    ) -> Verdict:
+        """Return a verdict on the IMU after a comparison with a datasheet or an earlier run.
+
+        Parameters
+        ----------
+        sensor : str or Datasheet
+            A name that `allan sensors` lists, or the path of a .yaml file; '' for no datasheet.
+        baseline : Results or path
+            An earlier run: results, or the path of a results.json, a sums.json or the folder of an
+            analysis; '' for none.
+        margin : float, optional
+            A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval
+            lies above it by this fraction. By default 0.2; a comparison with a datasheet that the
+            results already contain keeps its margin.
+
+        Returns
+        -------
+        Verdict
+            With ``level`` ('healthy', 'attention', 'unknown' or 'failed'), ``summary``, ``reasons``
+            and ``next_steps``.
+
+        Raises
+        ------
+        AllanError
+            When the datasheet or the earlier run cannot be read, or the margin is negative.
+
+        Examples
+        --------
+        >>> import allan_ros as ar
+        >>> may, june = (ar.analyze(ar.simulate(hours=0.1, rate=50, seed=i)) for i in (1, 2))
+        >>> june.check(baseline=may).level
+        'healthy'
+        >>> worn = ar.analyze(ar.simulate(hours=0.1, rate=50, seed=2, gyro={'N': 0.5}))
+        >>> worn.check(baseline=may).level
+        'failed'
+        """
+        return self.compared(sensor, baseline, margin).verdict
+
+    def compared(
+        self,
+        sensor: PlainDatasheet | str = '',
+        baseline: PlainResults | str | os.PathLike[str] = '',
+        margin: float | None = None,
+    ) -> Results:
+        """Return a copy that is compared with a datasheet, an earlier run, or both.
+
+        Arguments and errors are the same as in `check`.
+        """
+        return compared(self, sensor, baseline, margin)
+
+
+class Datasheet(PlainDatasheet):
+    __doc__ = PlainDatasheet.__doc__
+
+    def results(self, rate: float = DEFAULT_RATE_HZ) -> Results:
+        """Return the noise model of the datasheet for an IMU with a rate in Hz.
+
+        It has the stated N and B. K of a file for a filter follows from its reduced-order model:
+        it covers the error growth of N and B over the horizon of the filter. Raises AllanError if
+        the datasheet states no N of an axis of a sensor.
+        """
+        return Results.of(results_of_datasheet(self, rate))
+
+    def export(
+        self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
+    ) -> str:
+        """Return the text of a file for a filter or simulator, with the noise of the datasheet.
+
+        The arguments are the same as in `Results.export`. ``filter_rate`` is also the rate of the
+        IMU; the default is 200 Hz.
+        """
+        return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
+            target, path, **options
+        )
+
+
+@public
+def sensor(name: str | os.PathLike[str]) -> Datasheet:
+    """Return a datasheet, given its name or the path of its .yaml file.
+
+    Raises
+    ------
+    AllanError
+        If the name is unknown, or the file is invalid.
+
+    Examples
+    --------
+    >>> import allan_ros as ar
+    >>> ar.sensor('adis16475-3').limits['gyro_x']['B'].stated
+    '7 deg/h'
+    """
+    expect(PATH, 'a name or a path', name=name)
+    return Datasheet(**vars(load_sensor(os.fspath(name))))
