@@ -8,32 +8,41 @@
 The robot rests at first, then every hour it drives for half an hour (120 s, with 60 s of rest
 between) and rests for half an hour, in which something happens: a fault, a fan, or a restart of the
 node. The table has a line for each change of the warnings and errors of the status. A change is
-explained if what happens names it, or ended less than 90 s ago (events are reported for a minute).
+explained if what happens names it, or ended less than 30 s ago (events are reported for 20 s).
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import resource
 import time
+from dataclasses import replace
 
 import numpy as np
-from bench_faults import FAULTS, RATE, START_NS, Input, rounded, simulated
-
-from allan_ros.core.imu import ImuBatch
+from bench_faults import (
+    FAULTS,
+    RATE,
+    Input,
+    Messages,
+    messages_of,
+    rounded,
+    simulated,
+    with_fault,
+)
 
 HOUR_S, DRIVES_S, DRIVE_S, CYCLE_S = 3600, 1800, 120, 180
 """Length of an hour, of the drives in it, of one drive, and of a drive with its rest, in s."""
 
-BEGIN_S, GRACE_S = 2400, 90
+BEGIN_S, GRACE_S = 2400, 30
 """Time in an hour at which something happens, and for which it is an excuse after its end, in s."""
 
-CHUNK_S = 60
-"""Length of the simulated parts in s."""
+PUBLISH_S = 60
+"""Period in s at which the sums are computed."""
 
 HAPPENS = [
     ('nothing', 0),
-    ('frozen', 60),
+    ('stuck', 60),
     ('fan', 600),
     ('unit_g', 120),
     ('restart node', 0),
@@ -47,15 +56,15 @@ HAPPENS = [
     ('no_gravity', 60),
     ('stamps_zero', 30),
     ('toggling', 120),
-    ('zero_filled', 60),
+    ('dead_sensor', 60),
     ('fan', 60),
     ('stamps_equal', 30),
     ('dead', 600),
-    ('restart', 300),
+    ('uptime', 300),
     ('spikes', 300),
     ('15_percent', 900),
     ('fan', 900),
-    ('frozen', 5),
+    ('stuck', 5),
 ]
 """What happens in each hour, and for how many seconds."""
 
@@ -75,43 +84,52 @@ def driven(x: np.ndarray, first_s: int, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(x + drives[:, None] * (swing + vibration))
 
 
+def messages_of_hour(hour: int, bias: np.ndarray, rng: np.random.Generator) -> Messages:
+    """Return the messages of an hour, with what happens in it."""
+    what, lasts = HAPPENS[hour % len(HAPPENS)]
+    x = simulated(HOUR_S, rng)
+    messages = messages_of(rounded(driven(x - x.mean(axis=0) + bias, hour * HOUR_S, rng)))
+    later_s = hour * HOUR_S
+    messages = replace(
+        messages,
+        arrived_s=messages.arrived_s + later_s,
+        stamps=messages.stamps + later_s * 10**9,
+    )
+    if what not in FAULTS:
+        return messages
+    return with_fault(messages, FAULTS[what], slice(BEGIN_S * RATE, (BEGIN_S + lasts) * RATE), rng)
+
+
 def day(hours: int) -> None:
     """Simulate the day, and print the table."""
     rng = np.random.default_rng(1)
     bias = np.append(rng.normal(size=5) * ([2e-3] * 3 + [0.1] * 2), 9.8)
-    live, shown = Input(CHUNK_S), frozenset[str]()
+    live, shown = Input(PUBLISH_S), frozenset[str]()
     restarted_s, unexplained, changes = 0, 0, 0
     named: dict[int, int] = {}
     began = time.process_time()
-    for first in range(0, hours * HOUR_S, CHUNK_S):
-        hour, at = divmod(first, HOUR_S)
+    for hour in range(hours):
         what, lasts = HAPPENS[hour % len(HAPPENS)]
         fault = FAULTS.get(what)
-        x = simulated(CHUNK_S, rng)
-        x = rounded(driven(x - x.mean(axis=0) + bias, first, rng))
-        stamps = START_NS + (first * RATE + np.arange(len(x))) * (10**9 // RATE)
-        begin, end = BEGIN_S - at, BEGIN_S + lasts - at
-        inside = slice(max(begin, 0) * RATE, max(min(end, CHUNK_S), 0) * RATE)
-        if fault is not None and inside.start < inside.stop:
-            x[inside] = fault.change(x[inside], rng)
-            stamps[inside] = fault.stamps(stamps[inside])
-        if (what, at) in (('restart node', BEGIN_S), ('restart driving', 60)):
-            live, restarted_s = Input(CHUNK_S), first
-        for second in range(first, first + CHUNK_S):
-            rows = slice((second - first) * RATE, (second - first + 1) * RATE)
-            health, found = live.status(float(second + 1), ImuBatch(stamps[rows], x[rows]))
+        names = set(fault.names.split()) if fault is not None else set()
+        messages = messages_of_hour(hour, bias, rng)
+        live.begin_numbers()
+        edges = np.searchsorted(messages.arrived_s, hour * HOUR_S + np.arange(HOUR_S + 1))
+        for at, (first, last) in enumerate(itertools.pairwise(edges)):
+            second = hour * HOUR_S + at
+            if (what, at) in (('restart node', BEGIN_S), ('restart driving', 60)):
+                live, restarted_s = Input(PUBLISH_S), second
+            health, found = live.status(float(second + 1), messages.part(slice(first, last)))
             severe = frozenset(f.id for f in found if f.severity != 'info')
-            in_hour = second - hour * HOUR_S
-            happens = fault is not None and BEGIN_S <= in_hour < BEGIN_S + lasts
-            names = set(fault.names.split()) if fault is not None else set()
+            happens = fault is not None and BEGIN_S <= at < BEGIN_S + lasts
             if happens and hour not in named and names & {f.id for f in found}:
-                named[hour] = in_hour + 1 - BEGIN_S
+                named[hour] = at + 1 - BEGIN_S
             if severe == shown:
                 continue
-            excused = happens or (fault is not None and 0 <= in_hour - BEGIN_S - lasts < GRACE_S)
+            excused = happens or (fault is not None and 0 <= at - BEGIN_S - lasts < GRACE_S)
             excused |= second - restarted_s < GRACE_S
             changes, unexplained = changes + 1, unexplained + (not excused)
-            clock = f'{hour:02}:{in_hour // 60:02}:{in_hour % 60:02}'
+            clock = f'{hour:02}:{at // 60:02}:{at % 60:02}'
             text = ', '.join(sorted(severe)) or 'ok'
             cause = what if excused else 'UNEXPLAINED'
             print(f'{clock}  {health.state:16} {text:60} {cause}', flush=True)

@@ -139,7 +139,7 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     """Return the finding ``id`` of the catalog.
 
     ``axes`` are the affected axes; empty for all. ``values`` must contain every value of the
-    catalog that is not optional. Only ``when``, a text such as ' in the last minute', is '' by
+    catalog that is not optional. Only ``when``, a text such as ' in the last 20 s', is '' by
     default. A quantity is an `Estimate` of `quantity`, or a number in SI for the sensor of the
     axes.
     """

@@ -42,7 +42,7 @@ NUMBER = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
 
 FINDING = 'finding'
 """Key of a status with the id of the finding in its message. ``finding: <id>`` has the text, which
-begins with 'now' or 'earlier', or states that the event was in the last minute, or until now."""
+begins with 'now' or 'earlier', or states when the event was."""
 
 
 def status_name(node: Node, *words: str) -> str:
@@ -115,7 +115,7 @@ def status_of(
     values are the id of the finding in the message, ``pairs`` and all findings, with the word 'now'
     or 'earlier'. Findings in ``noted`` are past and change neither level nor message.
     """
-    # the text of an event states that it was in the last minute
+    # the text of an event states when it was
     shown = [(f, '' if f.values.get('when') else 'now: ') for f in findings]
     shown += [(f, 'earlier: ') for f in noted]
     severe = [f for f in findings if f.severity != 'info']

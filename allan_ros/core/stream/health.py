@@ -55,8 +55,15 @@ LARGEST_N, LARGEST_REST_RATE = 3e-3, 0.2
 """Angle random walk in rad/s/sqrt(Hz) (10 deg/sqrt(h)) and mean rate at rest in rad/s (11 deg/s)
 above which the unit of a gyro is wrong."""
 
-UNIT_ERROR = 0.2
-"""Largest relative error of the ratio of noise by which a change of the unit is recognized."""
+USUAL_N = 3e-4
+"""Angle random walk in rad/s/sqrt(Hz) (1 deg/sqrt(h)) of a usual gyro: of two units, the one in
+which N is nearer to it is the more probable one."""
+
+UNIT_ERROR, LARGEST_ACCEL_RATIO = 0.2, 3.0
+"""Largest relative error of the ratio of noise by which a change of the unit of the gyro is
+recognized, and largest ratio of the noise of the accelerometer meanwhile."""
+
+NO_AXES = np.zeros(0)
 
 G_BAND = 0.15
 """Largest relative difference between gravity and a mean acceleration at rest."""
@@ -291,7 +298,7 @@ def events(health: StreamHealth) -> Counter[str]:
 def event_findings(counts: Counter[str], health: StreamHealth, when: str = '') -> list[Finding]:
     """Return a finding for each event with a count above 0; ``counts`` has finding ids as keys.
 
-    ``when``, such as ' in the last minute', is appended to the text of the findings.
+    ``when``, such as ' in the last 20 s', is appended to the text of the findings.
     """
     now: dict[str, Any] = {'frame_id': health.frame_id, 'rate': health.rate_hz or 0.0, 'when': when}
     present = [id for id in events(health) if counts[id] > 0]
@@ -352,10 +359,12 @@ def stream_findings(
     axes = tuple(axis for axis, r in ratios.items() if r > INCREASE_SHARE * ratio)
     increased = health.rate_hz and c.noise_increased and ratio
     gyro = tuple(axis for axis in ratios if not _is_accel(axis))
-    changed = increased and are_degrees(np.array([ratios[axis] for axis in gyro]))
-    add('gyro_unit_changed', changed, gyro, ratio=ratio)
+    others = np.array([ratios[axis] for axis in ratios if axis not in gyro])
+    own = np.array([ratios[axis] for axis in gyro])
+    unit = changed_gyro_unit(own, others) if increased else ''
+    add('gyro_unit_changed', unit, gyro, ratio=ratio, unit=unit)
     seconds = c.noise_increased / rate
-    add('noise_increased', increased and not changed, axes, ratio=ratio, seconds=seconds)
+    add('noise_increased', increased and not unit, axes, ratio=ratio, seconds=seconds)
     ratios, seconds = health.largest_decrease, c.noise_decreased / rate
     decreased = health.rate_hz and c.noise_decreased and ratios
     least = min(ratios.values(), default=1.0)
@@ -386,9 +395,27 @@ def _times(events: list[Event], health: StreamHealth) -> str:
     return ' and '.join([', '.join(first), last] if first else [last])
 
 
-def are_degrees(ratio: Floats) -> bool:
-    """Return whether the noise of all axes of a gyro rose as if the unit became deg/s."""
-    return len(ratio) == 3 and bool((np.abs(np.radians(ratio) - 1.0) < UNIT_ERROR).all())
+def changed_gyro_unit(gyro: Floats, accel: Floats = NO_AXES) -> str:
+    """Return the unit to which rad/s changed if the noise of the axes rose by these ratios.
+
+    The result is '' unless the ratios of the three axes of the gyro agree with a unit, and the
+    noise of the accelerometer, (axes,), has not risen as well.
+
+    >>> changed_gyro_unit(np.array([57.0, 58.0, 57.3])), changed_gyro_unit(np.full(3, 9.0))
+    ('deg/s', '')
+    """
+    if len(gyro) < 3 or accel.max(initial=0.0) > LARGEST_ACCEL_RATIO:
+        return ''
+    for unit in SAMPLE_UNITS['gyro'][1:]:
+        if (np.abs(gyro * UNITS[unit].factor - 1.0) < UNIT_ERROR).all():
+            return unit
+    return ''
+
+
+def probable_gyro_unit(n: float) -> str:
+    """Return the unit in which a gyro has the usual white noise; ``n`` is N without a unit."""
+    factors = {unit: UNITS[unit].factor for unit in SAMPLE_UNITS['gyro'][1:]}
+    return min(factors, key=lambda unit: abs(math.log(max(n, LARGEST_N) * factors[unit] / USUAL_N)))
 
 
 def sums_findings(sums: AllanSums) -> list[Finding]:
@@ -428,7 +455,8 @@ def unit_findings(sums: AllanSums) -> list[Finding]:
             level = np.sqrt(sums.avar[short][:, own] * tau)
             n = float(np.median(level.min(axis=0))) if len(tau) else 0.0
             if n > LARGEST_N or rate > LARGEST_REST_RATE:
-                found.append(finding('gyro_unit', axes, n=n, rate=rate))
+                unit = probable_gyro_unit(n)
+                found.append(finding('gyro_unit', axes, n=n, rate=rate, unit=unit))
         elif len(own) == place.stop - place.start:
             norm = float(np.linalg.norm(mean[own]))
             found += gravity_findings(norm, axes)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..imu import Flags, Floats
 from ..settings import SegmenterSettings
-from .health import are_degrees, gravity_unit
+from .health import changed_gyro_unit, gravity_unit
 
 LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
@@ -286,6 +286,10 @@ class NoiseFloor:
         """Largest change of the mean at rest, (axes,): infinite for an accelerometer."""
         return np.where(self.gyro, self.settings.rate_limit, np.inf)
 
+    def changed_unit(self, ratio: Floats) -> str:
+        """Return the unit of the gyro that explains a ratio of noise, (axes,); '' if none does."""
+        return changed_gyro_unit(ratio[self.gyro], ratio[~self.gyro])
+
     def is_plausible(self) -> bool:
         """Return whether a sensor at rest can have this noise; if not, it moved."""
         white = np.sqrt(2.0 / self.size) * np.sqrt(self.scale)
@@ -337,10 +341,10 @@ class NoiseFloor:
         """Return whether this floor has another unit than a later one, which has the right one.
 
         Then the later gravity has its magnitude in m/s^2, or the noise of the gyro became smaller
-        as from deg/s to rad/s.
+        as from deg/s or mrad/s to rad/s.
         """
         with np.errstate(invalid='ignore', divide='ignore'):
-            if are_degrees(np.sqrt(self.variance / later.variance)[self.gyro]):
+            if self.changed_unit(np.sqrt(self.variance / later.variance)):
                 return True
         return gravity_unit(later.gravity) == 'm/s^2' != gravity_unit(self.gravity)
 
@@ -376,7 +380,7 @@ class NoiseFloor:
             return False
         with np.errstate(invalid='ignore', divide='ignore'):
             ratio = np.sqrt(former.variance / self.variance)
-        if are_degrees(ratio[self.gyro]):
+        if self.changed_unit(ratio):
             return False
         if np.count_nonzero(axes & (ratio > SHAKEN_RATIO)) >= MOVING_AXES:
             return True
@@ -441,8 +445,8 @@ class NoiseFloor:
         change = np.abs(_quantile(block.mean, 0.5) - self.mean)
         gravity = float(np.linalg.norm(self.mean[~self.gyro]))
         with np.errstate(invalid='ignore', divide='ignore'):
-            degrees = are_degrees(np.sqrt(level / scale)[self.gyro])
-        rates = np.inf if degrees else self.rate_limit
+            unit = self.changed_unit(np.sqrt(level / scale))
+        rates = np.inf if unit else self.rate_limit
         allowed = np.where(self.gyro, rates, SAME_DIRECTION * gravity) + white
         return not bool((change > allowed).any())
 

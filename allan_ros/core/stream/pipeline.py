@@ -10,41 +10,22 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import replace
-from heapq import nlargest
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
-from ..allan.replaced import RunningStretches
-from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
-from ..errors import AllanError
 from ..findings import Finding, finding
 from ..imu import AXES, LARGEST, SENSORS, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
-from .cleaning import CoveredTime, RepeatFilter, SampleFilter, StampChoice, StampSorter
-from .drive_recorder import NO_DRIVES, DriveRecorder, Drives
-from .health import (
-    LISTED_EVENTS,
-    LISTED_SEGMENTS,
-    Accumulation,
-    Counts,
-    Event,
-    Longest,
-    Means,
-    RunningMeans,
-    Segment,
-    State,
-    StreamHealth,
-    stream_findings,
-)
-from .motion import MotionGate
+from .cleaning import CoveredTime, StampChoice, StampSorter
+from .drive_recorder import NO_DRIVES, Drives
+from .health import Accumulation, Counts, Means, State, StreamHealth, stream_findings
 from .noise_floor import idle_share
-from .rest_filter import Change
-from .sensors import Clipping, SensorPlan, plan_sensors
-from .timing import LEARN, SampleClock, learned_from
+from .noise_levels import StreamSums
+from .sensor_stream import SensorStream
+from .sensors import plan_sensors
+from .timing import LEARN, learned_from
 
 CHECKED = LEARN // 8
 """Number of samples that are examined at once to find that all samples of a sensor are measured
@@ -55,13 +36,6 @@ IDLE = ('sensor_all_zero', 'zero_filled', 'held')
 
 STILL_IDLE = 0.05
 """Smallest share of zero or repeated samples that shows that these continue."""
-
-
-class StreamSums(NamedTuple):
-    """Sums and longest segments of data at one sample rate."""
-
-    sums: AllanSums
-    segments: tuple[Segment, ...]
 
 
 class Present(NamedTuple):
@@ -156,14 +130,11 @@ class ImuStream:
 
     def result(self) -> Accumulation:
         """Return the results as if the input ended here; the stream is not changed."""
-        now = self if self._ended else copy.deepcopy(self)
-        present = now._present.present
-        if not self._ended:
-            now.end()
+        now = self if self._ended else self._at_end()
         longest = now._longest()
         sums = tuple(each.sums for each in longest)
         segments = longest[0].segments if longest else ()
-        return Accumulation(sums, *now._health(present, sums), segments)
+        return Accumulation(sums, *now._health(self._state_with(now), sums), segments)
 
     def present_health(
         self, sums: tuple[AllanSums, ...]
@@ -176,11 +147,24 @@ class ImuStream:
         present = self._present.present
         if present.state not in ('waiting', 'learning'):
             return self._health(present, sums)
-        now = self
-        if not self._ended:
-            now = copy.deepcopy(self)  # all samples are buffered, and there are few of them
-            now.end()
-        return now._health(present, sums)
+        # all samples are buffered, and there are few of them
+        now = self if self._ended else self._at_end()
+        return now._health(self._state_with(now), sums)
+
+    def _at_end(self) -> ImuStream:
+        """Return the stream as if the input ended here."""
+        now = copy.deepcopy(self)
+        now.end()
+        return now
+
+    def _state_with(self, now: ImuStream) -> Present:
+        """Return the present state; ``now`` is the stream as if the input ended here.
+
+        A motion of the first samples is known before their noise floor is.
+        """
+        present, after = self._present.present, now._present.present
+        is_first = present.state in ('waiting', 'learning')
+        return after if is_first and after.state == 'moving' else present
 
     def _add_frame(self, frame_id: str) -> FrameStream:
         """Start the stream of a new frame_id; of two earlier streams, remove the smaller one."""
@@ -226,9 +210,9 @@ class ImuStream:
             frame.identity.frame_id,
             longest[0].identity.frame_id if longest else frame.identity.frame_id,
             self._frame_changes,
-            sum(stream.relearned for stream in streams),
+            sum(stream.lost for stream in streams),
             {axis: ratio for gate in gates for axis, ratio in gate.increases.items()},
-            max((stream.discarded_s for stream in streams), default=0.0),
+            max((stream.lost_s for stream in streams), default=0.0),
             {axis: share for gate in gates for axis, share in gate.heavy_tails.items()},
             tuple(event for s in (*frame.earlier, *frame.sensors) for event in s.events.items),
             self._dropped_frames,
@@ -244,7 +228,7 @@ class ImuStream:
         if clock is not None:  # the stamps became usable later
             notes = [note for note in notes if note.id != 'stamps_missing']
         # the share of the first samples is known earlier, that of all samples is better
-        if any(sensor.is_examined for sensor in frame.sensors):
+        if any(sensor.is_examined or sensor.lost for sensor in frame.sensors):
             notes = [note for note in notes if note.id != 'clipped']
         found = [*notes, *stream_findings(health, longest, self._settings)]
         return health, tuple(dict.fromkeys(found))
@@ -396,279 +380,3 @@ class FrameStream:
             samples = samples.part(slice(start, None))
         for sensor in self.sensors:
             sensor.feed(samples)
-
-
-class SensorStream:
-    """Computes the sums of axes that are sampled together, from their samples at rest.
-
-    These are all six axes, or the axes of one sensor if the sensors have different rates. The
-    stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if the driver repeats samples at
-    random), `MotionGate`, `RunningSums`.
-    ``gate`` is None before the sample period is learned, or if it is switched off. ``recorder`` has
-    the drives between two rests, if they are requested.
-    """
-
-    def __init__(
-        self,
-        plan: SensorPlan,
-        identity: ImuIdentity,
-        settings: SegmenterSettings,
-        with_samples: bool = False,
-        with_drives: bool = False,
-    ) -> None:
-        self.axes = plan.axes
-        self._with_drives = with_drives and plan.axes == AXES
-        self.recorder: DriveRecorder | None = None
-        self._with_samples = with_samples
-        self.counts = Counts()
-        self.events: Longest[Event] = Longest(LISTED_EVENTS)
-        self._discards = 0
-        self._discarded_s = 0.0
-        self._first_ns: int | None = None
-        self._restarted = False
-        self._plan = plan
-        self._former: StreamSums | None = None  # at the earlier rate with the most data
-        self._identity = identity
-        self._settings = settings
-        self._filter = SampleFilter(plan, self.counts)
-        self._start()
-
-    def _start(self) -> None:
-        """Begin to learn the sample period."""
-        axes, drop = self._plan.axes, self._plan.drop
-        self.clock = SampleClock(len(axes), self._settings, bool(drop), self.counts)
-        self.gate: MotionGate | None = None
-        # between the clock and the sums
-        self._stages: list[RepeatFilter | MotionGate] = []
-        if self._plan.random_repeats:
-            groups = [[axes.index(axis) for axis in group] for group in self._plan.random_repeats]
-            self._stages.append(RepeatFilter(groups, len(axes)))
-        self._clear()
-
-    def _clear(self) -> None:
-        """Start with empty sums."""
-        self._sums = FloorSums(self._identity, self._plan.axes, self._with_samples)
-        self._other: FloorSums | None = None  # at another noise floor
-        self._tried = False  # whether the present noise floor is only tried
-        self._means = RunningMeans(self._plan.axes)
-
-    @property
-    def _published(self) -> FloorSums:
-        """The sums that are the result: those of before while another noise floor is tried."""
-        return self._other if self._tried and self._other is not None else self._sums
-
-    @property
-    def _is_later(self) -> bool:
-        """Whether the result lacks earlier sums, because the noise changed for a longer time."""
-        other = self._other
-        return other is not None and not self._tried and other.first_ns < self._sums.first_ns
-
-    @property
-    def relearned(self) -> int:
-        """How often the result lost the sums so far, because the IMU moved or its noise changed."""
-        return self._discards + self._is_later
-
-    @property
-    def discarded_s(self) -> float:
-        """Time in s between the first samples at rest and of the result; 0 if they are the same."""
-        later = self._since_start(self._sums.first_ns) if self._is_later else 0.0
-        return max(self._discarded_s, later)
-
-    @property
-    def kept(self) -> list[ImuBatch]:
-        """The samples at rest, if they were requested."""
-        return self._published.kept
-
-    @property
-    def is_examined(self) -> bool:
-        """Whether samples at rest were searched for clipped ones."""
-        return self._published.is_examined
-
-    @property
-    def clipped(self) -> dict[str, float]:
-        """Axis -> share of its samples at rest that are at the end of the measurement range."""
-        return self._published.clipped
-
-    @property
-    def state(self) -> State:
-        """'waiting' or 'learning' until the period is known, then the state of `MotionGate`."""
-        if self.gate is not None:
-            return self.gate.state
-        if self.clock.clock is not None and not self._settings.motion_gate:
-            return 'at_rest'
-        return 'learning' if len(self.clock.pending) else 'waiting'
-
-    def by_rate(self) -> list[StreamSums]:
-        """Return the sums at the present sample rate and at the earlier one with the most data."""
-        sums, segments = self._published.result
-        former = [] if self._former is None else [self._former]
-        if not sums.samples:
-            return former
-        if former:
-            with suppress(AllanError):  # another rate
-                sums = former[0].sums + sums
-                longest = nlargest(
-                    LISTED_SEGMENTS, [*former[0].segments, *segments], key=lambda each: each.samples
-                )
-                return [StreamSums(sums, tuple(sorted(longest)))]
-        return [*former, StreamSums(sums, segments)]
-
-    @property
-    def means(self) -> Means:
-        """The latest one-second means of static data."""
-        return self._means.means
-
-    def feed(self, samples: ImuBatch) -> None:
-        """Process samples of the six-axis stream."""
-        self._pass_on(self.clock.feed(self._filter.feed(samples)))
-        while self.clock.rate_changed:
-            self._pass_on(self._change_rate())
-
-    def flush(self) -> None:
-        """Process all buffered samples at the end of the input, and close the segment."""
-        self._pass_on(self.clock.flush())
-        while self.clock.rate_changed:
-            self._pass_on(self._change_rate() + self.clock.flush())
-        self._end_segment()
-
-    def _change_rate(self) -> list[ImuBatch]:
-        """Store the sums at the previous rate; return the blocks of the samples at the new one."""
-        self._end_segment()
-        self.counts.splits['rate change'] += 1
-        known = self.by_rate()
-        self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
-        pending = self.clock.pending
-        self._start()
-        return self.clock.feed(pending)
-
-    def _pass_on(self, blocks: list[ImuBatch], at_end: bool = False) -> None:
-        """Pass evenly spaced blocks through the stages to the sums."""
-        if blocks and self.gate is None and self._settings.motion_gate:
-            period, axes = self.clock.learned_ns, self._plan.axes
-            self.gate = MotionGate(period, axes, self.counts, self.events, self._settings)
-            self._stages.append(self.gate)
-            if self._with_drives:
-                self.recorder = DriveRecorder(period * 1e-9)
-        for stage in self._stages:
-            if stage is self.gate and self.recorder is not None:
-                self.recorder.add_samples(blocks)
-            blocks = stage.feed(blocks) + (stage.flush() if at_end else [])
-        if self.recorder is not None:
-            self.recorder.add_rests(blocks)
-        for block in blocks:
-            self._accumulate(block)
-
-    def _end_segment(self) -> None:
-        """Process the samples that the stages have buffered, and close the segment."""
-        self._pass_on([], at_end=True)
-        self._sums.close()
-        self._means.cut()
-
-    def _accumulate(self, block: ImuBatch) -> None:
-        """Add a block at rest to the sums."""
-        if block.cut in get_args(Change):
-            self._change_floor(block.cut)
-        elif block.cut:
-            self._sums.close()
-            self._means.cut()
-        if not len(block):
-            return
-        if self._first_ns is None:
-            self._first_ns = int(block.stamps_ns[0])
-        if self._restarted:  # the gate released samples of the last discarded block again
-            self._discarded_s = (int(block.stamps_ns[0]) - self._first_ns) * 1e-9
-            self._restarted = False
-        if self.gate is None:  # else it counts them
-            self.counts.used += len(block)
-        self._sums.add(block)
-        self._means.update(block.stamps_ns, block.rows)
-
-    def _change_floor(self, change: str) -> None:
-        """Discard sums, set them aside or continue them, as `Change` states."""
-        if change != 'accepted':
-            self._sums.close()
-            self._means.cut()
-        present, other, was_tried = self._sums, self._other, self._tried
-        if change == 'resumed':
-            assert other is not None
-            self._sums, self._other = other, None if was_tried else present
-            self._tried = False
-        elif change == 'accepted':
-            self._tried = False
-        else:
-            self._sums = FloorSums(self._identity, self._plan.axes, self._with_samples)
-            if change == 'set_aside':
-                if self._is_later:  # the earlier sums are dropped
-                    self._note_discarded(present.first_ns)
-                self._other, self._tried = (other if was_tried else present), True
-            elif not was_tried:
-                self._other, self._restarted = None, True
-                self._note_discarded(present.last_ns)  # until the next sample is kept
-
-    def _note_discarded(self, until_ns: int) -> None:
-        """Count that the sums from the start to a stamp were discarded."""
-        self._discards += 1
-        self._discarded_s = max(self._discarded_s, self._since_start(until_ns))
-
-    def _since_start(self, stamp_ns: int) -> float:
-        """Return the time in s since the first sample at rest."""
-        return (stamp_ns - (self._first_ns or 0)) * 1e-9
-
-
-class FloorSums:
-    """Sums of the samples at rest at one noise floor, and their segments."""
-
-    def __init__(self, identity: ImuIdentity, axes: tuple[str, ...], with_samples: bool) -> None:
-        self.kept: list[ImuBatch] = []
-        self.first_ns = self.last_ns = 0
-        self._with_samples = with_samples
-        self._engine = RunningSums(identity, axes)
-        self._replaced = RunningStretches(len(axes))
-        self._axes, self._clipping = axes, Clipping(len(axes))
-        self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
-        self._start_ns, self._cut = 0, ''  # of the segment
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return self._engine.samples
-
-    @property
-    def is_examined(self) -> bool:
-        """Whether samples were searched for clipped ones."""
-        return self._clipping.samples > 0
-
-    @property
-    def clipped(self) -> dict[str, float]:
-        """Axis -> share of its samples that are clipped; without axes that are not clipped."""
-        shares = zip(self._axes, self._clipping.shares.tolist())
-        return {axis: share for axis, share in shares if share}
-
-    @property
-    def result(self) -> StreamSums:
-        """The sums and the longest segments."""
-        sums = replace(self._engine.sums, replaced=self._replaced.table)
-        return StreamSums(sums, self._segments.items)
-
-    def add(self, block: ImuBatch) -> None:
-        """Add samples that directly follow the previous ones unless the segment was closed."""
-        if not self._engine.open_samples:
-            self._start_ns, self._cut = int(block.stamps_ns[0]), block.cut
-        if not self._engine.samples:
-            self.first_ns = self._start_ns
-        self.last_ns = int(block.stamps_ns[-1])
-        self._replaced.add(block.filled)
-        self._clipping.add(block.rows)
-        interpolated = None if block.filled is None else np.asarray(block.filled.any(axis=0))
-        self._engine.update(block.samples, int(block.stamps_ns[0]), self.last_ns, interpolated)
-        if self._with_samples:
-            self.kept.append(block.copy())
-
-    def close(self) -> None:
-        """End the segment."""
-        samples = self._engine.open_samples
-        if samples:
-            length = (self.last_ns - self._start_ns) * 1e-9
-            self._segments.add(samples, Segment(self._start_ns, samples, length, self._cut))
-            self._engine.end_segment()
-            self._replaced.add(None)

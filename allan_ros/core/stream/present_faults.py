@@ -11,7 +11,7 @@ import numpy as np
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
 from ..imu import SENSORS, STANDARD_GRAVITY, Floats, sensor_of
-from .health import WEIGHTLESS, StreamHealth, are_degrees, gravity_findings, gravity_unit
+from .health import WEIGHTLESS, StreamHealth, gravity_findings, gravity_unit
 from .noise_floor import SAME_GRAVITY, NoiseFloor, Windows, is_stuck
 from .sensors import zeros_and_repeats
 
@@ -39,10 +39,12 @@ def present_faults(
             found += zeros_and_repeats(sensor, tuple(axes[i] for i in own), rows[own])
     variance = np.median(windows.variance, axis=1)
     with np.errstate(invalid='ignore', divide='ignore'):
-        ratio = np.sqrt(variance / floor.scale)[floor.gyro]
-    if are_degrees(ratio):
+        ratio = np.sqrt(variance / floor.scale)
+    if unit := floor.changed_unit(ratio):
         gyro = tuple(axis for axis in axes if sensor_of(axis) == 'gyro')
-        found.append(finding('gyro_unit_changed', gyro, ratio=float(ratio.max())))
+        found.append(
+            finding('gyro_unit_changed', gyro, ratio=float(ratio[floor.gyro].max()), unit=unit)
+        )
     accel = tuple(axis for axis in axes if sensor_of(axis) == 'accel')
     if not found and len(accel) == 3:
         found += _gravity(accel, floor, windows, variance[~floor.gyro])

@@ -8,35 +8,29 @@ lower limits. Until then, its windows are held if they may be a shock.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
-from typing import Literal
 
 import numpy as np
 
 from ..imu import Flags, Floats, ImuBatch
 from .disturbances import LEAST_LEVEL, LONGEST_SHOCK_S, Level, Motion
-from .floor_counts import FloorCounts
-from .health import Event, Longest
+from .health import Counts, Event, Longest
 from .noise_floor import NoiseFloor, WindowClass, Windows, is_stuck
+from .noise_levels import Change, NoiseLevels
 
 MARGIN_BEFORE, MARGIN_AFTER_S = 1, 2.0
 """What is dropped of the data at rest next to a motion: one window before it, and windows of at
 least 2 s after it."""
 
-Change = Literal['relearned', 'revived', 'corrected', 'set_aside', 'resumed', 'accepted']
-"""What happens to the sums when the noise floor changes. 'relearned': the present sums are
-discarded, because the IMU moved. 'revived': they are discarded, because an axis was stuck.
-'corrected': they are discarded, because their unit of measurement was wrong.
-'set_aside': they are kept, and sums of a decreased noise begin. 'resumed': these are discarded, and
-the sums that were kept continue. 'accepted': the sums that were kept are discarded."""
-
 
 class RestFilter:
     """Passes on windows at rest, and drops or replaces the others.
 
-    ``size`` is the number of samples in a window, and ``floor`` the present noise floor. ``motion``
-    is the present motion, if any, and ``stuck``, (axes,), flags axes that repeated one value.
-    ``counts`` and ``events`` are changed in place.
+    Windows at rest are added to the present one of the ``levels``, whose noise floor decides.
+    ``size`` is the number of samples in a window. ``motion`` is the present motion, if any, and
+    ``stuck``, (axes,), flags axes that repeated one value. ``levels``, ``events`` and ``splits``
+    (number of splits by reason) are changed in place.
     """
 
     def __init__(
@@ -44,14 +38,14 @@ class RestFilter:
         size: int,
         period_s: float,
         axes: tuple[str, ...],
-        counts: FloorCounts,
+        levels: NoiseLevels,
         events: Longest[Event],
+        splits: Counter[str],
     ) -> None:
-        self.floor: NoiseFloor | None = None
         self.motion: Motion | None = None
         self.stuck = np.zeros(len(axes), bool)
         self._size, self._period_s, self._axes = size, period_s, axes
-        self._counts, self._events = counts, events
+        self._levels, self._events, self._splits = levels, events, splits
         self._level, self._last_mean = Level(), np.full(len(axes), np.nan)
         self._cut = ''  # reason for the gap before the next still block
         # the last still window, because a motion may follow, and the windows of a possible shock
@@ -59,34 +53,46 @@ class RestFilter:
         self._out: list[ImuBatch] = []  # confirmed to be at rest
 
     @property
-    def held(self) -> int:
-        """Number of samples that are neither passed on nor dropped yet."""
-        return count_samples(self._held)
+    def floor(self) -> NoiseFloor:
+        """The present noise floor, which must be known."""
+        floor = self._levels.present.floor
+        assert floor is not None
+        return floor
+
+    @property
+    def _counts(self) -> Counts:
+        return self._levels.present.counts
 
     def take(self) -> list[ImuBatch]:
         """Return the samples that were confirmed to be at rest since the last call."""
         out, self._out = self._out, []
         return out
 
-    def add(self, block: ImuBatch, windows: Windows, size: int) -> tuple[Flags, WindowClass]:
+    def add(
+        self, block: ImuBatch, windows: Windows, size: int, only_at_rest: bool = False
+    ) -> tuple[Flags, WindowClass] | None:
         """Pass on or drop windows of ``size`` samples; return which are at rest, and their class.
 
-        ``block`` contains their samples, and ``windows`` their statistics.
+        ``block`` contains their samples, and ``windows`` their statistics. With ``only_at_rest``,
+        nothing happens and None is returned if some of the windows are not at rest.
         """
-        assert self.floor is not None
+        follows = np.isfinite(self._last_mean).all() and not block.cut
+        floor, before = self.floor, self._last_mean if follows else None
+        found = floor.classify(block.rows, windows, before, size)
+        still = ~found.moving
+        is_at_rest = self.motion is None and bool(still.all())
+        if only_at_rest and not is_at_rest:
+            return None
         if block.cut:
             self._pass_held()
             self._forget_level()
             if self.motion is not None:
                 self.motion.before = self.motion.before[:0]
             self._cut = self._cut or block.cut
-        known = np.isfinite(self._last_mean).all()
-        found = self.floor.classify(block.rows, windows, self._last_mean if known else None, size)
         if found.stuck.any():
-            stuck = self.floor.decreased(windows) & is_stuck(block.rows, size)
+            stuck = floor.decreased(windows) & is_stuck(block.rows, size)
             self.stuck |= stuck.any(axis=1)
-        still = ~found.moving
-        if self.motion is None and still.all():
+        if is_at_rest:
             self._release(block, windows.mean, size)
         else:
             for i in range(len(still)):
@@ -103,39 +109,41 @@ class RestFilter:
 
     def drop(self, samples: list[ImuBatch], cut: str) -> None:
         """Drop samples of a motion before a noise floor is known."""
-        self._counts.add('moving', count_samples(samples))
+        self._counts.moving += count_samples(samples)
         if self.motion is None:
             self.motion = Motion(cut, int(samples[0].stamps_ns[0]))
-            self._counts.total.splits[cut] += 1
+            self._splits[cut] += 1
         self.motion.ended_ns = int(samples[-1].stamps_ns[-1])
         self._cut = cut
 
-    def change_floor(self, floor: NoiseFloor, change: Change, first: ImuBatch, cut: str) -> None:
-        """Continue with another noise floor and other sums; ``first`` is the next block."""
-        self.floor, self._cut = floor, cut
+    def begin_level(self, cut: str) -> None:
+        """Continue with another noise level; ``cut`` is the reason."""
         self._forget_level()
-        self.mark(change, first)
-        self.motion = Motion(cut, int(first.stamps_ns[0])) if cut == 'motion' else None
-
-    def mark(self, change: Change, block: ImuBatch) -> None:
-        """Tell `SensorStream` what to do with the sums before the next samples."""
-        self._pass_held()
-        self._out.append(block.part(slice(0), change))
+        self.motion, self._cut = None, cut
 
     def drop_shock(self) -> None:
         """Drop the windows of the present motion, which is no shock."""
         motion = self.motion
         if motion is not None and motion.level is not None:
-            self._counts.add('moving', self.held)
-            self._counts.total.splits[motion.kind] += 1
+            self._counts.moving += count_samples(self._held)
+            self._splits[motion.kind] += 1
             self._cut = self._cut or motion.kind
             motion.level, self._held = None, []
 
+    def name_motion(self, kind: Change, samples: int) -> None:
+        """Count samples of the present motion, which is no shock, as a change of the noise."""
+        self.drop_shock()
+        counts = self._counts
+        counts.moving -= samples
+        setattr(counts, kind, getattr(counts, kind) + samples)
+        if self.motion is not None:
+            self.motion.kind = kind
+
     def log_motion(self) -> None:
         """Add the motion that just ended, if any, to the list of events."""
-        motion, floor, self.motion = self.motion, self.floor, None
-        if motion is not None and floor is not None:
-            changes = zip(self._axes, motion.change(floor).tolist())
+        motion, self.motion = self.motion, None
+        if motion is not None:
+            changes = zip(self._axes, motion.change(self.floor).tolist())
             seconds = (motion.ended_ns - motion.began_ns) * 1e-9 + self._period_s
             changed = {axis: change for axis, change in changes if abs(change) > 0.0}
             self._events.add(seconds, Event(motion.kind, motion.began_ns, seconds, changed))
@@ -152,9 +160,10 @@ class RestFilter:
         motion = self.motion
         if found.decreased:
             self.drop_shock()
-            self._counts.add('stuck' if found.stuck else 'noise_decreased', len(window))
+            fate = 'stuck' if found.stuck else 'noise_decreased'
+            setattr(self._counts, fate, getattr(self._counts, fate) + len(window))
         elif motion.level is None:
-            self._counts.add('moving', len(window))
+            self._counts.moving += len(window)
         else:
             self._held.append(window)
         motion.add(window, mean, bool(found.quiet))
@@ -166,12 +175,11 @@ class RestFilter:
 
     def _end_motion(self, motion: Motion) -> None:
         """Pass on the windows of the motion that just ended if it was a shock, else split."""
-        assert self.floor is not None
         kept = motion.replaced(self._held, self.floor, self._period_s)
         if kept:
             motion.kind = 'shock'
-            self._counts.add('shocks', 1)
-            self._counts.add('replaced', len(kept[0]))
+            self._counts.shocks += 1
+            self._counts.replaced += len(kept[0])
             self._held = []
         else:
             self.drop_shock()
@@ -200,7 +208,8 @@ class RestFilter:
 
     def _pass_on(self, blocks: list[ImuBatch]) -> None:
         self._out += blocks
-        self._counts.add('used', count_samples(blocks))
+        for block in blocks:
+            self._levels.present.add(block)
 
     def _forget_level(self) -> None:
         self._level, self._last_mean = Level(), np.full(len(self._axes), np.nan)

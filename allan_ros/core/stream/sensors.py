@@ -91,7 +91,7 @@ def clipped_share(samples: Floats) -> float:
     return share if share >= MIN_CLIPPED else 0.0
 
 
-CLIPPED_CHUNK = 4096
+CLIPPED_CHUNK = 1024
 """Number of samples in which `Clipping` looks for clipped values."""
 
 

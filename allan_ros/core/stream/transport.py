@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about a live input: present faults first, then the events of the last minute.
+"""Findings about a live input: present faults first, then the latest events.
 
 The counts of a stream never decrease, so an event would be reported as long as a node runs.
 Therefore, only recent events are reported.
@@ -25,10 +25,11 @@ from .cleaning import BACKWARD_RUN
 from .health import StreamHealth, event_findings, events
 from .timing import LEARN
 
-LATELY_S = 60.0
+LATELY_S = 20.0
 """Time in s for which an event is reported."""
 
-LATELY, UNTIL_NOW = ' in the last minute', ' in the last minute until now'
+LATELY = f' in the last {LATELY_S:g} s'
+UNTIL_NOW = f'{LATELY} until now'
 """`LATELY_S`, as text of a finding about a past event, and about one that still occurs."""
 
 REPORTED_LOST_SHARE = 1e-3
@@ -181,7 +182,7 @@ class TransportMonitor:
         self._topic = topic
         self._began = self._last_message = self._last_usable = time_s
         self._messages = self._usable = self._samples = 0
-        # (time, counts at this time) of the last minute; most counts have the id of their finding
+        # (time, counts at this time) of `LATELY_S`; most counts have the id of their finding
         self._history: deque[tuple[float, Counter[str]]] = deque()
         self._excused = 0  # number of observations for which a cause still explains missing samples
         self._unexplained = self._absent = 0  # missing samples without a cause; these reported
@@ -300,7 +301,7 @@ class TransportMonitor:
         return []
 
     def _recent_findings(self, health: StreamHealth) -> tuple[list[Finding], list[Finding]]:
-        """Return the findings about events that still occur or occurred in the last minute.
+        """Return the findings about events that still occur or occurred within `LATELY_S`.
 
         Both are ordered from causes to effects.
         """

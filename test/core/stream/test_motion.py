@@ -3,18 +3,17 @@
 """The motion gate: motion is excluded, stationary noise is not."""
 
 from functools import partial
-from typing import get_args
 
 import numpy as np
 import pytest
 
-from allan_ros.core.imu import AXES, ImuBatch
+from allan_ros.core.imu import AXES, ImuBatch, ImuIdentity
 from allan_ros.core.noise import Model
 from allan_ros.core.settings import SegmenterSettings
 from allan_ros.core.simulate import simulate_axis
 from allan_ros.core.stream.health import Counts, Longest
 from allan_ros.core.stream.motion import MotionGate
-from allan_ros.core.stream.rest_filter import Change
+from allan_ros.core.stream.noise_levels import NoiseLevel, NoiseLevels
 
 RATE = 200
 SIGMA = np.array([1e-3] * 3 + [2e-2] * 3)[:, None]
@@ -26,26 +25,26 @@ def white(seconds, seed=0):
     return MEAN + SIGMA * np.random.default_rng(seed).normal(size=(6, n))
 
 
+def start():
+    """Return the noise levels, counts and the stage."""
+    levels = NoiseLevels(partial(NoiseLevel, ImuIdentity(), AXES, True))
+    counts, events = Counts(), Longest(200)
+    return levels, counts, events, partial(MotionGate, 1e9 / RATE, AXES, levels, counts)
+
+
 def gate(rows, events=None):
-    """Return the output of the stage, its counts, and whether each sample was passed on."""
-    counts = Counts()
-    stage = MotionGate(1e9 / RATE, AXES, counts, events or Longest(200), SegmenterSettings())
+    """Return the output of the stage, its counts, and whether each sample is in the result."""
+    levels, counts, all_events, stage_of = start()
+    stage = stage_of(events or all_events, SegmenterSettings())
     index = np.arange(rows.shape[1])
     out = stage.feed([ImuBatch.of_rows(index, rows)]) + stage.flush()
-    passed, aside, tried = np.zeros(len(index), bool), None, False
-    for r in out:
-        if r.cut == 'set_aside':
-            passed, aside, tried = np.zeros(len(index), bool), aside if tried else passed, True
-        elif r.cut == 'resumed':
-            passed, aside, tried = aside, None if tried else passed, False
-        elif r.cut == 'accepted':
-            tried = False
-        elif r.cut in get_args(Change):
-            passed[:] = False
-        passed[r.stamps_ns] = True
-        same = r.rows == rows[:, r.stamps_ns]
-        assert same.all() if r.filled is None else (same | r.filled).all()
-    return out, counts, aside if tried else passed
+    passed = np.zeros(len(index), bool)
+    for block in levels.published.kept:
+        passed[block.stamps_ns] = True
+        same = block.rows == rows[:, block.stamps_ns]
+        assert same.all() if block.filled is None else (same | block.filled).all()
+    counts.add(levels.counts)
+    return out, counts, passed
 
 
 def noise(**terms):
@@ -204,8 +203,8 @@ def test_a_turn_is_motion_though_it_is_smooth_or_all_means_are_as_before():
 
 def states(rows):
     """Return 'noise_increased' or 'moving' or 'at_rest' after each second."""
-    stage = MotionGate(1e9 / RATE, AXES, Counts(), Longest(200), SegmenterSettings())
-    out = []
+    *_, events, stage_of = start()
+    stage, out = stage_of(events, SegmenterSettings()), []
     for at in range(0, rows.shape[1], RATE):
         part = slice(at, at + RATE)
         stage.feed([ImuBatch.of_rows(np.arange(at, at + RATE), rows[:, part])])

@@ -104,8 +104,8 @@ OTHER, SHOWN = {'frames': ['other', 'imu', 1]}, {'frames': ['other', 'other', 1]
         ),
         (
             [{}, OTHER] + [{}] * 61 + [SHOWN],
-            ['', *['frame_waits frame_changed'] * 4, *['frame_waits frame_changed'] * 56]
-            + ['frame_waits'] * 2
+            ['', *['frame_waits frame_changed'] * int(LATELY_S)]
+            + ['frame_waits'] * (62 - int(LATELY_S))
             + [''],
         ),
         # the samples of a minute with another frame_id are no gap of the driver

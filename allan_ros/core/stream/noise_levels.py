@@ -1,0 +1,225 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Levels of the noise at rest: each has its own noise floor, sums and counts.
+
+When the noise changes, a new level begins. At first it is only tried: the sums of the level before
+are still the result, and continue when their noise returns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from ..allan.replaced import RunningStretches
+from ..allan.running import RunningSums
+from ..allan.sums import AllanSums
+from ..imu import ImuBatch, ImuIdentity
+from .health import LISTED_SEGMENTS, Counts, Longest, Segment
+from .noise_floor import NoiseFloor
+from .sensors import Clipping
+
+Change = Literal['noise_decreased', 'noise_increased']
+"""How the noise of a level differs from the level before."""
+
+Excluded = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
+"""A field of `Counts` for samples that are not in the result."""
+
+
+class StreamSums(NamedTuple):
+    """Sums and longest segments of data at one sample rate."""
+
+    sums: AllanSums
+    segments: tuple[Segment, ...]
+
+
+class NoiseLevel:
+    """The samples at rest at one noise level: their sums, segments and counts.
+
+    ``floor`` is the noise floor, None before it is known. ``counts`` are the numbers of samples
+    that were used, moving, stuck or of decreased noise since the level began, and of shocks.
+    """
+
+    def __init__(
+        self, identity: ImuIdentity, axes: tuple[str, ...], with_samples: bool = False
+    ) -> None:
+        self.floor: NoiseFloor | None = None
+        self.counts = Counts()
+        self.kept: list[ImuBatch] = []
+        self.first_ns = self.last_ns = 0
+        self._with_samples = with_samples
+        self._engine = RunningSums(identity, axes)
+        self._replaced = RunningStretches(len(axes))
+        self._axes, self._clipping = axes, Clipping(len(axes))
+        self._segments: Longest[Segment] = Longest(LISTED_SEGMENTS)
+        self._start_ns, self._cut = 0, ''  # of the segment
+
+    @property
+    def samples(self) -> int:
+        """Number of samples in the sums."""
+        return self._engine.samples
+
+    @property
+    def is_examined(self) -> bool:
+        """Whether samples were searched for clipped ones."""
+        return self._clipping.samples > 0
+
+    @property
+    def clipped(self) -> dict[str, float]:
+        """Axis -> share of its samples that are clipped; without axes that are not clipped."""
+        shares = zip(self._axes, self._clipping.shares.tolist())
+        return {axis: share for axis, share in shares if share}
+
+    @property
+    def result(self) -> StreamSums:
+        """The sums and the longest segments."""
+        sums = replace(self._engine.sums, replaced=self._replaced.table)
+        return StreamSums(sums, self._segments.items)
+
+    def add(self, block: ImuBatch) -> None:
+        """Add samples at rest, which follow the previous ones directly if ``cut`` is ''."""
+        if block.cut:
+            self.close()
+        if not len(block):
+            return
+        if not self._engine.open_samples:
+            self._start_ns, self._cut = int(block.stamps_ns[0]), block.cut
+        if not self._engine.samples:
+            self.first_ns = self._start_ns
+        self.last_ns = int(block.stamps_ns[-1])
+        self.counts.used += len(block)
+        self._replaced.add(block.filled)
+        self._clipping.add(block.rows)
+        interpolated = None if block.filled is None else np.asarray(block.filled.any(axis=0))
+        self._engine.update(block.samples, int(block.stamps_ns[0]), self.last_ns, interpolated)
+        if self._with_samples:
+            self.kept.append(block.copy())
+
+    def close(self) -> None:
+        """End the segment."""
+        samples = self._engine.open_samples
+        if samples:
+            length = (self.last_ns - self._start_ns) * 1e-9
+            self._segments.add(samples, Segment(self._start_ns, samples, length, self._cut))
+            self._engine.end_segment()
+            self._replaced.add(None)
+
+    def counted_as(self, excluded: Excluded) -> Counts:
+        """Return the counts without the sums: their samples are excluded, and have no shocks."""
+        counts = replace(
+            self.counts, used=0, shocks=0, replaced=0, splits=self.counts.splits.copy()
+        )
+        if excluded in ('moving', 'stuck'):  # decreased noise was nothing but the end of a motion
+            counts.moving, counts.noise_decreased = counts.moving + counts.noise_decreased, 0
+        setattr(counts, excluded, getattr(counts, excluded) + self.counts.used)
+        return counts
+
+
+class NoiseLevels:
+    """The present noise level of a stream, and another one to which the noise may return.
+
+    ``start`` begins the sums of a level. ``is_tried`` tells whether the present level is only
+    tried, and ``change`` how its noise differs from the other one.
+    """
+
+    def __init__(self, start: Callable[[], NoiseLevel]) -> None:
+        self._start = start
+        self.present = start()
+        self.other: NoiseLevel | None = None
+        self.is_tried = False
+        self.change: Change = 'noise_increased'
+        self._began_ns = 0  # when the present level began to be tried
+        self._other_is: Excluded = 'moving'  # what samples of the other level are, if not published
+        self._dropped = Counts()  # of the levels that were dropped
+        self._drops = 0  # number of levels that were dropped after they were the result
+        self._first_ns: int | None = (
+            None  # first sample of the first level, once another one begins
+        )
+        self._last_ns = 0  # last sample of the level that was dropped last
+
+    @property
+    def published(self) -> NoiseLevel:
+        """The level whose sums are the result."""
+        return self.other if self.is_tried and self.other is not None else self.present
+
+    @property
+    def counts(self) -> Counts:
+        """What became of all samples."""
+        counts = replace(self._dropped, splits=self._dropped.splits.copy())
+        if self.is_tried and self.other is not None:
+            counts.add(self.other.counts)
+            counts.add(self.present.counted_as(self.change))
+            return counts
+        counts.add(self.present.counts)
+        if self.other is not None:
+            counts.add(self.other.counted_as(self._other_is))
+        return counts
+
+    @property
+    def lost(self) -> int:
+        """How often the result lost the sums so far, because the IMU moved or its noise changed."""
+        other, present = self.other, self.present
+        later = other is not None and not self.is_tried and other.first_ns < present.first_ns
+        return self._drops + later
+
+    @property
+    def lost_s(self) -> float:
+        """Time in s from the first sample at rest to the first one of the result."""
+        if not self.lost:
+            return 0.0
+        until = self.published.first_ns if self.published.samples else self._last_ns
+        return (until - (self._first_ns or 0)) * 1e-9
+
+    @property
+    def lasts_longer(self) -> bool:
+        """Whether the tried level has more samples than the other one."""
+        return (
+            self.is_tried and self.other is not None and self.present.samples > self.other.samples
+        )
+
+    def replace_present(self, floor: NoiseFloor, reason: Literal['moving', 'stuck']) -> None:
+        """Begin another level, and drop the present one, which was no noise at rest."""
+        if not self.is_tried:
+            self._drops += 1
+            self._last_ns = self.present.last_ns
+        self._dropped.add(self.present.counted_as(reason))
+        self._begin(floor)
+
+    def try_another(self, floor: NoiseFloor, change: Change, began_ns: int) -> None:
+        """Begin another level, and keep the one before."""
+        if self.is_tried:
+            self._dropped.add(self.present.counted_as(self.change))
+        else:
+            if self.other is not None:
+                self._drops += self.other.first_ns < self.present.first_ns
+                self._dropped.add(self.other.counted_as(self._other_is))
+            self.other, self._began_ns = self.present, began_ns
+        self.is_tried, self.change = True, change
+        self._begin(floor)
+
+    def resume(self) -> int | None:
+        """Continue the other level; return since when in ns the present one was tried, or None."""
+        assert self.other is not None
+        self.present.close()
+        was_tried, self.is_tried = self.is_tried, False
+        if was_tried:
+            self._dropped.add(self.present.counted_as(self.change))
+            self.present, self.other = self.other, None
+            return self._began_ns
+        self.present, self.other = self.other, self.present
+        self._other_is = self.change if self._other_is == 'moving' else 'moving'
+        return None
+
+    def accept(self) -> None:
+        """Make the present level the result; keep the other one, because its noise may return."""
+        self.is_tried, self._other_is = False, 'moving'
+
+    def _begin(self, floor: NoiseFloor) -> None:
+        self.present.close()
+        if self._first_ns is None and self.present.samples:
+            self._first_ns = self.present.first_ns
+        self.present = self._start()
+        self.present.floor = floor

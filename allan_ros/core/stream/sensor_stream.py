@@ -1,0 +1,191 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Computes the sums of axes that are sampled together: the stages from samples to sums."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from heapq import nlargest
+
+from ..errors import AllanError
+from ..imu import AXES, ImuBatch, ImuIdentity
+from ..settings import SegmenterSettings
+from .cleaning import RepeatFilter, SampleFilter
+from .drive_recorder import DriveRecorder
+from .health import (
+    LISTED_EVENTS,
+    LISTED_SEGMENTS,
+    Counts,
+    Event,
+    Longest,
+    Means,
+    RunningMeans,
+    State,
+)
+from .motion import MotionGate
+from .noise_levels import NoiseLevel, NoiseLevels, StreamSums
+from .sensors import SensorPlan
+from .timing import SampleClock
+
+
+class SensorStream:
+    """Computes the sums of axes that are sampled together, from their samples at rest.
+
+    These are all six axes, or the axes of one sensor if the sensors have different rates. The
+    stages are: `SampleFilter`, `SampleClock`, `RepeatFilter` (if the driver repeats samples at
+    random), `MotionGate`, and the sums of a `NoiseLevel`.
+    ``gate`` is None before the sample period is learned, or if it is switched off. ``recorder`` has
+    the drives between two rests, if they are requested.
+    """
+
+    def __init__(
+        self,
+        plan: SensorPlan,
+        identity: ImuIdentity,
+        settings: SegmenterSettings,
+        with_samples: bool = False,
+        with_drives: bool = False,
+    ) -> None:
+        self.axes = plan.axes
+        self._with_drives = with_drives and plan.axes == AXES
+        self.recorder: DriveRecorder | None = None
+        self.events: Longest[Event] = Longest(LISTED_EVENTS)
+        self._plan = plan
+        self._former: StreamSums | None = None  # at the earlier rate with the most data
+        self._settings = settings
+        self._counts = Counts()  # without those of the present levels
+        self._lost, self._lost_s = 0, 0.0  # at earlier rates
+        self._filter = SampleFilter(plan, self._counts)
+        self._start_level = partial(NoiseLevel, identity, plan.axes, with_samples)
+        self._start()
+
+    def _start(self) -> None:
+        """Begin to learn the sample period, with empty sums."""
+        axes, drop = self._plan.axes, self._plan.drop
+        self.clock = SampleClock(len(axes), self._settings, bool(drop), self._counts)
+        self.gate: MotionGate | None = None
+        # between the clock and the sums
+        self._stages: list[RepeatFilter | MotionGate] = []
+        if self._plan.random_repeats:
+            groups = [[axes.index(axis) for axis in group] for group in self._plan.random_repeats]
+            self._stages.append(RepeatFilter(groups, len(axes)))
+        self._levels = NoiseLevels(self._start_level)
+        self._means = RunningMeans(self._plan.axes)
+
+    @property
+    def counts(self) -> Counts:
+        """What became of all samples."""
+        counts = replace(self._counts, splits=self._counts.splits.copy())
+        counts.add(self._levels.counts)
+        return counts
+
+    @property
+    def lost(self) -> int:
+        """How often the result lost the sums so far, because the IMU moved or its noise changed."""
+        return self._lost + self._levels.lost
+
+    @property
+    def lost_s(self) -> float:
+        """Time in s from the first sample at rest to the first one of the result."""
+        return max(self._lost_s, self._levels.lost_s)
+
+    @property
+    def kept(self) -> list[ImuBatch]:
+        """The samples at rest, if they were requested."""
+        return self._levels.published.kept
+
+    @property
+    def is_examined(self) -> bool:
+        """Whether samples at rest were searched for clipped ones."""
+        return self._levels.published.is_examined
+
+    @property
+    def clipped(self) -> dict[str, float]:
+        """Axis -> share of its samples at rest that are at the end of the measurement range."""
+        return self._levels.published.clipped
+
+    @property
+    def state(self) -> State:
+        """'waiting' or 'learning' until the period is known, then the state of `MotionGate`."""
+        if self.gate is not None:
+            return self.gate.state
+        if self.clock.clock is not None and not self._settings.motion_gate:
+            return 'at_rest'
+        return 'learning' if len(self.clock.pending) else 'waiting'
+
+    def by_rate(self) -> list[StreamSums]:
+        """Return the sums at the present sample rate and at the earlier one with the most data."""
+        sums, segments = self._levels.published.result
+        former = [] if self._former is None else [self._former]
+        if not sums.samples:
+            return former
+        if former:
+            with suppress(AllanError):  # another rate
+                sums = former[0].sums + sums
+                longest = nlargest(
+                    LISTED_SEGMENTS, [*former[0].segments, *segments], key=lambda each: each.samples
+                )
+                return [StreamSums(sums, tuple(sorted(longest)))]
+        return [*former, StreamSums(sums, segments)]
+
+    @property
+    def means(self) -> Means:
+        """The latest one-second means of static data."""
+        return self._means.means
+
+    def feed(self, samples: ImuBatch) -> None:
+        """Process samples of the six-axis stream."""
+        self._pass_on(self.clock.feed(self._filter.feed(samples)))
+        while self.clock.rate_changed:
+            self._pass_on(self._change_rate())
+
+    def flush(self) -> None:
+        """Process all buffered samples at the end of the input, and close the segment."""
+        self._pass_on(self.clock.flush())
+        while self.clock.rate_changed:
+            self._pass_on(self._change_rate() + self.clock.flush())
+        self._end_segment()
+
+    def _change_rate(self) -> list[ImuBatch]:
+        """Store the sums at the previous rate; return the blocks of the samples at the new one."""
+        self._end_segment()
+        self._counts.splits['rate change'] += 1
+        known = self.by_rate()
+        self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
+        self._counts.add(self._levels.counts)
+        self._lost, self._lost_s = self.lost, self.lost_s
+        pending = self.clock.pending
+        self._start()
+        return self.clock.feed(pending)
+
+    def _pass_on(self, blocks: list[ImuBatch], at_end: bool = False) -> None:
+        """Pass evenly spaced blocks through the stages to the sums."""
+        if blocks and self.gate is None and self._settings.motion_gate:
+            period, axes = self.clock.learned_ns, self._plan.axes
+            self.gate = MotionGate(
+                period, axes, self._levels, self._counts, self.events, self._settings
+            )
+            self._stages.append(self.gate)
+            if self._with_drives:
+                self.recorder = DriveRecorder(period * 1e-9)
+        for stage in self._stages:
+            if stage is self.gate and self.recorder is not None:
+                self.recorder.add_samples(blocks)
+            blocks = stage.feed(blocks) + (stage.flush() if at_end else [])
+        if self.recorder is not None:
+            self.recorder.add_rests(blocks)
+        for block in blocks:
+            if self.gate is None:  # else it adds the samples at rest
+                self._levels.present.add(block)
+            if block.cut:
+                self._means.cut()
+            if len(block):
+                self._means.update(block.stamps_ns, block.rows)
+
+    def _end_segment(self) -> None:
+        """Process the samples that the stages have buffered, and close the segment."""
+        self._pass_on([], at_end=True)
+        self._levels.present.close()
+        self._means.cut()
