@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from .simulate import simulate_imu
 from .stream.drives import EARTH_RATE, rotation_matrices
 
 Floats = NDArray[np.float64]
+
+WAVE_S = 8.0
+"""Period of waves in s."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +63,22 @@ class MotionErrors(CheckedSettings):
     g_sensitivity: float = parameter(
         0.0, 'sensitivity of the gyro to specific force', unit='rad/s/(m/s^2)', low=0.0
     )
-    gyro_noise: float = parameter(1.0, 'factor of the noise of the gyro in motion', low=0.0)
-    accel_noise: float = parameter(
-        1.0, 'factor of the noise of the accelerometer in motion', low=0.0
-    )
+    gyro_noise: float = parameter(1.0, 'factor of N of the gyro in motion', low=1.0)
+    accel_noise: float = parameter(1.0, 'factor of N of the accelerometer in motion', low=1.0)
     vibration: float = parameter(
-        0.0, 'vibration in motion, up to a tenth of the rate', unit='m/s^2', low=0.0
+        0.0,
+        'error of the accelerometer by vibration, up to a tenth of the rate; it differs by half '
+        'from drive to drive',
+        unit='m/s^2',
+        low=0.0,
     )
+    growth: float = parameter(
+        0.0, 'noise of the gyro that grows with the vibration, in N', unit='1/(m/s^2)', low=0.0
+    )
+    hits: float = parameter(
+        0.0, 'change of velocity that the accelerometer misses at a hit', unit='m/s', low=0.0
+    )
+    waves: float = parameter(0.0, 'tilt by waves of a ferry, also at rest', unit='rad', low=0.0)
     heating: float = parameter(
         0.0, 'change of the gyro bias by the heat of motors', unit='rad/s', low=0.0
     )
@@ -140,75 +153,97 @@ def simulate_drives(
     """
     rng = np.random.default_rng(seed)
     dt = 1.0 / rate
-    lengths = rng.uniform(route.shortest, max(route.longest, route.shortest), route.drives)
-    at, drives = round(route.first * rate), []
-    for length in lengths:
-        drives.append((at, at + round(length * rate)))
-        at = drives[-1][1] + round(route.rest * rate)
-    n = at
-    moving = np.zeros(n)
-    angles, speed = np.zeros((n + 1, 3)), np.zeros(n + 1)
-    creeping = np.zeros(n + 1)
-    angles[:] = rng.normal(0.0, route.tilt, 3) * [1, 1, 0]
-    for start, end in drives:
-        moving[start:end] = 1.0
-        size = end - start
-        envelope = _envelope(size + 1, 2.0 * rate)
-        slopes = np.stack([_smooth(size + 1, 4.0 * rate, rng) for _ in range(2)], axis=1)
-        # the robot stops on another slope than where it started
-        ends = rng.normal(0.0, route.tilt, 2) - angles[start, :2]
-        progress = np.linspace(0.0, 1.0, size + 1) ** 2 * (3.0 - 2.0 * np.linspace(0, 1, size + 1))
-        tilt = route.tilt * slopes * envelope[:, None] + progress[:, None] * ends
-        yaw = np.cumsum(route.turn * _smooth(size + 1, 2.0 * rate, rng) * envelope) * dt
-        angles[start : end + 1, :2] = angles[start, :2] + tilt
-        angles[start : end + 1, 2] = angles[start, 2] + yaw
-        angles[end + 1 :] = angles[end]
-        speed[start : end + 1] = route.speed * _smooth(size + 1, 3.0 * rate, rng) * envelope
-        creeping[end + 1 :] = errors.creep * rng.standard_normal()
-    attitude = _from_euler(angles)
+    path = _Path.of(rate, route, errors, rng)
+    n = len(path.moving)
+    attitude = _from_euler(path.angles)
     rates = _rotation_vectors(np.swapaxes(attitude[:-1], 1, 2) @ attitude[1:]) * rate
-    velocity = attitude[:, :, 0] * (speed + creeping * (speed == 0.0))[:, None]
     middle = attitude[:-1] @ rotation_matrices(rates * (dt / 2.0))
     north, up = math.cos(math.radians(errors.latitude)), math.sin(math.radians(errors.latitude))
     rates = rates + np.einsum('nji,j->ni', middle, EARTH_RATE * np.array([north, 0.0, up]))
-    force = np.einsum(
-        'nji,nj->ni', middle, np.diff(velocity, axis=0) * rate + [0.0, 0.0, STANDARD_GRAVITY]
-    )
-    force += (
-        errors.vibration
-        * moving[:, None]
-        * np.stack([_smooth(n, 10.0, rng) for _ in range(3)], axis=1)
-    )
-    noise = np.concatenate(
-        [batch.samples for batch in simulate_imu(n * dt, rate, gyro, accel, seed=seed + 1)]
-    )[:n] - [0, 0, 0, 0, 0, STANDARD_GRAVITY]
-    noise[:, :3] += (errors.gyro_noise - 1.0) * moving[:, None] * _changes(noise[:, :3], rate)
-    noise[:, 3:] += (errors.accel_noise - 1.0) * moving[:, None] * _changes(noise[:, 3:], rate)
+    velocity = attitude[:, :, 0] * path.speed[:, None]
+    specific = np.diff(velocity, axis=0) * rate + [0.0, 0.0, STANDARD_GRAVITY]
+    force = np.einsum('nji,nj->ni', middle, specific)
     gyro_matrix = errors.gyro_misalignment * rng.standard_normal((3, 3))
     np.fill_diagonal(gyro_matrix, errors.gyro_scale * rng.standard_normal(3))
     accel_matrix = np.diag(errors.accel_scale * rng.standard_normal(3))
     sensitivity = errors.g_sensitivity * rng.standard_normal((3, 3))
-    heat = _first_order(moving, errors.heating_time * rate)[:, None] * rng.standard_normal(3)
-    rates = rates + rates @ gyro_matrix.T + force @ sensitivity.T + errors.heating * heat
-    force = force + force @ accel_matrix.T
+    heat = _first_order(path.moving, errors.heating_time * rate)[:, None] * rng.standard_normal(3)
+    measured = [
+        rates + rates @ gyro_matrix.T + force @ sensitivity.T + errors.heating * heat,
+        force + force @ accel_matrix.T,
+    ]
+    at_rest = np.concatenate(
+        [batch.samples for batch in simulate_imu(n * dt, rate, gyro, accel, seed=seed + 1)]
+    )[:n] - [0, 0, 0, 0, 0, STANDARD_GRAVITY]
+    white = np.array([model.value('N') for model in (*gyro, *accel)])
     return SimulatedDrives(
         rate,
-        np.concatenate([rates, force], axis=1) + noise,
-        tuple(drives),
+        np.concatenate(measured, axis=1) + at_rest + _noise_in_motion(path, white, errors, rng),
+        path.drives,
         gyro_matrix,
         accel_matrix,
         sensitivity,
     )
 
 
-def _changes(noise: Floats, rate: float) -> Floats:
-    """Return the noise without its slow part: minus its mean over 10 s."""
-    width = max(round(10.0 * rate), 1)
-    kernel = np.ones(width) / width
-    slow = [
-        np.convolve(np.pad(row, width, 'edge'), kernel, 'same')[width:-width] for row in noise.T
-    ]
-    return np.asarray(noise - np.stack(slow, axis=1))
+class _Path(NamedTuple):
+    """Motion of the robot; angles and speed are at the edges of the n samples."""
+
+    rate: float
+    drives: tuple[tuple[int, int], ...]
+    moving: Floats  # 1 in drives, (n,)
+    angles: Floats  # roll, pitch, yaw, (n + 1, 3)
+    speed: Floats  # forward, (n + 1,)
+
+    @classmethod
+    def of(cls, rate: float, route: Route, errors: MotionErrors, rng: np.random.Generator) -> _Path:
+        """Draw a path. At the end of a drive, the slope is another one than at its start."""
+        lengths = rng.uniform(route.shortest, max(route.longest, route.shortest), route.drives)
+        at, drives = round(route.first * rate), []
+        for length in lengths:
+            drives.append((at, at + round(length * rate)))
+            at = drives[-1][1] + round(route.rest * rate)
+        moving, speed = np.zeros(at), np.zeros(at + 1)
+        angles = np.zeros((at + 1, 3))
+        angles[:] = rng.normal(0.0, route.tilt, 3) * [1, 1, 0]
+        for start, end in drives:
+            moving[start:end] = 1.0
+            size = end - start + 1
+            envelope = _envelope(size, 2.0 * rate)
+            slopes = np.stack([_smooth(size, 4.0 * rate, rng) for _ in range(2)], axis=1)
+            ends = rng.normal(0.0, route.tilt, 2) - angles[start, :2]
+            passed = np.linspace(0.0, 1.0, size)[:, None]
+            tilt = route.tilt * slopes * envelope[:, None] + passed**2 * (3.0 - 2.0 * passed) * ends
+            yaw = np.cumsum(route.turn * _smooth(size, 2.0 * rate, rng) * envelope) / rate
+            angles[start : end + 1, :2] = angles[start, :2] + tilt
+            angles[start : end + 1, 2] = angles[start, 2] + yaw
+            angles[end + 1 :] = angles[end]
+            speed[start : end + 1] = route.speed * _smooth(size, 3.0 * rate, rng) * envelope
+            speed[end + 1 :] = errors.creep * rng.standard_normal()
+        phase = rng.uniform(0.0, 2.0 * math.pi, 2)
+        waves = np.sin(2.0 * math.pi * np.arange(at + 1)[:, None] / (WAVE_S * rate) + phase)
+        angles[:, :2] += errors.waves * waves
+        return cls(rate, tuple(drives), moving, angles, speed)
+
+
+def _noise_in_motion(
+    path: _Path, white: Floats, errors: MotionErrors, rng: np.random.Generator
+) -> Floats:
+    """Return what is added to the noise at rest in the drives, (n, 6); ``white`` has N."""
+    n = len(path.moving)
+    level = np.zeros((n, 1))
+    noise = np.zeros((n, 6))
+    for start, end in path.drives:
+        level[start:end] = errors.vibration * math.exp(0.5 * rng.standard_normal())
+        if errors.hits:
+            size = round(0.1 * path.rate)
+            at = rng.integers(start, end - size)
+            noise[at : at + size, 3:] += errors.hits * rng.standard_normal(3) / 0.1
+    noise[:, 3:] += level * np.stack([_smooth(n, 10.0, rng) for _ in range(3)], axis=1)
+    factors = np.repeat([errors.gyro_noise, errors.accel_noise], 3) ** 2 - 1.0
+    squares = path.moving[:, None] * factors
+    squares[:, :3] += (errors.growth * level) ** 2
+    return np.asarray(noise + white * np.sqrt(squares * path.rate) * rng.standard_normal((n, 6)))
 
 
 def _smooth(n: int, width: float, rng: np.random.Generator) -> Floats:

@@ -26,6 +26,7 @@ from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Part
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..results.from_datasheet import FROM_DATASHEET
+from ..results.motion import TERMS
 from ..results.results import UNSUITABLE
 from .target import ExportOptions, Key, Row, Target
 
@@ -109,10 +110,9 @@ def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapp
             f'{LEAST_DRIVES} drives between rests',
             tuple(f for f in results.findings if f.id == 'motion_not_measured'),
         )
-    raised = {'white': 'N', 'slow': 'K', 'all': 'NK'}
     return {
         sensor: {
-            term: max(one.factor.value or 1.0, 1.0) if term in raised[one.part] else 1.0
+            term: max(one.raised.value or 1.0, 1.0) if term in TERMS[one.part] else 1.0
             for term in 'NK'
         }
         for sensor, one in results.motion.sensors.items()

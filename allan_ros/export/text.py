@@ -18,6 +18,7 @@ from ..core.filters.reductions import horizon_text
 from ..core.findings import Finding
 from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..results.from_datasheet import FROM_DATASHEET
+from ..results.motion import MEASURED
 from ..version import __version__
 from .model import REFUSED, FilterNoise
 from .target import Form, Row, Value
@@ -82,7 +83,7 @@ def header_lines(
         *(
             f'note: {words(note)}'
             for note in results.findings
-            if noise.options.motion and note.id == 'error_in_motion'
+            if noise.options.motion and note.id in MEASURED
         ),
         *dict.fromkeys(f'note: {words(note)}' for row in rows for note in row.findings),
         *(f'warning: {words(note)}' for note in noise.findings()),
@@ -101,9 +102,9 @@ def _inflation(noise: FilterNoise) -> str:
     if noise.options.motion and motion is not None:
         shown = []
         for sensor, one in motion.sensors.items():
-            low, high = one.factor.ci95 or (0.0, math.inf)
+            low, high = one.raised.ci95 or (0.0, math.inf)
             raised = ' and '.join(t for t, f in noise.factors[sensor].items() if f > 1.0)
-            factor = significant(one.factor.value or 1.0, LIMIT_DIGITS)
+            factor = significant(one.raised.value or 1.0, LIMIT_DIGITS)
             ends = ' to '.join(significant(end, LIMIT_DIGITS) for end in (low, high))
             what = f'{raised} x' if raised else 'none, factor '
             shown.append(f'{sensor} {what}{factor} ({ends})')

@@ -13,7 +13,7 @@ from ..core.findings import finding
 from ..core.imu import AXES, sensor_of
 from ..core.number_text import significant
 from ..core.stream.drive_recorder import Drives
-from ..results.motion import CAUSE_NAMES, ERRORS, LEAST_REST_S
+from ..results.motion import ERRORS, LEAST_REST_S, causes_text
 from .diagnostics import status_of
 
 ENDS = ('', ' low', ' high')
@@ -62,7 +62,6 @@ def motion_status(
                     limit=limit,
                 )
             )
-    causes = ' and '.join(CAUSE_NAMES[cause.name] for cause in motion.causes)
-    pairs.append(('cause', causes or None))
+    pairs.append(('cause', causes_text(motion) or None))
     text = f'in motion: {", ".join(shown)} times the noise at rest, {len(motion.drives)} drives'
     return status_of(name, findings, text, pairs, hardware_id=hardware_id)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -36,7 +37,14 @@ EXPLAINED = 0.7
 ERRORS = {'gyro': 'angle', 'accel': 'velocity'}
 """Sensor -> what its integral is."""
 
+TERMS = {'white': 'N', 'slow': 'K', 'all': 'N and K'}
+"""Part of the noise that is larger in motion -> the terms that describe it in a state estimator."""
+
+MEASURED = ('error_in_motion', 'motion_as_at_rest')
+"""Ids of the findings that state a factor."""
+
 CAUSE_NAMES = {
+    'rotation': 'a rotation between gyro and accelerometer',
     'gyro_matrix': 'scale factors or misalignments of the gyro',
     'accel_matrix': 'scale factors or misalignments of the accelerometer',
     'g_sensitivity': 'a sensitivity of the gyro to acceleration',
@@ -49,7 +57,7 @@ def with_motion(results: Results, drives: Drives) -> Results:
     Without enough drives, or data at rest, ``results.motion`` is None, and no finding says so.
     """
     motion, found = measure_motion(drives, results.axes, results.duration_s, 0.0)
-    others = (f for f in results.findings if f.id != 'error_in_motion')
+    others = (f for f in results.findings if f.id not in MEASURED)
     return replace(results, motion=motion, findings=(*others, *found))
 
 
@@ -116,23 +124,33 @@ REASONS = {
 }
 
 
+def causes_text(motion: NoiseInMotion) -> str:
+    """Return the names of the causes; '' for none."""
+    return ' and '.join(CAUSE_NAMES[cause.name] for cause in motion.causes)
+
+
 def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
-    for sensor, (factor, left) in {
-        name: (one.factor, one.explained) for name, one in motion.sensors.items()
-    }.items():
-        if factor.ci95 is None or factor.value is None:
-            continue
-        helps = left is not None and (left.value or 0.0) < EXPLAINED * factor.value
-        causes = ' and '.join(CAUSE_NAMES[each.name] for each in motion.causes)
+    for sensor, one in motion.sensors.items():
+        factor, left, value = one.factor, one.explained, one.factor.value or 1.0
+        low, high = factor.ci95 or (0.0, math.inf)
         axes = tuple(axis for axis in AXES if axis.startswith(sensor))
+        numbers = {
+            'error': ERRORS[sensor],
+            'ratio': value,
+            'low': low,
+            'high': high,
+            'drives': len(motion.drives),
+        }
+        if low <= 1.0:
+            yield finding('motion_as_at_rest', axes, **numbers)
+            continue
+        helps = left is not None and (left.value or 0.0) < EXPLAINED * value
         yield finding(
             'error_in_motion',
             axes,
-            error=ERRORS[sensor],
-            ratio=factor.value,
-            low=factor.ci95[0],
-            high=factor.ci95[1],
-            drives=len(motion.drives),
-            cause=causes if helps else None,
+            **numbers,
+            cause=causes_text(motion) if helps else None,
             left=left.value if left is not None and helps else None,
+            terms=TERMS[one.part],
+            factor=one.raised.value,
         )

@@ -144,8 +144,8 @@ def test_a_wrong_factor_is_refused(given: Any, said: str) -> None:
 def in_motion(results: Results, gyro: Part, accel: Part) -> Results:
     """Return results with the factors 3 of the gyro and 0.8 of the accelerometer in motion."""
     motion = NoiseInMotion(
-        SensorInMotion(Estimate(3.0, (2.5, 3.6)), gyro),
-        SensorInMotion(Estimate(0.8, (0.6, 1.1)), accel),
+        SensorInMotion(Estimate(2.8, (2.3, 3.4)), gyro, Estimate(3.0, (2.5, 3.6))),
+        SensorInMotion(Estimate(0.9, (0.7, 1.05)), accel, Estimate(0.8, (0.6, 1.1))),
         (),
         tuple(DriveRatio(20.0, 1.0, 3.0, 0.8) for _ in range(24)),
     )

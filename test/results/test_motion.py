@@ -98,6 +98,23 @@ def test_a_perfect_robot_is_as_good_as_at_rest() -> None:
     assert motion.causes == ()
 
 
+def test_drift_that_the_rests_do_not_resolve_is_no_error_in_motion() -> None:
+    """In rests of 7 s, flicker noise and a random walk cannot be told from white noise, but they
+    are part of the errors of every drive. Four intervals contain 1: false alarm of 5 % each, at
+    fixed seeds.
+    """
+    drifting = [Model.of(N=7e-5, B=2e-5, K=5e-6)] * 3, [Model.of(N=1.2e-3, B=2e-4, K=5e-5)] * 3
+    for seed in (4, 7):
+        samples = simulate_drives(RATE, *drifting, Route(drives=20), seed=seed).samples
+        stamps = 10**18 + np.arange(len(samples)) * round(1e9 / RATE)
+        results = ar.analyze(ImuBatch(stamps.astype(np.int64), samples))
+        assert not any(results[axis].fit.noise['K'].resolved for axis in results.axes)
+        for sensor in ('gyro', 'accel'):
+            low, high = results.motion[sensor].ci95
+            assert low < 1.0 < high
+        assert [f.id for f in results.findings].count('motion_as_at_rest') == 2
+
+
 def test_too_few_drives_are_named() -> None:
     results = ar.analyze(recording(Route(drives=3, rest=25.0)))
     assert results.motion is None

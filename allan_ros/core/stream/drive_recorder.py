@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
@@ -58,6 +59,15 @@ class Drives(NamedTuple):
 NO_DRIVES = Drives()
 
 
+class _Pending(NamedTuple):
+    """A drive whose second rest is not complete."""
+
+    start: float  # time in s
+    rows: Floats  # samples, (n, 6)
+    before: Rest
+    follows: bool
+
+
 class DriveRecorder:
     """Collects the drives between rests from evenly spaced samples of six axes.
 
@@ -76,8 +86,8 @@ class DriveRecorder:
         self._at_rest = 0
         self._first: list[Floats] = []
         self._last: deque[Floats] = deque()
-        self._before: Rest | None = None  # the rest before the present drive
-        self._drive: tuple[float, Floats] | None = None  # whose second rest is not complete
+        self._follows = False  # whether a used drive ended at the present rest
+        self._drive: _Pending | None = None  # whose second rest is not complete
 
     def __deepcopy__(self, memo: object) -> DriveRecorder:
         """Return a recorder that shares the samples with this one: they never change."""
@@ -113,13 +123,12 @@ class DriveRecorder:
     def result(self) -> Drives:
         """The drives as if the input ended here."""
         drives, unused = tuple(self._drives), Counter(self._unused)
-        if self._drive is not None and self._before is not None:
+        if self._drive is not None:
             after = self._mean(self._first)
             if after is None:
                 unused['short_rest'] += 1
             else:
-                last = self._errors(self._before, *self._drive, after)
-                drives = (*drives, last)[-MOST_DRIVES:]
+                drives = (*drives, self._errors(self._drive, after))[-MOST_DRIVES:]
         return Drives(drives, unused)
 
     def _begin_rest(self, block: ImuBatch) -> None:
@@ -139,12 +148,11 @@ class DriveRecorder:
                 reason = 'long'
             elif rest is None:
                 reason = 'short_rest'
-            if reason is None:
-                self._before = rest
-                self._drive = begin * 1e-9 - seconds, between
             else:
+                self._drive = _Pending(begin * 1e-9 - seconds, between, rest, self._follows)
+            if reason is not None:
                 self._unused[reason] += 1
-        self._is_long = False
+        self._is_long = self._follows = False
         self._at_rest = 0
         self._first, self._last = [], deque()
 
@@ -162,22 +170,24 @@ class DriveRecorder:
 
     def _complete(self) -> None:
         """Add the drive whose second rest is over or long enough."""
-        if self._drive is None or self._before is None:
+        if self._drive is None:
             return
-        (start, rows), self._drive = self._drive, None
+        drive, self._drive = self._drive, None
         after = self._mean(self._first)
         if after is None:
             self._unused['short_rest'] += 1
             return
-        self._drives.append(self._errors(self._before, start, rows, after))
+        self._drives.append(self._errors(drive, after))
+        self._follows = True
 
-    def _errors(self, before: Rest, start: float, rows: Floats, after: Rest) -> DriveErrors:
-        """Integrate a drive whose samples are (n, 6)."""
-        k = max(int(np.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9)), 1)
+    def _errors(self, pending: _Pending, after: Rest) -> DriveErrors:
+        """Integrate a drive."""
+        rows, k = pending.rows, max(math.ceil(1.0 / (self._tau0 * MOST_RATE) - 1e-9), 1)
         whole = len(rows) // k * k  # the few samples after it belong to the margin of the rest
         means = rows[:whole].reshape(-1, k, len(AXES)).mean(axis=1)
-        drive = Drive(start, k * self._tau0, means[:, :3], means[:, 3:], before, after)
-        return drive_errors(drive)
+        gyro, accel, tau0 = means[:, :3], means[:, 3:], k * self._tau0
+        before, follows = pending.before, pending.follows
+        return drive_errors(Drive(pending.start, tau0, gyro, accel, before, after, follows))
 
     def _mean(self, parts: Iterable[Floats], latest: bool = False) -> Rest | None:
         """Return the means of some rows, of at most the ``latest`` ones of a rest."""

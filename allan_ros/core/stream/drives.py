@@ -13,10 +13,12 @@ two rests, and T is the duration of the drive. The residuals of a drive are
 
     rotation:  C(T) f2 - f1                      (0 without errors: gravity is the same)
     velocity:  integral of C(t) f(t) dt - f1 T   (0 without errors: the velocity is 0 at both rests)
+    rate:      mean of w at the second rest      (0 if the bias of the gyro is constant)
 
-A gyro error n(t) rotates C by psi with psi' = C n. To first order it changes the residuals by the
-integral of A(t) n(t) dt, where A(t) has the rows -[C(T) f2]x C(t) and -[v(T) - v(t)]x C(t), v(t) is
-the integral of C f, and [a]x is the matrix of the cross product with a.
+A gyro error n(t) rotates C by psi with psi' = C n. To first order it changes C(T) f2 by the
+integral of A(t) n(t) dt with A(t) = -[C(T) f2]x C(t), and the velocity with
+A(t) = -[v(T) - v(t)]x C(t), where v(t) is the integral of C f, and [a]x is the matrix of the cross
+product with a.
 """
 
 from __future__ import annotations
@@ -36,24 +38,17 @@ EARTH_RATE = 7.292115e-5
 REST_S = 30.0
 """Longest part of a rest, next to the drive, over which its samples are averaged, in s."""
 
+ROWS = 9
+ROTATION, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9)
+"""Residuals of a drive."""
+
 SLOW_BLOCKS = 96
 """Number of blocks into which a drive with its rests is divided for the effect of slow noise."""
 
 
-class NoiseAtRest(NamedTuple):
-    """Noise of one axis at rest.
-
-    Attributes
-    ----------
-    white : float
-        Square of the white noise density N in SI.
-    slow : function (M, j) -> array
-        Autocovariance of means over M s at a lag of j means of the noise that is not white, in the
-        squared unit of the samples, up to a constant.
-    """
-
-    white: float
-    slow: Callable[[float, ArrayLike], Floats]
+SlowNoise = Callable[[float, ArrayLike], Floats]
+"""Autocovariance of means over M s at a lag of j means, (M, j) -> array, in the squared unit of the
+samples, up to a constant that is the same for all M."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +82,8 @@ class Drive:
         Evenly spaced samples in rad/s and m/s^2.
     before, after : Rest
         The rests at its ends.
+    follows : bool
+        Whether the drive before it ended at the rest ``before``.
     """
 
     start: float
@@ -95,6 +92,7 @@ class Drive:
     accel: Floats
     before: Rest
     after: Rest
+    follows: bool = False
 
     @property
     def duration(self) -> float:
@@ -106,9 +104,8 @@ class Drive:
 class DriveErrors:
     """Residuals of one drive and the effect of everything that may have caused them.
 
-    The seven residuals are the rotation and the velocity of the module text, and the length of f1.
-    The effect of an error with k numbers is a (7, k) array: residuals per unit of each number. The
-    samples are not kept.
+    The nine residuals are rotation, velocity and rate of the module text. The effect of an error
+    with k numbers is a (9, k) array: residuals per unit of each number. The samples are not kept.
 
     Attributes
     ----------
@@ -116,28 +113,35 @@ class DriveErrors:
         As in `Drive`, in s.
     turned : float
         Angle by which the sensor turned, summed over the drive, in rad.
-    residual : (7,) array
-        Residuals in m/s^2 (rotation), m/s (velocity) and m/s^2 (length of f1).
-    white, rests : (6, 7, 7) array
+    follows : bool
+        Whether the drive before it ended at the first rest.
+    force, end : (3,) array, (3, 3) array
+        f1 in m/s^2, and C(T).
+    residual : (9,) array
+        Residuals in m/s^2 (rotation), m/s (velocity) and rad/s (rate).
+    white, rests : (6, 9, 9) array
         Covariance due to white noise with N = 1 of each axis, during the drive and at the rests.
-    slow : (blocks, 7, 6) array
+    slow : (blocks, 9, 6) array
         Weights of the block means of the errors of each axis. The weights of an axis sum to 0: a
         bias that is constant over drive and rests has its effect in ``accel_bias`` only.
     block : float
         Duration of these blocks in s.
-    accel_bias : (7, 3) array
+    accel_bias : (9, 3) array
         Effect of the bias of the accelerometer at the first rest.
-    gyro_matrix, accel_matrix, g_sensitivity : (7, 9) array
+    gyro_matrix, accel_matrix, g_sensitivity : (9, 9) array
         Effect of the elements of three matrices, row by row: scale factors and misalignments of the
         gyro, of the accelerometer (errors are matrix times true value), and the sensitivity of the
         gyro to specific force, in rad/s per m/s^2.
-    earth : (7, 3) array
+    earth : (9, 3) array
         Effect of the rotation rate of the Earth at the first rest.
     """
 
     start: float
     duration: float
     turned: float
+    follows: bool
+    force: Floats
+    end: Floats
     residual: Floats
     white: Floats
     rests: Floats
@@ -149,28 +153,24 @@ class DriveErrors:
     g_sensitivity: Floats
     earth: Floats
 
-    def covariances(self, noise: Sequence[NoiseAtRest]) -> dict[str, Floats]:
-        """Return the covariances (7, 7) of the residuals if the noise is as at rest.
+    def white_covariances(self, density: Sequence[float]) -> dict[str, Floats]:
+        """Return covariances (9, 9) due to white noise: of 'gyro', 'accel' and at the 'rests'.
 
-        ``noise`` has one item for each of the six axes. The keys are 'gyro_white', 'gyro_slow',
-        'accel_white' and 'accel_slow' for the noise during the drive, and 'rests' for the means of
-        the rests.
+        ``density`` has the N of the six axes in SI.
         """
-        density = np.array([each.white for each in noise])[:, None, None]
-        lags = np.arange(len(self.slow))
-        between = np.abs(lags[:, None] - lags)
-        slow = np.empty((len(noise), 7, 7))
-        for axis, each in enumerate(noise):
-            weights = self.slow[:, :, axis]
-            slow[axis] = weights.T @ np.asarray(each.slow(self.block, lags))[between] @ weights
-        white = density * self.white
+        squares = np.square(density)[:, None, None]
+        during = squares * self.white
         return {
-            'gyro_white': white[:3].sum(axis=0),
-            'gyro_slow': slow[:3].sum(axis=0),
-            'accel_white': white[3:].sum(axis=0),
-            'accel_slow': slow[3:].sum(axis=0),
-            'rests': (density * self.rests).sum(axis=0),
+            'gyro': during[:3].sum(axis=0),
+            'accel': during[3:].sum(axis=0),
+            'rests': (squares * self.rests).sum(axis=0),
         }
+
+    def slow_covariance(self, axis: int, slow: SlowNoise) -> Floats:
+        """Return the covariance (9, 9) due to noise of an axis that is not white."""
+        lags = np.arange(len(self.slow))
+        weights, gamma = self.slow[:, :, axis], np.asarray(slow(self.block, lags))
+        return np.asarray(weights.T @ gamma[np.abs(lags[:, None] - lags)] @ weights)
 
 
 def drive_errors(drive: Drive) -> DriveErrors:
@@ -200,57 +200,61 @@ def drive_errors(drive: Drive) -> DriveErrors:
     >>> found = drive_errors(drive)
     >>> bool(np.allclose(found.residual[:3], 0.01 * found.gyro_matrix[:3, 0], atol=2e-3))
     True
-    >>> at_rest = [NoiseAtRest(1e-8, lambda M, j: np.zeros(np.shape(j)))] * 6
-    >>> sorted(found.covariances(at_rest))
-    ['accel_slow', 'accel_white', 'gyro_slow', 'gyro_white', 'rests']
     """
     rates, force, dt = drive.gyro - drive.before.gyro, drive.accel, drive.tau0
     n, total = len(rates), drive.duration
-    turns = np.concatenate([rates[:1], rates[:-1] + rates[1:]]) * (dt / 2.0)
-    turned = _cumulative_products(rotation_matrices(turns))  # at the middle of each sample
-    end = turned[-1] @ rotation_matrices(rates[-1:] * (dt / 2.0))[0]
-    first, last = drive.before.accel, drive.after.accel
+    ends = _cumulative_products(rotation_matrices(rates * dt))
+    halves = rotation_matrices(rates * (dt / 2.0))
+    turned = np.concatenate([halves[:1], ends[:-1] @ halves[1:]])  # at the middle of each sample
+    first, last, end = drive.before.accel, drive.after.accel, ends[-1]
     parts = np.einsum('nij,nj->ni', turned, force)
     velocity = np.cumsum(parts, axis=0) * dt
-    length = float(np.linalg.norm(first))
-    residual = np.concatenate([end @ last - first, velocity[-1] - first * total, [length]])
+    residual = np.concatenate(
+        [end @ last - first, velocity[-1] - first * total, drive.after.gyro - drive.before.gyro]
+    )
 
     # weights of the errors of each sample, and of the means at the rests; the mean of the gyro at
     # the first rest is subtracted from its samples
-    samples = np.zeros((n, 7, 6))
+    samples = np.zeros((n, ROWS, 6))
     rest_of_velocity = velocity[-1] - velocity + parts * (dt / 2.0)
-    samples[:, :3, :3] = -(cross_matrices(end @ last) @ turned) * dt
-    samples[:, 3:6, :3] = -(cross_matrices(rest_of_velocity) @ turned) * dt
-    samples[:, 3:6, 3:] = turned * dt
+    samples[:, ROTATION, :3] = -(cross_matrices(end @ last) @ turned) * dt
+    samples[:, VELOCITY, :3] = -(cross_matrices(rest_of_velocity) @ turned) * dt
+    samples[:, VELOCITY, 3:] = turned * dt
     on_gyro, on_accel = samples[:, :, :3], samples[:, :, 3:]
-    at_first, at_last = np.zeros((7, 6)), np.zeros((7, 6))
-    at_first[:, :3] = -on_gyro.sum(axis=0)
-    at_first[:3, 3:], at_first[3:6, 3:] = -np.eye(3), -total * np.eye(3)
-    at_first[6, 3:] = first / length
-    at_last[:3, 3:] = end
+    at_first, at_last = np.zeros((ROWS, 6)), np.zeros((ROWS, 6))
+    at_last[ROTATION, 3:], at_last[RATE, :3] = end, np.eye(3)
+    at_first[:, :3] = -on_gyro.sum(axis=0) - at_last[:, :3]
+    at_first[ROTATION, 3:], at_first[VELOCITY, 3:] = -np.eye(3), -total * np.eye(3)
 
     bias = on_accel.sum(axis=0) + at_first[:, 3:] + at_last[:, 3:]
-    accel_matrix = np.einsum('nij,nk->ijk', on_accel, force).reshape(7, 9)
-    for weights, mean in ((at_first, first), (at_last, last)):
-        accel_matrix += np.einsum('ij,k->ijk', weights[:, 3:], mean).reshape(7, 9)
-    since_first = at_first.copy()  # errors relative to the mean error of the first rest
-    since_first[:, 3:] -= bias
+    from_first = at_first.copy()  # errors relative to the mean error of the first rest
+    from_first[:, 3:] -= bias
     blocks = _Blocks.of(drive)
     return DriveErrors(
         start=drive.start,
         duration=total,
         turned=float(np.linalg.norm(rates, axis=1).sum() * dt),
+        follows=drive.follows,
+        force=first,
+        end=end,
         residual=residual,
         white=np.einsum('nia,nja->aij', samples, samples, optimize=True) / dt,
         rests=np.einsum('ia,ja->aij', at_first, at_first) / drive.before.duration
         + np.einsum('ia,ja->aij', at_last, at_last) / drive.after.duration,
-        slow=blocks.weights(samples, since_first, at_last),
+        slow=blocks.weights(samples, from_first, at_last),
         block=blocks.duration,
         accel_bias=bias,
-        gyro_matrix=np.einsum('nij,nk->ijk', on_gyro, rates).reshape(7, 9),
-        accel_matrix=accel_matrix,
-        g_sensitivity=np.einsum('nij,nk->ijk', on_gyro, force - first).reshape(7, 9),
-        earth=np.einsum('nij,nkj->ik', on_gyro, turned) - on_gyro.sum(axis=0),
+        gyro_matrix=np.einsum('nij,nk->ijk', on_gyro, rates).reshape(ROWS, 9),
+        accel_matrix=(
+            np.einsum('nij,nk->ijk', on_accel, force)
+            + np.einsum('ij,k->ijk', at_first[:, 3:], first)
+            + np.einsum('ij,k->ijk', at_last[:, 3:], last)
+        ).reshape(ROWS, 9),
+        g_sensitivity=(
+            np.einsum('nij,nk->ijk', on_gyro, force - first)
+            + np.einsum('ij,k->ijk', at_last[:, :3], last - first)
+        ).reshape(ROWS, 9),
+        earth=np.einsum('nij,nkj->ik', on_gyro, turned) + at_last[:, :3] @ end.T + at_first[:, :3],
     )
 
 
@@ -303,9 +307,9 @@ class _Blocks(NamedTuple):
         return cls(float(edges[1]), SLOW_BLOCKS, before, inside, after)
 
     def weights(self, samples: Floats, first: Floats, last: Floats) -> Floats:
-        """Return the weights (blocks, 7, 6) of block means.
+        """Return the weights (blocks, 9, 6) of block means.
 
-        ``samples``, (n, 7, 6), are the weights of the samples. ``first`` and ``last``, (7, 6), are
+        ``samples``, (n, 9, 6), are the weights of the samples. ``first`` and ``last``, (9, 6), are
         the weights of the means at the rests.
         """
         starts = np.flatnonzero(np.diff(self.inside, prepend=-1))

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from allan_ros.core.filters.motion_factors import axis_noise
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
-from allan_ros.core.stream.drives import Drive, NoiseAtRest, Rest, drive_errors
+from allan_ros.core.stream.drives import ROTATION, VELOCITY, Drive, Rest, drive_errors
 
 RATE = 50.0
 TINY = [Model.of(N=1e-12)] * 3
@@ -71,15 +72,16 @@ def test_a_constant_bias_of_the_accelerometer_has_the_stated_effect() -> None:
     without = drive_errors(drive)
     change = drive_errors(changed).residual - without.residual
     assert change == pytest.approx(without.accel_bias @ bias, rel=1e-4, abs=1e-8)
-    assert without.slow.sum(axis=0) == pytest.approx(np.zeros((7, 6)), abs=1e-9)
+    assert without.slow.sum(axis=0) == pytest.approx(np.zeros((9, 6)), abs=1e-9)
 
 
 def test_the_rotation_of_the_earth_explains_the_residual_of_a_perfect_imu() -> None:
     found = drive_errors(one_drive())
     rate, *_ = np.linalg.lstsq(found.earth[:6], found.residual[:6], rcond=None)
-    left = found.residual[:6] - found.earth[:6] @ rate
     assert np.linalg.norm(rate) == pytest.approx(7.29e-5, rel=0.1)
-    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(found.residual[:6])
+    left = found.residual - found.earth @ rate
+    for rows in (ROTATION, VELOCITY, slice(6, 9)):
+        assert np.linalg.norm(left[rows]) < 0.1 * np.linalg.norm(found.residual[rows])
 
 
 @pytest.mark.parametrize(
@@ -97,14 +99,9 @@ def test_the_covariance_is_that_of_simulated_noise(sensor: str, terms: Model) ->
     most sqrt(2/60); 6 deviations for the correlated rows: false alarm below 1e-6.
     """
     noise = {'gyro': TINY, 'accel': TINY} | {sensor: [terms] * 3}
-
-    def slow(M: float, j: np.ndarray) -> np.ndarray:
-        walk = np.where(np.asarray(j) >= 1, -np.asarray(j) * M / 2.0, -M / 6.0)
-        return np.asarray(terms.value('K') ** 2 * walk)
-
-    own = NoiseAtRest(terms.value('N') ** 2, slow)
-    none = NoiseAtRest(0.0, lambda M, j: np.zeros(np.shape(j)))
-    axes = [own] * 3 + [none] * 3 if sensor == 'gyro' else [none] * 3 + [own] * 3
+    own = axis_noise(terms, 0.05)
+    axes = range(3) if sensor == 'gyro' else range(3, 6)
+    density = [terms.value('N') * (axis in axes) for axis in range(6)]
     route = Route(drives=15, speed=0.0, turn=0.0, shortest=5.0, longest=20.0)
     rows = slice(0, 2) if sensor == 'gyro' else slice(3, 6)
     ratios = []
@@ -122,7 +119,11 @@ def test_the_covariance_is_that_of_simulated_noise(sensor: str, terms: Model) ->
                 0.0, 0.05, gyro[begin:end], accel[begin:end], rest(former, begin), rest(end, after)
             )
             found = drive_errors(drive)
-            earth = found.earth @ found.earth.T * 7.3e-5**2
-            variance = np.diag(sum(found.covariances(axes).values()) + earth)[rows]
+            variance = np.diag(found.earth @ found.earth.T) * 7.3e-5**2
+            variance = variance + np.diag(sum(found.white_covariances(density).values()))
+            if terms.value('K'):
+                slow = (found.slow_covariance(axis, own.slow) for axis in axes)
+                variance = variance + np.diag(sum(slow))
+            variance = variance[rows]
             ratios.append(np.mean(found.residual[rows] ** 2 / variance))
     assert 0.3 < np.mean(ratios) < 2.0
