@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from ..imu import Flags, Floats
+from ..memory import aligned
 from ..settings import SegmenterSettings
 from .health import changed_gyro_unit, gravity_unit
 
@@ -128,10 +130,9 @@ class Windows:
         """Compute the statistics of the complete windows of ``size`` samples; rows is (axes, n)."""
         cube = rows[:, : rows.shape[1] // size * size].reshape(len(rows), -1, size)
         mean = np.add.reduce(cube, axis=2) / size
-        # the sample with the largest deviation is the largest or the smallest one
-        peak = np.maximum(cube.max(axis=2) - mean, mean - cube.min(axis=2))
-        from_mean = cube - mean[:, :, None]
+        from_mean = np.subtract(cube, mean[:, :, None], out=aligned(cube.shape))
         variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
+        peak = np.abs(from_mean, out=from_mean).max(axis=2)
         # the variance of constant samples is 0, but rounding of their mean makes it positive
         variance[variance <= (ROUNDING * mean) ** 2] = 0.0
         return cls(np.stack([mean, variance, peak]))
@@ -149,15 +150,15 @@ def idle_share(rows: Floats, size: int) -> Floats:
     repeat the previous sample.
     """
     number = rows.shape[1] // size
-    idle = np.ones(number * size, bool)
-    zero = idle.copy()
-    idle[:1] = False
-    for values in rows[:, : number * size]:
-        idle[1:] &= values[1:] == values[:-1]
-        zero &= values == 0.0
-        if np.count_nonzero(idle) + np.count_nonzero(zero) == 0:
+    first, *others = rows[:, : number * size]
+    repeated, zero = first[1:] == first[:-1], first == 0.0
+    for values in others:
+        if not (np.count_nonzero(repeated) or np.count_nonzero(zero)):  # the common case
             return np.zeros(number)
-    return np.asarray((idle | zero).reshape(-1, size).mean(axis=1))
+        repeated &= values[1:] == values[:-1]
+        zero &= values == 0.0
+    idle = zero | np.concatenate([[False], repeated])
+    return np.asarray(idle.reshape(-1, size).mean(axis=1))
 
 
 def is_stuck(rows: Floats, size: int) -> Flags:
@@ -197,6 +198,19 @@ class WindowClass(NamedTuple):
     decreased: Flags  # the noise of an axis is much smaller than the noise floor
     foreign: Flags  # no measurements in the units of the noise floor
     rotating: Flags  # only the mean angular rate differs from the noise floor
+
+
+class Limits(NamedTuple):
+    """Largest statistics of a window at rest, (axes, 1) each: infinite for an axis without noise.
+
+    ``step`` is that between the means of neighboring windows, and ``rate`` of a mean to the mean of
+    the noise floor.
+    """
+
+    variance: Floats
+    peak: Floats
+    step: Floats
+    rate: Floats
 
 
 @dataclass(frozen=True)
@@ -276,7 +290,7 @@ class NoiseFloor:
         number = self.examined + off.shape[1]
         return replace(self, outliers=self.outliers + found, examined=number)
 
-    @property
+    @cached_property
     def scale(self) -> Floats:
         """Variance from which the thresholds are computed, (axes,): at least (lsb / 2)^2."""
         return np.maximum(self.variance, 0.25 * self.lsb**2)
@@ -298,6 +312,26 @@ class NoiseFloor:
         large = self.variance > np.where(self.gyro, *PLAUSIBLE_DEVIATION) ** 2
         return not bool((steps | (large & (self.ratio < LOW_FREQUENCY))).any())
 
+    @cached_property
+    def limits(self) -> Limits:
+        """The limits of windows of ``size`` samples."""
+        return self.limits_of(self.size)
+
+    def limits_of(self, size: int) -> Limits:
+        """Return the limits of windows of another number of samples."""
+        # infinite for an axis without noise
+        unknown = np.where(self.scale > 0.0, 0.0, np.inf)
+        # the variance of few samples is uncertain, so short windows are classified by their peak
+        uncertain = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
+        sigma = np.sqrt(self.scale)
+        step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, self.step)
+        return Limits(
+            (self.settings.motion_ratio**2 * self.scale + uncertain)[:, None],
+            (np.maximum(SHOCK_SIGMAS * sigma, 2.5 * self.lsb) + unknown)[:, None],
+            (STEP_SIGMAS * step_sigma + self.lsb + uncertain)[:, None],
+            np.maximum(self.rate_limit, STEP_SIGMAS * step_sigma)[:, None],
+        )
+
     def rest(self, block: Windows) -> Flags:
         """Return in which windows the noise is as at this floor, (k,)."""
         scale = self.scale[:, None]
@@ -313,7 +347,7 @@ class NoiseFloor:
         smaller = DECREASE_RATIO**2 * block.variance < self.variance[:, None]
         return np.asarray(known[:, None] & smaller)
 
-    @property
+    @cached_property
     def gravity(self) -> float:
         """Magnitude of the mean specific force; NaN without the three axes of an accelerometer."""
         complete = np.count_nonzero(~self.gyro) == 3
@@ -326,16 +360,19 @@ class NoiseFloor:
         repeated. ``rows``, (axes, k * size), are the samples of windows of ``size`` samples.
         """
         foreign = np.zeros(windows.mean.shape[1], bool)
-        known = self.variance > self.lsb**2
-        for first in np.flatnonzero(np.diff(self.gyro, prepend=not self.gyro[0])):
-            axes = slice(first, first + 3)  # of one sensor
-            if len(self.gyro[axes]) == 3 and known[axes].all():
-                foreign |= idle_share(rows[axes], size) >= IDLE_SHARE
+        for axes in self._known_sensors:
+            foreign |= idle_share(rows[axes], size) >= IDLE_SHARE
         if np.isfinite(gravity := self.gravity):
-            now = np.linalg.norm(windows.mean[~self.gyro], axis=0)
+            now = np.sqrt((windows.mean[~self.gyro] ** 2).sum(axis=0))
             largest = SAME_GRAVITY * np.maximum(now, gravity)
             foreign |= np.abs(now - gravity) > np.maximum(GRAVITY_CHANGE, largest)
         return np.asarray(foreign)
+
+    @cached_property
+    def _known_sensors(self) -> list[slice]:
+        """The axes of the sensors with three axes whose noise is above the resolution."""
+        known = self.variance > self.lsb**2
+        return [axes for axes in _complete_sensors(tuple(self.gyro.tolist())) if known[axes].all()]
 
     def has_wrong_unit(self, later: NoiseFloor) -> bool:
         """Return whether this floor has another unit than a later one, which has the right one.
@@ -459,23 +496,13 @@ class NoiseFloor:
         ``previous_mean``, (axes,), is the mean of the window before the first; None if there is
         none.
         """
-        # (axes, 1) each; the limits are infinite for an axis without noise
-        scale, lsb = self.scale[:, None], self.lsb[:, None]
-        unknown = np.where(scale > 0.0, 0.0, np.inf)
-        sigma = np.sqrt(scale)
-        step_sigma = np.maximum(np.sqrt(2.0 / size) * sigma, self.step[:, None])
-        # the variance of few samples is uncertain, so short windows are classified by their peak
-        uncertain = unknown if size >= LEAST_WINDOW else np.full_like(unknown, np.inf)
-        max_variance = self.settings.motion_ratio**2 * scale + uncertain
-        max_peak = np.maximum(SHOCK_SIGMAS * sigma, 2.5 * lsb) + unknown
-        max_step = STEP_SIGMAS * step_sigma + lsb + uncertain
-        max_rate = np.maximum(self.rate_limit[:, None], STEP_SIGMAS * step_sigma)
+        limits = self.limits if size == self.size else self.limits_of(size)
         previous = windows.mean[:, :1] if previous_mean is None else previous_mean[:, None]
         means = np.concatenate([previous, windows.mean], axis=1)
         step = np.abs(means[:, 1:] - means[:, :-1])
-        noisy = windows.variance > LEAVE_RATIO**2 * max_variance
-        shaken = (windows.peak > max_peak) | (step > max_step)
-        rotating = np.abs(windows.mean - self.mean[:, None]) > max_rate
+        noisy = windows.variance > LEAVE_RATIO**2 * limits.variance
+        shaken = (windows.peak > limits.peak) | (step > limits.step)
+        rotating = np.abs(windows.mean - self.mean[:, None]) > limits.rate
         none = np.zeros(windows.mean.shape[1], bool)
         lower = np.asarray(self.decreased(windows) & (size >= LEAST_WINDOW))
         foreign = none if size < LEAST_WINDOW else self.foreign(rows, windows, size)
@@ -486,12 +513,19 @@ class NoiseFloor:
         decreased, stuck = np.asarray(lower.any(axis=0)), none
         if decreased.any():
             stuck = np.asarray((lower & is_stuck(rows, size)).any(axis=0))
-        moving = ((windows.variance > max_variance) | shaken | rotating).any(axis=0) | decreased
+        moving = ((windows.variance > limits.variance) | shaken | rotating).any(axis=0) | decreased
         moving |= foreign
         disturbed = (noisy | shaken).any(axis=0) | decreased | foreign
         still_rotating = rotating.any(axis=0) & ~disturbed
         quiet = ~(moving | disturbed)
         return WindowClass(moving, quiet, stuck, decreased, foreign, still_rotating)
+
+
+@lru_cache
+def _complete_sensors(gyro: tuple[bool, ...]) -> list[slice]:
+    """Return the axes of the sensors that have three; ``gyro`` flags the axes of the gyro."""
+    firsts = [i for i, flag in enumerate(gyro) if not i or flag != gyro[i - 1]]
+    return [slice(i, i + 3) for i in firsts if gyro.count(gyro[i]) == 3]
 
 
 def _quantile(values: Floats, share: float) -> Floats:

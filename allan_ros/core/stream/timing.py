@@ -282,7 +282,8 @@ class SampleClock:
         self._steps: Ints = np.empty(0, np.int64)  # index steps of the processed samples
         self._blocks = 0
         self._other_period = False  # whether the period of the last block differed
-        # stamps and total of the index steps since the period was updated; None after a gap
+        # stamps (the first and the last of each batch, without jitter) and total of the index steps
+        # since the period was updated; None after a gap
         self._tracked: list[Stamps] | None = None
         self._tracked_steps = 0
 
@@ -345,17 +346,23 @@ class SampleClock:
         interpolated, 0 where the data are split.
         """
         begin, stamps = self._past, self._samples.stamps_ns
-        before = stamps[begin - 1] if begin else stamps[0] - round(clock.period_ns)
-        step = np.diff(stamps[begin : begin + n], prepend=before)
-        lost, split = self._find_gaps(step, clock)
+        if begin:
+            step = stamps[begin : begin + n] - stamps[begin - 1 : begin + n - 1]
+        else:
+            step = np.diff(stamps[:n], prepend=stamps[0] - round(clock.period_ns))
+        lost, split = np.zeros(n, np.int64), np.zeros(n, bool)
+        is_even = step.min() >= 0 and step.max() <= clock.pause_ns
+        if not is_even:
+            lost, split = self._find_gaps(step, clock)
         steps = np.where(split, 0, 1 + lost)
-        same = self._count_same_rate(step, steps, clock)
+        same = n if clock.bursty else self._count_same_rate(step, steps, clock)
         self.rate_changed = same < n
         lost, steps, split = lost[:same], steps[:same], split[:same]
-        if same:
+        if not is_even:
             self._counts.lost += int(lost.sum())
             self._counts.interpolated += int(lost[~split].sum())
             self._counts.splits += Counter(gap=int(np.count_nonzero(split & (step[:same] >= 0))))
+        if same:
             self._track(stamps[begin : begin + same], steps, clock)
             self._steps = np.concatenate([self._steps, steps])[-self._reach :]
             self._past += same
@@ -381,42 +388,30 @@ class SampleClock:
 
         ``step``, (n,), are the steps of the stamps in ns; ``steps``, (n,), the steps of the index.
         """
-        if clock.bursty:
-            return len(step)
-        long = RATE_CHANGE_STEP * clock.step_ns
         # excludes the samples from which the period was learned, or learning could repeat forever
         first = max(0, self._learned - self._blocks * CLOCK_BLOCK)
-        if self._is_usual(step[first:], steps[first:], clock, long):
+        begins = np.arange(first, len(step) - CLOCK_BLOCK // 4 + 1, CLOCK_BLOCK)
+        if not len(begins):
             return len(step)
-        for at in range(first, len(step), CLOCK_BLOCK):
-            here, indices = step[at : at + CLOCK_BLOCK], steps[at : at + CLOCK_BLOCK]
-            if len(here) < CLOCK_BLOCK // 4:
-                break
-            period = here[indices > 0].sum() / max(1, indices.sum())
-            # with jitter, two blocks must differ: one may have several undetected losses
-            differed = self._other_period
-            self._other_period = abs(period / clock.period_ns - 1.0) > RATE_CHANGE
-            if (here.max() > long and float(np.median(here)) > long) or (
-                self._other_period and (differed or not clock.jitter)
-            ):
-                unusual = (here > long) | (RATE_CHANGE_STEP * here < clock.step_ns)
-                return at + int(np.argmax(unusual))
-        return len(step)
-
-    def _is_usual(self, step: Stamps, steps: Ints, clock: Clock, long: float) -> bool:
-        """Return whether all complete blocks have the period of the clock, and no step is long.
-
-        This is the common case, which takes little time.
-        """
-        number = len(step) // CLOCK_BLOCK
-        if not number or len(step) % CLOCK_BLOCK or (step > long).any() or (steps != 1).any():
-            return False
-        total = step.reshape(number, CLOCK_BLOCK).sum(axis=1)
-        unusual = np.abs(total / (CLOCK_BLOCK * clock.period_ns) - 1.0) > RATE_CHANGE
-        if unusual.any():
-            return False
-        self._other_period = False
-        return True
+        number, end = len(step), int(begins[-1]) + CLOCK_BLOCK
+        step, steps = step[:end], steps[:end]
+        elapsed = np.add.reduceat(np.where(steps > 0, step, 0), begins)
+        period = elapsed / np.maximum(np.add.reduceat(steps, begins), 1)
+        differs = np.abs(period / clock.period_ns - 1.0) > RATE_CHANGE
+        # with jitter, two blocks must differ: one may have several undetected losses
+        before = np.concatenate([[self._other_period], differs[:-1]])
+        changed = differs & (before | (not clock.jitter))
+        long = RATE_CHANGE_STEP * clock.step_ns
+        for i in np.flatnonzero(np.maximum.reduceat(step, begins) > long):
+            here = step[begins[i] : begins[i] + CLOCK_BLOCK]
+            changed[i] |= float(np.median(here)) > long
+        last = int(np.argmax(changed)) if changed.any() else len(begins) - 1
+        self._other_period = bool(differs[last])
+        if not changed[last]:
+            return number
+        here = step[begins[last] : begins[last] + CLOCK_BLOCK]
+        unusual = (here > long) | (RATE_CHANGE_STEP * here < clock.step_ns)
+        return int(begins[last]) + int(np.argmax(unusual))
 
     def _count_lost(self, steps: Ints, clock: Clock) -> int:
         """Return how many samples were lost in a pause, from the delays before and after it.
@@ -479,7 +474,7 @@ class SampleClock:
         if self._tracked is None or not steps.all():
             self._tracked = None
             return
-        self._tracked.append(stamps.copy())
+        self._tracked.append(stamps.copy() if clock.jitter else stamps[[0, -1]])
         if self._blocks % TRACK_BLOCKS:
             return
         tracked = np.concatenate(self._tracked)
