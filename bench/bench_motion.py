@@ -2,14 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy of the factors in motion: coverage, false alarms, and the prediction of other drives.
 
-Usage: bench_motion.py [RECORDS] [CASE ...]. Half of 40 simulated drives give the factors, the other
-half is predicted. A row has the factors (median), how often the intervals contain 1, how often they
-lie above 1, which causes were named, and the squared error of the unused drives over its prediction
-with the noise at rest, with the factors, and with the factors and causes (1 is right; medians).
+    bench_motion.py                          20 records of every case
+    bench_motion.py 100 CASE ...             100 records of some cases
+    bench_motion.py recording FILE [NOISE]   a recording: the first drives predict the others
+
+Each record is analyzed as a user does it: the noise at rest is measured from its own rests. The
+first half of 40 drives gives the factors, the other half is predicted. A row has for gyro and
+accelerometer the ratio of the errors (median), how often its interval lies above 1, the factor of N
+(median), how often its interval contains the true value, and how often K has a factor; how often
+each cause was named, and how often the intervals with all causes contain 1; and the mean square of
+the errors of the unused drives over its prediction with the noise at rest, with the factors, and
+with factors and causes (1 is right; medians).
 """
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
@@ -18,30 +26,58 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from allan_ros.core.filters.motion_factors import NoiseInMotion, axis_noise, noise_in_motion
-from allan_ros.core.filters.motion_factors import predicted_errors as predicted
+import allan_ros as ar
+from allan_ros.core.estimate import Estimate
+from allan_ros.core.filters.motion_factors import (
+    NoiseInMotion,
+    noise_in_motion,
+    predicted_errors,
+)
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
-from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.core.stream.drives import DriveErrors
+from allan_ros.results.motion import noise_at_rest
 
 RATE = 50.0
-GYRO, ACCEL = Model.of(N=7e-5, B=2e-5, K=5e-6), Model.of(N=1.2e-3, B=2e-4, K=5e-5)
-NOISE = [axis_noise(GYRO, 1.0 / RATE)] * 3 + [axis_noise(ACCEL, 1.0 / RATE)] * 3
+MEMS = Model.of(N=7e-5, B=2e-5, K=5e-6), Model.of(N=1.2e-3, B=2e-4, K=5e-5)
+GOOD = Model.of(N=4e-6, B=5e-7, K=5e-8), Model.of(N=3e-4, B=5e-5, K=5e-6)
 
-CASES: dict[str, tuple[dict[str, float], dict[str, float]]] = {
-    'as at rest': ({}, {}),
-    'flat ground': ({'tilt': 0.0}, {}),
-    'drives of 3 to 8 s': ({'shortest': 3.0, 'longest': 8.0}, {}),
-    'gyro noise x3': ({}, {'gyro_noise': 3.0}),
-    'accelerometer noise x5': ({}, {'accel_noise': 5.0}),
-    'gyro scale factor 0.5 %': ({}, {'gyro_scale': 0.005}),
-    'gyro misalignment 5 mrad': ({}, {'gyro_misalignment': 0.005}),
-    'accelerometer scale factor 0.5 %': ({}, {'accel_scale': 0.005}),
-    'g-sensitivity 0.06 deg/s/g': ({}, {'g_sensitivity': 1e-4}),
-    'vibration 1 m/s^2': ({}, {'vibration': 1.0}),
-    'motors heat the gyro, 0.03 deg/s': ({}, {'heating': 5e-4}),
-    'wheels creep, 1 cm/s': ({}, {'creep': 0.01}),
+
+class Case(NamedTuple):
+    """A simulated robot and IMU, with the true factors of N; None if there is none."""
+
+    route: dict[str, Any] = {}  # noqa: RUF012
+    errors: dict[str, Any] = {}  # noqa: RUF012
+    true: tuple[float | None, float | None] = (1.0, 1.0)
+    imu: tuple[Model, Model] = MEMS
+    bench_s: float = 0.0  # duration of a recording at rest before
+
+
+CASES = {
+    'as at rest': Case(),
+    'as at rest, noise of 1 h on the bench': Case(bench_s=3600.0),
+    'flat ground': Case({'tilt': 0.0}),
+    '5 drives': Case({'drives': 10, 'first': 40.0}),
+    'drives of 3 to 8 s': Case({'shortest': 3.0, 'longest': 8.0}),
+    'drives of 60 to 150 s': Case({'shortest': 60.0, 'longest': 150.0}),
+    'carried by hand (tilts of 0.5 rad)': Case({'tilt': 0.5, 'speed': 2.0}),
+    'good gyro (0.014 deg/sqrt(h))': Case(imu=GOOD),
+    'N of the gyro x3': Case({}, {'gyro_noise': 3.0}, (3.0, 1.0)),
+    'N of the accelerometer x5': Case({}, {'accel_noise': 5.0}, (1.0, 5.0)),
+    'gyro scale factor 0.5 %': Case({}, {'gyro_scale': 0.005}, (None, None)),
+    'gyro misalignment 5 mrad': Case({}, {'gyro_misalignment': 0.005}, (None, None)),
+    'accelerometer scale factor 0.5 %': Case({}, {'accel_scale': 0.005}, (None, None)),
+    'g-sensitivity 0.06 deg/s/g': Case({}, {'g_sensitivity': 1e-4}, (None, None)),
+    'good gyro, scale factor 200 ppm': Case({}, {'gyro_scale': 2e-4}, (None, None), GOOD),
+    'vibration 0.1 m/s^2': Case({}, {'vibration': 0.1}, (1.0, None)),
+    'N of the gyro grows with vibration, x2': Case(
+        {}, {'vibration': 0.1, 'growth': 10.0 * math.sqrt(3.0 / math.exp(0.5))}, (2.0, None)
+    ),
+    'motors heat the gyro, 0.03 deg/s': Case({}, {'heating': 5e-4}, (None, None)),
+    'hits, 5 cm/s each': Case({}, {'hits': 0.05}, (1.0, None)),
+    'wheels creep, 1 cm/s': Case({}, {'creep': 0.01}, (1.0, None)),
+    'rests on a ferry, 0.05 deg': Case({}, {'waves': 9e-4}, (None, None)),
 }
 
 
@@ -52,44 +88,92 @@ class Outcome(NamedTuple):
     errors: tuple[float, float, float]
 
 
-def one_record(case: str, seed: int) -> Outcome:
-    """Simulate one record, and measure the factors from every second drive."""
-    route, errors = CASES[case]
-    options: dict[str, Any] = {'drives': 40, **route}
-    robot = simulate_drives(
-        RATE, [GYRO] * 3, [ACCEL] * 3, Route(**options), MotionErrors(**errors), seed
-    )
-    stamps = (np.arange(len(robot.samples)) * round(1e9 / RATE)).astype(np.int64)
-    stream = ImuStream(with_drives=True)
-    stream.update(ImuBatch(stamps, robot.samples))
-    stream.end()
-    drives = stream.drives().errors
-    half = len(drives) // 2
-    motion = noise_in_motion(drives[:half], NOISE)
-    assert motion is not None
-    return Outcome(motion, predicted(drives[:half], drives[half:], NOISE))
+def analyzed(rate: float, samples: np.ndarray) -> ar.Results:
+    """Return the results of samples (n, 6)."""
+    stamps = 10**18 + np.arange(len(samples)) * round(1e9 / rate)
+    return ar.analyze(ImuBatch(stamps.astype(np.int64), samples))
+
+
+def split(drives: tuple[DriveErrors, ...], noise: list[Any]) -> Outcome | None:
+    """Return the factors of the first half of the drives, and the errors of the others."""
+    half = (len(drives) + 1) // 2
+    motion = noise_in_motion(drives[:half], noise)
+    if motion is None or half == len(drives):
+        return None
+    return Outcome(motion, predicted_errors(drives[:half], drives[half:], noise))
+
+
+def one_record(name: str, seed: int) -> Outcome:
+    """Simulate one record, and measure the factors from the first half of its drives."""
+    case = CASES[name]
+    gyro, accel = ([model] * 3 for model in case.imu)
+    route = Route(**{'drives': 40, **case.route})
+    robot = simulate_drives(RATE, gyro, accel, route, MotionErrors(**case.errors), seed)
+    results = analyzed(RATE, robot.samples)
+    assert results.recorded is not None
+    rest = results
+    if case.bench_s:
+        bench = Route(drives=0, first=case.bench_s)
+        rest = analyzed(RATE, simulate_drives(RATE, gyro, accel, bench, seed=seed + 10**6).samples)
+    found = split(results.recorded.drives.errors, noise_at_rest(rest.axes))
+    assert found is not None
+    return found
+
+
+def row(name: str, found: list[Outcome]) -> str:
+    """Return the row of a case."""
+    motions, cells = [each.motion for each in found], [f'{name:39s}']
+    for sensor, true in zip(('gyro', 'accel'), CASES[name].true):
+        each = [one.sensors[sensor] for one in motions]
+        ratio = np.median([one.factor.value for one in each])
+        white = [one.white or Estimate(1.0, (1.0, 1.0)) for one in each]
+        above = np.mean([one.factor.ci95[0] > 1.0 for one in each])
+        inside = '  – '
+        if true is not None:
+            ends = np.array([one.ci95 for one in white])
+            inside = f'{np.mean((ends[:, 0] <= true) & (ends[:, 1] >= true)):4.0%}'
+        drift = np.mean([one.slow is not None for one in each])
+        cells.append(
+            f'{sensor} {ratio:5.2f} above {above:4.0%} '
+            f'N {np.median([one.value for one in white]):5.2f} {inside} K {drift:4.0%}'
+        )
+    named = Counter(cause.name for one in motions for cause in one.causes)
+    left = [
+        one.explained.ci95
+        for motion in motions
+        for one in motion.sensors.values()
+        if one.explained is not None and one.explained.ci95 is not None
+    ]
+    contained = np.mean([low < 1.0 < high for low, high in left]) if left else 1.0
+    cells.append(f'causes {dict(named)} {contained:.0%}' if named else 'no cause')
+    errors = np.median([each.errors for each in found], axis=0)
+    return '  '.join([*cells, 'errors ' + ' '.join(f'{error:.2f}' for error in errors)])
+
+
+def show_recording(path: str, noise: str | None) -> None:
+    """Print the factors of a recording, and the errors of its second half."""
+    results = ar.analyze(path, noise=noise) if noise else ar.analyze(path)
+    assert results.recorded is not None
+    drives = results.recorded.drives
+    print(f'{len(drives.errors)} drives, not used: {dict(drives.unused)}')
+    print(results.motion and dict(results.motion.sensors))
+    rest = ar.load(noise) if noise else results
+    found = split(drives.errors, noise_at_rest(rest.axes)) if results.motion else None
+    if found is not None:
+        print(found.motion.sensors, [cause.name for cause in found.motion.causes])
+        print('errors of the second half: at rest, with factors, with causes:', found.errors)
 
 
 def main(records: int, cases: list[str]) -> None:
     """Print the table."""
     print(f'{records} records, 20 drives each')
-    with ProcessPoolExecutor(2) as pool:
+    with ProcessPoolExecutor(1) as pool:
         for case in cases:
-            found = list(pool.map(partial(one_record, case), range(records)))
-            motions = [each.motion for each in found]
-            row = [f'{case:34s}']
-            for sensor in ('gyro', 'accel'):
-                ends = np.array([one[sensor].ci95 for one in motions])
-                inside = np.mean((ends[:, 0] < 1.0) & (ends[:, 1] > 1.0))
-                above = np.mean(ends[:, 0] > 1.0)
-                middle = np.median([one[sensor].value for one in motions])
-                row.append(f'{sensor} {middle:.2f} with 1 {inside:.0%} above {above:.0%}')
-            named = Counter(cause.name for one in motions for cause in one.causes)
-            row.append(f'causes {dict(named)}')
-            errors = np.median([each.errors for each in found], axis=0)
-            row.append('errors ' + ' '.join(f'{error:.2f}' for error in errors))
-            print('  '.join(row), flush=True)
+            print(row(case, list(pool.map(partial(one_record, case), range(records)))), flush=True)
 
 
 if __name__ == '__main__':
-    main(int(sys.argv[1]) if sys.argv[1:] else 20, sys.argv[2:] or list(CASES))
+    if sys.argv[1:2] == ['recording']:
+        show_recording(sys.argv[2], sys.argv[3] if sys.argv[3:] else None)
+    else:
+        main(int(sys.argv[1]) if sys.argv[1:] else 20, sys.argv[2:] or list(CASES))

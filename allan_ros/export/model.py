@@ -26,7 +26,6 @@ from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Part
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
 from ..results.from_datasheet import FROM_DATASHEET
-from ..results.motion import TERMS
 from ..results.results import UNSUITABLE
 from .target import ExportOptions, Key, Row, Target
 
@@ -94,8 +93,7 @@ def rounded(value: Any, digits: int = DIGITS) -> Any:
 def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapping[str, float]]:
     """Return the factors on N and K for each sensor: sensor -> 'N' or 'K' -> factor.
 
-    With ``options.motion`` they are those in motion, at least 1: on N if the errors of drives grow
-    like white noise, on K if they grow faster, on both if the drives do not tell.
+    With ``options.motion`` they are the factors in motion, and at least 1.
 
     Raises
     ------
@@ -110,13 +108,10 @@ def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapp
             f'{LEAST_DRIVES} drives between rests',
             tuple(f for f in results.findings if f.id == 'motion_not_measured'),
         )
-    return {
-        sensor: {
-            term: max(one.raised.value or 1.0, 1.0) if term in TERMS[one.part] else 1.0
-            for term in 'NK'
-        }
-        for sensor, one in results.motion.sensors.items()
-    }
+    factors = {sensor: {'N': 1.0, 'K': 1.0} for sensor in SENSORS}
+    for sensor, one in results.motion.sensors.items():
+        factors[sensor] |= {term: max(f.value or 1.0, 1.0) for term, f in one.raised.items()}
+    return factors
 
 
 class FilterNoise:

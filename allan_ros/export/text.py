@@ -24,6 +24,8 @@ from .model import REFUSED, FilterNoise
 from .target import Form, Row, Value
 
 if TYPE_CHECKING:
+    from ..core.estimate import Estimate
+    from ..core.filters.motion_factors import SensorInMotion
     from ..results.results import Results
 
 # --- header ---------------------------------------------------------------------------------------
@@ -100,15 +102,8 @@ def _inflation(noise: FilterNoise) -> str:
     """Return the factors on the noise levels as text."""
     without, motion = 'the levels below are without it', noise.results.motion
     if noise.options.motion and motion is not None:
-        shown = []
-        for sensor, one in motion.sensors.items():
-            low, high = one.raised.ci95 or (0.0, math.inf)
-            raised = ' and '.join(t for t, f in noise.factors[sensor].items() if f > 1.0)
-            factor = significant(one.raised.value or 1.0, LIMIT_DIGITS)
-            ends = ' to '.join(significant(end, LIMIT_DIGITS) for end in (low, high))
-            what = f'{raised} x' if raised else 'none, factor '
-            shown.append(f'{sensor} {what}{factor} ({ends})')
-        return f'in motion, {", ".join(shown)}, from {len(motion.drives)} drives; {without}'
+        shown = ', '.join(f'{name} {_raised(one)}' for name, one in motion.sensors.items())
+        return f'in motion, {shown}, from {len(motion.drives)} drives; {without}'
     factors = noise.options.factors
     every = set(factors.values())
     if every == {1.0}:
@@ -116,6 +111,22 @@ def _inflation(noise: FilterNoise) -> str:
     each = ', '.join(f'{sensor} x{factor:g}' for sensor, factor in factors.items())
     which = each if len(every) > 1 else f'x{every.pop():g}'
     return f'{which} on every N, K and bias; {without}'
+
+
+def _raised(sensor: SensorInMotion) -> str:
+    """Return the factors of a sensor in motion as text, such as 'N x2.7 (2.2 to 3.3)'."""
+    terms: dict[Estimate, list[str]] = {}
+    for term, factor in sensor.raised.items():
+        terms.setdefault(factor, []).append(term)
+    shown = []
+    for factor, names in terms.items():
+        value, low, high = (
+            significant(x, LIMIT_DIGITS)
+            for x in (factor.value or 1.0, *(factor.ci95 or (0.0, math.inf)))
+        )
+        used = '' if (factor.value or 0.0) > 1.0 else 'not raised, '
+        shown.append(f'{" and ".join(names)} {used}x{value} ({low} to {high})')
+    return ' and '.join(shown)
 
 
 def _sources(results: Results) -> str:

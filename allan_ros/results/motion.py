@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from ..core.filters.drive_likelihood import NoiseAtRest
 from ..core.filters.motion_factors import (
     LEAST_DRIVES,
     NoiseInMotion,
@@ -16,9 +17,7 @@ from ..core.filters.motion_factors import (
     noise_in_motion,
 )
 from ..core.findings import Finding, finding
-from ..core.fit.result import AxisFit
 from ..core.imu import AXES
-from ..core.noise import Model
 from ..core.stream.drive_recorder import Drives
 from .axis_result import AxisResult
 
@@ -36,9 +35,6 @@ EXPLAINED = 0.7
 
 ERRORS = {'gyro': 'angle', 'accel': 'velocity'}
 """Sensor -> what its integral is."""
-
-TERMS = {'white': 'N', 'slow': 'K', 'all': 'N and K'}
-"""Part of the noise that is larger in motion -> the terms that describe it in a state estimator."""
 
 MEASURED = ('error_in_motion', 'motion_as_at_rest')
 """Ids of the findings that state a factor."""
@@ -87,8 +83,7 @@ def measure_motion(
     known = all(axis in noise and noise[axis].fit.model.value('N') > 0.0 for axis in AXES)
     motion = None
     if known and rest_s >= LEAST_REST_S:
-        at_rest = [axis_noise(_resolved(noise[axis].fit), noise[axis].tau0) for axis in AXES]
-        motion = noise_in_motion(drives.errors, at_rest)
+        motion = noise_in_motion(drives.errors, noise_at_rest(noise))
     if motion is not None:
         return motion, tuple(_factors(motion))
     seen = len(drives.errors) + sum(drives.unused.values())
@@ -107,13 +102,19 @@ def measure_motion(
     )
 
 
-def _resolved(fit: AxisFit) -> Model:
-    """Return the model without the terms that the recording does not resolve.
+def noise_at_rest(axes: Mapping[str, AxisResult]) -> list[NoiseAtRest]:
+    """Return the resolved noise of the six axes at rest, and the limits of what is not resolved.
 
-    The estimates of such terms from a few minutes of rest can exceed the truth by far.
+    The estimates of terms that are not resolved can exceed the truth by far.
     """
-    unresolved = {letter: 0.0 for letter in 'BK' if not fit.noise[letter].resolved}
-    return fit.model.changed(**unresolved)
+    found = []
+    for name in AXES:
+        fit, tau0 = axes[name].fit, axes[name].tau0
+        open_terms = {letter: one for letter, one in fit.noise.items() if not one.resolved}
+        model = fit.model.changed(**{letter: 0.0 for letter in 'BK' if letter in open_terms})
+        limits = {letter: one.upper95 for letter, one in open_terms.items() if one.upper95}
+        found.append(axis_noise(model, tau0, limits))
+    return found
 
 
 REASONS = {
@@ -151,6 +152,6 @@ def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
             **numbers,
             cause=causes_text(motion) if helps else None,
             left=left.value if left is not None and helps else None,
-            terms=TERMS[one.part],
-            factor=one.raised.value,
+            white=one.white.value if one.white else None,
+            slow=one.slow.value if one.slow else None,
         )

@@ -19,7 +19,6 @@ from allan_ros.core.estimate import Estimate, Status
 from allan_ros.core.filters.motion_factors import (
     DriveRatio,
     NoiseInMotion,
-    Part,
     SensorInMotion,
 )
 from allan_ros.core.findings import finding
@@ -141,51 +140,65 @@ def test_a_wrong_factor_is_refused(given: Any, said: str) -> None:
         ExportOptions(inflate=given)
 
 
-def in_motion(results: Results, gyro: Part, accel: Part) -> Results:
-    """Return results with the factors 3 of the gyro and 0.8 of the accelerometer in motion."""
+def in_motion(results: Results, white: float | None, slow: float | None) -> Results:
+    """Return results with factors of the gyro; N and K of the accelerometer have 0.8."""
+
+    def factor(value: float | None) -> Estimate | None:
+        return value and Estimate(value, (0.8 * value, 1.2 * value))
+
     motion = NoiseInMotion(
-        SensorInMotion(Estimate(2.8, (2.3, 3.4)), gyro, Estimate(3.0, (2.5, 3.6))),
-        SensorInMotion(Estimate(0.9, (0.7, 1.05)), accel, Estimate(0.8, (0.6, 1.1))),
+        SensorInMotion(Estimate(2.8, (2.3, 3.4)), factor(white), factor(slow)),
+        SensorInMotion(Estimate(0.8, (0.6, 1.1)), factor(0.8), factor(0.8)),
         (),
         tuple(DriveRatio(20.0, 1.0, 3.0, 0.8) for _ in range(24)),
     )
     return replace(results, motion=motion)
 
 
+PARTS = [(3.0, None), (None, 4.0), (3.0, 3.0), (3.0, 4.0)]
+
+
 @pytest.mark.parametrize(
-    ('part', 'factors'), [('white', (3, 1)), ('slow', (1, 3)), ('all', (3, 3))]
+    ('white', 'slow', 'said'),
+    [
+        (3.0, None, 'N x3.00 (2.40 to 3.60)'),
+        (None, 4.0, 'K x4.00 (3.20 to 4.80)'),
+        (3.0, 3.0, 'N and K x3.00 (2.40 to 3.60)'),
+        (3.0, 4.0, 'N x3.00 (2.40 to 3.60) and K x4.00 (3.20 to 4.80)'),
+    ],
 )
 def test_the_factors_in_motion_raise_the_noise_that_grew(
-    results: Results, part: Part, factors: tuple[float, float]
+    results: Results, white: float | None, slow: float | None, said: str
 ) -> None:
-    text = make_export(in_motion(results, part, 'all'), 'kalibr', ExportOptions(motion=True)).text
+    moved = in_motion(results, white, slow)
+    text = make_export(moved, 'kalibr', ExportOptions(motion=True)).text
     plain, raised = map(yaml.safe_load, (make_export(results, 'kalibr').text, text))
-    for key, factor in zip(('noise_density', 'random_walk'), factors):
+    for key, factor in zip(('noise_density', 'random_walk'), (white or 1.0, slow or 1.0)):
         assert raised[f'gyroscope_{key}'] == pytest.approx(factor * plain[f'gyroscope_{key}'], 1e-5)
         # a factor below 1 lowers nothing: the noise at rest is also there in motion
         assert raised[f'accelerometer_{key}'] == plain[f'accelerometer_{key}']
-    name = {'white': 'N', 'slow': 'K', 'all': 'N and K'}[part]
     (line,) = (line for line in text.splitlines() if 'inflation:' in line)
     assert line.endswith(
-        f'inflation: in motion, gyro {name} x3.00 (2.50 to 3.60), accel none, factor 0.800 '
-        '(0.600 to 1.10), from 24 drives; the levels below are without it'
+        f'inflation: in motion, gyro {said}, accel N and K not raised, x0.800 (0.640 to 0.960), '
+        'from 24 drives; the levels below are without it'
     )
 
 
-@pytest.mark.parametrize('part', ['white', 'slow', 'all'])
-def test_factors_in_motion_reach_every_computed_file(results: Results, part: Part) -> None:
-    moved, options = in_motion(results, part, 'all'), ExportOptions(motion=True)
+@pytest.mark.parametrize(('white', 'slow'), PARTS)
+def test_factors_in_motion_reach_every_computed_file(
+    results: Results, white: float | None, slow: float | None
+) -> None:
+    moved, options = in_motion(results, white, slow), ExportOptions(motion=True)
     gain, plain = (
         target_rows(known, 'imu_filter_madgwick', chosen)[0].value
         for known, chosen in ((moved, options), (results, ExportOptions()))
     )
-    assert 1.0 < gain / plain <= 3.001
+    assert 1.0 < gain / plain <= 4.001
     before, after = (
         json.loads(make_export(known, 'state_space', chosen).text)
         for known, chosen in ((results, ExportOptions()), (moved, options))
     )
-    for term, key in (('N', 'white'), ('K', 'walk')):
-        factor = 3.0 if term in {'white': 'N', 'slow': 'K', 'all': 'NK'}[part] else 1.0
+    for factor, key in ((white or 1.0, 'white'), (slow or 1.0, 'walk')):
         ratio = after['axes']['gyro_x'][key] / before['axes']['gyro_x'][key]
         assert ratio == pytest.approx(factor, rel=1e-5)
 

@@ -73,14 +73,15 @@ class NoiseAtRest(NamedTuple):
         White noise density N in SI.
     slow : function
         Noise that is not white.
-    is_drift_known : bool
-        Whether ``slow`` was measured. If not, it has only the form of the drift. The drives then
-        show how much the bias changes from rest to rest, and this drift is no error in motion.
+    unknown : float
+        Standard deviation of the logarithm of the power of ``slow``; 0 if it was measured. The
+        drives then show how much the bias changes from rest to rest, and this drift is no error in
+        motion.
     """
 
     white: float
     slow: SlowNoise
-    is_drift_known: bool = True
+    unknown: float = 0.0
 
 
 class Fit(NamedTuple):
@@ -142,6 +143,8 @@ class DriveLikelihood:
         Covariance of white noise at the rests, and of errors of second order.
     common : (n, n) array
         Covariance of what drives have in common: bias of the accelerometer, rotation of the Earth.
+    unknown : mapping of str to float
+        Standard deviation of the logarithm of the factor of each unknown drift.
     effects : mapping of str to (n, 9) or (n, 3) array
         Effects of the elements of `CAUSES`.
     """
@@ -150,6 +153,7 @@ class DriveLikelihood:
     noise: Mapping[str, Floats]
     own: Floats
     common: Floats
+    unknown: Mapping[str, float]
     effects: Mapping[str, Floats]
 
     @classmethod
@@ -165,10 +169,13 @@ class DriveLikelihood:
             f'{sensor}_white': _diagonal([white[sensor] for white in whites])
             for sensor in ('gyro', 'accel')
         }
+        unknown: dict[str, float] = {}
         own = _diagonal([white['rests'] for white in whites])
         own += np.diag(np.concatenate([_second_order(each) ** 2 for each in drives]))
         for axis, one in enumerate(noise):
-            name = f'{"gyro" if axis < 3 else "accel"}_{"slow" if one.is_drift_known else "drift"}'
+            name = f'{"gyro" if axis < 3 else "accel"}_{"drift" if one.unknown else "slow"}'
+            if one.unknown:
+                unknown[name] = max(unknown.get(name, 0.0), one.unknown)
             part = _diagonal([each.slow_covariance(axis, one.slow) for each in drives])
             if axis >= 3:
                 on_bias = _diagonal(h[:, :, axis - 3, None])
@@ -182,7 +189,7 @@ class DriveLikelihood:
             if name != 'rotation'
         }
         effects['rotation'] = effects['gyro_matrix'] @ cross_matrices(np.eye(3)).reshape(3, 9).T
-        return cls(y, covariances, own, common, effects)
+        return cls(y, covariances, own, common, unknown, effects)
 
     @property
     def drives(self) -> int:
@@ -206,13 +213,14 @@ class DriveLikelihood:
         -------
         Fit
         """
-        groups = (*groups, *((name,) for name in self.noise if name.endswith('_drift')))
+        groups = (*groups, *((name,) for name in self.unknown))
         theta = np.zeros(len(groups)) if start is None else start.log_factors
         raised, fixed = self._parts(groups, causes)
-        evaluated = partial(self._evaluated, groups, causes, raised, fixed)
+        sigma = np.array([self.unknown.get(names[0], SIGMA_LOG) for names in groups])
+        evaluated = partial(self._evaluated, groups, causes, raised, fixed, sigma)
         step, found = 1.0, evaluated(theta)
         for _ in range(MOST_STEPS):
-            gradient = found.scores.sum(axis=0) - found.log_factors / SIGMA_LOG**2
+            gradient = found.scores.sum(axis=0) - found.log_factors / sigma**2
             move = np.linalg.solve(found.information, gradient)
             move *= step * min(1.0, STEP / max(np.abs(move).max(), 1e-300))
             new = evaluated(found.log_factors + move)
@@ -247,6 +255,7 @@ class DriveLikelihood:
         causes: tuple[str, ...],
         raised: Sequence[Floats],
         fixed: Floats,
+        sigma: Floats,
         theta: Floats,
     ) -> Fit:
         """Return the likelihood, its derivatives and the inverse of V at some factors."""
@@ -259,12 +268,12 @@ class DriveLikelihood:
         white = half @ self.y
         weighted = half.T @ white
         value = -float(white @ white) - 2.0 * float(np.log(np.diag(root) * scale).sum())
-        value -= float(theta @ theta) / SIGMA_LOG**2
+        value -= float(np.square(theta / sigma).sum())
         products = [inverse @ m for m in each]
         terms = [weighted * (m @ weighted) - np.diag(p) for m, p in zip(each, products)]
         scores = np.stack([0.5 * one.reshape(-1, ROWS).sum(axis=1) for one in terms], axis=1)
         information = np.array([[0.5 * np.sum(a * b.T) for b in products] for a in products])
-        information += np.eye(len(theta)) / SIGMA_LOG**2
+        information += np.diag(sigma**-2)
         return Fit(groups, causes, theta, value, weighted, inverse, information, scores)
 
     def elements(self, fit: Fit, name: str) -> tuple[Floats, Floats]:
@@ -293,7 +302,7 @@ class DriveLikelihood:
     def variances(self, name: str, fit: Fit) -> Floats:
         """Return the variances due to a noise at rest, (n,); drift has the level of a fit."""
         drift = {names[0]: x for names, x in zip(fit.groups, fit.log_factors) if len(names) == 1}
-        level = math.exp(drift[name]) if name.endswith('_drift') else 1.0
+        level = math.exp(drift[name]) if name in self.unknown else 1.0
         return np.asarray(level * np.diag(self.noise[name]))
 
 

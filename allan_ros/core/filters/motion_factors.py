@@ -24,9 +24,12 @@ Floats = NDArray[np.float64]
 LEAST_DRIVES = 5
 """Fewest drives for a result: the quantile of the intervals, t with this number minus 2, is 3.2."""
 
-DRIFT_S = 100.0
+DRIFT_S, SPREAD = 100.0, 25.0
 """Time in s after which an unknown drift adds as much to an integral as white noise does, as an
-average over sensors. The drives show whether it is 4 or 2500 s."""
+average over sensors, and largest factor of its square root of power on both sides."""
+
+LIMIT = 2.0
+"""Logarithm of the power of an unknown drift at its limit, in standard deviations."""
 
 FLICKER_S = 30.0
 """Time in s up to which an unknown drift is rather flicker noise than a random walk."""
@@ -98,28 +101,30 @@ class DriveRatio:
 
 @dataclass(frozen=True)
 class SensorInMotion:
-    """Factor of one sensor: its errors in motion over the prediction from its noise at rest.
+    """Errors of one sensor in motion over the prediction from its noise at rest.
 
     Attributes
     ----------
     factor : Estimate
         Ratio of the rms errors of all drives to their prediction, of the angle for the gyro and of
         the velocity for the accelerometer, without any calibration error in the model.
-    part : 'white', 'slow' or 'all'
-        Which noise is larger in motion: 'white' if the errors grow with the root of the duration of
-        a drive (raise N), 'slow' if they grow faster (raise K), 'all' if the drives do not tell. If
-        the rests do not resolve the drift, it is only known together with the drives, and the part
-        is 'white'.
-    raised : Estimate
-        Factor of the noise of this part.
+    white, slow : Estimate or None
+        Factors of N and of K (and other drift) that explain this ratio; None for a term that is as
+        at rest. The errors of white noise grow with the root of the duration of a drive, and those
+        of drift faster. Both are the same if the drives do not tell.
     explained : Estimate or None
-        ``factor`` with the matrices of all causes in the model; None without causes.
+        ``factor`` with the calibration errors of all causes in the model; None without causes.
     """
 
     factor: Estimate
-    part: Part
-    raised: Estimate
+    white: Estimate | None
+    slow: Estimate | None
     explained: Estimate | None = None
+
+    @property
+    def raised(self) -> Mapping[str, Estimate]:
+        """Term -> its factor, of 'N' and 'K' if they are not as at rest."""
+        return {term: one for term, one in (('N', self.white), ('K', self.slow)) if one is not None}
 
 
 @dataclass(frozen=True)
@@ -152,16 +157,29 @@ class NoiseInMotion:
         return {'gyro': self.gyro, 'accel': self.accel}
 
 
-def axis_noise(model: Model, tau0: float) -> NoiseAtRest:
-    """Return the noise of an axis whose sample period is ``tau0`` (s) from its model.
+def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> NoiseAtRest:
+    """Return the noise of an axis at rest for the prediction of errors in motion.
 
-    The ramp of a recording is no noise, and the bias at the rest before each drive is subtracted. A
-    model without any drift means that the drift is unknown.
+    The ramp of a recording is no noise, and the bias at the rest before each drive is subtracted.
+
+    Parameters
+    ----------
+    model : Model
+        Resolved noise. Without any drift, the drift is unknown, within the limits.
+    tau0 : float
+        Sample period in s.
+    limits : mapping of 'B' or 'K' to float
+        Upper limits of terms that are not resolved, in SI.
     """
-    white = model.value('N')
-    drift = [p for p in model.drift.parts if not (p.process.is_white or p.process.is_regressor)]
-    walk = white * math.sqrt(3.0) / DRIFT_S
-    parts = drift or Model.of(B=walk * math.sqrt(FLICKER_S), K=walk).parts
+    white, sigma = model.value('N'), 0.0
+    parts = [p for p in model.drift.parts if not (p.process.is_white or p.process.is_regressor)]
+    if not parts:
+        walk = white * math.sqrt(3.0) / DRIFT_S
+        terms = {'B': walk * math.sqrt(FLICKER_S), 'K': walk}
+        high = min([SPREAD, *(limits[name] / terms[name] for name in terms if limits.get(name))])
+        low = min(1.0, high) / SPREAD
+        parts = list(Model.of(**{n: x * math.sqrt(low * high) for n, x in terms.items()}).parts)
+        sigma = math.log(high / low) / LIMIT  # of the power
     slow = [
         (part.process.variance_of(part.value, tau0), part.process.in_unit(tau0)) for part in parts
     ]
@@ -170,7 +188,7 @@ def axis_noise(model: Model, tau0: float) -> NoiseAtRest:
         values = (variance * unit.gamma(max(M / tau0, 1.0), j) for variance, unit in slow)
         return np.asarray(sum(values, np.zeros(np.shape(j))))
 
-    return NoiseAtRest(white, gamma, bool(drift))
+    return NoiseAtRest(white, gamma, sigma)
 
 
 def noise_in_motion(
@@ -197,9 +215,9 @@ def noise_in_motion(
     sensors = {}
     for sensor in SENSORS:
         part, fit = _part(data, plain, sensor)
-        factor, raised = _factor(data, fit, sensor)
-        explained = _factor(data, best, sensor)[0] if gains else None
-        sensors[sensor] = SensorInMotion(factor, part, raised, explained)
+        explained = _ratio(data, best, sensor) if gains else None
+        raised = _raised(data, fit, sensor, part)
+        sensors[sensor] = SensorInMotion(_ratio(data, fit, sensor), *raised, explained)
     ratios = zip(drives, data.ratios(plain).tolist())
     return NoiseInMotion(
         **sensors,
@@ -252,7 +270,8 @@ def predicted_errors(
     whole = DriveLikelihood.of([*used, *others], noise)
     n, d = len(data.y), len(others)
     out = []
-    at_rest = plain.log_factors.copy()
+    most = [LIMIT * data.unknown.get(names[0], 0.0) for names in plain.groups]
+    at_rest = np.minimum(plain.log_factors, most)
     at_rest[:2] = 0.0
     rows = np.arange(ROWS)[ROTATION.start : VELOCITY.stop]
     ahead = n + (np.arange(d)[:, None] * ROWS + rows).ravel()
@@ -268,21 +287,52 @@ def predicted_errors(
     return out[0], out[1], out[2]
 
 
-def _factor(data: DriveLikelihood, fit: Fit, sensor: str) -> tuple[Estimate, Estimate]:
-    """Return the ratio of the errors of a sensor to the prediction, and the factor of its noise."""
-    index = list(SENSORS).index(sensor)
+def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
+    """Return the ratio of the rms errors of a sensor to their prediction.
+
+    An unknown drift is predicted as the drives show it, but at most at its limit.
+    """
     rows = {'gyro': ROTATION, 'accel': VELOCITY}[sensor]
     sizes = {
-        name: float(data.variances(name, fit).reshape(-1, ROWS)[:, rows].sum())
-        for name in data.noise
+        name: float(np.diag(noise).reshape(-1, ROWS)[:, rows].sum())
+        for name, noise in data.noise.items()
         if name.startswith(sensor)
     }
-    share = sum(sizes[name] for name in fit.groups[index] if name in sizes) / sum(sizes.values())
-    log, half = fit.log_factors[index], _quantile(fit) * fit.errors[index]
-    raised = [math.exp(x / 2.0) for x in (log, log - half, log + half)]
-    total = [math.sqrt(1.0 - share + share * x**2) for x in raised]
-    ratio, factor = (Estimate(x[0], (x[1], x[2])) for x in (total, raised))
-    return ratio, factor
+    fixed = sum(size for name, size in sizes.items() if not any(name in g for g in fit.groups))
+
+    def log_ratio(theta: Floats) -> float:
+        total, predicted = fixed, fixed
+        for names, x in zip(fit.groups, theta.tolist()):
+            size, sigma = sum(sizes.get(name, 0.0) for name in names), data.unknown.get(names[0])
+            total += math.exp(x) * size
+            predicted += size if sigma is None else math.exp(min(x, LIMIT * sigma)) * size
+        return math.log(total / predicted) / 2.0
+
+    middle, half = log_ratio(fit.log_factors), np.diag(_quantile(fit) * fit.errors)
+    low, high = (
+        middle + sign * math.hypot(*(log_ratio(fit.log_factors + sign * h) - middle for h in half))
+        for sign in (-1.0, 1.0)
+    )
+    return Estimate(math.exp(middle), (math.exp(low), math.exp(high)))
+
+
+def _raised(
+    data: DriveLikelihood, fit: Fit, sensor: str, part: Part
+) -> tuple[Estimate | None, Estimate | None]:
+    """Return the factors of white noise and drift of a sensor."""
+    halves = _quantile(fit) * fit.errors
+    found = {
+        names[0]: tuple(math.exp((x + s * h - offset) / 2.0) for s in (0.0, -1.0, 1.0))
+        for names, x, h in zip(fit.groups, fit.log_factors.tolist(), halves.tolist())
+        for offset in [LIMIT * data.unknown.get(names[0], 0.0)]
+    }
+    estimates = {name: Estimate(x, (low, high)) for name, (x, low, high) in found.items()}
+    white = estimates.get(f'{sensor}_white')
+    if part == 'all':
+        return white, white
+    drift = estimates.get(f'{sensor}_drift')
+    is_above_limit = drift is not None and (drift.value or 0.0) > 1.0
+    return white, drift if is_above_limit else estimates.get(f'{sensor}_slow')
 
 
 def _quantile(fit: Fit) -> float:

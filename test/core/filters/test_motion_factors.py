@@ -129,7 +129,7 @@ def test_more_white_noise_in_motion_is_told_from_more_drift() -> None:
     found = noise_in_motion(drives_of(6, 30, gyro_noise=5.0), NOISE)
     assert found is not None
     assert found['gyro'].ci95[0] > 1.0
-    assert found.gyro.part == 'white'
-    low, high = found.gyro.raised.ci95
+    assert found.gyro.slow is None
+    low, high = found.gyro.white.ci95
     assert low < 5.0 < high
     assert found['accel'].ci95[0] < 1.0

@@ -79,7 +79,7 @@ def page(small_results: Results, tmp_path_factory: pytest.TempPathFactory) -> Pa
     spans = [Segment(int(stamps[5000]), 15_000, 300.0)]
     moved = Event('motion', int(stamps[0]), 100.0)
     summary = summarize_signal([envelope], spans, 1000, [moved], [temperature])
-    factors = SensorInMotion(Estimate(3.0, (2.5, 3.6)), 'all', Estimate(3.0, (2.5, 3.6)))
+    factors = SensorInMotion(*[Estimate(3.0, (2.5, 3.6))] * 3)
     drives = tuple(DriveRatio(5.0 + i, 0.5 * i, 1.0 + i % 4, 0.5 + i % 3) for i in range(12))
     motion = NoiseInMotion(factors, factors, (), drives)
     results = replace(results, baselines={'May': small_results}, motion=motion)
