@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import runpy
 import sys
@@ -230,7 +231,7 @@ def _bias_hits(axis: ar.AxisResult, samples: Any, white: Any, every: int) -> lis
     for k, mean in enumerate(means, 1):
         tracker.update(float(mean))
         if k >= 600 and k % every == 0 and k + 10 <= seconds:
-            low, high = tracker.estimate().ci95
+            low, high = tracker.estimate().ci95 or (math.nan, math.nan)
             hits.append(bool(low < drift[k : k + 10].mean() < high))
     return hits
 

@@ -29,10 +29,9 @@ from ..results.analysis import analyze_recorded, one_thread
 from ..results.documents import RESULTS, SUMS, load_sums
 from ..results.documents import load as load_results
 from ..results.from_truth import is_truth, results_of_truth
-from ..results.references import compared
 from ..results.results import Results as PlainResults
 from ..view.settings import ResultSettings
-from .results import Results, public
+from .results import Results, compared, public
 
 
 @public

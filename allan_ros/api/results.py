@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import wraps
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
@@ -23,8 +24,9 @@ from ..readers.files import PATH, write_atomic
 from ..readers.files import public as with_checked_paths
 from ..results.datasheets import Datasheet as PlainDatasheet
 from ..results.datasheets import load_sensor
+from ..results.documents import labels_of
+from ..results.documents import load as load_results
 from ..results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
-from ..results.references import compared
 from ..results.results import Results as PlainResults
 from ..view.finding_text import finding_line
 from ..view.settings import check_plots
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec('P')
 T = TypeVar('T')
+R = TypeVar('R', bound=PlainResults)
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
@@ -312,6 +315,37 @@ class Datasheet(PlainDatasheet):
         return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
             target, path, **options
         )
+
+
+def compared(
+    results: R,
+    sensor: PlainDatasheet | str = '',
+    baseline: PlainResults | str | os.PathLike[str] = '',
+    margin: float | None = None,
+) -> R:
+    """Return a copy of the results that is compared with a datasheet, an earlier run, or both.
+
+    ``sensor`` is a datasheet, its name or its path, and ``baseline`` results or their path; '' for
+    none. ``margin`` is the fraction by which a limit may be exceeded, by default that of the
+    results. A comparison with a datasheet that the results contain is made again. Raises AllanError
+    when a reference cannot be read, or the margin is negative.
+    """
+    expect((PlainResults, *PATH), 'results or a path', baseline=baseline)
+    expect((PlainDatasheet, *PATH), 'a datasheet or its name', sensor=sensor)
+    stated = results.margin if margin is None else margin
+    expect(Real, margin=stated)
+    if not stated >= 0.0:
+        raise AllanError(f'margin is {stated:g}: give 0 or more')
+    results = replace(results, margin=stated)
+    if isinstance(baseline, PlainResults):
+        results = replace(results, baselines={'the earlier run': baseline})
+    elif str(baseline):
+        (label,) = labels_of([str(baseline)])
+        results = replace(results, baselines={label: load_results(baseline)})
+    sheet = results.datasheet
+    if sensor:
+        sheet = sensor if isinstance(sensor, PlainDatasheet) else load_sensor(str(sensor))
+    return results if sheet is None else results.against_datasheet(sheet, stated)
 
 
 @public

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ..api.analysis import is_document
+from ..api.results import compared
 from ..core.compare import Check
 from ..core.errors import AllanError, one_line
 from ..core.estimate import value_text
@@ -33,7 +34,6 @@ from ..readers.serials import SerialRule
 from ..results.analysis import analyze_recorded
 from ..results.documents import load, load_sums
 from ..results.plan import Limits, Plan, load_plan
-from ..results.references import compared
 from ..results.results import Results
 from ..results.unit_check import WORDS as UNIT_WORDS
 from ..results.unit_check import Decision, UnitCheck, check_unit, worst

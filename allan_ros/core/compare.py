@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .allan.curve import CI_LEVEL, AxisCurve
-from .estimate import UNKNOWN, Estimate
-from .fit.result import TERMS, Z_95
+from .estimate import UNKNOWN, Z_95, Estimate
+from .fit.result import TERMS
 
 MARGIN = 0.2
 """Fraction by which a coefficient may exceed a limit: typical figures of a datasheet

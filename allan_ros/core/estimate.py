@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from .fields import MAX_FLOAT, Fields
 from .imu import UNITS, ShownUnit, to_si
@@ -18,6 +18,14 @@ Ends = tuple[float, float]
 
 Status = Literal['estimated', 'likely', 'not_observable']
 """Whether a number is resolved; a likely number is not, but exceeds its standard error."""
+
+Z_95 = 1.96
+"""Normal quantile of 97.5 %, for both ends of a 95 % interval and for a 95 % upper limit.
+
+The same data decide whether a term gets an interval or an upper limit. With 1.645, the quantile of
+95 %, for limits, a term near the threshold would be missed in 5 % of records below and in 2.5 %
+above. With one quantile, a limit is the upper end of an interval that begins at 0, as in the
+unified intervals of Feldman & Cousins (Phys. Rev. D 57, 1998) for nonnegative estimates."""
 
 NOTHING_KNOWN = '-'
 """Text for a number with neither a value nor a limit."""
@@ -61,6 +69,9 @@ class Estimate:
     >>> ramp = Estimate(-2.0, (-2.5, -1.5))
     >>> ramp.resolved, ramp.ci95, ramp.magnitude.ci95
     (True, (-2.5, -1.5), (1.5, 2.5))
+    >>> bias = Estimate.normal(-2.0, 0.1)
+    >>> round(bias.std, 9), round(bias.largest, 3)
+    (0.1, 2.196)
     >>> likely = Estimate(0.5, upper95=2.0, status='likely')
     >>> likely.shown.value is None
     True
@@ -79,6 +90,22 @@ class Estimate:
     name: str = ''
     unit: str = ''
     axis: str = ''
+
+    @classmethod
+    def normal(cls, value: float, std: float) -> Estimate:
+        """Return the estimate with a normally distributed error of this standard deviation."""
+        return cls(value, (value - Z_95 * std, value + Z_95 * std))
+
+    @property
+    def std(self) -> float:
+        """Standard error: the half-width of the interval over 1.96; NaN without an interval."""
+        low, high = self.ci95 or (math.nan, math.nan)
+        return (high - low) / (2.0 * Z_95)
+
+    @property
+    def largest(self) -> float:
+        """The largest magnitude in the interval, or else of the value; NaN without a value."""
+        return max(map(abs, self.ci95 or (math.nan if self.value is None else self.value,)))
 
     @property
     def ci95(self) -> Ends | None:
@@ -176,6 +203,9 @@ class Estimate:
         value = f'{value_text(self, plain)}{f" ({interval})" if interval else ""}'
         return f'{value} {self.unit}'.rstrip()
 
+
+SignedEstimate = Annotated[Estimate, 'may be negative']
+"""Type of a field whose estimate may be negative (`Fields.typed`)."""
 
 UNKNOWN = Estimate(None, status='not_observable')
 """A number of which nothing is known."""

@@ -271,7 +271,10 @@ class Fields:
             return flag
         if hint is int:
             return self.integer(key, least=max(int(least), -MAX_INTEGER))
-        return self.number(key, least) if hint is float else self.fields(key).record(hint)
+        if hint is float:
+            return self.number(key, least)
+        fields = self.fields(key)
+        return hint.from_document(fields, signed=True) if signed else fields.record(hint)
 
     def _get(
         self,

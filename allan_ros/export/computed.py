@@ -15,8 +15,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from ..core.errors import AllanError
+from ..core.estimate import Estimate
 from ..core.filters.growth import interval_models
-from ..core.filters.reductions import Level
+from ..core.filters.reductions import FilterLevel
 from ..core.filters.state_space import StateSpace
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import Model
@@ -54,7 +55,7 @@ def state_space_rows(noise: FilterNoise) -> Iterator[Row]:
                 for value, process in processes
             ],
             'ramp': rounded(result.fit.model.value('R')),
-            'limits': [level.term for level in levels if level.is_limit],
+            'limits': [level.estimate.name for level in levels if level.is_limit],
             'Phi': rounded(space.transition(step).tolist(), MATRIX_DIGITS),
             'Qd': rounded(space.noise(step).tolist(), MATRIX_DIGITS),
             'R': rounded(space.sample_variance(noise.rate)),
@@ -135,11 +136,12 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
         ends = interval_models(result.fit)
         low, high = map(gain, ends, white.interval) if ends else (0.0, math.inf)
         value = gain(result.fit.model, white.value)
-        gains.append(Level(axis, 'gain', value, (low, high), white.is_limit))
+        known = Estimate(value, (low, high), value, white.estimate.status, name='gain', axis=axis)
+        gains.append(FilterLevel(known))
     worst = max(gains, key=lambda level: level.value)
     words = f'[rad/s] = sqrt(3/4) times the Allan deviation at h = {horizon:g} s'
     words += f'{" and the bias" if noise.bias else ""}: '
-    words += ', '.join(f'{level.axis} {level.value:.3g}' for level in gains)
+    words += ', '.join(f'{level.estimate.axis} {level.value:.3g}' for level in gains)
     row = Row((*ANY_NODE, 'gain'), rounded(worst.value), words, 'rad/s', worst.interval)
     yield clamped(row, 0.0, 1.0)
     term, formula, scale = 'R', 'sqrt(3/4) |R|', MADGWICK_FACTOR

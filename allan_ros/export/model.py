@@ -20,7 +20,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ..core.errors import AllanError
 from ..core.filters.motion_factors import LEAST_DRIVES
 from ..core.filters.noise_parameters import axis_level, reduce_axis
-from ..core.filters.reductions import Level, Reduction, States, closest_process, horizon_text
+from ..core.filters.reductions import (
+    FilterLevel,
+    Reduction,
+    States,
+    closest_process,
+    horizon_text,
+)
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, HOUR, SENSORS, SI_UNITS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Part
@@ -210,7 +216,7 @@ class FilterNoise:
         value = values if self.target.three else values[0]
         return Row(path, value, words, unit, (low, high), tuple(levels))
 
-    def level(self, axis: str, term: str) -> Level:
+    def level(self, axis: str, term: str) -> FilterLevel:
         """Return the noise level of a term of one axis.
 
         K, and N if the target models a random walk, are adjusted to the error growth of the
@@ -309,17 +315,18 @@ def has_time(part: Part) -> bool:
     return bool(part.process.parameters) and part.process.is_drift and not part.process.is_line
 
 
-def level_words(level: Level) -> str:
+def level_words(level: FilterLevel) -> str:
     """Return the term, axis, value and 95 % interval of a noise level as text, in SI."""
-    unit = SI_UNITS[sensor_of(level.axis)][level.term]
-    words = f'{level.term} of {level.axis}'
+    known = level.estimate
+    unit = SI_UNITS[sensor_of(known.axis)][known.name]
+    words = f'{known.name} of {known.axis}'
     if level.is_limit:
         limit = significant(level.raised_from or level.value, LIMIT_DIGITS)
         words += f' not resolved, 95 % upper limit {limit} {unit}'
         return f'{words}, raised to cover the error growth' if level.raised_from else words
     words += f' {significant(level.value, VALUE_DIGITS)} {unit}'
-    if level.ci95 is not None:
-        low, high = (significant(end, VALUE_DIGITS) for end in level.ci95)
+    if known.ci95 is not None:
+        low, high = (significant(end, VALUE_DIGITS) for end in known.ci95)
         words += f', 95 % interval {low}..{high}'
     elif level.raised_from is None:
         words += ', no 95 % interval'
@@ -331,7 +338,7 @@ def level_words(level: Level) -> str:
     return words
 
 
-def _origin(walk: Level | None) -> str:
+def _origin(walk: FilterLevel | None) -> str:
     """Return a note if the process is computed from an uncertain K, else ''."""
     if walk is None or not (walk.is_limit or walk.no_interval):
         return ''

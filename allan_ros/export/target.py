@@ -11,7 +11,7 @@ from numbers import Real
 from typing import Any, NamedTuple
 
 from ..core.errors import AllanError, one_line
-from ..core.filters.reductions import Level
+from ..core.filters.reductions import FilterLevel
 from ..core.findings import Finding
 from ..core.imu import SENSORS
 from ..core.settings import CheckedSettings, check_range, parameter
@@ -138,7 +138,7 @@ class Row:
     # 95 % interval of the number in the unit of the file: (0, number) for an upper limit, (0, inf)
     # if it is unknown; of three numbers the widest
     interval: tuple[float, float] = (0.0, math.inf)
-    levels: tuple[Level, ...] = ()  # the measured noise levels from which it is computed
+    levels: tuple[FilterLevel, ...] = ()  # the measured noise levels from which it is computed
     findings: tuple[Finding, ...] = ()  # information for the user of the file
 
     @property
@@ -198,9 +198,9 @@ RAISED = 'Raised numbers cover B and correlated noise, for which such a filter h
 """Explanation of numbers that are larger than the coefficients as measured."""
 
 
-def origin_text(level: Level) -> str:
+def origin_text(level: FilterLevel) -> str:
     """Return how a number for a filter differs from the coefficient as measured."""
-    name = f'{level.term} of {level.axis.replace("_", " ")}'
+    name = f'{level.estimate.name} of {level.estimate.axis.replace("_", " ")}'
     if level.raised_from == 0.0:
         return f'{name} is not resolved: set to cover the error growth'
     words = f'{name} is not resolved: its 95 % upper limit' if level.is_limit else name

@@ -8,17 +8,19 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from rclpy.node import Node
 
+from ..core.allan.at_rest import TurnOnBias
 from ..core.allan.periods import KEPT_SEGMENTS
 from ..core.allan.sums import AllanSums
 from ..core.errors import AllanError, one_line
+from ..core.estimate import Estimate
 from ..core.fields import Fields
-from ..core.filters.bias import AxisBias, BiasModel, BiasTracker, TurnOnBias
+from ..core.filters.bias import BiasModel, BiasTracker
 from ..core.findings import Finding
 from ..core.imu import AXES, ImuIdentity
 from ..core.stream.drive_recorder import NO_DRIVES, Drives
@@ -41,9 +43,6 @@ normal: samples from the start of a motion are removed when the motion is detect
 
 ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
 """Axis -> row in the 6x6 covariance of a twist: linear x, y, z, then angular x, y, z."""
-
-Z_95 = 1.96
-"""Normal quantile of 97.5 %."""
 
 UNKNOWN = -1.0
 """Variance of an axis whose bias is unknown, as in sensor_msgs/Imu."""
@@ -205,19 +204,7 @@ def kinds_of(faults: Iterable[Finding]) -> frozenset[tuple[str, tuple[str, ...],
     return frozenset((f.id, f.axes, round(4.0 * math.log2(ratio))) for f, ratio in ratios)
 
 
-class BiasAtRest(NamedTuple):
-    """The bias of an axis and its standard deviation, in SI."""
-
-    value: float
-    std: float
-
-    @property
-    def largest(self) -> float:
-        """The largest magnitude in the 95 % interval."""
-        return abs(self.value) + Z_95 * self.std
-
-
-ModelListener = Callable[[Results, Mapping[str, BiasAtRest]], None]
+ModelListener = Callable[[Results, Mapping[str, Estimate]], None]
 """Receives each noise model, and the known bias at rest by axis. Without axes, the model is
 invalidated."""
 
@@ -239,11 +226,10 @@ class BiasPublisher:
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
                 self._tracker.add_means(axis, means.end_ns.tolist(), means.values[:, i].tolist())
-        known = self._known()
-        latest = max((bias.end_ns for bias in known.values()), default=0)
+        known, latest = self.at_rest(), self._tracker.end_ns
         if known and latest != self._last_ns:
             self._last_ns = latest
-            self._publisher.publish(bias_message(known, snapshot.frame_id))
+            self._publisher.publish(bias_message(known, latest, snapshot.frame_id))
 
     def set_results(self, results: Results | None) -> None:
         """Estimate the bias with the noise models of these results; None removes the models."""
@@ -256,9 +242,9 @@ class BiasPublisher:
         bias = self._tracker.bias(axis)
         if bias is None:
             return []
-        low, high = bias.estimate.ci95
+        low, high = bias.ci95 or (math.nan, math.nan)
         pairs: list[tuple[str, object]] = [
-            (f'bias at rest [{unit}]', bias.estimate.value),
+            (f'bias at rest [{unit}]', bias.value),
             (f'bias 95 % interval [{unit}]', f'{low:.6g} .. {high:.6g}'),
         ]
         if (turn_on := self._turn_on.get(axis)) and turn_on.scatter.value:
@@ -268,41 +254,39 @@ class BiasPublisher:
             )
         return pairs
 
-    def _known(self) -> dict[str, AxisBias]:
+    def at_rest(self) -> dict[str, Estimate]:
+        """Return the known bias of each axis in SI."""
         return {axis: b for axis in AXES if (b := self._tracker.bias(axis)) is not None}
 
-    def at_rest(self) -> dict[str, BiasAtRest]:
-        """Return the known bias of each axis."""
-        return {
-            axis: BiasAtRest(bias.estimate.value, bias.estimate.std)
-            for axis, bias in self._known().items()
-        }
 
+def bias_message(
+    known: Mapping[str, Estimate], end_ns: int, frame_id: str
+) -> TwistWithCovarianceStamped:
+    """Return the biases as a twist: gyro in the angular, accelerometer in the linear part.
 
-def bias_message(known: dict[str, AxisBias], frame_id: str) -> TwistWithCovarianceStamped:
-    """Return the biases as a twist: gyro in the angular, accelerometer in the linear part."""
+    ``end_ns`` is the end time of the latest data in ns.
+    """
     message = TwistWithCovarianceStamped()
     message.header.frame_id = frame_id
-    latest = max(bias.end_ns for bias in known.values())
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(latest, 10**9)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(end_ns, 10**9)
     covariance = [0.0] * 36
     for axis, row in ROWS.items():
         bias = known.get(axis)
-        covariance[7 * row] = UNKNOWN if bias is None else bias.estimate.std**2
+        covariance[7 * row] = UNKNOWN if bias is None else bias.std**2
         if bias is not None:
             sensor, letter = axis.split('_')
             vector = {'gyro': message.twist.twist.angular, 'accel': message.twist.twist.linear}
-            setattr(vector[sensor], letter, bias.estimate.value)
+            setattr(vector[sensor], letter, bias.value)
     message.twist.covariance = covariance
     return message
 
 
-def bias_of(message: TwistWithCovarianceStamped) -> dict[str, BiasAtRest]:
+def bias_of(message: TwistWithCovarianceStamped) -> dict[str, Estimate]:
     """Return the biases in a message of `bias_message`, by axis."""
     twist, known = message.twist.twist, {}
     for axis, row in ROWS.items():
         sensor, letter = axis.split('_')
         vector = twist.angular if sensor == 'gyro' else twist.linear
         if (variance := message.twist.covariance[7 * row]) >= 0.0:
-            known[axis] = BiasAtRest(getattr(vector, letter), math.sqrt(variance))
+            known[axis] = Estimate.normal(getattr(vector, letter), math.sqrt(variance))
     return known

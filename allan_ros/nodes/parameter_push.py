@@ -35,6 +35,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from ..core.errors import AllanError, one_line
+from ..core.estimate import Estimate
 from ..core.imu import AXES, SENSORS
 from ..core.stream.transport import faults_of
 from ..export import Row, target_rows
@@ -42,7 +43,6 @@ from ..results.results import Results
 from ..view.finding_text import explained
 from .diagnostics import key_values, status_name
 from .former_values import Former, FormerValues
-from .messages import BiasAtRest
 from .node import AllanNode, Part
 from .push_plan import GAINS_NOT_SET, Numbers, Proposal, PushPlan, load_plan, text_of
 from .settings import SETTLED_RATIO, PushSettings
@@ -91,7 +91,7 @@ class ParameterPush(Part):
         self.node = target = self._settings.value.node
         self._plan = load_plan(self._settings.value.filter) if target else None
         self._results: Results | None = None
-        self._bias: Mapping[str, BiasAtRest] = {}
+        self._bias: Mapping[str, Estimate] = {}
         self._gains: tuple[Row, ...] = ()  # that are shown, but not set
         self._invalid = 'there is no noise model'  # why no value may be set, or ''
         self._reason = ''  # the same at the last update
@@ -109,7 +109,7 @@ class ParameterPush(Part):
             # created last: a node that answers it has also discovered the other client
             self._get = owner.create_client(GetParameters, f'{target}/get_parameters')
 
-    def offer(self, results: Results, bias: Mapping[str, BiasAtRest]) -> None:
+    def offer(self, results: Results, bias: Mapping[str, Estimate]) -> None:
         """Use the latest noise model and bias at rest.
 
         Results without axes mean that the model is invalidated.

@@ -26,6 +26,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import String
 
 from ..core.errors import AllanError, one_line
+from ..core.estimate import Estimate
 from ..core.filters.noise_parameters import Variances, white_ratio, white_variances
 from ..core.findings import Finding, finding
 from ..core.imu import AXES, NANOSECONDS, SENSORS, ImuIdentity, sensor_of
@@ -40,7 +41,7 @@ from ..results.results import Results
 from ..view.finding_text import finding_line
 from .diagnostics import status_name, status_of
 from .imu_input import QUEUE_DEPTH, full_name, qos_text, subscribe_raw
-from .messages import BiasAtRest, ModelListener, bias_of
+from .messages import ModelListener, bias_of
 from .node import AllanNode, Part
 from .settings import SETTLED_RATIO, EstimatorSettings, RelaySettings, WatchedImu
 from .shell import LATCHED
@@ -90,7 +91,7 @@ def relay_variances(results: Results, settings: RelaySettings, rate: float) -> d
 
 
 def cover_bias(
-    variances: dict[str, Variances], bias: Mapping[str, BiasAtRest], messages: float
+    variances: dict[str, Variances], bias: Mapping[str, Estimate], messages: float
 ) -> dict[str, Variances]:
     """Return the variances of a gyro whose bias is not removed.
 
@@ -100,8 +101,9 @@ def cover_bias(
     """
     if 'gyro' not in variances:
         return variances
-    known = (bias.get(axis, BiasAtRest(0.0, 0.0)) for axis in AXES[SENSORS['gyro']])
-    added = (max(1.0, messages) * (one.value**2 + one.std**2) for one in known)
+    none = Estimate.normal(0.0, 0.0)
+    known = (bias.get(axis, none) for axis in AXES[SENSORS['gyro']])
+    added = (max(1.0, messages) * ((one.value or 0.0) ** 2 + one.std**2) for one in known)
     x, y, z = (noise + more for noise, more in zip(variances['gyro'], added))
     return {**variances, 'gyro': (x, y, z)}
 
@@ -130,13 +132,15 @@ def louder(variances: dict[str, Variances], ratios: Mapping[str, float]) -> dict
     return out
 
 
-def bias_in_model(results: Results) -> dict[str, BiasAtRest]:
+def bias_in_model(results: Results) -> dict[str, Estimate]:
     """Return the mean of each axis in the data of the model, with its scatter between recordings.
 
     It is used until the bias of the present run is known.
     """
     return {
-        name: BiasAtRest(axis.at_rest.mean, (axis.turn_on and axis.turn_on.scatter.value) or 0.0)
+        name: Estimate.normal(
+            axis.at_rest.mean, (axis.turn_on and axis.turn_on.scatter.value) or 0.0
+        )
         for name, axis in results.axes.items()
         if axis.at_rest is not None
     }
@@ -179,7 +183,7 @@ class ModelInput:
         self.listener: ModelListener = lambda results, bias: None
         self._began = time.monotonic()
         self._results: Results | None = None
-        self._bias: dict[str, BiasAtRest] = {}
+        self._bias: dict[str, Estimate] = {}
         self._unreadable: Finding | None = None
         self._model = node.create_subscription(String, 'noise_model', self._on_model, LATCHED)
         node.create_subscription(TwistWithCovarianceStamped, 'bias', self._on_bias, LATCHED)
@@ -240,7 +244,7 @@ class ImuRelay(Part):
         self._counts = dict.fromkeys(COUNTS, 0)
         self._other_frame = 0
         self._results: Results | None = None
-        self._bias: Mapping[str, BiasAtRest] = {}
+        self._bias: Mapping[str, Estimate] = {}
         self._variances: dict[str, Variances] = {}  # that are filled in
         self._from_datasheet: tuple[str, ...] = ()  # sensors
         self._rate = RateOfStamps()
@@ -284,7 +288,7 @@ class ImuRelay(Part):
             f'{self._publisher.topic_name} with the noise model on {self._model_topic}'
         )
 
-    def offer(self, results: Results, bias: Mapping[str, BiasAtRest]) -> None:
+    def offer(self, results: Results, bias: Mapping[str, Estimate]) -> None:
         """Use the latest noise model and bias at rest.
 
         Results without axes mean that the model is invalidated.

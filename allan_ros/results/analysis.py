@@ -15,14 +15,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..core.allan.at_rest import at_rest
+from ..core.allan.at_rest import at_rest, turn_on_bias
 from ..core.allan.curve import AllanCurve, allan_curve
 from ..core.allan.sums import AllanSums
-from ..core.filters.bias import turn_on_bias
 from ..core.findings import Finding
 from ..core.fit.axis_findings import rounding_step, with_deviations
 from ..core.fit.model_curve import dominant_regions
@@ -35,8 +34,10 @@ from ..core.settings import AUTO
 from ..core.stream.health import sums_findings
 from ..readers.recorded import Provenance, RecordingSums
 from .axis_result import AxisResult
-from .motion import measure_motion
 from .results import Results
+
+if TYPE_CHECKING:
+    from ..core.filters.motion_factors import NoiseInMotion
 
 PREFIXES = ('scipy_openblas', 'openblas')
 SUFFIXES = ('64_', '')
@@ -125,9 +126,14 @@ def analyze_recorded(
     noise, rest_s = axes, longest.samples * tau0
     if at_rest_before is not None:
         noise, rest_s = dict(at_rest_before.axes), at_rest_before.duration_s
-    counts = recorded.provenance.counts
-    moving = counts.moving / max(counts.received, 1)
-    motion, moved = measure_motion(recorded.drives, noise, rest_s, moving)
+    motion: NoiseInMotion | None = None
+    moved: tuple[Finding, ...] = ()
+    if recorded.drives.errors or recorded.drives.unused:
+        from .motion import measure_motion
+
+        counts = recorded.provenance.counts
+        moving = counts.moving / max(counts.received, 1)
+        motion, moved = measure_motion(recorded.drives, noise, rest_s, moving)
     findings = (
         *recorded.provenance.findings,
         *(f for s in sums for f in sums_findings(s)),

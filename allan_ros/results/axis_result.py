@@ -11,12 +11,11 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.allan.at_rest import AtRest
+from ..core.allan.at_rest import AtRest, TurnOnBias
 from ..core.allan.curve import AxisCurve, allan_curve
 from ..core.allan.running import RunningSums
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
-from ..core.filters.bias import TurnOnBias
 from ..core.filters.growth import Growth, growth_table
 from ..core.filters.noise_parameters import reduce_axis
 from ..core.filters.state_space import StateSpace, state_space

@@ -26,7 +26,6 @@ from ..core.compare import MARGIN
 from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
 from ..core.fields import Fields, SignedInt, plain
-from ..core.filters.motion_factors import NoiseInMotion
 from ..core.findings import CATALOG, QUANTITIES, SEVERITIES, Finding, missing_values, quantity
 from ..core.fit.result import TERMS, AxisFit
 from ..core.imu import AXES, SENSORS, SI_UNITS, ImuIdentity, sensor_of
@@ -108,7 +107,11 @@ def results_from_document(document: object, where: str = 'results') -> Results:
     stated = fields.fields('axes')
     axes = {name: _axis_from_document(name, stated.fields(name)) for name in _axes_of(stated)}
     stated_sheet = fields.optional_fields('datasheet')
-    moved = fields.optional_fields('motion')
+    motion = None
+    if (moved := fields.optional_fields('motion')) is not None:
+        from ..core.filters.motion_factors import NoiseInMotion
+
+        motion = moved.record(NoiseInMotion)
     return Results(
         ImuIdentity(fields.text('frame_id', ''), fields.text('hardware_id', '')),
         fields.text('method'),
@@ -121,7 +124,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
         provenance.findings,
         sheet_from_document(stated_sheet) if stated_sheet else None,
         margin=stated_sheet.number('margin') if stated_sheet else MARGIN,
-        motion=None if moved is None else moved.record(NoiseInMotion),
+        motion=motion,
     )
 
 

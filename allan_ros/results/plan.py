@@ -200,7 +200,7 @@ class Plan:
         if quantity == 'temperature_drift':
             if rest.slope is None:
                 return UNKNOWN, 'the temperature varied too little or is unknown'
-            return Estimate(rest.slope, rest.slope_ci95), ''
+            return rest.slope, ''
         if quantity != 'bias':
             return _exact(getattr(rest, quantity))
         expected = self._gravity_on(axis)

@@ -7,12 +7,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from ..core.compare import MARGIN, AxisNoise, Check, Run, differences, worst_verdict
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
-from ..core.filters.motion_factors import NoiseInMotion
 from ..core.findings import Finding
 from ..core.fit.record_length import longest_recommended, recommended_duration
 from ..core.fit.temperature import TemperatureModel
@@ -20,6 +19,9 @@ from ..core.imu import ImuIdentity, sensor_of
 from ..readers.recorded import Provenance, RecordingSums
 from .axis_result import AxisResult
 from .datasheets import Datasheet, against_datasheet, below_typical, exceeds_limit
+
+if TYPE_CHECKING:
+    from ..core.filters.motion_factors import NoiseInMotion
 
 R = TypeVar('R', bound='Results')
 

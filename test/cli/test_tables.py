@@ -16,7 +16,7 @@ from allan_ros.cli.tables import (
     results_lines,
 )
 from allan_ros.core.estimate import Estimate, interval_text, value_text
-from allan_ros.core.filters.reductions import Level
+from allan_ros.core.filters.reductions import FilterLevel
 from allan_ros.core.findings import CATALOG, Finding, finding
 from allan_ros.core.fit.result import TERMS, Deviation
 from allan_ros.core.imu import shown_unit
@@ -76,7 +76,7 @@ def test_constant_data_have_one_line(small_results: Results) -> None:
 
 
 def test_a_raised_k_has_its_factor_and_the_measured_value(small_results: Results) -> None:
-    raised = Level('gyro_x', 'K', 3e-6, None, False, 1e-6)
+    raised = FilterLevel(Estimate(3e-6, name='K', axis='gyro_x'), 1e-6)
     assert origin_text(raised) == 'K of gyro x, raised 3 times from 1e-06 as measured'
     lines = lines_of(small_results, 'deg/h', 200)
     rows = {row.key: row for row in target_rows(small_results, 'kalibr')}

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from support.exports import near, numbers, refitted, run_python, with_process
 
+from allan_ros.core.allan.at_rest import TurnOnBias
 from allan_ros.core.estimate import Estimate
-from allan_ros.core.filters.bias import TurnOnBias
 from allan_ros.core.filters.state_space import StateSpace
 from allan_ros.core.noise import PROCESSES, Part
 from allan_ros.core.noise.processes.sinusoid import Sinusoid

@@ -106,7 +106,9 @@ def _axis(axis: Any) -> dict[str, Any]:
             'mean': axis.at_rest.mean,
             'drift': axis.at_rest.drift,
             'temperature': axis.at_rest.temperature,
-            'slope': [axis.at_rest.slope, *(axis.at_rest.slope_ci95 or ())],
+            'slope': [axis.at_rest.slope.value, *(axis.at_rest.slope.ci95 or ())]
+            if axis.at_rest.slope
+            else [None],
             'bandwidth': axis.at_rest.bandwidth,
         },
     }

@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from allan_ros.core.estimate import Estimate
 from allan_ros.core.imu import ImuBatch
 from allan_ros.nodes.messages import bias_message
 
@@ -50,10 +51,8 @@ def test_the_estimator_publishes_the_bias(graph: Any, still_imu: Callable[..., I
 
 
 def test_an_axis_without_a_bias_has_a_variance_of_minus_one() -> None:
-    from allan_ros.core.filters.bias import AxisBias, BiasEstimate
-
-    bias = AxisBias(BiasEstimate(0.5, 0.1), 3 * 10**9 + 7)
-    message = bias_message({'accel_y': bias}, 'imu')
+    bias = Estimate.normal(0.5, 0.1)
+    message = bias_message({'accel_y': bias}, 3 * 10**9 + 7, 'imu')
     assert message.twist.twist.linear.y == 0.5
     diagonal = [message.twist.covariance[7 * row] for row in range(6)]
     assert diagonal == [-1.0, pytest.approx(0.01), -1.0, -1.0, -1.0, -1.0]

@@ -1,6 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the samples of an axis at rest show beside their noise: mean, drift and bandwidth."""
+"""What the samples of an axis at rest show beside their noise: mean, drift and bandwidth, and the
+repeatability of the mean between recordings.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..estimate import Estimate, SignedEstimate
 from ..fields import Signed
 from .curve import Spectra, pooled_spectra
 from .grid import octave
@@ -31,9 +34,6 @@ SMOOTHED_BINS, LEAST_DOF = 5, 40.0
 """Number of neighboring bins of which the median is taken, and fewest degrees of freedom of a bin.
 The median of white noise is then below `HALF_POWER` with a probability of 1e-6."""
 
-Z_95 = 1.96
-"""Normal quantile of 97.5 %."""
-
 
 @dataclass(frozen=True)
 class AtRest:
@@ -48,9 +48,9 @@ class AtRest:
         includes the noise of the means. None for less than two blocks.
     temperature : float or None
         Mean temperature in degC; None if it was not recorded.
-    slope, slope_ci95 : float and (low, high), or None
-        Change of the means per K, by least squares, and its 95 % interval. A drift with time is
-        included. None if the temperature was not recorded or varied by less than 3 K.
+    slope : Estimate or None
+        Change of the means per K, by least squares. A drift with time is included. None if the
+        temperature was not recorded or varied by less than 3 K.
     bandwidth : float or None
         Frequency in Hz up to which the noise density is at least 0.71 N: half of the sample rate
         without a low-pass filter. None if N or the spectrum is unknown.
@@ -59,8 +59,7 @@ class AtRest:
     mean: Signed
     drift: float | None = None
     temperature: Signed | None = None
-    slope: Signed | None = None
-    slope_ci95: tuple[float, float] | None = None
+    slope: SignedEstimate | None = None
     bandwidth: float | None = None
 
 
@@ -90,10 +89,56 @@ def at_rest(
     found = {}
     for i, axis in enumerate(sums.axes):
         drift = float(np.ptp(means[:, i])) if len(means) > 1 else None
-        slope, ends = _slope(heat[known], means[known, i])
+        slope = _slope(heat[known], means[known, i])
         bandwidth = _bandwidth(spectra, i, white.get(axis), sums.tau0)
-        found[axis] = AtRest(float(mean[i]), drift, temperature, slope, ends, bandwidth)
+        found[axis] = AtRest(float(mean[i]), drift, temperature, slope, bandwidth)
     return found
+
+
+@dataclass(frozen=True)
+class TurnOnBias:
+    """Repeatability of the bias of one axis from one recording to the next.
+
+    Attributes
+    ----------
+    recordings : int
+        Number of recordings.
+    mean : float
+        Mean of the biases of the recordings (the means of their samples), in the unit of the
+        samples.
+    scatter : Estimate
+        Standard deviation of the biases, with the noise subtracted. It is not resolved if the noise
+        alone may explain the scatter; then its limit is None if the scatter is improbably small
+        for the noise alone. The interval is for normally distributed biases.
+    """
+
+    recordings: int
+    mean: Signed
+    scatter: Estimate
+
+
+def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
+    """Return the repeatability of the bias from the mean of each recording, (recordings,).
+
+    ``variance`` is the variance of the means without a turn-on bias: the Allan variance at the
+    length of the recordings, which is half of the mean squared difference of the means of two
+    recordings without a break between them (for white noise, the variance of each mean).
+
+    The result is None for fewer than two recordings.
+    """
+    from scipy.special import chdtrc, chdtri
+
+    free = len(means) - 1
+    if free < 1:
+        return None
+    total = float(np.var(means, ddof=1))
+    low, high = (total * free / quantile for quantile in chdtri(free, [0.025, 0.975]))
+    center, ends = float(np.mean(means)), [math.sqrt(max(v - variance, 0.0)) for v in (low, high)]
+    if total <= variance or (variance and chdtrc(free, free * total / variance) > 0.01):
+        limit = Estimate(None, None, ends[1] or None, 'not_observable')
+        return TurnOnBias(len(means), center, limit)
+    scatter = Estimate(math.sqrt(total - variance), (ends[0], ends[1]))
+    return TurnOnBias(len(means), center, scatter)
 
 
 def _block_means(sums: AllanSums) -> tuple[Floats, float, Floats]:
@@ -115,22 +160,22 @@ def _block_means(sums: AllanSums) -> tuple[Floats, float, Floats]:
     return np.concatenate(begins), length_ns, np.concatenate(means)
 
 
-def _slope(heat: Floats, values: Floats) -> tuple[float | None, tuple[float, float] | None]:
-    """Return the change of the values per K and its 95 % interval, by least squares.
+def _slope(heat: Floats, values: Floats) -> Estimate | None:
+    """Return the change of the values per K, by least squares; None if it is unknown.
 
     The scatter about the line is correlated in time; the interval assumes a first-order
     autoregressive process with the correlation of neighboring residuals.
     """
     n = len(heat)
     if n < 4 or float(np.ptp(heat)) < LEAST_RANGE_K:
-        return None, None
+        return None
     x, y = heat - heat.mean(), values - values.mean()
     slope = float(x @ y / (x @ x))
     rest = y - slope * x
     power = float(rest @ rest)
     alike = min(max(float(rest[1:] @ rest[:-1]) / power, 0.0), 0.9) if power else 0.0
     error = math.sqrt(power / (n - 2) / float(x @ x) * (1.0 + alike) / (1.0 - alike))
-    return slope, (slope - Z_95 * error, slope + Z_95 * error)
+    return Estimate.normal(slope, error)
 
 
 def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None) -> float | None:

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
-from ..estimate import Estimate
-from ..fit.result import Z_95
+from ..estimate import Z_95, Estimate
 from ..imu import ImuIdentity
 from ..nonnegative import nonnegative_least_squares
 from .curve import allan_curve

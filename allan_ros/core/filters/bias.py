@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate of the bias of a sensor at rest with its interval, and its repeatability.
+"""Estimate of the bias of a sensor at rest with its interval.
 
 The bias is defined as the mean of the samples over the next 10 s without their white noise. A
 Kalman filter estimates it from means over 1 s; its states are the noise processes of the sensor.
@@ -11,16 +11,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AllanError
-from ..estimate import Estimate
-from ..fields import Signed
-from ..fit.result import Z_95, AxisFit
+from ..estimate import Z_95, Estimate
+from ..fit.result import AxisFit
 from ..noise import Model
 from .state_space import state_space
 
@@ -38,66 +37,6 @@ KEPT_MEANS = 600
 STEP_MEANS, STEP_SIGMA = 30, 6.0
 """The filter restarts from the latest means, at most this many, if the sum of their prediction
 errors exceeds its standard deviation by this factor: the bias has made a step."""
-
-
-@dataclass(frozen=True)
-class TurnOnBias:
-    """Repeatability of the bias of one axis from one recording to the next.
-
-    Attributes
-    ----------
-    recordings : int
-        Number of recordings.
-    mean : float
-        Mean of the biases of the recordings (the means of their samples), in the unit of the
-        samples.
-    scatter : Estimate
-        Standard deviation of the biases, with the noise subtracted. It is not resolved if the noise
-        alone may explain the scatter; then its limit is None if the scatter is improbably small
-        for the noise alone. The interval is for normally distributed biases.
-    """
-
-    recordings: int
-    mean: Signed
-    scatter: Estimate
-
-
-def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
-    """Return the repeatability of the bias from the mean of each recording, (recordings,).
-
-    ``variance`` is the variance of the means without a turn-on bias: the Allan variance at the
-    length of the recordings, which is half of the mean squared difference of the means of two
-    recordings without a break between them (for white noise, the variance of each mean).
-
-    The result is None for fewer than two recordings.
-    """
-    from scipy.special import chdtrc, chdtri
-
-    free = len(means) - 1
-    if free < 1:
-        return None
-    total = float(np.var(means, ddof=1))
-    low, high = (total * free / quantile for quantile in chdtri(free, [0.025, 0.975]))
-    center, ends = float(np.mean(means)), [math.sqrt(max(v - variance, 0.0)) for v in (low, high)]
-    if total <= variance or (variance and chdtrc(free, free * total / variance) > 0.01):
-        limit = Estimate(None, None, ends[1] or None, 'not_observable')
-        return TurnOnBias(len(means), center, limit)
-    scatter = Estimate(math.sqrt(total - variance), (ends[0], ends[1]))
-    return TurnOnBias(len(means), center, scatter)
-
-
-@dataclass(frozen=True)
-class BiasEstimate:
-    """Estimate of the bias of one axis and its standard deviation, in the unit of the samples."""
-
-    value: float
-    std: float
-
-    @property
-    def ci95(self) -> tuple[float, float]:
-        """95 % interval of the bias."""
-        half = Z_95 * self.std
-        return self.value - half, self.value + half
 
 
 class BiasModel(NamedTuple):
@@ -194,7 +133,7 @@ class BiasFilter:
         if self._known and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
 
-    def estimate(self) -> BiasEstimate:
+    def estimate(self) -> Estimate:
         """Return the predicted mean bias over the next 10 s.
 
         Raises
@@ -207,21 +146,13 @@ class BiasFilter:
         mean = self._space.transition(AHEAD_S)[0, 1:] / AHEAD_S
         added = self._space.noise(AHEAD_S)[0, 0] - self._space.white**2 * AHEAD_S
         variance = mean @ self._covariance[1:, 1:] @ mean + added / AHEAD_S**2
-        return BiasEstimate(float(mean @ self._state[1:]), math.sqrt(max(float(variance), 0.0)))
+        return Estimate.normal(float(mean @ self._state[1:]), math.sqrt(max(float(variance), 0.0)))
 
     def _predict(self, phi: Floats, noise: Floats) -> None:
         phi = phi.copy()
         phi[0, 0] = 0.0  # the integral of the samples starts from 0 for each mean
         self._state = phi @ self._state
         self._covariance = phi @ self._covariance @ phi.T + noise
-
-
-@dataclass(frozen=True)
-class AxisBias:
-    """The current bias of one axis."""
-
-    estimate: BiasEstimate  # mean bias over the 10 s after ``end_ns``
-    end_ns: int  # end of the latest mean in ns
 
 
 class BiasTracker:
@@ -261,11 +192,17 @@ class BiasTracker:
         for axis in models:
             self._restart(axis)
 
-    def bias(self, axis: str) -> AxisBias | None:
-        """Return the bias of an axis, or None without a model or a mean."""
-        if axis not in self._filters:
-            return None
-        return AxisBias(self._filters[axis].estimate(), self._kept[axis][-1][0])
+    def bias(self, axis: str) -> Estimate | None:
+        """Return the mean bias of an axis over the 10 s after the latest mean.
+
+        The result is None without a model or a mean.
+        """
+        return self._filters[axis].estimate() if axis in self._filters else None
+
+    @property
+    def end_ns(self) -> int:
+        """End time of the latest mean of the axes with a bias in ns; 0 without any."""
+        return max((self._kept[axis][-1][0] for axis in self._filters), default=0)
 
     def _restart(self, axis: str) -> None:
         """Run a new filter of an axis over the stored means."""

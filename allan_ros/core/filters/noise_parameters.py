@@ -19,10 +19,10 @@ from ..fit.result import AxisFit
 from ..imu import AXES, SENSORS
 from ..noise import Model
 from .growth import interval_models
-from .reductions import HORIZON_S, Level, Reduction, States, reduce_model
+from .reductions import HORIZON_S, FilterLevel, Reduction, States, reduce_model
 
 
-def axis_level(axis: str, fit: AxisFit, term: str) -> Level:
+def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
     """Return the fitted coefficient of a term, or its 95 % upper limit if it is not resolved.
 
     With the limit, a filter overestimates the noise and gives its other sensors more weight.
@@ -32,13 +32,14 @@ def axis_level(axis: str, fit: AxisFit, term: str) -> Level:
     coefficient = fit.noise[term].magnitude if term == 'R' else fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
     if coefficient.status == 'estimated' and value is not None and 0.0 < value < math.inf:
-        return Level(axis, term, value, coefficient.ci95)
+        return FilterLevel(Estimate(value, coefficient.ci95, name=term, axis=axis))
     if limit is None or not 0.0 < limit < math.inf:
         raise AllanError(
             f'{term} of {axis} is not known, not even as a limit: record longer, or fit with '
             'method likelihood'
         )
-    return Level(axis, term, limit, is_limit=True)
+    unresolved = Estimate(None, upper95=limit, status='not_observable', name=term, axis=axis)
+    return FilterLevel(unresolved)
 
 
 def reduce_axis(
@@ -72,21 +73,20 @@ def reduce_axis(
     raises_walk = walk is None and k > 1.001 * resolved_walk
     raises_white = n > 1.001 * white.value
     if walk is None and k > 0.0:
-        walk = Level(axis, 'K', k, fit.noise['K'].ci95)
+        walk = FilterLevel(Estimate(k, fit.noise['K'].ci95, name='K', axis=axis))
     if raises_walk or raises_white:
         ends = interval_models(fit) if states in ('none', 'walk') else None
         of_ends = [reduce_model(one, states, horizon).model for one in ends or ()]
         if walk is not None and raises_walk:
             measured = resolved_walk if fit.noise['K'].status == 'estimated' else 0.0
-            walk = _raised(walk, k, measured, [one.value('K') for one in of_ends])
+            walk = walk.raised(k, measured, _range(k, [one.value('K') for one in of_ends]))
         if raises_white:
-            white = _raised(white, n, white.value, [one.value('N') for one in of_ends])
+            white = white.raised(n, white.value, _range(n, [one.value('N') for one in of_ends]))
     return reduction._replace(levels={'N': white, **({'K': walk} if walk else {})})
 
 
-def _raised(level: Level, value: float, fitted: float, ends: Sequence[float]) -> Level:
-    ci95 = (min(*ends, value), max(*ends, value)) if ends else None
-    return level._replace(value=value, ci95=ci95, raised_from=fitted)
+def _range(value: float, ends: Sequence[float]) -> tuple[float, float] | None:
+    return (min(*ends, value), max(*ends, value)) if ends else None
 
 
 Variances = tuple[float, float, float]

@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..estimate import Estimate
 from ..noise import Model, Process
 from ..noise.model import BY_LETTER
 from .growth import predicted_growth
@@ -54,28 +56,51 @@ def horizon_text(longest: float) -> str:
     return f'{shortest_horizon(longest):g} to {longest:g} s'
 
 
-class Level(NamedTuple):
-    """Value of one noise coefficient of one axis for a filter, in SI."""
+class FilterLevel(NamedTuple):
+    """A noise level that a filter uses: an estimate or its limit, and by how much it was raised.
 
-    axis: str  # name of the axis
-    term: str  # N, B, K or R, or 'sigma' of a Gauss-Markov process
-    value: float  # finite and above 0: the estimate, or the 95 % upper limit without an estimate
-    ci95: tuple[float, float] | None = None  # 95 % interval of the value; None if unknown
-    is_limit: bool = False  # whether the value is an upper limit
-    # fitted coefficient (0 if it is not resolved) of a value that was increased so
-    # that the filter does not underestimate the error growth; None if it was not increased
+    Attributes
+    ----------
+    estimate : Estimate
+        N, B, K or R of an axis, or another number for a filter (``name``), in SI; it is positive.
+        If it is not resolved, the filter uses its 95 % upper limit.
+    raised_from : float or None
+        Fitted coefficient (0 if it is not resolved) of a number that was increased so that the
+        filter does not underestimate the error growth; None if it was not increased.
+    """
+
+    estimate: Estimate
     raised_from: float | None = None
+
+    @property
+    def value(self) -> float:
+        """The number in the file: the estimate, or else its 95 % upper limit."""
+        known = self.estimate
+        return (known.value if known.resolved else known.upper95) or 0.0
+
+    @property
+    def is_limit(self) -> bool:
+        """Whether the value is an upper limit."""
+        return not self.estimate.resolved
 
     @property
     def no_interval(self) -> bool:
         """Whether the value is an estimate without a 95 % interval."""
-        return self.ci95 is None and not self.is_limit and self.raised_from is None
+        known = self.estimate
+        return known.resolved and known.ci95 is None and self.raised_from is None
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval: (0, value) for a limit, and (0, inf) if it is unknown."""
-        low, high = (0.0, self.value) if self.is_limit else self.ci95 or (0.0, math.inf)
+        low, high = (0.0, self.value) if self.is_limit else self.estimate.ci95 or (0.0, math.inf)
         return max(low, 0.0), high
+
+    def raised(self, value: float, fitted: float, ci95: tuple[float, float] | None) -> FilterLevel:
+        """Return the level with a larger number than the ``fitted`` coefficient."""
+        if self.is_limit:
+            return FilterLevel(replace(self.estimate, upper95=value), fitted)
+        known = replace(self.estimate, value=value, recording_ci95=ci95, predictive_ci95=None)
+        return FilterLevel(known, fitted)
 
 
 class Reduction(NamedTuple):
@@ -85,7 +110,8 @@ class Reduction(NamedTuple):
     # smallest and largest ratio over the horizons of the error growth (standard deviation) that the
     # filter predicts to the growth with the complete model
     ratio: tuple[float, float]
-    levels: Mapping[str, Level]  # N and K with their intervals, if the model of an axis was reduced
+    # N and K with their intervals, if the model of an axis was reduced
+    levels: Mapping[str, FilterLevel]
 
     @property
     def poor(self) -> bool:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..estimate import Estimate, Status
+from ..estimate import Z_95, Estimate, Status
 from ..noise import RANDOM_TERMS, Model, Part, Process
 from ..noise.model import Covariance
 from ..noise.process import GAIN_RESOLVED
@@ -32,7 +32,7 @@ from .likelihood import (
     profile_interval,
     ramp_estimate,
 )
-from .result import Z_95, AxisFit, Floats, K, Q
+from .result import AxisFit, Floats, K, Q
 
 RAMP_RESOLVED = 2.58 / 1.96
 """Least |R| in units of the half width of its interval for R to be resolved: two-sided 1 % (1.0 %

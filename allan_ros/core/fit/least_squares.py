@@ -25,11 +25,11 @@ from numpy.typing import ArrayLike
 from ..allan.curve import sample_period
 from ..allan.sums import AllanSums
 from ..errors import AllanError
-from ..estimate import Estimate, Status
+from ..estimate import Z_95, Estimate, Status
 from ..findings import Finding, finding
 from ..noise import FLICKER_FLOOR
 from ..nonnegative import nonnegative_least_squares
-from .result import TERMS, Z_95, AxisFit, Floats, NoiseModel, model_of_terms
+from .result import TERMS, AxisFit, Floats, NoiseModel, model_of_terms
 
 LONGEST_TAU = 1300.0
 """Longest averaging time of method 'paper' in s."""

@@ -19,8 +19,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from ..estimate import Z_95
 from ..findings import Finding, finding
-from .result import Z_95, AxisFit, NoiseModel
+from .result import AxisFit, NoiseModel
 
 MOST_LINES = 3
 """Largest number of processes with a shape that a fan or another machine beside a sensor causes."""

@@ -24,14 +24,6 @@ Ints = NDArray[np.int64]
 Q, N, B, K = range(4)
 """Indices of `RANDOM_TERMS` in all arrays of variance coefficients (q, w, b, k)."""
 
-Z_95 = 1.96
-"""Normal quantile of 97.5 %, for both ends of a 95 % interval and for a 95 % upper limit.
-
-The same data decide whether a term gets an interval or an upper limit. With 1.645, the quantile of
-95 %, for limits, a term near the threshold would be missed in 5 % of records below and in 2.5 %
-above. With one quantile, a limit is the upper end of an interval that begins at 0, as in the
-unified intervals of Feldman & Cousins (Phys. Rev. D 57, 1998) for nonnegative estimates."""
-
 TERMS = ('Q', 'N', 'B', 'K', 'R')
 """Quantization, angle/velocity random walk, bias instability, rate random walk, rate ramp."""
 

@@ -16,13 +16,14 @@ from dataclasses import replace
 import numpy as np
 
 from ..allan.sums import AllanSums, part
+from ..estimate import Z_95
 from ..findings import Finding, finding, quantity
 from ..imu import sensor_of
 from ..number_text import duration_text
 from .bias_changes import WarmUp, step_findings, warm_ups
 from .maximum_likelihood import fit_likelihood
 from .methods import fit_noise
-from .result import Z_95, NoiseModel
+from .result import NoiseModel
 from .statistics import statistics
 from .white_noise_levels import WhiteNoiseLevels, present_part, white_noise_levels
 

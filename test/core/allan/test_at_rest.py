@@ -51,8 +51,8 @@ def test_the_slope_over_temperature() -> None:
     readings = (t[::100] * 1e9).astype(np.int64), celsius[::100]
     found = measured(white() + 0.02 * celsius, readings)
     assert found.temperature == pytest.approx(30.0, abs=0.5)
-    low, high = found.slope_ci95
-    assert low < 0.02 < high and found.slope == pytest.approx(0.02, rel=0.05)
+    low, high = found.slope.ci95
+    assert low < 0.02 < high and found.slope.value == pytest.approx(0.02, rel=0.05)
     narrow = readings[0], 25.0 + 0.2 * (readings[1] - 25.0)
     assert measured(white(), narrow).slope is None
 

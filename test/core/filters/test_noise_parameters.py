@@ -18,7 +18,7 @@ from allan_ros.core.filters.noise_parameters import (
     reduce_axis,
     white_variances,
 )
-from allan_ros.core.filters.reductions import Level
+from allan_ros.core.filters.reductions import FilterLevel
 from allan_ros.core.fit.result import AxisFit, model_of_terms
 from allan_ros.core.noise import GaussMarkov, Model, Part
 
@@ -28,15 +28,23 @@ def fit_with(**noise: Estimate) -> AxisFit:
     return AxisFit(known, model_of_terms(known))
 
 
+def level(term: str, value: float, ci95: tuple[float, float] | None = None) -> FilterLevel:
+    return FilterLevel(Estimate(value, ci95, name=term, axis='gyro_x'))
+
+
+def limit_level(term: str, limit: float) -> FilterLevel:
+    return FilterLevel(Estimate(None, None, limit, 'not_observable', name=term, axis='gyro_x'))
+
+
 def with_process(fit: AxisFit, part: Part) -> AxisFit:
     return replace(fit, model=Model((*fit.model.parts, part)))
 
 
 def test_a_term_has_its_estimate_or_its_upper_limit() -> None:
     fit = fit_with(K=Estimate(0.0, (0.0, 2e-6), 2e-6, 'not_observable'))
-    assert axis_level('gyro_x', fit, 'K') == Level('gyro_x', 'K', 2e-6, None, True)
+    assert axis_level('gyro_x', fit, 'K') == limit_level('K', 2e-6)
     fit = fit_with(K=Estimate(1e-6, (8e-7, 2e-6), 1.9e-6))
-    known = Level('gyro_x', 'K', 1e-6, (8e-7, 2e-6), False)
+    known = level('K', 1e-6, (8e-7, 2e-6))
     assert axis_level('gyro_x', fit, 'K') == known
 
 
@@ -53,7 +61,7 @@ def test_no_level_is_ever_zero_negative_or_infinite(
 
 def test_the_level_of_a_negative_ramp_is_its_magnitude() -> None:
     fit = AxisFit({'R': Estimate(-4e-7, (-5e-7, -3e-7))})
-    assert axis_level('gyro_x', fit, 'R') == Level('gyro_x', 'R', 4e-7, (3e-7, 5e-7))
+    assert axis_level('gyro_x', fit, 'R') == level('R', 4e-7, (3e-7, 5e-7))
 
 
 def resolved(value: float) -> Estimate:
@@ -67,7 +75,7 @@ def hidden(limit: float) -> Estimate:
 def test_the_limit_of_k_is_used_if_no_drift_is_resolved() -> None:
     fit = fit_with(N=resolved(1e-3), B=hidden(1e-4), K=hidden(1e-5), R=hidden(1e-7))
     reduced = reduce_axis('gyro_x', fit)
-    assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
+    assert reduced.levels['K'] == limit_level('K', 1e-5)
     assert pytest.approx(1e-5) == reduced.model.value('K')
 
 
@@ -95,15 +103,15 @@ def test_fast_drift_becomes_white_noise_and_k_has_its_limit() -> None:
     reduced = reduce_axis('gyro_x', fit)
     assert reduced.levels['N'].value == pytest.approx(math.hypot(1e-3, 3e-3 * math.sqrt(0.04)))
     assert reduced.levels['N'].raised_from == 1e-3
-    assert reduced.levels['K'] == Level('gyro_x', 'K', 1e-5, is_limit=True)
+    assert reduced.levels['K'] == limit_level('K', 1e-5)
 
 
 def test_a_raised_limit_of_n_stays_a_limit() -> None:
     process = Part(GaussMarkov(0.02), 3e-3, (2e-3, 4e-3), ((0.01, 0.03),))
     fit = with_process(fit_with(N=hidden(1e-3), K=hidden(1e-5)), process)
-    level = reduce_axis('gyro_x', fit).levels['N']
-    assert level.is_limit and level.raised_from == 1e-3 < level.value
-    assert level.interval == (0.0, level.value)
+    white = reduce_axis('gyro_x', fit).levels['N']
+    assert white.is_limit and white.raised_from == 1e-3 < white.value
+    assert white.interval == (0.0, white.value)
 
 
 def test_the_predicted_growth_has_an_interval() -> None:
