@@ -23,6 +23,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -146,19 +147,54 @@ def work_here(work: str, path: Path) -> None:
     print(cpu, messages, int(peak.split()[1]) / 1024)
 
 
+class Reading(NamedTuple):
+    """CPU time in us of reading a message: medians, and the ratio of the plain reader to ours."""
+
+    floor: float
+    ours: float
+    plain: float
+    ratio: float
+
+
+def reading(folder: Path, name: str, rounds: int) -> Reading:
+    """Compare the readers of one storage in alternating rounds."""
+    long, short = bag(folder, name, SHORT), bag(folder, name, PLAIN)
+    costs: dict[str, list[float]] = {'floor': [], 'read': [], 'plain': []}
+    for _ in range(rounds):
+        for work, path in (('floor', long), ('read', long), ('plain', short)):
+            cpu, messages, _ = measured(work, path)
+            costs[work].append(cpu / messages * 1e6)
+    ratio = statistics.median(p / r for p, r in zip(costs['plain'], costs['read']))
+    return Reading(*(statistics.median(costs[w]) for w in costs), ratio)
+
+
+class Table(NamedTuple):
+    """CPU time in s from a bag to its Allan table, without and as a multiple of the floor."""
+
+    cpu: float
+    over: float
+    ratio: float
+    memory_mb: float
+
+
+def to_table(path: Path, rounds: int) -> Table:
+    """Measure a bag to its Allan table and the floor in alternating rounds."""
+    runs = [(measured('table', path), measured('floor', path)) for _ in range(rounds)]
+    return Table(
+        statistics.median(run[0] for run, _ in runs),
+        statistics.median(run[0] - least[0] for run, least in runs),
+        statistics.median(run[0] / least[0] for run, least in runs),
+        max(run[2] for run, _ in runs),
+    )
+
+
 def show_reading(folder: Path, rounds: int) -> None:
     print('\n| reading, us of CPU a message | floor | ours | AnyReader + deserialize | ratio |')
     print('|---|---|---|---|---|')
     for name in STORAGES:
-        long, short = bag(folder, name, SHORT), bag(folder, name, PLAIN)
-        costs: dict[str, list[float]] = {'floor': [], 'read': [], 'plain': []}
-        for _ in range(rounds):
-            for work, path in (('floor', long), ('read', long), ('plain', short)):
-                cpu, messages, _ = measured(work, path)
-                costs[work].append(cpu / messages * 1e6)
-        ratio = statistics.median(p / r for p, r in zip(costs['plain'], costs['read']))
-        low, ours, theirs = (statistics.median(costs[w]) for w in ('floor', 'read', 'plain'))
-        print(f'| {name} | {low:.2f} | {ours:.2f} | {theirs:.1f} | {ratio:.0f}x |', flush=True)
+        r = reading(folder, name, rounds)
+        cells = f'{r.floor:.2f} | {r.ours:.2f} | {r.plain:.1f} | {r.ratio:.0f}x'
+        print(f'| {name} | {cells} |', flush=True)
 
 
 def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
@@ -167,12 +203,8 @@ def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
     print('|---|---|---|---|---|')
     for messages in sizes:
         for name in STORAGES:
-            path = bag(folder, name, messages)
-            runs = [(measured('table', path), measured('floor', path)) for _ in range(rounds)]
-            cpu = statistics.median(run[0] for run, _ in runs)
-            over = statistics.median(run[0] - least[0] for run, least in runs)
-            memory = max(run[2] for run, _ in runs)
-            cells = f'{cpu:.2f} | {over:.2f} | {memory:.0f}'
+            t = to_table(bag(folder, name, messages), rounds)
+            cells = f'{t.cpu:.2f} | {t.over:.2f} | {t.memory_mb:.0f}'
             print(f'| {name} | {messages / 1e6:g} M | {cells} |', flush=True)
 
 
@@ -203,16 +235,20 @@ def show_jobs(folder: Path, messages: int, rounds: int) -> None:
         print(f'| {name} --jobs {processes} | {wall:.2f} | {cpu:.2f} |', flush=True)
 
 
+def children_cpu(command: list[str]) -> float:
+    """Return the CPU time in s of a command."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(command, check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+ALLAN = [sys.executable, '-m', 'allan_ros.cli.main']
+
+
 def command_cpu(words: list[str], rounds: int) -> float:
     """Return the median CPU time in s of ``allan`` with the given arguments."""
-    costs = []
-    for _ in range(rounds):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        command = [sys.executable, '-m', 'allan_ros.cli.main', *words]
-        subprocess.run(command, check=True, capture_output=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        costs.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    return statistics.median(costs)
+    return statistics.median(children_cpu([*ALLAN, *words]) for _ in range(rounds))
 
 
 def show_analysis(folder: Path, rounds: int) -> None:

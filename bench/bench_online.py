@@ -36,35 +36,50 @@ PATIENCE_S = 30.0
 """Time in s to wait for a status that lags behind the messages."""
 
 
+def costs(client: Client, rate: int) -> list[float]:
+    """Return CPU in us per message of an empty raw subscriber, the accumulator and the monitor."""
+    client.spin(2.0)  # receive the remaining messages of earlier nodes
+    client.statuses.clear()
+    empty = Process('-c', EMPTY_SUBSCRIBER)
+    with (
+        node('accumulator') as accumulator,
+        node('monitor', ros=ONE_FIT) as monitor,
+        node('play', '--simulate', str(LONGEST_S), '--frequency', str(rate), '--wait', '3'),
+    ):
+        while not client.message('gyro z').startswith('N '):
+            client.spin(0.5)
+        watched, age, cost = (empty, accumulator, monitor), 0.0, [0.0]
+        while age < MEASURE_S:  # until no fit is running during the measurement
+            client.spin(SETTLE_S)
+            before, began = [n.cpu_s() for n in watched], time.monotonic()
+            client.spin(MEASURE_S)
+            messages = rate * (time.monotonic() - began)
+            cost = [(n.cpu_s() - b) / messages * 1e6 for n, b in zip(watched, before)]
+            age = float(client.value('gyro z', 'fit age') or 0.0)
+    empty.end()
+    return cost
+
+
 def cpu(client: Client) -> None:
     """Print CPU per message of the accumulator, the monitor and an empty raw subscriber."""
     print('CPU per message in microseconds, and its ratio to the empty subscriber')
     print(f'{"":>8} {"empty":>8} {"accumulator":>12} {"ratio":>6} {"monitor":>8} {"ratio":>6}')
     for rate in RATES_HZ:
-        client.spin(2.0)  # receive the remaining messages of earlier nodes
-        client.statuses.clear()
-        empty = Process('-c', EMPTY_SUBSCRIBER)
-        with (
-            node('accumulator') as accumulator,
-            node('monitor', ros=ONE_FIT) as monitor,
-            node('play', '--simulate', str(LONGEST_S), '--frequency', str(rate), '--wait', '3'),
-        ):
-            while not client.message('gyro z').startswith('N '):
-                client.spin(0.5)
-            watched, age = (empty, accumulator, monitor), 0.0
-            while age < MEASURE_S:  # until no fit is running during the measurement
-                client.spin(SETTLE_S)
-                before, began = [n.cpu_s() for n in watched], time.monotonic()
-                client.spin(MEASURE_S)
-                messages = rate * (time.monotonic() - began)
-                cost = [(n.cpu_s() - b) / messages * 1e6 for n, b in zip(watched, before)]
-                age = float(client.value('gyro z', 'fit age') or 0.0)
-        empty.end()
+        cost = costs(client, rate)
         print(
             f'{rate:>5} Hz {cost[0]:8.1f} {cost[1]:12.1f} {cost[1] / cost[0]:6.2f} '
             f'{cost[2]:8.1f} {cost[2] / cost[0]:6.2f}',
             flush=True,
         )
+
+
+def memory_after(client: Client, seconds: float, rate: int) -> float:
+    """Return the memory of the monitor in MB after some seconds of data."""
+    with node('monitor') as monitor, node('play', '--simulate', '600', '--frequency', str(rate)):
+        while not int(client.value('input', 'received') or 0):
+            client.spin(0.2)
+        client.spin(seconds)
+        return monitor.memory_mb()
 
 
 def bursts(client: Client) -> None:

@@ -1,0 +1,218 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One table of the speed: CPU times as ratios to others of the same run, and the goals.
+
+    python bench/bench_speed.py            0.72 M messages, about 15 min
+    python bench/bench_speed.py --full     7.2 M messages
+    python bench/bench_speed.py sums read  some rows only
+
+Ratios compare programs that ran one after the other, so a busy machine affects both. Rows that need
+`$ALLAN_ROS_SHARED` or rclpy are left empty without them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import statistics
+import sys
+import tempfile
+from collections.abc import Callable
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import bench_offline as offline
+import numpy as np
+
+SHARED = Path(os.environ.get('ALLAN_ROS_SHARED', offline.ROOT.parent / 'shared')) / 'data'
+
+IMPORTS = 'import numpy, scipy.linalg, scipy.special'
+"""What an analysis imports of numpy and scipy."""
+
+ADIS_SAMPLES = 250_000
+"""Samples of 42 min of the ADIS16405 at 100 Hz."""
+
+MONITOR_S, MONITOR_HZ = 60.0, 200
+
+
+class Setting(NamedTuple):
+    """Where files are written, how often a row is measured, and the number of messages."""
+
+    folder: Path
+    rounds: int
+    messages: int
+
+
+def table(setting: Setting) -> str:
+    """CPU from a bag to its table, as a multiple of the floor: mcap; sqlite3."""
+    bags = (offline.bag(setting.folder, name, setting.messages) for name in offline.STORAGES)
+    return '; '.join(f'{offline.to_table(bag, setting.rounds).ratio:.1f}' for bag in bags)
+
+
+def sums(setting: Setting) -> str:
+    """CPU of allantools as a multiple of that of the sums."""
+    from bench_engine import compared
+
+    return f'{compared(setting.rounds).ratio:.1f}'
+
+
+def read(setting: Setting) -> str:
+    """CPU of AnyReader as a multiple of that of the readers: mcap; sqlite3."""
+    ratios = (offline.reading(setting.folder, n, setting.rounds).ratio for n in offline.STORAGES)
+    return '; '.join(f'{ratio:.0f}' for ratio in ratios)
+
+
+def analysis(setting: Setting) -> str:
+    """CPU of an analysis with files as a multiple of that of importing numpy and scipy."""
+    minute = offline.bag(setting.folder, 'mcap zstd', offline.MINUTE)
+    inputs = [minute]
+    if (SHARED / 'adis16405').is_dir():
+        inputs.append(saved(setting.folder / 'adis.npz', adis16405('imu2')[:ADIS_SAMPLES]))
+    ratios = []
+    for path in inputs:
+        runs = [(analyzed(setting.folder, path), imported()) for _ in range(setting.rounds)]
+        ratios.append(statistics.median(cpu / least for cpu, least in runs))
+    return '; '.join(f'{ratio:.1f}' for ratio in ratios)
+
+
+def slowest(setting: Setting) -> str:
+    """Longest CPU time of an analysis with files of the shared recordings, in s."""
+    if not SHARED.is_dir():
+        return ''
+    costs = {path.name: analyzed(setting.folder, path) for path in recordings(setting.folder)}
+    name = max(costs, key=lambda each: costs[each])
+    return f'{costs[name]:.1f} s ({name})'
+
+
+def nodes(setting: Setting) -> str:
+    """CPU of accumulator and monitor as multiples of an empty subscriber at 200 Hz, 1 and 4 kHz."""
+    if not find_spec('rclpy'):
+        return ''
+    from bench_online import RATES_HZ, costs
+
+    found = [costs(client(), rate) for rate in RATES_HZ]
+    ratios = [[f'{one[i] / one[0]:.2f}' for one in found] for i in (1, 2)]
+    return '; '.join(' '.join(each) for each in ratios)
+
+
+def memory(setting: Setting) -> str:
+    """Memory of the monitor in MB after a minute of data."""
+    if not find_spec('rclpy'):
+        return ''
+    from bench_online import memory_after
+
+    return f'{memory_after(client(), MONITOR_S, MONITOR_HZ):.0f} MB'
+
+
+class Row(NamedTuple):
+    """A row of the table: what is measured, how, and the goal."""
+
+    title: str
+    measure: Callable[[Setting], str]
+    goal: str
+
+
+ROWS = {
+    'table': Row('{messages:g} M mcap; sqlite3 to the table, over the floor', table, '5; 8'),
+    'sums': Row('sums against allantools, same factors', sums, '6.5'),
+    'read': Row('reading against AnyReader: mcap; sqlite3', read, '50; 12'),
+    'analysis': Row(
+        '60 s with files; 42 min ADIS with files, over importing numpy and scipy',
+        analysis,
+        '2; 2.5',
+    ),
+    'slowest': Row('slowest recording of shared data, CPU with files', slowest, '3 s'),
+    'nodes': Row(
+        'accumulator; monitor over an empty subscriber at 200 Hz, 1, 4 kHz',
+        nodes,
+        '.25 .15 .12; .30 .15 .12',
+    ),
+    'memory': Row('monitor at 60 s', memory, '115 MB'),
+}
+
+
+_clients: list[Any] = []
+
+
+def client() -> Any:
+    """Return the one client of the nodes."""
+    from online_nodes import Client
+
+    if not _clients:
+        _clients.append(Client())
+    return _clients[0]
+
+
+def imported() -> float:
+    """Return the CPU time in s of importing numpy and scipy."""
+    return offline.children_cpu([sys.executable, '-c', IMPORTS])
+
+
+def analyzed(folder: Path, path: Path) -> float:
+    """Return the CPU time in s of ``allan analyze`` with files."""
+    out = folder / 'out'
+    shutil.rmtree(out, ignore_errors=True)
+    return offline.children_cpu([*offline.ALLAN, 'analyze', str(path), '-o', str(out)])
+
+
+def saved(path: Path, imu: np.ndarray) -> Path:
+    """Save samples, columns t, gyro, accelerometer, as a recording; an existing one is reused."""
+    if not path.exists():
+        np.savez(path, imu=imu)
+    return path
+
+
+def loader(folder: Path) -> Any:
+    """Return the function ``load`` of the file load.py in a folder."""
+    spec = spec_from_file_location('load', folder / 'load.py')
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.load
+
+
+def adis16405(name: str) -> np.ndarray:
+    """Return t, gyro and accelerometer of a unit of the ADIS16405, (n, 7)."""
+    return np.asarray(loader(SHARED / 'adis16405')(name))
+
+
+def recordings(folder: Path) -> list[Path]:
+    """Return the shared recordings of at least 20 s with data at rest."""
+    found = [saved(folder / f'adis_{n}.npz', adis16405(f'imu{n}')) for n in (1, 2, 4)]
+    load = loader(SHARED / 'static')
+    for path in sorted((SHARED / 'static').glob('*.npz')):
+        t, gyro, accel = load(path.stem)
+        if accel is not None and gyro.shape[1] == 3:
+            found.append(saved(folder / path.name, np.column_stack([t, gyro, accel])))
+    names = ('phidgets_imu_upside_down', 'robot_localization_test1', 'tilt_laser')
+    return [
+        *found,
+        SHARED / 'mpu6050.npz',
+        *(SHARED / 'bags' / f'{name}.bag' for name in names),
+        *sorted((SHARED / 'ulog').glob('*.ulg')),
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('rows', nargs='*', default=list(ROWS), help=', '.join(ROWS))
+    parser.add_argument('--full', action='store_true', help='7.2 M messages instead of 0.72 M')
+    parser.add_argument('--rounds', type=int, default=5, help='how often (default 5)')
+    parser.add_argument('--keep', type=Path, help='folder of the bags (default: a passing one)')
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as passing:
+        messages = offline.LONG if args.full else offline.SHORT
+        setting = Setting(args.keep or Path(passing), args.rounds, messages)
+        print('| same run, ratios | now | goal |\n|---|---|---|', flush=True)
+        for name in args.rows:
+            row = ROWS[name]
+            title = row.title.format(messages=messages / 1e6)
+            print(f'| {title} | {row.measure(setting)} | {row.goal} |', flush=True)
+
+
+if __name__ == '__main__':
+    main()
+    sys.stdout.flush()
+    os._exit(0)  # the receiving threads of a client do not end
