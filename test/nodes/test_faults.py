@@ -134,7 +134,7 @@ def test_a_robot_that_never_rests_is_warned_about_covariances_of_zero(graph, sti
     turn = 0.3 * np.sin(2 * np.pi * 0.3 * np.arange(len(batch)) / 200.0)
     batch.samples[:] += turn[:, None] * [0.2, 0.1, 1.0, 3.0, 2.0, 1.0]
     graph.send(graph.publisher(), batch)
-    graph.until(lambda: 'never_still' in str(graph.status('input').values))
+    graph.until(lambda: (s := graph.status('input')) and 'never_still' in str(s.values))
     status = graph.until(
         lambda: (
             (s := graph.status('relay')) and 'covariances of zero are passed on' in s.message and s

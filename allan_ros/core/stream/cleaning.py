@@ -81,7 +81,7 @@ class StampChoice:
     """Chooses the stamps of a stream: from the header, the record times, or the declared rate."""
 
     def __init__(self, use_record: bool, declared_rate: float) -> None:
-        self.use_record = use_record
+        self.use_record = self._is_record_wanted = use_record
         self._rate = declared_rate
         self._unit = 1  # of the stamps, in ns
         self._unusable = False  # the stamps are in no order
@@ -91,16 +91,16 @@ class StampChoice:
     def learn(self, first: ImuBatch) -> list[Finding]:
         """Choose the stamps from the first samples, and return the findings about the choice."""
         stamps = first.stamps_ns
+        self.use_record = self._is_record_wanted
         if self.use_record:
             return []
+        self._unit, self._unusable = 1, False
         equal = 'all equal' if len(stamps) < 2 or stamps.min() == stamps.max() else 'mostly equal'
         what = equal if stamps.any() else 'all zero'
         if len(stamps) < 2 or has_time(np.sort(stamps)):
-            ordered = StampSorter.all_sorted(ImuBatch(stamps, first.samples)).stamps_ns
-            backward = np.diff(ordered) < 0
-            if np.count_nonzero(backward) <= DISORDERED_SHARE * len(stamps):
+            if are_ordered(first):
                 unit = unit_of_stamps(stamps)
-                self._unit = STAMP_UNITS[unit]
+                self._unit, self._computed = STAMP_UNITS[unit], None
                 return [finding('stamps_unit', unit=unit)] if unit != 'ns' else []
             what, self._unusable = 'in no order', True
         if first.record_ns is not None:
@@ -180,6 +180,21 @@ class StampSorter:
         out = self._pending.part(slice(number))
         self._pending = self._pending.part(slice(number, None)).copy()
         return out
+
+
+def are_ordered(samples: ImuBatch) -> bool:
+    """Return whether stamps advance, and few are earlier than the one before after sorting.
+
+    >>> import numpy as np
+    >>> stamps = np.arange(100) * 10**7
+    >>> [are_ordered(ImuBatch(t, np.zeros((100, 6)))) for t in (stamps, stamps[::-1], 0 * stamps)]
+    [True, False, False]
+    """
+    stamps = samples.stamps_ns
+    if len(stamps) > 1 and not has_time(np.sort(stamps)):
+        return False
+    backward = np.diff(StampSorter.all_sorted(ImuBatch(stamps, samples.samples)).stamps_ns) < 0
+    return bool(np.count_nonzero(backward) <= DISORDERED_SHARE * len(stamps))
 
 
 class CoveredTime:

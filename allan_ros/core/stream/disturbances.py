@@ -39,6 +39,10 @@ LEVEL_SIGMAS = 5.0
 TURNED = 0.035
 """Angle in rad (2 degrees) by which an IMU does not turn during a shock."""
 
+CHANGED_DIRECTION, NO_ROTATION = np.radians(30.0), np.radians(6.0)
+"""Smallest angle by which gravity turns, and largest angle by which the gyro turns meanwhile, if
+the axes of the sensors have changed."""
+
 REPLACED_SHARE = 0.5
 """Largest ratio of replaced samples to samples at rest in a segment."""
 
@@ -157,6 +161,19 @@ class Motion:
         limit += np.where(floor.variance < 0.25 * floor.lsb**2, floor.lsb, 0.0)
         change = after - self.before.mean(axis=0)
         return np.asarray(np.where(np.abs(change) > limit, change, 0.0))
+
+    def axes_changed(self, floor: NoiseFloor, period_s: float) -> bool:
+        """Return whether gravity changed its direction although the gyro measured no rotation."""
+        counts = len(self.before), min(self.quiet, len(self._after))
+        gyro = floor.gyro
+        if min(counts) < LEAST_LEVEL or np.count_nonzero(gyro) < 3 or np.count_nonzero(~gyro) < 3:
+            return False
+        before = self.before.mean(axis=0)
+        after = np.array(list(self._after)[-counts[1] :]).mean(axis=0)
+        turned = np.linalg.norm((self._total - self._samples * before)[gyro]) * period_s
+        norms = np.linalg.norm(before[~gyro]) * np.linalg.norm(after[~gyro])
+        cosine = before[~gyro] @ after[~gyro] / norms if norms else 1.0
+        return bool(turned < NO_ROTATION and cosine < np.cos(CHANGED_DIRECTION))
 
     def replaced(self, held: list[ImuBatch], floor: NoiseFloor, period_s: float) -> list[ImuBatch]:
         """Return the windows with the samples of the shock replaced; empty if it is no shock.

@@ -286,6 +286,7 @@ def events(health: StreamHealth) -> Counter[str]:
     return Counter(
         clock_jumps=c.splits['clock jump'],
         frame_changed=health.frame_changes,
+        axes_changed=c.splits['axes changed'],
         rate_changed=c.splits['rate change'],
         stuck=c.stuck,
         not_finite=c.not_finite,
@@ -458,9 +459,26 @@ def unit_findings(sums: AllanSums) -> list[Finding]:
                 unit = probable_gyro_unit(n)
                 found.append(finding('gyro_unit', axes, n=n, rate=rate, unit=unit))
         elif len(own) == place.stop - place.start:
-            norm = float(np.linalg.norm(mean[own]))
+            norm = _norm_at_rest(sums, own)
             found += gravity_findings(norm, axes)
     return found
+
+
+def _norm_at_rest(sums: AllanSums, axes: list[int]) -> float:
+    """Return the mean magnitude of the means of some axes, of which each is over one rest.
+
+    The direction of gravity may differ between two rests.
+    """
+    weights, norms = [], []
+    for one in sums.recordings:
+        for means in one.means:
+            value = means.values[:, axes].mean(axis=0) + one.reference[axes]
+            weights.append(float(means.samples))
+            norms.append(float(np.linalg.norm(value)))
+        if not one.means:
+            weights.append(float(one.samples))
+            norms.append(float(np.linalg.norm(one.mean[axes])))
+    return float(np.average(norms, weights=weights))
 
 
 def gravity_unit(norm: float) -> str:

@@ -16,9 +16,9 @@ import numpy as np
 
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
-from ..imu import AXES, LARGEST, SENSORS, Floats, ImuBatch, ImuIdentity, Stamps, joined
+from ..imu import AXES, LARGEST, Floats, ImuBatch, ImuIdentity, Stamps, joined
 from ..settings import SegmenterSettings
-from .cleaning import CoveredTime, StampChoice, StampSorter
+from .cleaning import CoveredTime, StampChoice, StampSorter, are_ordered
 from .drive_recorder import NO_DRIVES, Drives
 from .health import Accumulation, Counts, Means, State, StreamHealth, stream_findings
 from .noise_floor import idle_share
@@ -28,11 +28,14 @@ from .sensors import plan_sensors
 from .timing import LEARN, learned_from
 
 CHECKED = LEARN // 8
-"""Number of samples that are examined at once to find that all samples of a sensor are measured
-again, after some were zero or repeated."""
+"""Number of samples that are examined at once to find that a fault of the first samples has
+ended."""
 
 IDLE = ('sensor_all_zero', 'zero_filled', 'held')
-"""Findings of a sensor whose samples are zero or repeated."""
+ABSENT = ('sensor_absent', 'axis_absent')
+UNTIMED = ('stamps_missing', 'stamps_unusable', 'stamps_from_rate')
+"""Findings about the first samples: samples of a sensor are zero or repeated, values are no
+numbers, and the stamps are not used. When this ends, the stream begins anew."""
 
 STILL_IDLE = 0.05
 """Smallest share of zero or repeated samples that shows that these continue."""
@@ -225,6 +228,8 @@ class ImuStream:
         notes = [note for frame in self._frames.values() for note in frame.notes]
         if repeated := sum(frame.repeated for frame in self._frames.values()):
             notes.append(finding('time_repeated', count=repeated))
+        mixed = [sensor for sensor in frame.sensors if sensor.is_interleaved]
+        notes += [finding('interleaved', sensor.axes) for sensor in mixed]
         if clock is not None:  # the stamps became usable later
             notes = [note for note in notes if note.id != 'stamps_missing']
         # the share of the first samples is known earlier, that of all samples is better
@@ -239,8 +244,8 @@ class FrameStream:
 
     ``sensors`` has one stream for all axes, or one per sensor if the rates differ. It is empty
     until the first samples are evaluated. ``notes`` are the findings about these first samples. If
-    samples of a sensor were zero or repeated, each `CHECKED` samples are examined before they are
-    processed: when the fault ends, other streams begin, and the streams before are ``earlier``.
+    they have a fault, each `CHECKED` samples are examined before they are processed: when the fault
+    ends, other streams begin, and the streams before are ``earlier``.
     """
 
     def __init__(
@@ -257,7 +262,7 @@ class FrameStream:
         self.sensors: tuple[SensorStream, ...] = ()
         self.earlier: tuple[SensorStream, ...] = ()
         self._dropped = Counts()  # of streams before these
-        self._has_idle = False  # whether samples of a sensor were zero or repeated
+        self._faulty: tuple[Finding, ...] = ()  # faults of the first samples, which may end
         self.notes: list[Finding] = []
         self.first_ns: int | None = None
         self.received = 0
@@ -265,8 +270,7 @@ class FrameStream:
         self._settings = settings
         self._sensor = sensor  # the only one that is used; '' for both
         self._sorter = StampSorter()
-        self._learning: list[ImuBatch] = []
-        self._learned = 0
+        self._buffer: list[ImuBatch] = []  # samples that are not evaluated yet
         self._skip_ns = round(settings.skip * 1e9)  # 0 once the warm-up time is over
         self._skipped = 0  # number of samples during this time
         self._covered = None if covered is None else CoveredTime(covered)
@@ -276,8 +280,13 @@ class FrameStream:
         """State of the first sensor stream, or 'noise_increased' if any stream is in this state."""
         states = [sensor.state for sensor in self.sensors]
         if not states:
-            return 'learning' if self._learned else 'waiting'
+            return 'learning' if self._buffered else 'waiting'
         return 'noise_increased' if 'noise_increased' in states else states[0]
+
+    @property
+    def _buffered(self) -> int:
+        """Number of samples that are not evaluated yet."""
+        return sum(map(len, self._buffer))
 
     @property
     def present(self) -> Present:
@@ -306,52 +315,75 @@ class FrameStream:
     def update(self, batch: ImuBatch) -> None:
         """Process the next samples with this frame_id."""
         self.received += len(batch)
-        while (self._has_idle or not self.sensors) and len(batch):
-            # exactly this number of samples is evaluated, so that batch sizes do not matter
-            stamps = [each.stamps_ns for each in (*self._learning, batch[:LEARN])]
-            number = CHECKED if self.sensors else learned_from(np.concatenate(stamps))
-            take = min((number or LEARN) - self._learned, len(batch))
-            self._learning.append(batch[np.arange(take)])  # a copy
-            self._learned += take
-            if self._learned == number:
-                self._learn()
-            batch = batch[take:]
+        while len(batch) and (self._faulty or not self.sensors):
+            batch = self._watch(batch) if self.sensors else self._learn_from(batch)
         self._feed(self._sorter.feed(self.stamps.of(batch)))
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
-        if self._learned:
-            self._learn(at_end=True)
+        if self.sensors:
+            self._take_buffered()
+        elif self._buffered:
+            self._learn()
         self._feed(self._sorter.flush())
         for sensor in self.sensors:
             sensor.flush()
 
-    def _learn(self, at_end: bool = False) -> None:
+    def _learn_from(self, batch: ImuBatch) -> ImuBatch:
+        """Buffer samples and learn from exactly as many as are needed; return the others."""
+        stamps = [each.stamps_ns for each in (*self._buffer, batch[:LEARN])]
+        number = learned_from(np.concatenate(stamps))
+        take = min((number or LEARN) - self._buffered, len(batch))
+        self._buffer.append(batch[np.arange(take)])  # a copy
+        if self._buffered == number:
+            self._learn()
+        return batch[take:]
+
+    def _learn(self) -> None:
         """Choose the stamps and the sensor streams from the buffered samples; process these."""
-        first, self._learning, self._learned = joined(self._learning), [], 0
-        if self.sensors and (at_end or self._is_idle(first)):
-            self._feed(self._sorter.feed(self.stamps.of(first)))
-            return
-        if self.sensors:
-            self._start_again(first)
-            return
+        first, self._buffer = joined(self._buffer), []
         notes = self.stamps.learn(first)
         samples = self.stamps.of(first)
         plans, findings = plan_sensors(StampSorter.all_sorted(samples), self._sensor)
         self.notes += [note for note in (*notes, *findings) if note not in self.notes]
         self._sorter = StampSorter(samples.stamps_ns)
         self.sensors = tuple(SensorStream(plan, self.identity, *self._options) for plan in plans)
-        self._has_idle = any(each.id in IDLE for each in findings)
+        ended = (*IDLE, *ABSENT, *UNTIMED)
+        self._faulty = tuple(note for note in self.notes if note.id in ended)
         self._feed(self._sorter.feed(samples))
 
-    def _is_idle(self, samples: ImuBatch) -> bool:
-        """Return whether samples of a sensor are still zero or repeated."""
-        wanted = [place for each, place in SENSORS.items() if self._sensor in ('', each)]
-        for rows in (samples.rows[place] for place in wanted):
-            usable = rows[:, (np.abs(rows) <= LARGEST).all(axis=0)]
-            if usable.size and idle_share(usable, usable.shape[1])[0] >= STILL_IDLE:
-                return True
-        return False
+    def _watch(self, batch: ImuBatch) -> ImuBatch:
+        """Process samples, `CHECKED` at once, until a fault of the first ones has ended.
+
+        Returns the samples after that.
+        """
+        have, self._buffer = joined([*self._buffer, batch], copy=True), []
+        for at in range(0, len(have) - CHECKED + 1, CHECKED):
+            group = have.part(slice(at, at + CHECKED))
+            if any(self._has_ended(note, group) for note in self._faulty):
+                self._feed(self._sorter.feed(self.stamps.of(have.part(slice(at)))))
+                self._start_again(group)
+                return have.part(slice(at + CHECKED, None))
+        rest = len(have) // CHECKED * CHECKED
+        self._feed(self._sorter.feed(self.stamps.of(have.part(slice(rest)))))
+        self._buffer = [have.part(slice(rest, None)).copy()]
+        return batch[:0]
+
+    def _has_ended(self, note: Finding, samples: ImuBatch) -> bool:
+        """Return whether a fault of the first samples is no longer found in these."""
+        if note.id in UNTIMED:
+            return are_ordered(samples)
+        rows = samples.rows[[AXES.index(axis) for axis in note.axes]]
+        finite = np.abs(rows) <= LARGEST
+        if note.id in ABSENT:
+            return bool(finite.any(axis=0).mean() > 0.5)
+        usable = rows[:, finite.all(axis=0)]
+        return bool(usable.size and idle_share(usable, usable.shape[1])[0] < STILL_IDLE)
+
+    def _take_buffered(self) -> None:
+        for samples in self._buffer:
+            self._feed(self._sorter.feed(self.stamps.of(samples)))
+        self._buffer = []
 
     def _start_again(self, samples: ImuBatch) -> None:
         """Evaluate the next samples like the first ones; the streams so far have ended."""
@@ -362,8 +394,8 @@ class FrameStream:
             self._dropped.add(sensor.counts)
         self._dropped.reordered += self._sorter.sorted
         self.earlier, self.sensors = self.sensors, ()
-        self.notes = [note for note in self.notes if note.id not in IDLE]
-        self._learning, self._learned = [samples], len(samples)
+        self.notes = [note for note in self.notes if note not in self._faulty]
+        self._faulty, self._buffer = (), [samples]
 
     def _feed(self, samples: ImuBatch) -> None:
         if self._covered is not None:

@@ -143,6 +143,8 @@ class RestFilter:
         """Add the motion that just ended, if any, to the list of events."""
         motion, self.motion = self.motion, None
         if motion is not None:
+            if motion.axes_changed(self.floor, self._period_s):
+                self._splits['axes changed'] += 1
             changes = zip(self._axes, motion.change(self.floor).tolist())
             seconds = (motion.ended_ns - motion.began_ns) * 1e-9 + self._period_s
             changed = {axis: change for axis, change in changes if abs(change) > 0.0}

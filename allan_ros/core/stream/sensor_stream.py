@@ -17,6 +17,7 @@ from .drive_recorder import DriveRecorder
 from .health import (
     LISTED_EVENTS,
     LISTED_SEGMENTS,
+    RATE_CHANGE,
     Counts,
     Event,
     Longest,
@@ -27,7 +28,11 @@ from .health import (
 from .motion import MotionGate
 from .noise_levels import NoiseLevel, NoiseLevels, StreamSums
 from .sensors import SensorPlan
-from .timing import SampleClock
+from .timing import SampleClock, has_time
+
+LARGE_RATE_CHANGE = 0.1
+"""Relative difference of the mean step of the first stamps from the former period above which the
+rate has changed. A smaller difference may be due to bursts, until the new period is learned."""
 
 
 class SensorStream:
@@ -57,6 +62,7 @@ class SensorStream:
         self._settings = settings
         self._counts = Counts()  # without those of the present levels
         self._lost, self._lost_s = 0, 0.0  # at earlier rates
+        self._former_ns = 0.0  # sample period before a change of the rate, until this is confirmed
         self._filter = SampleFilter(plan, self._counts)
         self._start_level = partial(NoiseLevel, identity, plan.axes, with_samples)
         self._start()
@@ -119,7 +125,7 @@ class SensorStream:
         """Return the sums at the present sample rate and at the earlier one with the most data."""
         sums, segments = self._levels.published.result
         former = [] if self._former is None else [self._former]
-        if not sums.samples:
+        if not sums.samples or (former and self.is_interleaved):
             return former
         if former:
             with suppress(AllanError):  # another rate
@@ -131,6 +137,11 @@ class SensorStream:
         return [*former, StreamSums(sums, segments)]
 
     @property
+    def is_interleaved(self) -> bool:
+        """Whether the samples at the present rate come from two IMUs."""
+        return self.clock.is_interleaved
+
+    @property
     def means(self) -> Means:
         """The latest one-second means of static data."""
         return self._means.means
@@ -140,6 +151,8 @@ class SensorStream:
         self._pass_on(self.clock.feed(self._filter.feed(samples)))
         while self.clock.rate_changed:
             self._pass_on(self._change_rate())
+        if self._former_ns and self.clock.clock is not None:
+            self._compare_rate(self.clock.clock.period_ns, RATE_CHANGE)
 
     def flush(self) -> None:
         """Process all buffered samples at the end of the input, and close the segment."""
@@ -150,15 +163,29 @@ class SensorStream:
 
     def _change_rate(self) -> list[ImuBatch]:
         """Store the sums at the previous rate; return the blocks of the samples at the new one."""
+        assert self.clock.clock is not None
         self._end_segment()
-        self._counts.splits['rate change'] += 1
+        self._former_ns = self._former_ns or self.clock.clock.period_ns
         known = self.by_rate()
         self._former = max(known, key=lambda each: each.sums.elapsed_ns) if known else None
         self._counts.add(self._levels.counts)
         self._lost, self._lost_s = self.lost, self.lost_s
         pending = self.clock.pending
         self._start()
+        if has_time(pending.stamps_ns):
+            mean_ns = float(pending.stamps_ns[-1] - pending.stamps_ns[0]) / (len(pending) - 1)
+            self._compare_rate(mean_ns, LARGE_RATE_CHANGE, is_known=False)
         return self.clock.feed(pending)
+
+    def _compare_rate(self, period_ns: float, least: float, is_known: bool = True) -> None:
+        """Count a change of the rate, or of other properties of the stamps if the rate is known."""
+        if abs(period_ns / self._former_ns - 1.0) > least:
+            self._counts.splits['rate change'] += 1
+        elif is_known:
+            self._counts.splits['stamps'] += 1
+        else:
+            return
+        self._former_ns = 0.0
 
     def _pass_on(self, blocks: list[ImuBatch], at_end: bool = False) -> None:
         """Pass evenly spaced blocks through the stages to the sums."""

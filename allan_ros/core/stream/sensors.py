@@ -200,10 +200,6 @@ def plan_sensors(first: ImuBatch, only: str = '') -> tuple[list[SensorPlan], lis
     findings: list[Finding] = []
     used = [sensor for sensor in SENSORS if only in ('', sensor)]
     plans = [p for sensor in used if (p := _plan_sensor(sensor, rows, repeats, findings))]
-    kept = [AXES.index(axis) for plan in plans if not plan.drop for axis in plan.axes]
-    possible = (np.abs(rows[kept]) <= LARGEST).all(axis=0)
-    if kept and are_interleaved(rows[kept][:, possible]):
-        findings.append(finding('interleaved', tuple(AXES[i] for i in kept)))
     random = [plan for plan in plans if plan.random_repeats]
     if random:
         flags = np.array([_all_repeat(plan, repeats) for plan in random])

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from ..imu import Flags, Floats, ImuBatch, Stamps, joined
 from ..settings import SegmenterSettings
 from .health import RATE_CHANGE, Counts
+from .sensors import are_interleaved
 
 Ints = NDArray[np.int64]
 
@@ -270,6 +271,7 @@ class SampleClock:
     ) -> None:
         self.clock: Clock | None = None
         self.learned_ns = 0.0  # the period that was learned
+        self.is_interleaved = False  # whether the first samples come from two IMUs
         self._learned = LEARN  # number of samples from which it was learned
         self.rate_changed = False
         self._settings = settings
@@ -317,6 +319,11 @@ class SampleClock:
             self._past = equal
             self._release()
         else:
+            first_rows = self._samples.rows[:, :number]
+            self.is_interleaved = not self._polled and are_interleaved(first_rows)
+            if self.is_interleaved:  # these are no bursts: the end is found sooner
+                period_ns = self.clock.period_ns
+                self.clock = replace(self.clock, step_ns=period_ns, bursty=False, jitter=True)
             self.learned_ns, self._reach = self.clock.period_ns, self.clock.look_ahead
 
     def _process_ready(self, look_ahead: int) -> list[ImuBatch]:
@@ -410,7 +417,9 @@ class SampleClock:
         if not changed[last]:
             return number
         here = step[begins[last] : begins[last] + CLOCK_BLOCK]
-        unusual = (here > long) | (RATE_CHANGE_STEP * here < clock.step_ns)
+        unusual = here > long
+        if not self.is_interleaved:  # else some steps are always short
+            unusual |= RATE_CHANGE_STEP * here < clock.step_ns
         return int(begins[last]) + int(np.argmax(unusual))
 
     def _count_lost(self, steps: Ints, clock: Clock) -> int:

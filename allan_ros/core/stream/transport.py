@@ -254,6 +254,7 @@ class TransportMonitor:
         self._samples = c.received
         counts.update(events(health))
         counts.update(missing=c.lost, dropped=c.not_finite + c.backward)
+        counts.update(spikes=c.spikes, used=c.used)
         before = self._history[-1][1] if self._history else Counter()
         self._count_unexplained(_more(counts, before), progress)
         counts.update(samples_missing=self._absent)
@@ -316,6 +317,9 @@ class TransportMonitor:
             found.insert(0, finding('stamps_leapt', seconds=more['stamps_leapt']))
         if times := more['interrupted']:
             found.append(finding('interrupted', times=times, seconds=more['silent_s']))
+        if (spikes := more['spikes']) > 0:
+            share = spikes / max(more['used'], 1)
+            found.append(finding('spikes', count=spikes, share=share, when=LATELY))
         received, lost, absent = more['received'], more['messages_lost'], more['samples_missing']
         if lost and lost >= REPORTED_LOST_SHARE * (received + lost):
             found.append(finding('messages_lost', lost=lost, share=lost / (received + lost)))

@@ -25,6 +25,15 @@ import bench_faults as bench  # noqa: E402
         ('every_second_zero', True, 30),
         ('held', True, 30),
         ('stamps_zero', True, 30),
+        ('stamps_zero', False, 30),
+        ('stamps_reversed', True, 30),
+        ('nan', True, 30),
+        ('bursts', False, 30),
+        ('spikes', False, 30),
+        ('second_imu', False, 120),
+        ('flipped', False, 30),
+        ('permuted', False, None),
+        ('half_rate', False, 30),
         ('every_second_zero', False, 30),
         ('held', False, 120),
         ('unit_g', True, 30),
@@ -73,7 +82,7 @@ def test_sums_of_before_continue_when_a_fan_is_switched_off_after_a_long_time():
     assert_same(after, accumulate(times, x, chunks=(37,)))
 
 
-@pytest.mark.parametrize('fault', ['dead_sensor', 'held', 'every_second_zero'])
+@pytest.mark.parametrize('fault', ['dead_sensor', 'held', 'every_second_zero', 'nan'])
 @pytest.mark.parametrize('end', [0.01, 20.0, 20.49, 29.5])
 def test_streams_that_begin_after_a_fault_do_not_depend_on_the_chunks(fault, end):
     times, x = stream_with(fault, 50, 0, end, seed=6)
@@ -86,7 +95,17 @@ def test_streams_that_begin_after_a_fault_do_not_depend_on_the_chunks(fault, end
 
 @pytest.mark.parametrize(
     'fault',
-    ['held', 'unit_g', 'unit_deg', 'every_second_zero', 'driving', 'fan', '15_percent', 'lost'],
+    [
+        'held',
+        'unit_g',
+        'unit_deg',
+        'every_second_zero',
+        'driving',
+        'fan',
+        '15_percent',
+        'lost',
+        'bursts',
+    ],
 )
 def test_faults_do_not_depend_on_the_chunks(fault):
     times, x = stream_with(fault, 110, 40.3, 80.7, seed=5)
