@@ -19,7 +19,9 @@ from ..readers.files import PATH
 from ..readers.recorded import Observer, ReadJob, Silent
 from ..results.common_noise import CommonResult as PlainCommonResult
 from ..results.common_noise import common_of
-from ..results.comparison import REST, RUNNING, Inflation, RunComparison, compare_runs
+from ..results.comparison import REST, RUNNING, compare_runs
+from ..results.comparison import Inflation as PlainInflation
+from ..results.comparison import RunComparison as PlainRunComparison
 from ..results.datasheets import load_sensor
 from ..results.documents import labels_of
 from ..results.from_truth import is_truth
@@ -33,7 +35,7 @@ class CommonResult(PlainCommonResult):
     __doc__ = PlainCommonResult.__doc__
 
     def __repr__(self) -> str:
-        from ..view.common_table import common_lines
+        from ..view.comparison_lines import common_lines
 
         return '\n'.join(common_lines(self))
 
@@ -42,6 +44,24 @@ class CommonResult(PlainCommonResult):
         from ..view.plots import common_figure
 
         return common_figure(self)
+
+
+class RunComparison(PlainRunComparison):
+    __doc__ = PlainRunComparison.__doc__
+
+    def __repr__(self) -> str:
+        from ..view.comparison_text import sentences
+
+        return '\n'.join(sentences(self))
+
+
+class Inflation(PlainInflation):
+    __doc__ = PlainInflation.__doc__
+
+    def __repr__(self) -> str:
+        from ..view.comparison_lines import inflation_lines
+
+        return '\n'.join(inflation_lines(self))
 
 
 @public
@@ -110,7 +130,7 @@ def compare(
     if len(sources) + len(sheets) < 2 or not sources:
         raise AllanError('nothing to compare: give two recordings, or one and a datasheet')
     runs = (results_of(source, method, observer) for source in sources)
-    return compare_runs(dict(zip(names, runs)), sheets, margin, within)
+    return RunComparison(**vars(compare_runs(dict(zip(names, runs)), sheets, margin, within)))
 
 
 @public

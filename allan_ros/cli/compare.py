@@ -24,7 +24,7 @@ from ..api import comparison as api
 from ..api.analysis import is_document
 from ..core.errors import AllanError
 from ..results.comparison import comparison_document, inflation_document
-from ..view.common_table import common_lines
+from ..view.comparison_lines import common_lines, inflation_lines
 from ..view.settings import ResultSettings
 from .console import Console, width
 from .options import Command, Option, Settings, percent, seconds
@@ -81,7 +81,7 @@ def _common(args: argparse.Namespace, console: Console) -> int:
                 f'{text}: --common needs the samples: give recordings, not results or datasheets'
             )
     common = api.common(*args.inputs, topic=args.topic, accel_topic=args.accel_topic)
-    text = '\n'.join(common_lines(common, args.units))
+    text = '\n'.join(common_lines(common, args.units, width()))
     _show(console, text, common.document())
     return 0
 
@@ -90,7 +90,7 @@ def inflate(args: argparse.Namespace) -> int:
     """Print how much running motors increase the noise; return the exit code."""
     console = Console.of(args)
     inflation = api.inflate(args.rest, args.running, horizon=args.horizon, observer=console)
-    _show(console, str(inflation), inflation_document(inflation))
+    _show(console, '\n'.join(inflation_lines(inflation, width())), inflation_document(inflation))
     return 0
 
 

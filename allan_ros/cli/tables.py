@@ -13,14 +13,14 @@ from ..core.errors import AllanError
 from ..core.estimate import NOTHING_KNOWN
 from ..core.imu import AXES, SENSORS, ShownUnit, sensor_of, shown_unit
 from ..core.number_text import LIMIT_DIGITS, significant
-from ..export import RAISED
 from ..results.measured import against_measured, measured_check_text
 from ..results.results import Level, Results
 from ..view.coefficient_table import coefficient_cell, coefficient_table
 from ..view.comparison_table import runs_table
+from ..view.comparison_text import sentences
 from ..view.finding_text import texts_of
 from ..view.format import deviation_text, temperature_text
-from ..view.model_table import filter_table, has_raised_numbers
+from ..view.model_table import filter_table
 from ..view.table import Cell, Heading, Table, terminal_lines
 from ..view.verdict_text import (
     WORDS,
@@ -182,8 +182,6 @@ def _filter_lines(results: Results, columns: int) -> Iterator[str]:
         return
     yield from ('', 'numbers for a filter (imu.yaml): SI, noisiest axis')
     yield from terminal_lines(table, columns)
-    if has_raised_numbers(results):
-        yield from wrapped(RAISED, columns)
 
 
 def _legend(results: Results) -> str:
@@ -213,7 +211,7 @@ def _deviation(results: Results, axis: str) -> str:
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
     """Yield the lines of a comparison: sentences, a table per sensor, and limits of datasheets."""
-    for sentence in str(comparison).splitlines():
+    for sentence in sentences(comparison):
         yield from wrapped(sentence, columns, '  ')
     for where in SENSORS.values():
         axes = [a for a in AXES[where] if any(a in r.axes for r in comparison.runs.values())]

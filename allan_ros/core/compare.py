@@ -335,15 +335,16 @@ def _term_difference(
     a, b = _known(first), _known(second)
     before = _limit(first) if a is None else a[0]
     unknown = Check(axis, term, reference, second, upper=before)
+    power = 1.0 if term == 'R' else 2.0  # the ramp is a regressor, the others are variances
     if a is not None and b is not None:
         ratio, ci95, p = _ratio_of_estimates(a, b)
         return replace(unknown, ratio=Estimate(ratio, ci95), p=p)
     if a is not None and (limit := _limit(second)) is not None:
         ratio_below = replace(UNKNOWN, recording_ci95=(0.0, limit / a[1]))
-        return replace(unknown, ratio=ratio_below, p=_p_value_of_limit(a, limit))
+        return replace(unknown, ratio=ratio_below, p=_p_value_of_limit(a, limit, power))
     if b is not None and (limit := _limit(first)) is not None:
         ratio_above = replace(UNKNOWN, recording_ci95=(b[1] / limit, math.inf))
-        return replace(unknown, ratio=ratio_above, p=_p_value_of_limit(b, limit))
+        return replace(unknown, ratio=ratio_above, p=_p_value_of_limit(b, limit, power))
     return unknown
 
 
@@ -390,23 +391,25 @@ def _width(upper: float, lower: float, x: Known) -> float:
     return max(math.log(upper) - math.log(lower), (math.log(x[2]) - math.log(x[1])) / 2.0)
 
 
-def _p_value_of_limit(a: Known, limit: float) -> float:
+def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
     """Return the p value of equality if one recording has an estimate and the other only a limit.
 
     It follows from the confidence at which the lower limit of the estimate equals the upper limit.
+    The coefficient to the ``power`` (2 for a variance) has normal errors.
     """
     # At the normal quantile z, the lower limit of the estimate is value exp(-s z), where s is the
-    # standard error of its logarithm. The upper limit is limit sqrt(z / 1.96): the variance has
-    # normal errors, and its estimate is assumed to be 0, which is the worst case. At the z where
-    # both are equal, each limit is wrong with probability Phi(-z). The result is 4 Phi(-z), because
-    # either recording could have the estimate.
+    # standard error of its logarithm. The upper limit is limit (z / 1.96)^(1 / power): the estimate
+    # is assumed to be 0, which is the worst case. At the z where both are equal, each limit is
+    # wrong with probability Phi(-z). The result is 4 Phi(-z), because either recording could have
+    # the estimate.
     from scipy import special
 
     value, low, _ = a
-    scale = max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
-    # 2 s z exp(2 s z) = 2 s 1.96 (value / limit)^2, solved by the Lambert W function in logarithms
-    right = math.log(2.0 * scale * Z_95) + 2.0 * (math.log(value) - math.log(limit))
-    z = float(special.wrightomega(right)) / (2.0 * scale)
+    scale = power * max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
+    # with the power p, p s z exp(p s z) = p s 1.96 (value / limit)^p, solved by the Lambert W
+    # function in logarithms
+    right = math.log(scale * Z_95) + power * (math.log(value) - math.log(limit))
+    z = float(special.wrightomega(right)) / scale
     # At a lower confidence than 95 %, the limit is unknown.
     return min(4.0 * float(special.ndtr(-z)), 1.0) if z >= Z_95 else 1.0
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from ..core.estimate import Estimate, interval_text, known_numbers, value_text
 from ..core.fit.result import TERMS
@@ -51,6 +52,22 @@ def coefficient_table(
         heading = Heading(term, unit.name, term_name(sensor, term))
         rows.append((heading, [coefficient_cell(one, unit) for one in known]))
     return Table(Heading(sensor), axis_headings(axes), rows)
+
+
+def axis_table(axes: Coefficients, units: str, terms: Sequence[str] = TERMS) -> Table:
+    """Return the coefficients of all axes with their units: a row for each axis.
+
+    The arguments are the same as in `coefficient_table`.
+    """
+    rows = []
+    for axis, noise in axes.items():
+        cells = []
+        for term in terms:
+            unit = shown_unit(axis, term, units)
+            cell = coefficient_cell(noise[term], unit)
+            cells.append(replace(cell, text=f'{cell.text} {unit.name}', detail=''))
+        rows.append((Heading(axis), cells))
+    return Table(Heading(''), [Heading(term) for term in terms], rows)
 
 
 def axis_headings(axes: Mapping[str, object]) -> list[Heading]:

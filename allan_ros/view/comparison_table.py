@@ -1,22 +1,21 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons as tables: with limits, with an earlier run, and of several recordings."""
+"""Comparisons as tables: with limits, with an earlier run, of several recordings or IMUs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
+from ..core.allan.common_noise import CommonNoise
 from ..core.compare import Check
 from ..core.estimate import NOTHING_KNOWN, UNKNOWN, Estimate
 from ..core.fit.result import TERMS
-from ..core.imu import sensor_of, shown_unit
-from ..core.number_text import prefixed
-from ..results.comparison import (
-    RunComparison,
-    ratio_text,
-    significant_of,
-    verdict_text,
-)
+from ..core.imu import SI_UNITS, sensor_of, shown_unit
+from ..core.number_text import prefixed, significant
+from ..results.common_noise import CommonResult
+from ..results.comparison import Inflation, RunComparison, significant_of, use_of
 from ..results.results import Results
 from .coefficient_table import (
     Coefficients,
@@ -25,6 +24,7 @@ from .coefficient_table import (
     largest,
     term_name,
 )
+from .comparison_text import ratio_text, verdict_text
 from .format import NO_BREAK, pretty_unit
 from .table import Cell, Heading, Table
 
@@ -138,3 +138,93 @@ def stated_limits(texts: Mapping[str, Sequence[str]]) -> dict[str, str]:
         term: ' / '.join(dict.fromkeys(pretty_unit(text) for text in each)).replace(' ', NO_BREAK)
         for term, each in texts.items()
     }
+
+
+SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
+"""Averaging times in s at which a ratio or a coherence is shown."""
+
+NEAR = 1.5
+"""Largest ratio of an averaging time to the one that is shown for it."""
+
+
+def inflation_table(inflation: Inflation) -> Table:
+    """Return N and K for a filter of a robot with motors on, in SI: a row for each axis.
+
+    Columns beside them have their ratios to N and K with motors off.
+    """
+    rows = []
+    for axis, terms in inflation.axes.items():
+        units, cells = SI_UNITS[sensor_of(axis)], []
+        for term, check in terms.items():
+            value = use_of(check)
+            cells.append(Cell(f'{significant(value, 4)} {units[term]}', value=value))
+            cells.append(Cell(f'{check.factor:.2f}', value=check.factor))
+        rows.append((Heading(axis), cells))
+    headings = [Heading(name) for term in 'NK' for name in (f'{term} to use', 'factor')]
+    return Table(Heading(''), headings, rows)
+
+
+def deviation_ratio_table(inflation: Inflation) -> Table:
+    """Return the ratios of Allan deviations with motors on and off: a row for each axis."""
+    ratios = {axis: inflation.ratios(axis) for axis in inflation.axes}
+    cells = {
+        tau: [_ratio_cell(_nearest(checks, tau)) for checks in ratios.values()]
+        for tau in SHOWN_TAU_S
+    }
+    shown = [tau for tau, column in cells.items() if any(cell.text for cell in column)]
+    rows = [(Heading(axis), [cells[tau][i] for tau in shown]) for i, axis in enumerate(ratios)]
+    return Table(Heading(''), [Heading(f'{tau:g} s') for tau in shown], rows)
+
+
+def _nearest(checks: Sequence[Check], tau: float) -> Check | None:
+    """Return the ratio whose averaging time is closest to ``tau``; None if none is near."""
+    near = [c for c in checks if c.tau is not None and tau / NEAR < c.tau < NEAR * tau]
+    return min(near, key=lambda c: abs((c.tau or 0.0) - tau), default=None)
+
+
+def _ratio_cell(check: Check | None) -> Cell:
+    if check is None or check.ratio.value is None or check.ratio.ci95 is None:
+        return Cell()
+    return _share_cell(check.ratio.value, *check.ratio.ci95)
+
+
+def _share_cell(value: float, low: float, high: float) -> Cell:
+    # 0.0 is added to write -0.00 as 0.00
+    value, low, high = (round(number, 2) + 0.0 for number in (value, low, high))
+    return Cell(f'{value:.2f}', f'{low:.2f}..{high:.2f}', value)
+
+
+def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
+    """Return N as measured, N without common noise, and the coherence of the IMUs.
+
+    There is a row for each axis and IMU, or for each two axes of one IMU.
+    """
+    times = SHOWN_TAU_S[1:]
+    cells = {tau: [_coherence_cell(row, tau) for row in common.rows] for tau in times}
+    shown = [tau for tau, column in cells.items() if any(cell.text for cell in column)]
+    has_noise = any(row.measured or row.own for row in common.rows)
+    rows = []
+    for i, row in enumerate(common.rows):
+        unit, noise = shown_unit(row.axis, 'N', units), []
+        for known in (row.measured, row.own) if has_noise else ():
+            noise.append(Cell() if known is None else coefficient_cell(known, unit))
+        heading = Heading(row.axis, unit.name if has_noise else '')
+        rows.append((heading, [Cell(row.label), *noise, *(cells[t][i] for t in shown)]))
+    own = 'own N' if len({row.label for row in common.rows}) > 2 else 'own N, mean of both'
+    names = ['IMU', *(('N', own) if has_noise else ()), *(f'at {t:g} s' for t in shown)]
+    return Table(
+        Heading('axis'),
+        [Heading(name, repeats=name == 'IMU') for name in names],
+        rows,
+        '95 % intervals; coherence at averaging times: 0 is independent noise, 1 common noise, '
+        'such as vibration',
+    )
+
+
+def _coherence_cell(row: CommonNoise, tau: float) -> Cell:
+    times, *numbers = row.coherence
+    distance = np.abs(np.log(times / tau))
+    at = int(np.argmin(distance))
+    if distance[at] > np.log(NEAR):
+        return Cell()
+    return _share_cell(*(float(number[at]) for number in numbers))

@@ -14,7 +14,7 @@ from ..core.fit.result import TERMS
 from ..core.imu import ShownUnit, sensor_of
 from ..core.number_text import VALUE_DIGITS, significant
 from ..core.settings import UNIT_SYSTEMS
-from ..export import origin_text, target_rows
+from ..export import RAISED, origin_text, target_rows
 from ..results.axis_result import AxisResult
 from ..results.results import Results
 from .coefficient_table import WALKS, axis_headings
@@ -39,6 +39,8 @@ def filter_table(results: Results) -> Table:
 
     Raises AllanError if a key needs an axis that was not measured.
     """
+    known = [row for row in target_rows(results, 'kalibr') if row.levels]
+    is_raised = any(level.raised_from is not None for row in known for level in row.levels)
     rows = [
         (
             Heading(row.key),
@@ -50,16 +52,9 @@ def filter_table(results: Results) -> Table:
                 )
             ],
         )
-        for row in target_rows(results, 'kalibr')
-        if row.levels
+        for row in known
     ]
-    return Table(Heading(''), [Heading('', wraps=True)], rows)
-
-
-def has_raised_numbers(results: Results) -> bool:
-    """Return whether any number of imu.yaml is larger than the coefficient as measured."""
-    levels = (level for row in target_rows(results, 'kalibr') for level in row.levels)
-    return any(level.raised_from is not None for level in levels)
+    return Table(Heading(''), [Heading('', wraps=True)], rows, RAISED if is_raised else '')
 
 
 def parts_table(axes: Axes) -> Table:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import io
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -31,6 +32,10 @@ MARKS = {'within': '✓', 'undecided': '≈', 'exceeds': '✕'}
 GAP, HEADINGS = 2, 14
 """Space between two columns of terminal text, and least width of the headings of the rows, by which
 the tables of several sensors are aligned; in characters."""
+
+
+WIDE = 1000
+"""Width in characters of text that is not for a terminal."""
 
 
 class Heading(NamedTuple):
@@ -86,11 +91,14 @@ class Table:
     columns : sequence of Heading
     rows : sequence of (Heading, sequence of Cell)
         Each row has one cell for each column.
+    note : str
+        Explanation below the table; '' for none.
     """
 
     corner: Heading
     columns: Sequence[Heading]
     rows: Sequence[tuple[Heading, Sequence[Cell]]]
+    note: str = ''
 
     def __post_init__(self) -> None:
         if any(len(cells) != len(self.columns) for _, cells in self.rows):
@@ -110,7 +118,7 @@ class Table:
 
 
 def terminal_lines(table: Table, width: int) -> Iterator[str]:
-    """Yield the lines of a table with at most ``width`` characters.
+    """Yield the lines of a table and of its note with at most ``width`` characters.
 
     If the table is too wide, details are printed below the texts; if it is still too wide, it is
     split into several tables with fewer columns, which are separated by empty lines. The texts of a
@@ -154,6 +162,7 @@ def terminal_lines(table: Table, width: int) -> Iterator[str]:
     for i, block in enumerate(blocks):
         console.print(*([''] * bool(i)), block, sep='\n')
     yield from (line.rstrip() for line in sink.getvalue().splitlines())
+    yield from textwrap.wrap(table.note, width - 1, break_on_hyphens=False)
 
 
 def _grid(table: Table, columns: Sequence[int], beside: bool = False, folds: bool = False) -> Grid:
@@ -228,7 +237,13 @@ def html_table(kind: str, table_of: Callable[[str], Table]) -> str:
             body += f'<td{kinds}>{inner}{_mark_html(cell.status)}</td>'
         body += '</tr>'
     top = f'<thead><tr>{head}</tr></thead>' if one.has_headings else ''
-    return f'<table class="{kind}">{top}<tbody>{body}</tbody></table>'
+    note = note_html(one.note) if one.note else ''
+    return f'<table class="{kind}">{top}<tbody>{body}</tbody></table>{note}'
+
+
+def note_html(text: str) -> str:
+    """Return an explanation below a table or chart as HTML."""
+    return f'<p class="note">{escape(text, quote=False).replace(" %", "&nbsp;%")}</p>'
 
 
 def heading_html(heading: Heading) -> str:

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ..core.compare import Check
-from ..core.estimate import value_text
 from ..core.findings import Finding, by_consequence, grouped, is_note
 from ..core.fit.record_length import ADVISED_TERMS
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
@@ -21,7 +20,9 @@ from ..results.results import (
     Level,
     Results,
 )
+from .coefficient_table import axis_table
 from .finding_text import finding_line, texts_of
+from .table import WIDE, terminal_lines
 
 WORDS: dict[Level, str] = {
     'healthy': 'Healthy',
@@ -253,11 +254,6 @@ def headline(results: Results) -> str:
 def summary_lines(results: Results) -> Iterator[str]:
     """Yield the lines of a text summary: headline, N, B and K of each axis, warnings, errors."""
     yield headline(results)
-    for name, axis in results.axes.items():
-        cells = []
-        for term in ADVISED_TERMS:
-            unit = shown_unit(name, term, 'deg/h')
-            cells.append(f'{term} {value_text(axis.fit.noise[term], unit)} {unit.name}')
-        yield f'  {name:8} {"   ".join(f"{cell:24}" for cell in cells).rstrip()}'
+    yield from terminal_lines(axis_table(results.noise, 'deg/h', ADVISED_TERMS), WIDE)
     for each in warnings_and_errors(results):
         yield f'  {each.severity}: {finding_line(each)}'

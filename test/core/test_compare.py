@@ -8,12 +8,14 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from allan_ros.core.allan.curve import AxisCurve, chi_squared_limits
 from allan_ros.core.compare import (
     FAMILY_ERROR,
     AxisNoise,
     Check,
+    _term_difference,
     _with_verdicts,
     check_limits,
     differences,
@@ -91,6 +93,15 @@ def test_a_limit_leaves_the_ratio_open_at_one_end():
     assert compare(Estimate(1.0, (0.8, 1.1)), UNSEEN).ratio.ci95 == pytest.approx((0.0, 0.5 / 0.8))
     d = compare(UNSEEN, Estimate(1.0, (0.8, 1.1)))
     assert d.ratio.value is None and d.ratio.ci95 == (pytest.approx(1.6), math.inf)
+
+
+@pytest.mark.parametrize(('term', 'z'), [('N', 1.96 * 2.0**2), ('R', 1.96 * 2.0)])
+def test_the_p_value_of_a_limit_follows_from_what_has_normal_errors(term, z):
+    """A known value of twice the limit: the squares of coefficients are estimated, but R itself."""
+    exact = Estimate(1.0, (1.0, 1.0))
+    hidden = Estimate(None, upper95=0.5, status='not_observable')
+    check = _term_difference('gyro_x', term, '', exact, hidden)
+    assert check.p == pytest.approx(4.0 * ndtr(-z), rel=1e-6)
 
 
 def test_holm_by_hand():

@@ -77,8 +77,8 @@ def test_the_own_noise_of_each_imu(common: CommonResult) -> None:
         assert row.own.value == pytest.approx(true, rel=0.15)
         assert row.measured.value == pytest.approx(np.sqrt(10.0) * true, rel=0.1)
     lines = repr(common).splitlines()
-    assert lines[0].split()[:3] == ['axis', 'IMU', 'N'] and len(lines) == 1 + 18 + 2
-    assert 'deg/sqrt(h)' in lines[1] and 'coherence at 1 s' in lines[0]
+    assert lines[0].split()[:3] == ['axis', 'IMU', 'N'] and len(lines) == 1 + 18 + 1
+    assert 'deg/sqrt(h)' in lines[1] and 'at 1 s' in lines[0]
 
 
 def test_the_document_and_the_chart(common: CommonResult) -> None:

@@ -24,12 +24,17 @@ from allan_ros.results.comparison import (
 from allan_ros.results.datasheets import Datasheet, Limit, Source
 from allan_ros.results.documents import labels_of
 from allan_ros.results.results import Results
+from allan_ros.view.comparison_text import sentences
 
 HOSTILE = 'a\x1b[31m|\u202e<b>\r\n$x_{'
 
 
 def compared(*results: Results, sheets: tuple[Datasheet, ...] = ()) -> RunComparison:
     return compare_runs(dict(zip('abc', results)), sheets)
+
+
+def text_of(comparison: RunComparison) -> str:
+    return '\n'.join(sentences(comparison))
 
 
 def limited(name: str, **limits: Limit) -> Datasheet:
@@ -40,7 +45,7 @@ def test_a_run_does_not_differ_from_itself(small_results: Results) -> None:
     comparison = compared(small_results, small_results)
     assert not comparison.differs
     assert {d.verdict for d in comparison.differences['b']} <= {'alike', 'undecided'}
-    assert repr(comparison).startswith('b and a do not differ significantly in ')
+    assert text_of(comparison).startswith('b and a do not differ significantly in ')
 
 
 @pytest.mark.parametrize('factor, ratio', [(1.5, '1.50 (1.4'), (1 / 1.5, '0.667 (0.6')])
@@ -53,7 +58,7 @@ def test_the_sentence_names_what_differs_most(
     assert comparison.differs
     found = [(d.axis, d.quantity) for d in significant_of(comparison.differences['c'])]
     assert found == [('gyro_z', 'N'), ('accel_x', 'N')]
-    said = repr(comparison).splitlines()[1]
+    said = text_of(comparison).splitlines()[1]
     assert said.startswith('c differs from a in 2 of ')
     assert f' comparisons, most in gyro z N: {ratio}' in said
 
@@ -68,10 +73,10 @@ def test_every_run_is_held_against_every_datasheet(small_results: Results) -> No
         if worst_verdict(one.datasheet_checks) == 'exceeds'
     ]
     assert exceeded == [*'abc'] and comparison.differs
-    assert 'c exceeds the datasheet of X in ' in repr(comparison)
+    assert 'c exceeds the datasheet of X in ' in text_of(comparison)
     alone = compared(small_results, sheets=sheets)
     assert alone.differences == {}
-    assert 'a cannot be judged by the datasheet of Y' in repr(alone)
+    assert 'a cannot be judged by the datasheet of Y' in text_of(alone)
     short = replace(small_results, duration_s=5.0)
     assert not compared(short, sheets=sheets).differs
 
@@ -87,7 +92,7 @@ def test_runs_without_a_common_axis_are_rejected(small_results: Results) -> None
 
 def test_the_document_and_the_text_show_labels_safely(small_results: Results) -> None:
     comparison = compare_runs({HOSTILE: small_results, 'b': scaled(small_results, 1.5)})
-    assert not set(repr(comparison)) & set('\x1b\u202e\r') and '\\x1b' in repr(comparison)
+    assert not set(text_of(comparison)) & set('\x1b\u202e\r') and '\\x1b' in text_of(comparison)
     document = json.loads(to_json(comparison_document(comparison)))
     [known] = [d for d in document['pairs'][0]['differences'] if d['verdict'] == 'higher']
     assert (known['axis'], known['quantity']) == ('gyro_z', 'N')
@@ -101,7 +106,7 @@ def test_runs_without_numbers(small_results: Results) -> None:
         for name, axis in small_results.axes.items()
     }
     empty = replace(small_results, axes=axes)
-    assert repr(compared(empty, empty)) == 'b and a have nothing that can be compared'
+    assert text_of(compared(empty, empty)) == 'b and a have nothing that can be compared'
 
 
 def test_labels_are_short_if_they_are_unique() -> None:
@@ -122,4 +127,4 @@ def test_huge_and_tiny_values_compare(value: float, small_results: Results) -> N
         changed = replace(axis, fit=replace(axis.fit, noise={**axis.fit.noise, 'N': c}))
         other = replace(small_results, axes={**small_results.axes, 'gyro_x': changed})
         for runs in ((small_results, other), (other, small_results), (other, other)):
-            assert repr(compared(*runs)) and to_json(comparison_document(compared(*runs)))
+            assert text_of(compared(*runs)) and to_json(comparison_document(compared(*runs)))

@@ -119,6 +119,7 @@ class Reduction(NamedTuple):
         return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
 
 
+@lru_cache(maxsize=64)
 def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON_S) -> Reduction:
     """Return a noise model reduced to the states of a filter.
 

@@ -15,15 +15,15 @@ from ...core.errors import AllanError
 from ...core.fit.record_length import ADVISED_TERMS
 from ...core.fit.result import TERMS
 from ...core.imu import shown_unit
-from ...export import RAISED, target_of
+from ...export import target_of
 from ...results.axis_result import AxisResult
 from ...results.datasheets import Datasheet
 from ..coefficient_table import Coefficients, coefficient_table
 from ..comparison_table import baseline_table, limit_table, stated_limits
 from ..finding_text import explained
 from ..format import pretty_unit
-from ..model_table import filter_table, growth_table, has_raised_numbers, parts_table, size_cell
-from ..table import Cell, Heading, Table, html_table, in_units
+from ..model_table import filter_table, growth_table, parts_table, size_cell
+from ..table import Cell, Heading, Table, html_table, in_units, note_html
 
 if TYPE_CHECKING:
     from ...results.results import Results
@@ -43,7 +43,7 @@ def model_html(axes: Axes) -> Iterator[str]:
     """
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
-        yield _note('Nothing could be measured: neither a value nor a limit.')
+        yield note_html('Nothing could be measured: neither a value nor a limit.')
         return
     others = [term for term in TERMS if term not in ADVISED_TERMS]
     parts = parts_table(axes).rows
@@ -60,10 +60,9 @@ def filter_html(results: Results) -> str:
     try:
         table = filter_table(results)
     except AllanError as error:
-        return _note(f'imu.yaml is not written: {explained(error)}.')
-    note = f'{RAISED} ' if has_raised_numbers(results) else ''
-    return html_table('filter', lambda _: table) + _note(
-        f'{note}In SI, the worst axis of each sensor, for integration up to '
+        return note_html(f'imu.yaml is not written: {explained(error)}.')
+    return html_table('filter', lambda _: table) + note_html(
+        'In SI, the worst axis of each sensor, for integration up to '
         f'{target_of("kalibr").horizon_s:g} s without a correction.'
     )
 
@@ -76,7 +75,7 @@ def growth_html(axes: Axes) -> Iterator[str]:
     if all(axis.growth for axis in axes.values()):
         yield _scrolled('comparison', partial(growth_table, axes))
         window = next(iter(axes.values())).growth[0].window
-        yield _note(
+        yield note_html(
             'One standard deviation without correction, with the 95 % interval, after the bias was '
             f'averaged over {window:g} s.'
         )
@@ -116,7 +115,7 @@ def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -
             'comparison',
             lambda units: limit_table(noise, comparisons, units, limits_of),
         )
-        yield from map(_note, notes)
+        yield from map(note_html, notes)
 
 
 def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> Iterator[str]:
@@ -125,7 +124,7 @@ def baseline_html(axes: Axes, before: Results, comparisons: Sequence[Check]) -> 
         yield _scrolled(
             'comparison', lambda units: baseline_table(_noise(axes), comparisons, units, before)
         )
-        yield _note(
+        yield note_html(
             '"within": not significantly above the earlier run. "exceeds": significantly above it, '
             'by more than the margin.'
         )
@@ -148,7 +147,3 @@ def _coefficients(axes: Axes, units: str, terms: Sequence[str]) -> Table:
 
 def _scrolled(kind: str, table_of: Callable[[str], Table]) -> str:
     return f'<div class="scroll">{html_table(kind, table_of)}</div>'
-
-
-def _note(text: str) -> str:
-    return f'<p class="note">{escape(text, quote=False).replace(" %", "&nbsp;%")}</p>'

@@ -1,0 +1,112 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Comparisons of recordings as sentences and lines of text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from ..core.compare import Check
+from ..core.number_text import significant
+from ..results.comparison import RunComparison, significant_of
+from ..results.results import Results
+
+RATIO_DIGITS = 3
+"""Significant digits of a ratio and of the ends of its interval."""
+
+
+def ratio_text(difference: Check) -> str:
+    """Return the ratio with its 95 % interval, or a bound on the ratio, as text; '' if unknown."""
+    if difference.ratio.ci95 is None:
+        return ''
+    low, high = difference.ratio.ci95
+    if difference.ratio.value is not None:
+        ends = '..'.join(significant(end, RATIO_DIGITS) for end in (low, high))
+        return f'{significant(difference.ratio.value, RATIO_DIGITS)} ({ends})'
+    if math.isinf(high):
+        return f'> {significant(low, RATIO_DIGITS)}'
+    return f'< {significant(high, RATIO_DIGITS)}'
+
+
+def verdict_text(difference: Check) -> str:
+    """Return 'alike', 'higher' or 'lower' for the second recording, or 'not comparable'."""
+    return 'not comparable' if difference.verdict == 'undecided' else difference.verdict
+
+
+def quantity_text(difference: Check) -> str:
+    """Return the axis and the quantity as text: 'gyro x N', 'gyro x deviation at 1.0 s'."""
+    axis = difference.axis.replace('_', ' ')
+    if difference.tau is None:
+        return f'{axis} {difference.quantity}'
+    return f'{axis} deviation at {significant(difference.tau, 2)} s'
+
+
+def _sentence(comparison: RunComparison, label: str, checks: Sequence[Check]) -> str:
+    first, found = comparison.first, significant_of(checks)
+    if not found:
+        terms = sum(d.tau is None and d.verdict == 'alike' for d in checks)
+        deviations = sum(d.tau is not None and d.verdict == 'alike' for d in checks)
+        if not terms + deviations:
+            return f'{label} and {first} have nothing that can be compared'
+        return (
+            f'{label} and {first} do not differ significantly in {terms} coefficients '
+            f'and {deviations} deviations '
+            f'({100.0 * comparison.family_error:g} % false alarms overall)'
+        )
+    # Coefficients take precedence, and a ratio of two measured values comes before a bound.
+    named = [d for d in found if d.tau is None] or found
+    largest = max(named, key=lambda d: (d.ratio.value is not None, _size(d)))
+    return (
+        f'{label} differs from {first} in {len(found)} of {len(checks)} comparisons, most in '
+        f'{quantity_text(largest)}: {ratio_text(largest)} times'
+    )
+
+
+def _equivalence_sentence(comparison: RunComparison, label: str, checks: Sequence[Check]) -> str:
+    found: dict[str, dict[str, list[str]]] = {'same': {}, 'different': {}, 'undecided': {}}
+    for d in checks:
+        if d.tau is None and d.p is not None:
+            terms = found[d.equivalence(comparison.within)]
+            terms.setdefault(d.quantity, []).append(d.axis.replace('_', ' '))
+    texts = (
+        '; '.join(f'{term} of {", ".join(axes)}' for term, axes in terms.items())
+        for terms in found.values()
+    )
+    same, different, undecided = (text or 'no term' for text in texts)
+    return (
+        f'{label} is the same as {comparison.first} to {100.0 * comparison.within:g} % in {same}; '
+        f'it differs by more in {different}; undecided, because the intervals are too wide: '
+        f'{undecided}'
+    )
+
+
+def _size(difference: Check) -> float:
+    """Return how far the 95 % interval of a significant ratio is from 1, as a logarithm."""
+    low, high = difference.ratio.ci95 or (1.0, 1.0)
+    return math.log(low) if low > 1.0 else -math.log(high)
+
+
+def _datasheet_sentence(label: str, results: Results) -> str:
+    name, checks = results.datasheet.name if results.datasheet else '', results.datasheet_checks
+    beyond = [f'{c.axis.replace("_", " ")} {c.quantity}' for c in checks if c.verdict == 'exceeds']
+    if beyond:
+        return f'{label} exceeds the datasheet of {name} in {", ".join(beyond)}'
+    unsettled = sum(c.verdict == 'undecided' for c in checks)
+    if unsettled == len(checks):
+        return f'{label} cannot be judged by the datasheet of {name}'
+    note = f'; {unsettled} of {len(checks)} are undecided' if unsettled else ''
+    return f'{label} is within the datasheet of {name}{note}'
+
+
+def sentences(comparison: RunComparison) -> Iterator[str]:
+    """Yield a sentence for each recording but the first, and for each one and datasheet.
+
+    With a fraction for tests of equivalence, these follow for each recording but the first.
+    """
+    for each in comparison.differences.items():
+        yield _sentence(comparison, *each)
+    for each in comparison.differences.items() if comparison.within else ():
+        yield _equivalence_sentence(comparison, *each)
+    for label, results in comparison.checked:
+        yield _datasheet_sentence(label, results)
