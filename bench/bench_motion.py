@@ -4,7 +4,7 @@
 
     bench_motion.py                          20 records of every case
     bench_motion.py 100 CASE ...             100 records of some cases
-    bench_motion.py recording FILE [NOISE]   a recording: the first drives predict the others
+    bench_motion.py recording FILE ...       recordings: the first drives predict the others
 
 Each record is analyzed as a user does it: the noise at rest is measured from its own rests. The
 first half of 40 drives gives the factors, the other half is predicted. A row has for gyro and
@@ -37,9 +37,10 @@ from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
 from allan_ros.core.stream.drives import DriveErrors
+from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.results.motion import noise_at_rest
 
-RATE = 50.0
+RATE, START_NS = 50.0, 10**18
 MEMS = Model.of(N=7e-5, B=2e-5, K=5e-6), Model.of(N=1.2e-3, B=2e-4, K=5e-5)
 GOOD = Model.of(N=4e-6, B=5e-7, K=5e-8), Model.of(N=3e-4, B=5e-5, K=5e-6)
 
@@ -88,36 +89,41 @@ class Outcome(NamedTuple):
     errors: tuple[float, float, float]
 
 
-def analyzed(rate: float, samples: np.ndarray) -> ar.Results:
-    """Return the results of samples (n, 6)."""
-    stamps = 10**18 + np.arange(len(samples)) * round(1e9 / rate)
-    return ar.analyze(ImuBatch(stamps.astype(np.int64), samples))
-
-
-def split(drives: tuple[DriveErrors, ...], noise: list[Any]) -> Outcome | None:
-    """Return the factors of the first half of the drives, and the errors of the others."""
-    half = (len(drives) + 1) // 2
-    motion = noise_in_motion(drives[:half], noise)
-    if motion is None or half == len(drives):
-        return None
-    return Outcome(motion, predicted_errors(drives[:half], drives[half:], noise))
-
-
 def one_record(name: str, seed: int) -> Outcome:
     """Simulate one record, and measure the factors from the first half of its drives."""
     case = CASES[name]
     gyro, accel = ([model] * 3 for model in case.imu)
     route = Route(**{'drives': 40, **case.route})
     robot = simulate_drives(RATE, gyro, accel, route, MotionErrors(**case.errors), seed)
-    results = analyzed(RATE, robot.samples)
-    assert results.recorded is not None
-    rest = results
+    middle = robot.drives[len(robot.drives) // 2][0]
+    bench = None
     if case.bench_s:
-        bench = Route(drives=0, first=case.bench_s)
-        rest = analyzed(RATE, simulate_drives(RATE, gyro, accel, bench, seed=seed + 10**6).samples)
-    found = split(results.recorded.drives.errors, noise_at_rest(rest.axes))
-    assert found is not None
-    return found
+        rest = Route(drives=0, first=case.bench_s)
+        rest_samples = simulate_drives(RATE, gyro, accel, rest, seed=seed + 10**6).samples
+        bench = ar.analyze(batch(rest_samples))
+    used = batch(robot.samples[:middle])
+    results = ar.analyze(used, noise=bench) if bench else ar.analyze(used)
+    motion = results.motion
+    assert motion is not None and results.recorded is not None
+    noise = noise_at_rest((bench or results).axes)
+    before, after = results.recorded.drives.errors, drives_of(robot.samples)
+    after = tuple(drive for drive in after if drive.start > before[-1].start + 1.0)
+    causes = tuple(cause.name for cause in motion.causes)
+    return Outcome(motion, predicted_errors(before, after, noise, causes))
+
+
+def batch(samples: np.ndarray) -> ImuBatch:
+    """Return samples (n, 6) with stamps."""
+    stamps = START_NS + np.arange(len(samples)) * round(1e9 / RATE)
+    return ImuBatch(stamps.astype(np.int64), samples)
+
+
+def drives_of(samples: np.ndarray) -> tuple[DriveErrors, ...]:
+    """Return the drives of a record."""
+    stream = ImuStream(with_drives=True)
+    stream.update(batch(samples))
+    stream.end()
+    return stream.drives().errors
 
 
 def row(name: str, found: list[Outcome]) -> str:
@@ -150,18 +156,36 @@ def row(name: str, found: list[Outcome]) -> str:
     return '  '.join([*cells, 'errors ' + ' '.join(f'{error:.2f}' for error in errors)])
 
 
-def show_recording(path: str, noise: str | None) -> None:
-    """Print the factors of a recording, and the errors of its second half."""
-    results = ar.analyze(path, noise=noise) if noise else ar.analyze(path)
+def show_recordings(paths: list[str]) -> None:
+    """Print the factors of recordings of one IMU, and the errors of the second half of the drives.
+
+    The first half is used again: it gives the factors and causes of the prediction.
+    """
+    results = ar.analyze(paths if len(paths) > 1 else paths[0])
     assert results.recorded is not None
-    drives = results.recorded.drives
-    print(f'{len(drives.errors)} drives, not used: {dict(drives.unused)}')
-    print(results.motion and dict(results.motion.sensors))
-    rest = ar.load(noise) if noise else results
-    found = split(drives.errors, noise_at_rest(rest.axes)) if results.motion else None
-    if found is not None:
-        print(found.motion.sensors, [cause.name for cause in found.motion.causes])
-        print('errors of the second half: at rest, with factors, with causes:', found.errors)
+    drives, unused = results.recorded.drives
+    print(f'{len(drives)} drives, not used: {dict(unused)}, {results.duration_s:.0f} s at rest')
+    if results.motion is None:
+        return
+    show(results.motion)
+    noise, half = noise_at_rest(results.axes), (len(drives) + 1) // 2
+    motion = noise_in_motion(drives[:half], noise)
+    if motion is not None:
+        show(motion)
+        causes = tuple(cause.name for cause in motion.causes)
+        errors = predicted_errors(drives[:half], drives[half:], noise, causes)
+        print(
+            'errors of the other drives: at rest {:.2f}, factors {:.2f}, causes {:.2f}'.format(
+                *errors
+            )
+        )
+
+
+def show(motion: NoiseInMotion) -> None:
+    """Print factors and causes."""
+    for name, one in motion.sensors.items():
+        print(f'  {name} {one.factor}, raised {dict(one.raised)}, with causes {one.explained}')
+    print('  causes', [cause.name for cause in motion.causes])
 
 
 def main(records: int, cases: list[str]) -> None:
@@ -174,6 +198,6 @@ def main(records: int, cases: list[str]) -> None:
 
 if __name__ == '__main__':
     if sys.argv[1:2] == ['recording']:
-        show_recording(sys.argv[2], sys.argv[3] if sys.argv[3:] else None)
+        show_recordings(sys.argv[2:])
     else:
         main(int(sys.argv[1]) if sys.argv[1:] else 20, sys.argv[2:] or list(CASES))

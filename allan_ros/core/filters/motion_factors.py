@@ -243,7 +243,10 @@ def _with_causes(data: DriveLikelihood, plain: Fit) -> tuple[Fit, dict[str, floa
 
 
 def predicted_errors(
-    used: Sequence[DriveErrors], others: Sequence[DriveErrors], noise: Sequence[NoiseAtRest]
+    used: Sequence[DriveErrors],
+    others: Sequence[DriveErrors],
+    noise: Sequence[NoiseAtRest],
+    causes: tuple[str, ...] = (),
 ) -> tuple[float, float, float]:
     """Return the squared errors of drives over their prediction from other drives.
 
@@ -256,6 +259,8 @@ def predicted_errors(
         is predicted from the used ones.
     noise : sequence of NoiseAtRest
         Noise of the six axes at rest.
+    causes : tuple of str
+        Calibration errors that the used drives show, of `CAUSES`.
 
     Returns
     -------
@@ -265,8 +270,6 @@ def predicted_errors(
     """
     data = DriveLikelihood.of(used, noise)
     plain = data.fit(BOTH)
-    motion = noise_in_motion(used, noise)
-    names = () if motion is None else tuple(each.name for each in motion.causes)
     whole = DriveLikelihood.of([*used, *others], noise)
     n, d = len(data.y), len(others)
     out = []
@@ -275,7 +278,7 @@ def predicted_errors(
     at_rest[:2] = 0.0
     rows = np.arange(ROWS)[ROTATION.start : VELOCITY.stop]
     ahead = n + (np.arange(d)[:, None] * ROWS + rows).ravel()
-    for fit in (plain._replace(log_factors=at_rest), plain, data.fit(BOTH, names, plain)):
+    for fit in (plain._replace(log_factors=at_rest), plain, data.fit(BOTH, causes, plain)):
         v = whole.covariance(fit)
         known = np.linalg.solve(v[:n, :n], np.column_stack([whole.y[:n], v[:n, ahead]]))
         left = (whole.y[ahead] - v[ahead, :n] @ known[:, 0]).reshape(d, -1)
