@@ -35,9 +35,8 @@ from allan_ros.core.filters.motion_factors import (
 )
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
-from allan_ros.core.stream.drives import DriveErrors
-from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.core.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
+from allan_ros.core.stream.drives import Drive, DriveErrors, Rest, drive_errors
 from allan_ros.results.motion import noise_at_rest
 
 RATE, START_NS = 50.0, 10**18
@@ -106,9 +105,8 @@ def one_record(name: str, seed: int) -> Outcome:
     motion = results.motion
     assert motion is not None and results.recorded is not None
     noise = noise_at_rest((bench or results).axes)
-    before, after = results.recorded.drives.errors, drives_of(robot.samples)
-    after = tuple(drive for drive in after if drive.start > before[-1].start + 1.0)
     causes = tuple(cause.name for cause in motion.causes)
+    before, after = results.recorded.drives.errors, drives_of(robot)[len(robot.drives) // 2 :]
     return Outcome(motion, predicted_errors(before, after, noise, causes))
 
 
@@ -118,12 +116,22 @@ def batch(samples: np.ndarray) -> ImuBatch:
     return ImuBatch(stamps.astype(np.int64), samples)
 
 
-def drives_of(samples: np.ndarray) -> tuple[DriveErrors, ...]:
-    """Return the drives of a record."""
-    stream = ImuStream(with_drives=True)
-    stream.update(batch(samples))
-    stream.end()
-    return stream.drives().errors
+def drives_of(robot: SimulatedDrives) -> list[DriveErrors]:
+    """Return the drives of a record, which begin and end 0.5 and 2.5 s into the rests."""
+    gyro, accel = robot.samples[:, :3], robot.samples[:, 3:]
+    margins = round(0.5 * RATE), round(2.5 * RATE)
+    edges = [0, *(at + m * s for d in robot.drives for at, m, s in zip(d, margins, (-1, 1)))]
+    edges.append(len(gyro))
+
+    def rest(first: int, last: int) -> Rest:
+        return Rest(gyro[first:last].mean(0), accel[first:last].mean(0), (last - first) / RATE)
+
+    found = []
+    for a, b, c, d in zip(edges[::2], edges[1::2], edges[2::2], edges[3::2]):
+        start = START_NS * 1e-9 + b / RATE
+        rests = rest(a, b), rest(c, d)
+        found.append(drive_errors(Drive(start, 1.0 / RATE, gyro[b:c], accel[b:c], *rests, b > 0)))
+    return found
 
 
 def row(name: str, found: list[Outcome]) -> str:

@@ -105,6 +105,8 @@ class SimulatedDrives:
         Rates in rad/s and specific forces in m/s^2.
     drives : tuple of (start, end)
         Indices of the samples of each drive.
+    angles : (n + 1, 3) array
+        True roll, pitch and yaw in rad at the begin of each sample and at the end of the last.
     gyro_matrix, accel_matrix, g_sensitivity : (3, 3) array
         The errors: matrix times true rate or specific force.
     """
@@ -112,6 +114,7 @@ class SimulatedDrives:
     rate: float
     samples: Floats
     drives: tuple[tuple[int, int], ...]
+    angles: Floats
     gyro_matrix: Floats
     accel_matrix: Floats
     g_sensitivity: Floats
@@ -180,6 +183,7 @@ def simulate_drives(
         rate,
         np.concatenate(measured, axis=1) + at_rest + _noise_in_motion(path, white, errors, rng),
         path.drives,
+        path.angles,
         gyro_matrix,
         accel_matrix,
         sensitivity,

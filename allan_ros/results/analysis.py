@@ -126,18 +126,20 @@ def analyze_recorded(
     noise, rest_s = axes, longest.samples * tau0
     if at_rest_before is not None:
         noise, rest_s = dict(at_rest_before.axes), at_rest_before.duration_s
+    covered = not_noise_findings(fits, longest.samples * tau0)
     motion: NoiseInMotion | None = None
     moved: tuple[Finding, ...] = ()
     if recorded.drives.errors or recorded.drives.unused:
-        from .motion import measure_motion
+        from .motion import is_hidden, measure_motion
 
         counts = recorded.provenance.counts
         moving = counts.moving / max(counts.received, 1)
-        motion, moved = measure_motion(recorded.drives, noise, rest_s, moving)
+        hidden = at_rest_before is None and is_hidden(covered)
+        motion, moved = measure_motion(recorded.drives, noise, rest_s, moving, hidden=hidden)
     findings = (
         *recorded.provenance.findings,
         *(f for s in sums for f in sums_findings(s)),
-        *not_noise_findings(fits, longest.samples * tau0),
+        *covered,
         *(f for fit in fits for f in fit.findings),
         *warmed,
         *moved,

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -52,13 +52,25 @@ def with_motion(results: Results, drives: Drives) -> Results:
 
     Without enough drives, or data at rest, ``results.motion`` is None, and no finding says so.
     """
-    motion, found = measure_motion(drives, results.axes, results.duration_s, 0.0)
+    motion, found = measure_motion(
+        drives, results.axes, results.duration_s, 0.0, hidden=is_hidden(results.findings)
+    )
     others = (f for f in results.findings if f.id not in MEASURED)
     return replace(results, motion=motion, findings=(*others, *found))
 
 
+def is_hidden(findings: Iterable[Finding]) -> bool:
+    """Return whether motion or vibration hides the noise of the sensor at rest."""
+    return any(f.id == 'not_noise' for f in findings)
+
+
 def measure_motion(
-    drives: Drives, noise: Mapping[str, AxisResult], rest_s: float, moving: float
+    drives: Drives,
+    noise: Mapping[str, AxisResult],
+    rest_s: float,
+    moving: float,
+    *,
+    hidden: bool = False,
 ) -> tuple[NoiseInMotion | None, tuple[Finding, ...]]:
     """Return the noise in motion and the findings about it.
 
@@ -72,23 +84,29 @@ def measure_motion(
         Duration of the data from which ``noise`` was measured, in s.
     moving : float
         Share of the samples that were taken in motion.
+    hidden : bool
+        Whether motion or vibration hides the noise at rest.
 
     Returns
     -------
     motion : NoiseInMotion or None
-        None without enough drives or data at rest.
+        None without enough drives, or if the noise at rest is not known.
     findings : tuple of Finding
         Empty without drives, and for a recording at rest that was disturbed a few times.
     """
-    known = all(axis in noise and noise[axis].fit.model.value('N') > 0.0 for axis in AXES)
-    motion = None
-    if known and rest_s >= LEAST_REST_S:
+    unresolved = [a for a in AXES if a not in noise or not noise[a].fit.noise['N'].resolved]
+    is_known = not (unresolved or hidden)
+    if is_known and rest_s >= LEAST_REST_S and len(drives.errors) >= LEAST_DRIVES:
         motion = noise_in_motion(drives.errors, noise_at_rest(noise))
-    if motion is not None:
+        assert motion is not None
         return motion, tuple(_factors(motion))
     seen = len(drives.errors) + sum(drives.unused.values())
     if not seen or moving < MOVING:
         return None, ()
+    if len(drives.errors) >= LEAST_DRIVES and not is_known:
+        return None, (
+            finding('motion_without_noise', tuple(unresolved), drives=len(drives.errors)),
+        )
     reasons = ', '.join(f'{number} {REASONS[why]}' for why, number in drives.unused.items())
     return None, (
         finding(
@@ -96,6 +114,7 @@ def measure_motion(
             drives=len(drives.errors),
             seen=seen,
             unused=reasons or None,
+            at_rest=rest_s,
             needed=LEAST_DRIVES,
             rest=LEAST_REST_S,
         ),

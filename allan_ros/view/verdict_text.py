@@ -180,6 +180,8 @@ def _steps(results: Results, comparisons: Sequence[Check]) -> Iterator[str]:
         yield 'Compare with a datasheet (--sensor NAME) or an earlier run (--baseline FILE).'
     if level in ('healthy', 'attention', 'measured'):
         yield 'Write a file for a filter: allan export FOLDER --to openvins.'
+        if results.motion is None and not any('motion' in f.id for f in results.findings):
+            yield 'For the noise in motion, record drives between rests (docs/motion.md).'
 
 
 def further_steps(results: Results, verdict: Verdict) -> list[str]:

@@ -11,10 +11,13 @@ import pytest
 
 import allan_ros as ar
 from allan_ros.cli.main import main
+from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
+from allan_ros.results.motion import measure_motion
 from allan_ros.view.finding_text import texts_of
+from allan_ros.view.verdict_text import verdict_of
 
 RATE = 50.0
 GYRO, ACCEL = [Model.of(N=7e-5)] * 3, [Model.of(N=1.2e-3)] * 3
@@ -123,10 +126,28 @@ def test_too_few_drives_are_named() -> None:
     assert 'at least 5' in texts_of(found).remedy
 
 
-def test_a_recording_at_rest_says_nothing_of_motion() -> None:
+def test_a_recording_at_rest_says_how_to_learn_the_noise_in_motion() -> None:
     results = ar.analyze(recording(Route(drives=0, first=120.0)))
     assert results.motion is None
     assert not [f for f in results.findings if 'motion' in f.id]
+    assert 'record drives between rests' in verdict_of(results).next_steps[-1]
+
+
+def test_a_recording_of_motion_alone_says_that_rests_are_needed() -> None:
+    moving = recording(Route(drives=1, first=0.1, rest=0.1, shortest=120.0, longest=120.0))
+    with pytest.raises(AllanError, match='a robot must stop for 5 s between drives'):
+        ar.analyze(moving)
+
+
+def test_rests_that_do_not_show_the_noise_give_no_factor(scaled: ar.Results) -> None:
+    """The rests of a vehicle may be slow driving: then they are no reference."""
+    motion, (found,) = measure_motion(
+        scaled.recorded.drives, scaled.axes, scaled.duration_s, 0.5, hidden=True
+    )
+    assert motion is None
+    assert found.id == 'motion_without_noise'
+    assert '12 drives' in texts_of(found).message
+    assert '--noise' in texts_of(found).remedy
 
 
 def test_the_noise_of_an_earlier_run_predicts_the_errors(tmp_path: Path) -> None:
