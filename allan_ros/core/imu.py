@@ -308,6 +308,18 @@ def sensor_of(axis: str) -> str:
     return axis.split('_', 1)[0]
 
 
+def axes_of_sensors(axes: Sequence[str]) -> dict[str, list[int]]:
+    """Return sensor -> indices of its axes.
+
+    >>> axes_of_sensors(['gyro_z', 'accel_x', 'accel_y'])
+    {'gyro': [0], 'accel': [1, 2]}
+    """
+    found: dict[str, list[int]] = {}
+    for i, axis in enumerate(axes):
+        found.setdefault(sensor_of(axis), []).append(i)
+    return found
+
+
 def from_datasheet(term: str, sensor: str, value: float) -> float:
     """Convert a coefficient from the unit of datasheets to SI."""
     return value * UNITS[DATASHEET_UNITS[sensor][term]].factor

@@ -60,7 +60,7 @@ MAX_SETTINGS = 100
 LISTED_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
 
-FIT = ('m_min', 'filtered', 'gof_z', 'lack_of_fit')
+FIT = ('m_min', 'filtered', 'white_scatter', 'drift_scatter', 'gof_z', 'lack_of_fit')
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
 """Fields of a fit and of an axis that have the same name in results.json."""
 

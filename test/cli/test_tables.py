@@ -156,7 +156,7 @@ def test_findings_are_colored_only_on_request(small_results: Results) -> None:
 
 def test_five_findings_at_most_and_all_on_demand(small_results: Results) -> None:
     axes = tuple(small_results.axes)
-    first = finding('settled_part', ('gyro_x',), early=7200.0, size=1.0)
+    first = finding('settling', ('gyro_x',), size=1.0, time=7200.0)
     many = tuple(
         Finding(f'kind_{i}', 'warning', (axis,), stated=(f'Cause {"abcdefgh"[i]}.', f'Do {i}.'))
         for i in range(8)
@@ -168,8 +168,8 @@ def test_five_findings_at_most_and_all_on_demand(small_results: Results) -> None
     shown = [line for line in short if line.startswith(('warning', 'info', 'and '))]
     assert len(shown) == 6
     assert shown[-1] == 'and 5 more findings: -v shows all'
-    # a part that is excluded is named first
-    assert shown[0].startswith('info: gyro x: The first 2 h differ from the later data')
+    # what changes the numbers is named first
+    assert shown[0].startswith('info: gyro x: The bias settles by 1.00 rad/s')
     assert shown[1] == 'warning: gyro x, gyro y: Cause a. Do 0.'
     complete = lines_of(results, 'SI', 100, complete=True)
     assert sum(line.startswith('warning: ') for line in complete) == 8

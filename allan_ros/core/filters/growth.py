@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..estimate import Estimate
-from ..fit.result import AxisFit
+from ..fit.result import Z_95, AxisFit
 from ..noise import Model, Process
 from ..noise.derived import growth_variance
 from ..noise.model import CONTINUOUS
@@ -30,6 +30,13 @@ Floats = NDArray[np.float64]
 
 LARGEST_VARIANCE = 1e300
 """Largest variance of an error; its square root is written to documents."""
+
+HOUR = 3600.0
+
+INDEPENDENT = 2.0
+"""Independent errors in a time of h + W. The mean square of errors with the autocorrelation rho
+over a time T varies like that of T / integral of rho^2 independent errors. With h = W, a time of
+h + W has 3.0 of them for white noise, and 1.9 for a random walk."""
 
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
@@ -115,27 +122,48 @@ def growth_table(
     terms (method of variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine
     2008). This assumes uncorrelated estimates. Estimates of neighboring terms are negatively
     correlated, which makes the interval too wide rather than too narrow.
+
+    The predictive interval contains the root mean square of the errors in another hour: the levels
+    of white noise and drift may differ from those of the recording, and an hour contains a limited
+    number of independent errors (`INDEPENDENT`).
     """
     h = np.array(horizons)
     model = fit.model.drift
     std = predicted_growth(model, h, window)
-    intervals: list[tuple[float, float] | None] = [None] * len(h)
-    if ends := interval_models(fit):
-        low, high = (one.drift for one in ends)
-        high = high.changed(**{t: high.value(t) or _limit(fit, t) for t in 'NBKR'})
-        parts = [growth_parts(one, h, window) for one in (model, low, high)]
-        zero = np.zeros(len(h))
-        total, below, above = zero, zero, zero
-        for process in {**parts[0], **parts[2]}:
-            middle, bottom, top = (part.get(process, zero) for part in parts)
-            total = total + middle
-            below = np.hypot(below, np.maximum(middle - bottom, 0.0))
-            above = np.hypot(above, np.maximum(top - middle, 0.0))
-        bounds = np.sqrt(np.maximum(total - below, 0.0)), np.sqrt(total + above)
-        intervals = [(float(bottom), float(top)) for bottom, top in zip(*bounds)]
+    ends = interval_models(fit, predictive=False)
+    if ends is None:
+        return tuple(
+            Growth(float(one), window, Estimate(float(value))) for one, value in zip(h, std)
+        )
+    low, high = (one.drift for one in ends)
+    high = high.changed(**{t: high.value(t) or _limit(fit, t) for t in 'NBKR'})
+    parts = [growth_parts(one, h, window) for one in (model, low, high)]
+    zero = np.zeros(len(h))
+    total, below, above, levels = zero, zero, zero, zero
+    for process in {**parts[0], **parts[2]}:
+        middle, bottom, top = (part.get(process, zero) for part in parts)
+        total = total + middle
+        below = np.hypot(below, np.maximum(middle - bottom, 0.0))
+        above = np.hypot(above, np.maximum(top - middle, 0.0))
+        levels = levels + middle * (fit.white_scatter if process.is_white else fit.drift_scatter)
+    lowest, highest = np.sqrt(np.maximum(total - below, 0.0)), np.sqrt(total + above)
+    of_hour = Z_95 / np.sqrt(2.0 * INDEPENDENT * HOUR / (h + window))
+    with np.errstate(divide='ignore', invalid='ignore'):
+        other = np.hypot(levels / total, of_hour)
+        down, up = np.hypot(np.log(std / lowest), other), np.hypot(np.log(highest / std), other)
     return tuple(
-        Growth(float(one), window, Estimate(float(value), ci95))
-        for one, value, ci95 in zip(h, std, intervals)
+        Growth(
+            float(h[i]),
+            window,
+            Estimate(
+                float(std[i]),
+                (float(lowest[i]), float(highest[i])),
+                predictive_ci95=(float(std[i] * np.exp(-down[i])), float(std[i] * np.exp(up[i])))
+                if std[i] > 0.0
+                else None,
+            ),
+        )
+        for i in range(len(h))
     )
 
 
@@ -145,8 +173,10 @@ def _limit(fit: AxisFit, term: str) -> float:
     return value if value is not None and math.isfinite(value) else 0.0
 
 
-def interval_models(fit: AxisFit) -> tuple[Model, Model] | None:
+def interval_models(fit: AxisFit, predictive: bool = True) -> tuple[Model, Model] | None:
     """Return the model at the lower and at the upper ends of all 95 % intervals.
+
+    They are the predictive intervals, or with ``predictive`` False those of the recording.
 
     The interval of a term with only a limit begins at 0. The ramp R is replaced by its magnitude.
     Shapes and sinusoids are unchanged. The result is None if N, B, K or R of the model has neither
@@ -154,7 +184,8 @@ def interval_models(fit: AxisFit) -> tuple[Model, Model] | None:
     """
     intervals: dict[str, tuple[float, float]] = {}
     for term in 'NBKR':
-        ci95, limit = fit.noise[term].magnitude.ci95, _limit(fit, term)
+        known, limit = fit.noise[term].magnitude, _limit(fit, term)
+        ci95 = known.ci95 if predictive else known.recording_ci95
         if not fit.model.value(term):
             intervals[term] = 0.0, 0.0
         elif ci95 is not None:
@@ -164,7 +195,7 @@ def interval_models(fit: AxisFit) -> tuple[Model, Model] | None:
         else:
             return None
     low, high = (
-        fit.model.at_end(end).changed(
+        fit.model.at_end(end, fit.drift_scatter if predictive else 0.0).changed(
             Q=0.0, **{term: ends[end] for term, ends in intervals.items()}
         )
         for end in (0, 1)

@@ -1,16 +1,15 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of the bias with time that are no noise: a warm-up, and steps.
+"""Changes of the bias with time that are no noise: effects, such as steps.
 
-Each is an effect: a shape of known form in the block means of a segment, such as exp(-t/T), whose
-size is unknown. The size is estimated by generalized least squares, then the noise is fitted again
-to what remains. The gain of an effect is the decrease of -2 log likelihood.
+An effect is a shape of known form in the block means of a segment, such as a step or exp(-t/T),
+whose size is unknown. The size is estimated by generalized least squares, then the noise is fitted
+again to what remains. The gain of an effect is the decrease of -2 log likelihood.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,18 +18,13 @@ import numpy as np
 from ..allan.periods import BlockMeans
 from ..allan.sums import AllanSums
 from ..findings import Finding, finding
-from ..imu import SENSORS, sensor_of
 from ..noise import RANDOM_TERMS, Process
 from ..noise.derived import avar
 from ..noise.processes.sinusoid import daily_cycle
 from ..number_text import duration_text
 from .likelihood import AxisData, Columns, Fit, LowBand
 from .result import K
-from .statistics import Floats, Group, Statistics, contrasts, lower_edge
-
-GAIN_WARM_UP = 16.5
-"""Least gain in -2 log L of a warm-up, summed over the axes of a sensor: 1 % per sensor. The
-99 % quantiles without a warm-up are 10 to 13, depending on the noise (`bench_stationarity.py`)."""
+from .statistics import Floats, Group, Size, Statistics, contrasts, lower_edge
 
 GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
 """Least gain in -2 log L of a step of the bias, and of each further one. The 99 % quantiles without
@@ -42,22 +36,13 @@ MOST_CONTRASTS = 96
 NEAR_OCTAVES = 4
 """Number of octaves above the contrasts that are used."""
 
-WARM_UP_TIMES = 0.5 ** np.arange(8)
-"""Time constants of warm-ups, relative to the length of the segment."""
-
 MOST_STEPS = 5
 
 LEAST_MEANS = 24
 """Fewest block means of a segment that is tested."""
 
-LEAST_SEGMENT = 0.3
-"""Shortest first segment, relative to its recording, in which a warm-up is searched for."""
-
-TESTED_RECORDINGS = 4
-"""Number of the longest recordings that are tested for a warm-up."""
-
 LEAST_TESTED_S = 120.0
-"""Shortest segment in s in which a warm-up and steps are searched for. In shorter ones, vibration
+"""Shortest segment in s in which a settling and steps are searched for. In shorter ones, vibration
 rather than drift changes the means."""
 
 STEPS_RATIO = 0.5
@@ -65,9 +50,9 @@ STEPS_RATIO = 0.5
 fraction of that without them. A drift that is no random walk often looks like a few steps, which
 explain less of it."""
 
-PROMISING_SCORE = 5.0, 8.0
-"""Least score of a warm-up (per sensor) and of a step for which the noise is fitted again. Scores
-use the noise that was fitted without the effect, which is too large if there is one."""
+PROMISING_SCORE = 8.0
+"""Least score of a step for which the noise is fitted again. Scores use the noise that was fitted
+without the step, which is too large if there is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,14 +93,16 @@ class Segment:
         cut = min((o for o, most in edges if most <= MOST_CONTRASTS), default=octaves)
         most = min(int(2.0 * points * step * lower_edge(cut)), MOST_CONTRASTS, points - 2)
         high = max(most, 2)
-        z = means.values.T @ contrasts(points, high)
-        group = Group(points, high, 1, z, z[:, :, None] * z[:, None, :])
+        size = Size(points, high)
+        z = means.values.T @ contrasts(size)
+        group = Group(size, 1, z, z[:, :, None] * z[:, None, :])
         on = known.octave < cut
         own = replace(
             known,
             octave=known.octave[on],
             f=known.f[on],
             power=known.power[on],
+            settling=known.settling[on],
             dof=known.dof[on],
             dof_alone=known.dof_alone[on],
             step=step,
@@ -128,7 +115,7 @@ class Segment:
     def contrasts_of(self, shapes: Floats) -> Floats:
         """Return the contrasts, (contrasts, shapes), of shapes of the means, (means, shapes)."""
         group = self.known.groups[0]
-        return np.asarray(contrasts(group.points, group.high)[:, 1:].T @ shapes)
+        return np.asarray(contrasts(group.size)[:, 1:].T @ shapes)
 
     def axis(self, axis: int) -> AxisSegment | None:
         """Return one axis of the segment; None if it has no noise."""
@@ -206,84 +193,6 @@ class FittedEffects(NamedTuple):
     gain: float
 
 
-# --- warm-up --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class WarmUp:
-    """A transient exp(-t/T) at the start of a recording."""
-
-    recording: int
-    axes: tuple[int, ...]  # axes of the sensor that take part
-    sizes: tuple[float, ...]  # of each, at the start of the segment
-    age: float  # in samples, from which on it is below half of the Allan deviation at T
-    excess: float  # gain above the threshold
-
-
-class _Decay(NamedTuple):
-    """Fit of exp(-t/T) with one time constant T, in samples, to the axes of a sensor."""
-
-    time: float
-    effects: Mapping[int, FittedEffects]  # by axis
-
-    @property
-    def gain(self) -> float:
-        return sum(max(each.gain, 0.0) for each in self.effects.values())
-
-
-def warm_ups(sums: AllanSums, known: Statistics) -> list[WarmUp]:
-    """Return the warm-ups of the sensors in the longest recordings; ``known`` is of the sums."""
-    tau0 = sums.tau0 or 1.0
-    names = [sensor_of(axis) for axis in sums.axes]
-    sensors = [[i for i, name in enumerate(names) if name == s] for s in SENSORS if s in names]
-    order = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
-    found = []
-    for i in order[:TESTED_RECORDINGS]:
-        recording = sums.recordings[i]
-        first = recording.means[0] if recording.means else None
-        if first is None or first.samples < LEAST_SEGMENT * recording.samples:
-            continue
-        segment = Segment.of(known, first, tau0)
-        if segment is not None:
-            found += [w for w in (warm_up(segment, i, axes) for axes in sensors) if w is not None]
-    return found
-
-
-def warm_up(segment: Segment, recording: int, axes: Sequence[int]) -> WarmUp | None:
-    """Return the warm-up of the axes of one sensor in the first segment of a recording, or None."""
-    every = {a: segment.axis(a) for a in axes}
-    noise = {a: one for a, one in every.items() if one is not None}
-    if not noise:
-        return None
-    times = np.asarray(WARM_UP_TIMES * len(segment.means.values) * segment.means.step, np.float64)
-    decays = segment.contrasts_of(_decays(times, segment.means).T)
-    scores = np.sum([one.scores(decays, decays[:, :0], one.fit) for one in noise.values()], axis=0)
-    if scores.max() < PROMISING_SCORE[0]:
-        return None
-    tried = (
-        _Decay(float(times[k]), {a: n.with_effects(decays[:, [k]]) for a, n in noise.items()})
-        for k in np.flatnonzero(scores > 0.4 * scores.max()).tolist()
-    )
-    best = max(tried, key=lambda each: each.gain)
-    excess = best.gain - GAIN_WARM_UP
-    if excess < 0.0:
-        return None
-    least = GAIN_WARM_UP / len(noise) / 2.0
-    taking = {a: each for a, each in best.effects.items() if max(each.gain, 0.0) > least}
-    age = 0.0
-    for a, each in taking.items():
-        ratio = abs(float(each.sizes[0])) / noise[a].deviation(each.fit, best.time)
-        age = max(age, best.time * math.log(max(2.0 * ratio, 1.0)))
-    sizes = tuple(float(each.sizes[0]) for each in taking.values())
-    return WarmUp(recording, tuple(taking), sizes, segment.means.age + age, excess)
-
-
-def _decays(times: Floats, means: BlockMeans) -> Floats:
-    """Return the block means of exp(-t/T) for each T, (times, means)."""
-    step, begin = means.step, means.step * np.arange(len(means.values))
-    return np.asarray([-np.expm1(-step / t) * t / step * np.exp(-begin / t) for t in times])
-
-
 # --- steps ----------------------------------------------------------------------------------------
 
 
@@ -321,7 +230,7 @@ def bias_steps(segment: Segment, axis: int) -> BiasSteps | None:
     fit = noise.fit
     while len(at) < MOST_STEPS:
         scores = noise.scores(steps, steps[:, at], fit)
-        if scores.max() < PROMISING_SCORE[1]:
+        if scores.max() < PROMISING_SCORE:
             break
         at = [*at, int(scores.argmax())]
         tried.append(_Steps(at, noise.with_effects(steps[:, at])))

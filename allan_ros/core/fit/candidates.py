@@ -160,9 +160,9 @@ class Kind:
         gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)
         out = []
         for g in self.statistics.groups:
-            turns = 2.0 * np.pi * step * f[:, None] * np.arange(g.points)
+            turns = 2.0 * np.pi * step * f[:, None] * np.arange(g.size.points)
             both = np.stack([np.cos(turns), np.sin(turns)], axis=1) * gain[:, None, None]
-            out.append(both @ contrasts(g.points, g.high)[:, 1:])
+            out.append(both @ contrasts(g.size)[:, 1:])
         return out
 
     def gains(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Floats:

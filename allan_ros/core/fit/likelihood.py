@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..noise import Parameter, Process
 from ..nonnegative import nonnegative_least_squares
-from .statistics import Floats, Statistics
+from .statistics import Floats, Statistics, contrasts
 
 Flags = NDArray[np.bool_]
 
@@ -144,12 +144,13 @@ class AxisData:
     @classmethod
     def of(cls, statistics: Statistics, axis: int) -> AxisData:
         """Return the statistics of one axis; all bins are used."""
-        power = statistics.power[:, axis]
+        noise = 1.0 - statistics.settling[:, axis]
+        power, dof = statistics.power[:, axis] * noise, statistics.dof * noise**2
         if len(power):
-            scale = float(np.average(power, weights=statistics.dof))
+            scale = float(np.average(power, weights=dof))
         else:
             traces = [
-                (float(np.trace(g.gram[axis])), g.segments * g.high) for g in statistics.groups
+                (float(np.trace(g.gram[axis])), g.segments * g.size.high) for g in statistics.groups
             ]
             scale = sum(t for t, _ in traces) / max(sum(n for _, n in traces), 1)
         scale = scale if scale > 0.0 else 1.0
@@ -158,7 +159,7 @@ class AxisData:
             for g in statistics.groups
         ]
         used = np.ones(len(power), bool)
-        return cls(statistics, axis, scale, power / scale, low, statistics.dof, used)
+        return cls(statistics, axis, scale, power / scale, low, dof, used)
 
     def columns(self, components: Sequence[Process], tangents: Sequence[Shape] = ()) -> Columns:
         """Return the expectations of components, then their derivatives d/d log(shape).
@@ -414,8 +415,9 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
     columns = [statistics.column(c, data.axis).low for c in fit.components]
     for g, (group, low) in enumerate(zip(statistics.groups, data.low)):
         d = np.array([column[g] for column in columns])
-        t = np.arange(group.points) - (group.points - 1) / 2.0
-        unit = statistics.step * math.sqrt(float(t @ t))  # the line contrast of a ramp of 1
+        line = contrasts(group.size)[:, 0]
+        # the line contrast of a ramp of 1
+        unit = statistics.step * float(np.arange(group.size.points) @ line)
         e = np.zeros(d.shape[1])
         e[0] = unit
         w = np.linalg.solve(np.tensordot(fit.p, d, 1), e)

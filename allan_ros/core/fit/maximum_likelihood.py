@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..allan.sums import AllanSums
@@ -24,21 +26,22 @@ LEAST_STATISTICS = 12
 """Fewest bins and contrasts of a fit."""
 
 
-def fit_likelihood(sums: AllanSums, known: Statistics | None = None) -> NoiseModel:
+def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> NoiseModel:
     """Estimate the noise of every axis by maximum likelihood.
 
-    ``known`` are the statistics of the sums, if already computed.
+    ``of_axes`` are the statistics of the sums for each axis, if already computed: those of a sensor
+    whose bias settles contain no settling.
 
     Too few data raise no error: a term that the data do not determine has no value and no limit.
     """
     tau0 = sums.tau0 or 1.0
-    known = statistics(sums) if known is None else known
-    candidates = Candidates(known)
-    daily = daily_cycle(known.longest, tau0)
+    of_axes = of_axes or [statistics(sums)] * len(sums.axes)
+    of_each = {one: Candidates(one) for one in of_axes}
     axes: dict[str, AxisFit] = {}
     findings: list[Finding] = []
-    for a, name in enumerate(sums.axes):
-        size = len(known.f) + sum(g.high for g in known.groups)
+    for a, (name, known) in enumerate(zip(sums.axes, of_axes)):
+        candidates, daily = of_each[known], daily_cycle(known.longest, tau0)
+        size = len(known.f) + sum(g.size.high for g in known.groups)
         if size < LEAST_STATISTICS or _is_constant(sums, a):
             axes[name] = without_estimates()
             constant = len(sums.count) > 0 and _is_constant(sums, a)

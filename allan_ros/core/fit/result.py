@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +77,9 @@ class AxisFit:
     filtered : bool
         Whether the samples are low-pass filtered. Q is then not measured, and N is the density in
         the pass band.
+    white_scatter, drift_scatter : float
+        Half of the 95 % interval of the logarithm of the amplitude of white noise and of the drift
+        in another hour of the same sensor; 0 if the levels within the recording do not vary.
     gof_z : float or None
         Goodness of fit of the model as a normal deviate; None if the method has no test.
     lack_of_fit : tuple of LackOfFit
@@ -89,6 +92,8 @@ class AxisFit:
     model: Model = field(default_factory=Model)
     m_min: int = 1
     filtered: bool = False
+    white_scatter: float = 0.0
+    drift_scatter: float = 0.0
     gof_z: Signed | None = None
     lack_of_fit: tuple[LackOfFit, ...] = ()
     deviation: Deviation | None = None
@@ -107,6 +112,34 @@ class AxisFit:
             if c.status != 'estimated' and c.upper95 is not None and math.isfinite(c.upper95)
         }
         return self.model.changed(**limits)
+
+
+def with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
+    """Return a fit with the predictive intervals of N, B and K.
+
+    ``white`` and ``drift`` are `AxisFit.white_scatter` and `AxisFit.drift_scatter`. Limits are
+    widened by the same factor.
+    """
+    noise = dict(fit.noise)
+    for letter, half in (('N', white), ('B', drift), ('K', drift)):
+        if half:
+            noise[letter] = _predicted(noise[letter], half)
+    return replace(fit, noise=noise, white_scatter=white, drift_scatter=drift)
+
+
+def _predicted(estimate: Estimate, half: float) -> Estimate:
+    """Return an estimate with its predictive interval, or a wider limit.
+
+    ``half`` is half of the 95 % interval of the logarithm of the number in another hour.
+    """
+    value, ends, limit = estimate.value, estimate.recording_ci95, estimate.upper95
+    if limit is not None:
+        return replace(estimate, upper95=limit * math.exp(half))
+    if not value or ends is None:
+        return estimate
+    low = math.hypot(math.log(value / ends[0]), half) if ends[0] > 0.0 else math.inf
+    high = math.hypot(math.log(ends[1] / value), half)
+    return replace(estimate, predictive_ci95=(value * math.exp(-low), value * math.exp(high)))
 
 
 def model_of_terms(noise: Mapping[str, Estimate]) -> Model:

@@ -16,19 +16,25 @@ from dataclasses import replace
 import numpy as np
 
 from ..allan.sums import AllanSums, part
-from ..estimate import Z_95
 from ..findings import Finding, finding, quantity
-from ..imu import sensor_of
-from ..number_text import duration_text
-from .bias_changes import WarmUp, step_findings, warm_ups
+from ..imu import axes_of_sensors, sensor_of
+from .bias_changes import step_findings
 from .maximum_likelihood import fit_likelihood
 from .methods import fit_noise
-from .result import NoiseModel
-from .statistics import statistics
-from .white_noise_levels import WhiteNoiseLevels, present_part, white_noise_levels
+from .period_levels import (
+    PeriodLevels,
+    drift_levels,
+    present_part,
+    scatter,
+    white_noise_levels,
+)
+from .result import NoiseModel, with_scatter
+from .settling import SensorSettling, settling
+from .statistics import Statistics, statistics
 
-LEAST_REMAINING = 0.25
-"""Smallest fraction of the samples that must remain after a warm-up."""
+MOST_LEFT = 1.0
+"""Largest part of a settling that may be left at the end of a recording, relative to the Allan
+deviation of the noise at the time constant; with more, the sensor is not settled."""
 
 SHAKY_RATIO = 1.3
 """Ratio of the highest to the lowest N above which steps are not searched for."""
@@ -69,22 +75,28 @@ def fit_stationary(
     present = present_part(sums, levels) if settle else None
     data = sums if present is None else _from_period(sums, present[0])
     known = statistics(data)
-    warming = warm_ups(data, known)
-    used, found = _without_warm_up(data, settle, warming)
-    known = known if used is data else statistics(used)
-    model = fit_likelihood(used, known)
+    of_axis = [known] * len(data.axes)
+    settles = []
+    for indices in axes_of_sensors(data.axes).values():
+        one = settling(data, known, indices)
+        if one is not None:
+            settles.append(one)
+            rest = statistics(data, one.settling)
+            of_axis = [rest if i in indices else each for i, each in enumerate(of_axis)]
+    model = fit_likelihood(data, of_axis)
+    found = settling_findings(data, settles)
     if present is not None:
         at, changed = present
         since = data.samples * sums.tau0
         found += [_level_finding(model, sums.axes[i], levels, i, at, since) for i in changed]
-    if used is not sums:
-        levels = white_noise_levels(used)
+        levels = white_noise_levels(data)
     # a larger level of the white noise in a part would look like steps
     ratios = (np.divide(*levels.extremes(i)) for i in range(len(sums.axes)))
     shaky = {i for i, ratio in enumerate(ratios) if ratio < 1.0 / SHAKY_RATIO}
-    shaky |= {a for w in warming for a in w.axes} if used is data else set()
-    found += step_findings(used, known, shaky)
-    return used, _with_variation(used, levels, replace(model, findings=(*found, *model.findings)))
+    shaky |= {a for one in settles for a in one.axes}
+    found += step_findings(data, known, shaky)
+    found = [*level_findings(data, levels, model), *found, *model.findings]
+    return data, replace(_with_scatter(data, of_axis, levels, model), findings=tuple(found))
 
 
 def _from_period(sums: AllanSums, at: int) -> AllanSums:
@@ -111,56 +123,32 @@ def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
     return total
 
 
-# --- warm-up --------------------------------------------------------------------------------------
+# --- settling -------------------------------------------------------------------------------------
 
 
-def _first_periods(sums: AllanSums, ages: list[tuple[int, float]]) -> tuple[list[int], int]:
-    """Return the first period of each recording after some ages, and the samples that remain."""
-    first = [0] * len(sums.recordings)
-    for i, age in ages:
-        periods = sums.recordings[i].periods
-        k = next((k for k, p in enumerate(periods) if p.begin >= age), len(periods))
-        first[i] = max(first[i], k)
-    remaining = (p.samples for r, k in zip(sums.recordings, first) for p in r.periods[k:])
-    return first, sum(remaining)
-
-
-def _without_warm_up(
-    sums: AllanSums, settle: bool, warming: list[WarmUp]
-) -> tuple[AllanSums, list[Finding]]:
-    """Exclude warm-ups; return sums and findings.
-
-    With ``settle`` False, or if too little would remain, they are only reported.
-    """
-    if not warming:
-        return sums, []
+def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[Finding]:
+    """Return the findings about the settling of each sensor."""
     tau0 = sums.tau0 or 1.0
-    first, remaining = _first_periods(sums, [(w.recording, w.age) for w in warming])
-    axes = tuple(a for i, a in enumerate(sums.axes) if any(i in w.axes for w in warming))
-    axis, largest = max(
-        ((a, s) for w in warming for a, s in zip(w.axes, w.sizes)), key=lambda each: abs(each[1])
-    )
-    size = quantity(abs(largest), sensor_of(sums.axes[axis]), 'signal')
-    if settle and remaining >= LEAST_REMAINING * sums.samples:
-        if not any(first):
-            return sums, []
-        used = _parts(sums, first)
-        early = max(r.periods[k].begin for r, k in zip(sums.recordings, first) if r.periods[k:])
-        return used, [finding('settled_part', axes, early=early * tau0, size=size)]
-    last = max(warming, key=lambda w: w.age)
-    rest = (last.age - sums.recordings[last.recording].samples) * tau0
-    after = f'after {duration_text(last.age * tau0)}'
-    settles = f'in about {duration_text(rest)}' if rest > 0.0 else after
-    long = 2.0 * last.age * tau0
-    name = 'not_settled' if rest > 0.0 else 'warm_up'
-    return sums, [finding(name, axes, size=size, settles=settles, how_long=long)]
+    out = []
+    for one in found:
+        sizes = [abs(s) for size in one.settling.sizes.values() for s in size.tolist()]
+        axes = tuple(sums.axes[a] for a in one.axes)
+        size = quantity(max(sizes), sensor_of(axes[0]), 'signal')
+        time = one.settling.time * tau0
+        if one.left > MOST_LEFT:
+            longer = time * math.log(one.left / MOST_LEFT)
+            long = max(r.samples for r in sums.recordings) * tau0 + longer
+            out.append(finding('not_settled', axes, size=size, time=time, how_long=long))
+        else:
+            out.append(finding('settling', axes, size=size, time=time))
+    return out
 
 
 # --- findings about the level ---------------------------------------------------------------------
 
 
 def _level_finding(
-    model: NoiseModel, axis: str, levels: WhiteNoiseLevels, i: int, at: int, since: float
+    model: NoiseModel, axis: str, levels: PeriodLevels, i: int, at: int, since: float
 ) -> Finding:
     """Return the finding that the level of an axis has changed at a period."""
     n = model.axes[axis].noise['N'].value or 0.0
@@ -168,36 +156,30 @@ def _level_finding(
     return finding('level_changed', (axis,), before=n * ratio, value=n, since=since)
 
 
-def _with_variation(sums: AllanSums, levels: WhiteNoiseLevels, model: NoiseModel) -> NoiseModel:
-    """Return the model with the intervals of N widened where the level varies, and findings."""
+def _with_scatter(
+    sums: AllanSums, known: Sequence[Statistics], levels: PeriodLevels, model: NoiseModel
+) -> NoiseModel:
+    """Return the model with predictive intervals, where the noise of a sensor varies with time."""
+    drifts = drift_levels(sums, known, model)
+    axes = dict(model.axes)
+    for indices in axes_of_sensors(sums.axes).values():
+        white, drift = scatter(levels, indices), scatter(drifts, indices)
+        for name in (sums.axes[i] for i in indices):
+            axes[name] = with_scatter(axes[name], white, drift)
+    return replace(model, axes=axes)
+
+
+def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> list[Finding]:
+    """Return the findings about a level of the white noise that varies."""
     which = 'between recordings' if len(sums.recordings) > 1 else 'within the recording'
     found = []
     for i, axis in enumerate(sums.axes):
-        scatter = levels.scatter(i)
-        if not scatter:
-            continue
-        model = _widened(model, axis, scatter)
         low, high = levels.extremes(i)
         n = model.axes[axis].noise['N']
+        if not levels.varies(i) or not n.resolved or not n.value:
+            continue
         least = LEVEL_RATIO if levels.varies(i, levels.spread(i)) else LARGE_RATIO
-        if n.status == 'estimated' and n.value and high > least * low:
+        if high > least * low:
             numbers = {'low': n.value * low, 'high': n.value * high, 'value': n.value}
             found.append(finding('level_changes', (axis,), which=which, **numbers))
-    return replace(model, findings=(*found, *model.findings))
-
-
-def _widened(model: NoiseModel, axis: str, scatter: float) -> NoiseModel:
-    """Widen the interval of N of one axis by a relative standard deviation."""
-    fit = model.axes[axis]
-    n = fit.noise['N']
-    if n.ci95 is not None and n.value and n.ci95[0] <= n.value <= n.ci95[1]:
-        low, high = (
-            n.value * math.exp(sign * math.hypot(math.log(end / n.value), Z_95 * scatter))
-            if end > 0.0
-            else 0.0
-            for sign, end in zip((-1.0, 1.0), n.ci95)
-        )
-        n = replace(n, recording_ci95=(low, high))
-    if n.upper95 is not None:
-        n = replace(n, upper95=n.upper95 * math.exp(Z_95 * scatter))
-    return replace(model, axes={**model.axes, axis: replace(fit, noise={**fit.noise, 'N': n})})
+    return found

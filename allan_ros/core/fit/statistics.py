@@ -12,6 +12,7 @@ Segments of equal length share one Gram matrix.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from ..allan.cascade import MAX_INTERPOLATED
 from ..allan.curve import pooled_spectra
 from ..allan.grid import LONGEST_BLOCK, SAMPLE_OCTAVES, bins_up_to, octave, tapers
+from ..allan.periods import BlockMeans, Recording
 from ..allan.sums import AllanSums
 from ..noise import Gamma, Process
 from ..noise.processes.quantization import Quantization
@@ -40,8 +42,17 @@ class LowPassCurvature(Process):
     """
 
 
-Sizes = tuple[tuple[int, int], ...]
-"""Number of block means and of cosines of each group of segments."""
+class Size(NamedTuple):
+    """Size of the contrasts of a group of segments."""
+
+    points: int  # block means of a segment
+    high: int  # cosines
+    decay: float = 0.0
+    """Time constant in block means of a settling, to which the contrasts are orthogonal; 0: none"""
+
+
+Sizes = tuple[Size, ...]
+"""Those of all groups."""
 
 LOWEST_BLOCKS = 2
 """The longest blocks of the spectra are at most 1/2 of the longest segment, so that at least three
@@ -52,6 +63,12 @@ LEAST_POINTS = 4
 
 MOST_CONTRASTS = 300
 """Largest number of cosines of a segment; fewer are used if there are spectra."""
+
+SETTLED = 5.0
+"""Time constants after which a settling has ended: 0.7 % of it is left."""
+
+LARGEST_SHARE = 0.99
+"""Largest share of a settling in the power of a bin that is subtracted; such bins hardly count."""
 
 EQUAL_LENGTHS = 8
 """Largest number of different lengths of segments that are treated exactly; with more, segments are
@@ -95,25 +112,29 @@ def _power_of(gamma: Gamma, octaves: int) -> Floats:
 
 
 @lru_cache(maxsize=64)
-def contrasts(points: int, high: int) -> Floats:
+def contrasts(size: Size) -> Floats:
     """Return a line and cosines of up to ``high`` half periods, (points, 1 + cosines).
 
-    The columns are orthonormal, and orthogonal to a constant.
+    The columns are orthonormal, and orthogonal to a constant and to a settling, if there is one.
     """
+    points, high, decay = size
     t = np.arange(points)
+    known = [np.ones(points)]
+    if decay:
+        known.append(np.exp(-t / decay))
     cosines = np.cos(np.pi * np.outer(t + 0.5, np.arange(1, high + 1)) / points)
-    q, _ = np.linalg.qr(np.column_stack([np.ones(points), t - t.mean(), cosines]))
-    return np.asarray(q[:, 1:])
+    q, _ = np.linalg.qr(np.column_stack([*known, t - t.mean(), cosines]))
+    return np.asarray(q[:, len(known) :])
 
 
 @lru_cache(maxsize=24)  # more than the groups of a recording: 8 lengths, or 18 of pieces
-def _transformed(points: int, high: int) -> Floats:
+def _transformed(size: Size) -> Floats:
     """Return the Fourier transform of the contrasts, real and imaginary parts, (rows, contrasts).
 
     The sum of its squares, weighted with the eigenvalues of a circulant matrix of twice as many
     points, is the covariance of the contrasts.
     """
-    f = np.fft.rfft(contrasts(points, high), 2 * points, axis=0) / math.sqrt(points)
+    f = np.fft.rfft(contrasts(size), 2 * size.points, axis=0) / math.sqrt(size.points)
     f[[0, -1]] *= math.sqrt(0.5)
     return np.concatenate([f.real, f.imag])
 
@@ -126,21 +147,20 @@ def _low_covariances(process: Process, step: int, sizes: Sizes) -> list[Floats]:
 
 def _covariances_of(gamma: Gamma, step: int, sizes: Sizes) -> list[Floats]:
     """Return the covariance of the contrasts of block means, for each size."""
-    lags = gamma(step, np.arange(max((points for points, _ in sizes), default=0)))
+    lags = gamma(step, np.arange(max((size.points for size in sizes), default=0)))
     found = []
-    for points, high in sizes:
-        values = lags[:points]
+    for size in sizes:
+        values = lags[: size.points]
         eigenvalues = np.fft.rfft(np.concatenate([values, values[-1:], values[:0:-1]])).real
-        v = _transformed(points, high)
+        v = _transformed(size)
         found.append(v.T @ (np.concatenate([eigenvalues, eigenvalues])[:, None] * v))
     return found
 
 
 class Group(NamedTuple):
-    """Contrasts of the block means of all segments of one length, summed over the segments."""
+    """Contrasts of the block means of all segments of one size, summed over the segments."""
 
-    points: int
-    high: int
+    size: Size
     segments: int
     sums: Floats  # (axes, contrasts)
     gram: Floats  # (axes, contrasts, contrasts)
@@ -165,6 +185,8 @@ class Statistics:
         Octave of each bin, and its frequency in cycles per sample.
     power : (bins, axes) array
         Mean power of the blocks in the squared unit of the samples (two-sided density).
+    settling : (bins, axes) array
+        Share of the power that is due to a settling of the bias.
     dof, dof_alone : (bins,) arrays
         Degrees of freedom of a bin with its share of the correlation with its neighbors, and of the
         bin alone.
@@ -182,6 +204,7 @@ class Statistics:
     octave: Ints
     f: Floats
     power: Floats
+    settling: Floats
     dof: Floats
     dof_alone: Floats
     correlation: float
@@ -196,8 +219,8 @@ class Statistics:
 
     @cached_property
     def sizes(self) -> Sizes:
-        """Number of block means and of cosines of each group."""
-        return tuple((group.points, group.high) for group in self.groups)
+        """Size of the contrasts of each group."""
+        return tuple(group.size for group in self.groups)
 
     @cached_property
     def crossover(self) -> float:
@@ -263,8 +286,29 @@ def lower_edge(octaves: int) -> float:
     return float((bins[0] - 0.5) / (means * size))
 
 
-def statistics(sums: AllanSums) -> Statistics:
-    """Return the statistics of sums."""
+@dataclass(frozen=True)
+class Settling:
+    """Settling A exp(-t/T) of the bias of a sensor after the start of each recording.
+
+    Attributes
+    ----------
+    time : float
+        Time constant T in samples.
+    sizes : mapping of int to (axes,) array
+        Index of a recording -> A of each axis at its start, in the unit of the samples; 0 for other
+        recordings.
+    """
+
+    time: float
+    sizes: Mapping[int, Floats]
+
+
+def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
+    """Return the statistics of sums, in which a settling has no part.
+
+    The contrasts of the block means are orthogonal to the decay, so that its size has no effect.
+    Its expected power is subtracted from the octave spectra.
+    """
     spectra = pooled_spectra(sums)
     longest = max((m.samples for r in sums.recordings for m in r.means), default=0)
     octaves = 0
@@ -273,14 +317,19 @@ def statistics(sums: AllanSums) -> Statistics:
             break
         octaves = o + 1
     used = spectra.octave < octaves
-    means = [(m.step, m.values.T) for r in sums.recordings for m in r.means]
-    step, groups = _groups(means, lower_edge(octaves))
+    power, share = spectra.power[used], np.zeros_like(spectra.power[used])
+    if settling is not None:
+        number = np.maximum(spectra.blocks[spectra.octave[used]], 1)[:, None]
+        total = settling_power(sums, settling, octaves) / number
+        share = np.clip(total / np.maximum(power, 1e-300), 0.0, LARGEST_SHARE)
+    step, groups = _groups(sums, lower_edge(octaves), settling)
     return Statistics(
         sums.samples,
         longest,
         spectra.octave[used],
         spectra.f[used],
-        spectra.power[used],
+        power,
+        share,
         spectra.shared_dof[used],
         spectra.dof[used],
         float(spectra.clump[used][-1]) if octaves else 1.0,
@@ -290,29 +339,73 @@ def statistics(sums: AllanSums) -> Statistics:
     )
 
 
-def _groups(means: list[tuple[int, Floats]], edge: float) -> tuple[int, tuple[Group, ...]]:
-    """Return the samples per block mean, and contrasts in groups of segments of equal length.
+def decay_of_means(time: float, step: int, number: int) -> Floats:
+    """Return consecutive means over ``step`` samples of exp(-t/T) from t = 0 on, (number,).
 
-    All block means are first brought to the longest of their steps.
+    ``time`` is T in samples.
     """
-    step = max((one for one, _ in means), default=1)
-    values = [_coarser(y, step // one) for one, y in means]
-    exact = len({y.shape[1] for y in values}) <= EQUAL_LENGTHS
-    pieces: dict[int, list[Floats]] = {}
-    for y in values:
+    first = math.expm1(-step / time) / math.expm1(-1.0 / time) / step
+    return np.asarray(first * np.exp(-step / time * np.arange(number)))
+
+
+def settling_power(sums: AllanSums, settling: Settling, octaves: int) -> Floats:
+    """Return the power of a settling in all spectral blocks of the first octaves, (bins, axes)."""
+    segments = [
+        (settling.sizes[i] * math.exp(-elapsed(r, m, sums.tau0 or 1.0) / settling.time), m.samples)
+        for i, r in enumerate(sums.recordings)
+        if i in settling.sizes
+        for m in r.means
+    ]
+    power = [np.zeros((0, len(sums.axes)))]
+    for o in range(octaves):
+        step, size, bins = octave(o)
+        of_block = np.abs(tapers(size, bins) @ decay_of_means(settling.time, step, size)) ** 2
+        hop = octave(o).length // 2
+        total = np.zeros(len(sums.axes))
+        for start, samples in segments:
+            blocks = max(samples // hop - 1, 0)
+            later = 2.0 * hop / settling.time
+            total += start**2 * math.expm1(-later * blocks) / math.expm1(-later)
+        power.append(of_block[:, None] * total)
+    return np.concatenate(power)
+
+
+def _groups(
+    sums: AllanSums, edge: float, settling: Settling | None
+) -> tuple[int, tuple[Group, ...]]:
+    """Return the samples per block mean, and contrasts in groups of segments of equal size.
+
+    All block means are first brought to the longest of their steps. A segment settles if it begins
+    within `SETTLED` time constants after the start of its recording.
+    """
+    means = [(r, m) for r in sums.recordings for m in r.means]
+    step = max((m.step for _, m in means), default=1)
+    segments = [(r, m, _coarser(m.values.T, step // m.step)) for r, m in means]
+    exact = len({y.shape[1] for *_, y in segments}) <= EQUAL_LENGTHS
+    decay = settling.time / step if settling is not None else 0.0
+    pieces: dict[tuple[int, float], list[Floats]] = {}
+    for recording, m, y in segments:
         at = 0
+        begin = elapsed(recording, m, sums.tau0 or 1.0) / step
         for points in [y.shape[1]] if exact else _lengths(y.shape[1]):
             if points >= LEAST_POINTS:
-                pieces.setdefault(points, []).append(y[:, at : at + points])
+                settles = begin + at < SETTLED * decay
+                pieces.setdefault((points, settles * decay), []).append(y[:, at : at + points])
             at += points
     groups = []
-    for points, each in sorted(pieces.items()):
-        high = min(int(2.0 * points * step * edge), points - 2, MOST_CONTRASTS)
-        if high >= 2:
-            z = np.stack(each) @ contrasts(points, high)
+    for (points, decays), each in sorted(pieces.items()):
+        most = points - 2 - bool(decays)
+        size = Size(points, min(int(2.0 * points * step * edge), most, MOST_CONTRASTS), decays)
+        if size.high >= 2:
+            z = np.stack(each) @ contrasts(size)
             gram = np.einsum('sai,saj->aij', z, z)
-            groups.append(Group(points, high, len(each), z.sum(0), gram))
+            groups.append(Group(size, len(each), z.sum(0), gram))
     return step, tuple(groups)
+
+
+def elapsed(recording: Recording, means: BlockMeans, tau0: float) -> float:
+    """Return the time from the start of a recording to a segment of it, in samples."""
+    return (means.start_ns - recording.periods[0].begin_ns) * 1e-9 / tau0
 
 
 def _coarser(y: Floats, factor: int) -> Floats:

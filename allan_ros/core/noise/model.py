@@ -128,20 +128,24 @@ class Model:
         """The model of the processes with a shape: all except terms and filter."""
         return self.where(lambda process: bool(process.parameters))
 
-    def at_end(self, end: int) -> Model:
+    def at_end(self, end: int, scatter: float = 0.0) -> Model:
         """Return the model at the lower (0) or upper (1) ends of the intervals of its parts.
 
-        Coefficients without an interval, sinusoids and shapes are unchanged.
+        Coefficients without an interval, sinusoids and shapes are unchanged. ``scatter`` is half of
+        the 95 % interval of the logarithm of the drift in another hour, by which the intervals of
+        drift become wider.
         """
-        return replace(
-            self,
-            parts=tuple(
-                part._replace(value=max(part.ci95[end], 0.0))
-                if part.ci95 and not part.process.is_line
-                else part
-                for part in self.parts
-            ),
-        )
+
+        def value(part: Part) -> float:
+            if part.ci95 is None or part.process.is_line:
+                return part.value
+            near = max(part.ci95[end], 0.0)
+            if not (scatter and near and part.value and part.process.is_drift):
+                return near
+            distance = math.hypot(math.log(near / part.value), scatter)
+            return part.value * math.exp(distance if end else -distance)
+
+        return replace(self, parts=tuple(p._replace(value=value(p)) for p in self.parts))
 
     def where(self, chosen: Callable[[Process], bool]) -> Model:
         """Return the model of the processes for which ``chosen`` is true."""

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,9 +13,10 @@ from numpy.typing import NDArray
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums, part
 from allan_ros.core.fit.bias_changes import step_findings
+from allan_ros.core.fit.period_levels import present_part, white_noise_levels
+from allan_ros.core.fit.settling import settling
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.fit.statistics import statistics
-from allan_ros.core.fit.white_noise_levels import present_part, white_noise_levels
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate import simulate_axis
@@ -23,7 +26,7 @@ Floats = NDArray[np.float64]
 DEG_H = from_datasheet('B', 'gyro', 1.0)
 HOUR = 3600
 CHANGES = {
-    'warm_up', 'not_settled', 'settled_part', 'bias_steps', 'level_changes', 'level_changed',
+    'settling', 'not_settled', 'bias_steps', 'level_changes', 'level_changed',
 }  # fmt: skip
 
 
@@ -63,21 +66,82 @@ def test_clean_noise_is_used_completely(terms: str) -> None:
     assert not changes(sums)
 
 
-def test_a_warm_up_is_excluded_and_the_drift_is_that_without_it() -> None:
+@pytest.mark.parametrize(('size', 'minutes'), [(300.0, 10.0), (1000.0, 2.0), (100.0, 60.0)])
+def test_a_settling_is_fitted_and_the_drift_does_not_contain_it(
+    size: float, minutes: float
+) -> None:
     y = draw(2, 8 * HOUR)
-    decay = 300.0 * DEG_H * np.exp(-np.arange(len(y)) / 600.0)[:, None]
-    sums = sums_of(y + decay)
+    decay = size * DEG_H * np.exp(-np.arange(len(y)) / (60.0 * minutes))
+    sums = sums_of(y + decay[:, None] * [1.0, -0.5, 0.7])
     used, model = fit_stationary(sums)
-    lost = 1.0 - used.samples / sums.samples
-    assert 2 * 600.0 / len(y) < lost < 0.4
-    assert 'settled_part' in {f.id for f in model.findings}
+    assert used is sums
+    (found,) = (f for f in model.findings if f.id in CHANGES)
+    assert found.id == 'settling' and found.axes == ('gyro_x', 'gyro_y', 'gyro_z')
+    assert found.values['time'] == pytest.approx(60.0 * minutes, rel=0.15)
+    assert found.values['size'].value == pytest.approx(size * DEG_H, rel=0.15)
     for fit in model.axes.values():
         b, k = fit.noise['B'], fit.noise['K']
         assert b.value == pytest.approx(5.237 * DEG_H, rel=0.2)
         assert k.status != 'estimated'
-    kept, _ = fit_stationary(sums, settle=False)
-    assert kept is sums
-    assert 'warm_up' in changes(sums, settle=False)
+
+
+def test_a_settling_after_each_restart_is_fitted_with_one_time_constant() -> None:
+    total = None
+    for seed, size in ((2, 300.0), (3, -200.0)):
+        y = draw(seed, 4 * HOUR)
+        y += size * DEG_H * np.exp(-np.arange(len(y)) / 900.0)[:, None]
+        one = sums_of(y)
+        total = one if total is None else total + one
+    assert total is not None
+    found = settling(total, statistics(total), [0, 1, 2])
+    assert found is not None and found.settling.time == pytest.approx(900.0, rel=0.15)
+    assert {i: round(s[0] / DEG_H, -2) for i, s in found.settling.sizes.items()} == {
+        0: 300.0, 1: -200.0,
+    }  # fmt: skip
+    _, model = fit_stationary(total)
+    assert all(fit.noise['K'].status != 'estimated' for fit in model.axes.values())
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_the_interval_of_another_hour_contains_the_scatter_of_the_drift(seed: int) -> None:
+    """Six parts of 40 min, whose drift differs by a factor of exp(0.4) (standard deviation)."""
+    rng = np.random.default_rng(seed)
+    white, drift = (draw(seed + k, 40 * HOUR, 10.0, term) for k, term in ((0, 'N'), (50, 'B')))
+    factor = 2.0 * np.repeat(np.exp(0.4 * rng.standard_normal(6)), len(drift) // 6)
+    drift = drift[: len(factor)]
+    white = white[: len(factor)]
+    sums = sums_of(white + drift * factor[:, None], rate=10.0)
+    _, model = fit_stationary(sums)
+    for fit in model.axes.values():
+        assert fit.white_scatter < 0.15 and 0.3 < fit.drift_scatter < 2.5
+        b = fit.noise['B']
+        assert b.value is not None and b.recording_ci95 is not None and b.ci95 is not None
+        assert b.ci95[0] < b.recording_ci95[0] and b.recording_ci95[1] < b.ci95[1]
+        half = math.log(b.ci95[1] / b.value)
+        assert half == pytest.approx(
+            math.hypot(fit.drift_scatter, math.log(b.recording_ci95[1] / b.value))
+        )
+
+
+def test_the_interval_of_another_hour_contains_the_scatter_of_the_white_noise() -> None:
+    y = draw(5, 6 * HOUR, terms='NB')
+    y[2 * HOUR : 4 * HOUR, 0] *= 1.1
+    _, model = fit_stationary(sums_of(y))
+    fit = model.axes['gyro_x']
+    assert 0.03 < fit.white_scatter < 0.5
+    n = fit.noise['N']
+    assert n.ci95 is not None and n.recording_ci95 is not None
+    assert n.ci95[1] > 1.02 * n.recording_ci95[1]
+
+
+def test_clean_noise_has_no_scatter_between_periods() -> None:
+    """With 20 sensors, two or more findings have a probability below 4 %."""
+    number = 0
+    for seed in range(20):
+        _, model = fit_stationary(sums_of(draw(seed, 2 * HOUR, terms='NB')))
+        fit = model.axes['gyro_x']
+        number += bool(fit.white_scatter or fit.drift_scatter)
+    assert number < 2
 
 
 def test_a_warm_up_that_does_not_end_is_reported() -> None:

@@ -12,7 +12,14 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 from support.sums import sums_of
 
-from allan_ros.core.fit.statistics import contrasts, statistics
+from allan_ros.core.allan.curve import pooled_spectra
+from allan_ros.core.fit.statistics import (
+    Settling,
+    Size,
+    contrasts,
+    settling_power,
+    statistics,
+)
 from allan_ros.core.noise import RANDOM_TERMS, GaussMarkov, Model
 from allan_ros.core.noise.processes.bounded_walk import BoundedWalk
 from allan_ros.core.noise.processes.resonance import Resonance
@@ -94,13 +101,52 @@ def test_expected_covariances_of_contrasts_equal_simulated_ones(component):
     assert eigenvalues.max() < chi2.ppf(1.0 - corner, AXES)
 
 
-@pytest.mark.parametrize(('points', 'high'), [(4, 2), (31, 12), (200, 40)])
-def test_contrasts_are_orthonormal_and_see_neither_mean_nor_more_than_one_ramp(points, high):
-    v = contrasts(points, high)
+@pytest.mark.parametrize(
+    'size',
+    [
+        Size(4, 2),
+        Size(31, 12),
+        Size(200, 40),
+        Size(5, 2, 3.0),
+        Size(200, 40, 9.0),
+        Size(99, 9, 200.0),
+    ],
+)
+def test_contrasts_are_orthonormal_and_see_only_the_size_of_a_ramp(size: Size):
+    v, t = contrasts(size), np.arange(size.points)
     np.testing.assert_allclose(v.T @ v, np.eye(v.shape[1]), atol=1e-12)
-    both = v.T @ np.column_stack([np.ones(points), np.arange(points)])
-    np.testing.assert_allclose(both[:, 0], 0.0, atol=1e-12)
-    np.testing.assert_allclose(both[1:, 1], 0.0, atol=1e-9)
+    np.testing.assert_allclose(v.T @ np.ones(size.points), 0.0, atol=1e-12)
+    np.testing.assert_allclose(v.T[1:] @ t, 0.0, atol=1e-9)
+    if size.decay:
+        np.testing.assert_allclose(v.T @ np.exp(-t / size.decay), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize('time', [50.0, 1000.0, 20_000.0])
+def test_the_power_of_a_settling_is_computed_exactly(time: float):
+    """Two segments of one recording; smaller powers are rounding errors of float32."""
+    decay = np.exp(-np.arange(30_000) / time)[:, None]
+    sums = sums_of(decay, cuts=(20_000,))
+    settling = Settling(time, {0: np.array([1.0])})
+    spectra = pooled_spectra(sums)
+    octaves = int(spectra.octave[-1]) + 1
+    expected = settling_power(sums, settling, octaves)[:, 0] / spectra.blocks[spectra.octave]
+    large = expected > 1e-4 * expected.max()
+    np.testing.assert_allclose(spectra.power[large, 0], expected[large], rtol=1e-3)
+
+
+def test_a_settling_changes_no_contrast_and_little_of_the_spectra():
+    rng = np.random.default_rng(3)
+    y = rng.standard_normal((20_000, 2))
+    decay = 40.0 * np.exp(-np.arange(20_000) / 1500.0)[:, None]
+    settling = Settling(1500.0, {0: np.array([40.0, 40.0])})
+    plain, moved = (statistics(sums_of(each), settling) for each in (y, y + decay))
+    for a, b in zip(plain.groups, moved.groups):
+        np.testing.assert_allclose(a.gram[:, 1:, 1:], b.gram[:, 1:, 1:], rtol=1e-4, atol=1e-6)
+    left = moved.power * (1.0 - moved.settling)
+    unsettled = statistics(sums_of(y))
+    certain = moved.settling < 0.5
+    ratio = left[certain] / unsettled.power[certain]
+    assert certain.mean() > 0.8 and abs(ratio - 1.0).max() < 0.5
 
 
 def test_an_offset_and_a_ramp_in_each_segment_change_nothing_but_the_line():
@@ -139,4 +185,4 @@ def test_the_white_noise_of_replaced_samples_is_expected(length, level):
         np.linalg.solve(found.column(White(), a).low[0][1:, 1:], group.gram[a, 1:, 1:]).trace()
         for a in range(24)
     ]
-    assert abs(np.mean(each) - group.high) < 4.0 * math.sqrt(2.0 * group.high / 24)
+    assert abs(np.mean(each) - group.size.high) < 4.0 * math.sqrt(2.0 * group.size.high / 24)

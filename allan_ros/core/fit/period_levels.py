@@ -1,0 +1,337 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Level of the noise in each period of a recording, its changes, and its scatter.
+
+The level of a band of frequencies is its mean power relative to all data. Two bands are used: the
+highest octaves (white noise), and the frequencies at which the drift has a relevant share.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..allan.curve import pooled_spectra
+from ..allan.sums import AllanSums
+from ..noise import Model, Part
+from .result import NoiseModel
+from .statistics import Floats, Statistics
+
+LEVEL_CHANGES = 1e-3
+"""Probability below which the level of the white noise varies, per axis (0 of 240 records)."""
+
+TOP_OCTAVES = 3
+"""Octaves that measure the level of the white noise."""
+
+SINUSOID_RATIO = 1.5
+"""Bins whose power exceeds the median of their octave by this ratio contain a sinusoid."""
+
+SPREAD_DOF = 0.3
+"""Degrees of freedom of the scatter between neighboring periods, per period."""
+
+MEDIAN_CHI_SQUARED = 0.455
+"""Median of chi-squared with one degree of freedom."""
+
+PART = 0.04
+"""Typical length, relative to all data, of the shortest parts whose level a finding states."""
+
+LEAST_SHARE = 0.3
+"""Least share of the drift in the power of a bin that measures its level."""
+
+LARGEST_SETTLING = 0.01
+"""Largest share of a settling in the power of such a bin: it is not the same in all periods."""
+
+SCATTER = 0.005
+"""Probability below which the levels of the parts of a recording vary, per sensor and scale: 1.5 %
+or less in all (white noise 2 of 150 sensors, drift 1 of 600)."""
+
+SCALES = (3, 6, 12)
+"""Numbers of parts of a recording whose levels are compared."""
+
+LEAST_DOF = 10.0
+"""Fewest degrees of freedom of the level of a part."""
+
+LEAST_PARTS = 3
+"""Fewest parts of which the scatter is computed."""
+
+LEAST_CHANGE = 0.2
+"""Least relative change of N after which only the last part is fitted."""
+
+LEAST_LAST_S, LEAST_LAST_PART = 30.0, 0.1
+"""Shortest last part that is fitted alone, in s and relative to all data."""
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodLevels:
+    """Power of a band of frequencies in each period, relative to all data.
+
+    Attributes
+    ----------
+    power : (periods, axes) array
+        Mean power over the expected one; 0 without spectra.
+    dof : (periods, axes) array
+        Degrees of freedom of this mean if the noise is Gaussian.
+    samples : (periods,) array
+    share : (axes,) array
+        Share of the noise of interest in the power of the band.
+    """
+
+    power: Floats
+    dof: Floats
+    samples: NDArray[np.int64]
+    share: Floats
+
+    def mean(self, axis: int, rows: slice = slice(None)) -> float:
+        """Return the mean level of some periods."""
+        weights = np.maximum(self.dof[rows, axis], 1e-9)
+        return float(np.average(self.power[rows, axis], weights=weights))
+
+    def usual(self, axis: int, before: int) -> float:
+        """Return the weighted median of the levels before a period."""
+        order = np.argsort(self.power[:before, axis])
+        weight = np.cumsum(self.dof[:before, axis][order])
+        at = int(np.searchsorted(weight, weight[-1] / 2.0))
+        return float(self.power[order[at], axis])
+
+    def spread(self, axis: int) -> float:
+        """Return the variance between neighboring periods relative to Gaussian noise, at least 1.
+
+        It is a median, on which changes of the level have no effect as long as there are few.
+        """
+        r, n = self.power[:, axis], self.dof[:, axis]
+        some = (n[1:] > 0.0) & (n[:-1] > 0.0) & (r[1:] > 0.0) & (r[:-1] > 0.0)
+        if not some.any():
+            return 1.0
+        gap = np.log(r[1:][some] / r[:-1][some])
+        expected = 2.0 / n[1:][some] + 2.0 / n[:-1][some]
+        return max(float(np.median(gap**2 / expected)) / MEDIAN_CHI_SQUARED, 1.0)
+
+    def varies(self, axis: int, spread: float = 1.0) -> bool:
+        """Return whether the levels of the periods differ significantly (Bartlett's test).
+
+        ``spread`` is the variance of the periods relative to Gaussian noise.
+        """
+        r, n = self.power[:, axis], self.dof[:, axis]
+        on = (n > 0.0) & (r > 0.0)
+        if on.sum() < 2:
+            return False
+        with np.errstate(divide='ignore', invalid='ignore'):
+            statistic = float(np.sum(n[on] * np.log(self.mean(axis) / r[on])))
+        return _tail(statistic, int(on.sum()) - 1, spread, len(r)) < LEVEL_CHANGES
+
+    def extremes(self, axis: int) -> tuple[float, float]:
+        """Return the lowest and the highest N in parts of the data, divided by N of all data."""
+        part = np.floor(np.cumsum(self.samples) / (PART * self.samples.sum()) - 1e-9)
+        rows = (slice(*np.flatnonzero(part == i)[[0, -1]] + [0, 1]) for i in np.unique(part))
+        mean = np.float64(self.mean(axis)) or np.nan
+        r = np.sqrt(np.array([self.mean(axis, each) for each in rows]) / mean)
+        if not np.isfinite(r).all():
+            return 1.0, 1.0
+        return float(r.min(initial=1.0)), float(r.max(initial=1.0))
+
+    def last_change(self, axis: int) -> int | None:
+        """Return the first period after the last change of the level, or None.
+
+        The level after it differs by `LEAST_CHANGE` of N from the usual level before.
+        """
+        n, r, spread = self.dof[:, axis], self.power[:, axis], self.spread(axis)
+        found, begin = None, 0
+        while begin < len(n) - 1:
+            before, power = np.cumsum(n[begin:])[:-1], np.cumsum((n * r)[begin:])[:-1]
+            after = n[begin:].sum() - before
+            total = (n * r)[begin:].sum()
+            with np.errstate(divide='ignore', invalid='ignore'):
+                low, high = power / before, (total - power) / after
+                mean = total / n[begin:].sum()
+                gain = before * np.log(mean / low) + after * np.log(mean / high)
+                large = np.abs(np.log(high / low)) / 2.0 > np.log1p(LEAST_CHANGE)
+            gain = np.where(np.isfinite(gain) & large, gain, 0.0)
+            at = int(gain.argmax())
+            if not _tail(float(gain[at]), 1, spread, len(n)) * len(n) < LEVEL_CHANGES:
+                break
+            found = begin = begin + at + 1
+        if not found:
+            return None
+        if found + 1 < len(n) and self._is_mixed(axis, found, spread):
+            found += 1
+        return found if self.change(axis, found) > LEAST_CHANGE else None
+
+    def joined(self, axis: int, parts: int) -> tuple[Floats, Floats]:
+        """Return power and degrees of freedom of an axis in parts of several periods.
+
+        The parts have nearly the same number of samples, and at least `LEAST_DOF` degrees of
+        freedom each.
+        """
+        share = np.cumsum(self.samples) / self.samples.sum()
+        ends, number = [0], 0.0
+        for k, (done, dof) in enumerate(zip(share.tolist(), self.dof[:, axis].tolist())):
+            number += dof
+            if done > len(ends) / parts - 1e-9 and number >= LEAST_DOF:
+                ends.append(k + 1)
+                number = 0.0
+        dof = np.add.reduceat(self.dof[:, axis], ends[:-1]) if len(ends) > 1 else np.zeros(0)
+        total = self.dof[:, axis] * self.power[:, axis]
+        return np.add.reduceat(total, ends[:-1]) / dof if len(ends) > 1 else dof, dof
+
+    def _is_mixed(self, axis: int, at: int, spread: float) -> bool:
+        """Return whether the level of a period differs from the level of all later ones."""
+        n, r = self.dof[:, axis], self.power[:, axis]
+        later = n[at + 1 :].sum()
+        if not (n[at] > 0.0 and later > 0.0 and r[at] > 0.0):
+            return False
+        difference = math.log(self.mean(axis, slice(at + 1, None)) / r[at])
+        square = difference**2 / (2.0 / n[at] + 2.0 / later)
+        return _tail(square, 1, spread, len(n)) < LEVEL_CHANGES
+
+    def change(self, axis: int, at: int) -> float:
+        """Return the relative change of N at a period, from the usual level before; at least 0."""
+        before, after = self.usual(axis, at), self.mean(axis, slice(at, None))
+        if not (before > 0.0 and after > 0.0):  # one of them has no noise at all
+            return 0.0
+        ratio = after / before
+        return float(np.sqrt(max(ratio, 1.0 / ratio)) - 1.0)
+
+
+def scatter(levels: PeriodLevels, axes: Sequence[int]) -> float:
+    """Return how far the amplitude of the noise of a sensor may differ in another hour.
+
+    The logarithms of the levels of the parts of a recording have a normal scatter, common to the
+    ``axes`` of a sensor, in addition to the scatter of Gaussian noise (random effects; R.
+    DerSimonian, N. Laird, Controlled Clinical Trials 7, 1986). The largest one that is significant
+    counts, of parts of different lengths.
+
+    Returns
+    -------
+    float
+        Half of the 95 % interval of the logarithm of the amplitude; 0 if the levels of the parts do
+        not differ significantly.
+    """
+    from scipy.special import chdtrc, polygamma, stdtrit
+
+    largest = 0.0
+    for parts in SCALES:
+        joined = [(*levels.joined(axis, parts), float(levels.share[axis])) for axis in axes]
+        joined = [each for each in joined if len(each[0]) >= LEAST_PARTS and each[0].min() > 0.0]
+        if not joined:
+            continue
+        statistic, number, excess, information = 0.0, 0, 0.0, 0.0
+        for power, dof, share in joined:
+            more = len(dof) - 1
+            correction = 1.0 + (np.sum(1.0 / dof) - 1.0 / dof.sum()) / (3.0 * more)
+            mean = np.average(power, weights=dof)
+            statistic += float(np.sum(dof * np.log(mean / power))) / correction
+            number += more
+            weight = 1.0 / polygamma(1, dof / 2.0)
+            level = np.log(power)
+            squares = weight @ (level - np.average(level, weights=weight)) ** 2
+            excess += float(squares) - more
+            information += float(weight.sum() - weight @ weight / weight.sum()) * share**2
+        if excess > 0.0 and chdtrc(number, statistic) < SCATTER:
+            quantile = float(stdtrit(number / len(joined), 0.975))
+            largest = max(largest, quantile * math.sqrt(excess / information) / 2.0)
+    return largest
+
+
+def _tail(statistic: float, number: int, spread: float, periods: int) -> float:
+    """Return the probability that chi-squared exceeds a statistic.
+
+    A ``spread`` above 1 is itself uncertain, as if it was the mean of `SPREAD_DOF` squares per
+    period.
+    """
+    from scipy.special import chdtrc, fdtrc
+
+    if spread == 1.0:
+        return float(chdtrc(number, statistic))
+    return float(fdtrc(number, SPREAD_DOF * periods, statistic / number / spread))
+
+
+def white_noise_levels(sums: AllanSums) -> PeriodLevels:
+    """Return the level of the white noise in each period of the sums."""
+    whole = pooled_spectra(sums)
+    used = (whole.octave < TOP_OCTAVES) & (whole.dof > 0.0)
+    flat = np.zeros((len(whole.f), len(sums.axes)))
+    for o in np.unique(whole.octave[used]):
+        on = whole.octave == o
+        flat[on] = whole.power[on] <= SINUSOID_RATIO * np.median(whole.power[on], axis=0)
+    return _levels(sums, whole.power, flat)
+
+
+def drift_levels(sums: AllanSums, known: Sequence[Statistics], model: NoiseModel) -> PeriodLevels:
+    """Return the level of the drift in each period of the sums.
+
+    ``known`` are the statistics of each axis, and ``model`` is the fit of the sums. Drift is what
+    makes the integrated error grow, except white noise.
+    """
+    expected = np.ones((len(known[0].f), len(sums.axes)))
+    share = np.zeros_like(expected)
+    for i, (name, one) in enumerate(zip(sums.axes, known)):
+        total, drift = (
+            sum(
+                (
+                    part.process.variance_of(part.value, model.tau0)
+                    * one.power_of(part.process.in_unit(model.tau0))
+                    for part in parts
+                ),
+                np.zeros(len(one.f)),
+            )
+            for parts in _parts(model.axes[name].model)
+        )
+        some = (total > 0.0) & (one.settling[:, i] < LARGEST_SETTLING)
+        share[some, i] = drift[some] / total[some]
+        expected[some, i] = total[some]
+    return _levels(sums, expected, np.where(share > LEAST_SHARE, share, 0.0))
+
+
+def _parts(model: Model) -> tuple[list[Part], list[Part]]:
+    """Return the random processes of a model, and those of them that are drift."""
+    random = [part for part in model.parts if not part.process.is_regressor]
+    return random, [p for p in random if p.process.is_drift and not p.process.is_white]
+
+
+def _levels(sums: AllanSums, expected: Floats, share: Floats) -> PeriodLevels:
+    """Return the power of some bins in each period, relative to the expected one.
+
+    ``share``, (bins, axes), is the share of the noise of interest in the power of each bin; bins
+    are weighted with it.
+    """
+    bins = len(expected)
+    power, dof = [], []
+    for r in sums.recordings:
+        for p in r.periods:
+            one = pooled_spectra(replace(sums, recordings=(replace(r, periods=(p,)),)))
+            number = min(len(one.f), bins)
+            of_bin = one.shared_dof[:number, None]
+            weight = of_bin * share[:number]
+            ratio = one.power[:number] / np.maximum(expected[:number], 1e-300)
+            total = weight.sum(axis=0)
+            power.append(np.sum(weight * ratio, axis=0) / np.maximum(total, 1e-300))
+            square = np.sum(of_bin * share[:number] ** 2, axis=0)
+            dof.append(total**2 / np.maximum(square, 1e-300))
+    samples = np.array([p.samples for p in sums.periods])
+    total = np.maximum(share.sum(axis=0), 1e-300)
+    shape = (-1, len(sums.axes))
+    return PeriodLevels(
+        np.array(power).reshape(shape),
+        np.array(dof).reshape(shape),
+        samples,
+        np.sum(share**2, axis=0) / total,
+    )
+
+
+def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int, ...]] | None:
+    """Return the first period of the present level, and the axes whose level has changed.
+
+    The result is None without a change, or if the level has not lasted long enough.
+    """
+    total = levels.samples.sum()
+    least = max(LEAST_LAST_S / (sums.tau0 or 1.0), LEAST_LAST_PART * total)
+    found = {i: levels.last_change(i) for i in range(len(sums.axes))}
+    found = {i: k for i, k in found.items() if k and levels.samples[k:].sum() >= least}
+    if not found:
+        return None
+    at = max(k for k in found.values() if k)
+    return at, tuple(i for i in range(len(sums.axes)) if levels.change(i, at) > LEAST_CHANGE)

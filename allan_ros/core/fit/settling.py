@@ -1,0 +1,150 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Settling of the bias: A exp(-t/T) after the start of each recording.
+
+T is common to the axes of a sensor, and maximizes the likelihood. The size A of each axis is
+estimated by generalized least squares, and the noise is fitted again to what remains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..allan.periods import BlockMeans
+from ..allan.sums import AllanSums
+from .bias_changes import AxisSegment, FittedEffects, Segment
+from .statistics import Floats, Settling, Statistics, decay_of_means, elapsed
+
+GAIN_SETTLING = 16.5
+"""Least gain in -2 log L of a settling, summed over the axes of a sensor: 1 % per sensor. The 99 %
+quantiles without a settling are 10 to 13, depending on the noise (`bench_stationarity.py`)."""
+
+TIMES = 2.0 * 0.5 ** np.arange(9)
+"""First trials of the time constant, relative to the length of the segment."""
+
+REFINEMENTS = 4
+"""Number of bisections of the interval between two trials, in the logarithm."""
+
+PROMISING_SCORE = 5.0
+"""Least score of a settling for which the noise is fitted again. Scores use the noise that was
+fitted without it, which is too large if there is one."""
+
+LEAST_SEGMENT = 0.3
+"""Shortest first segment, relative to its recording, in which a settling is searched for."""
+
+TESTED_RECORDINGS = 4
+"""Number of the longest recordings that are tested for a settling."""
+
+
+@dataclass(frozen=True)
+class SensorSettling:
+    """Settling of the axes of one sensor.
+
+    Attributes
+    ----------
+    settling : Settling
+        Time constant, and sizes of each axis.
+    axes : tuple of int
+        Axes that take part.
+    gain : float
+        Gain in -2 log L, summed over the axes, in the recording with the largest gain.
+    left : float
+        What is left at the end of a recording, relative to the Allan deviation of the noise at the
+        time constant: the largest of all axes and recordings.
+    """
+
+    settling: Settling
+    axes: tuple[int, ...]
+    gain: float
+    left: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensor:
+    """First segment of a recording: its block means, and the noise of the axes of a sensor."""
+
+    segment: Segment
+    noise: Mapping[int, AxisSegment]
+
+    def effects(self, time: float) -> dict[int, FittedEffects]:
+        """Return the fits of each axis with a settling of a time constant, in samples."""
+        decay = self.segment.contrasts_of(_decays([time], self.segment.means))
+        return {axis: one.with_effects(decay) for axis, one in self.noise.items()}
+
+    def gain(self, time: float) -> float:
+        """Return the gain of a settling in -2 log L, summed over the axes."""
+        return sum(max(one.gain, 0.0) for one in self.effects(time).values())
+
+    def best_time(self) -> tuple[float, float]:
+        """Return the time constant with the largest gain, and this gain; 0 if none is promising."""
+        means = self.segment.means
+        times = (TIMES * (len(means.values) * means.step)).tolist()
+        decays = self.segment.contrasts_of(_decays(times, means))
+        none = decays[:, :0]
+        scores = np.sum([one.scores(decays, none, one.fit) for one in self.noise.values()], axis=0)
+        if scores.max() < PROMISING_SCORE:
+            return 0.0, 0.0
+        gains = {t: self.gain(t) for t, score in zip(times, scores) if score > 0.4 * scores.max()}
+        best = max(gains, key=lambda t: gains[t])
+        if gains[best] < GAIN_SETTLING / 2.0:
+            return best, gains[best]
+        for k in range(REFINEMENTS):
+            factor = 2.0**0.5 ** (k + 1)
+            for t in (best / factor, best * factor):
+                gains[t] = self.gain(t)
+            best = max(gains, key=lambda t: gains[t])
+        return best, gains[best]
+
+
+def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorSettling | None:
+    """Return the settling of some axes, or None if no recording shows one.
+
+    The time constant is the one of the recording that shows it best. ``known`` are the statistics
+    of the sums.
+    """
+    tau0 = sums.tau0 or 1.0
+    order = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
+    sensors = {}
+    for i in order[:TESTED_RECORDINGS]:
+        recording = sums.recordings[i]
+        first = recording.means[0] if recording.means else None
+        if first is None or first.samples < LEAST_SEGMENT * recording.samples:
+            continue
+        segment = Segment.of(known, first, tau0)
+        if segment is not None:
+            every = {a: segment.axis(a) for a in axes}
+            noise = {a: one for a, one in every.items() if one is not None}
+            if noise:
+                sensors[i] = _Sensor(segment, noise)
+    tried = [one.best_time() for one in sensors.values()]
+    time, gain = max(tried, key=lambda each: each[1], default=(0.0, 0.0))
+    if gain < GAIN_SETTLING:
+        return None
+    sizes: dict[int, Floats] = {}
+    taking: set[int] = set()
+    left = 0.0
+    for i, sensor in sensors.items():
+        effects = sensor.effects(time)
+        if sum(max(one.gain, 0.0) for one in effects.values()) < GAIN_SETTLING:
+            continue
+        recording, segment = sums.recordings[i], sensor.segment
+        before = elapsed(recording, segment.means, tau0)
+        size = np.zeros(len(sums.axes))
+        for axis, one in effects.items():
+            if max(one.gain, 0.0) < GAIN_SETTLING / len(effects) / 2.0:
+                continue
+            size[axis] = float(one.sizes[0]) * math.exp(min(before / time, 50.0))
+            taking.add(axis)
+            rest = abs(float(one.sizes[0])) * math.exp(-segment.means.samples / time)
+            left = max(left, rest / sensor.noise[axis].deviation(one.fit, time))
+        sizes[i] = size
+    return SensorSettling(Settling(time, sizes), tuple(sorted(taking)), gain, left)
+
+
+def _decays(times: Sequence[float], means: BlockMeans) -> Floats:
+    """Return the block means of exp(-t/T) for each T, (means, times)."""
+    return np.array([decay_of_means(t, means.step, len(means.values)) for t in times]).T
