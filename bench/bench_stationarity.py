@@ -4,7 +4,7 @@
 
 python bench/bench_stationarity.py alarms --records 100    findings on clean records
 python bench/bench_stationarity.py gains --records 100     gains without effects
-python bench/bench_stationarity.py power --records 20      warm-up, steps and levels
+python bench/bench_stationarity.py power --records 20      settling, steps and levels
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.stats import beta
 
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.fit import bias_changes
+from allan_ros.core.fit import bias_changes, settling
 from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.result import NoiseModel
 from allan_ros.core.fit.stationary import fit_stationary
@@ -37,7 +37,7 @@ TRUTH = {'Q': 0.138, 'N': 0.242, 'B': 5.237, 'K': 31.807, 'R': 76.242}
 
 CLEAN = {'table 1 X': 'QNBKR', 'N': 'N', 'N + B': 'NB', 'N + K': 'NK'}
 
-EARLY = {'warm_up', 'settled_part'}
+EARLY = {'settling', 'not_settled'}
 LEVEL = {'level_changes', 'level_changed'}
 TESTS = (EARLY, {'bias_steps'}, LEVEL)
 """Findings of each test."""
@@ -91,8 +91,8 @@ def show_alarms(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 
 def show_gains(records: int, seed: int) -> Iterator[tuple[str, ...]]:
-    """Yield quantiles of the gains of a warm-up and of steps in clean records of 2 h at 1 Hz."""
-    bias_changes.GAIN_WARM_UP = bias_changes.GAIN_STEPS = 0.0
+    """Yield quantiles of the gains of a settling and of steps in clean records of 2 h at 1 Hz."""
+    settling.GAIN_SETTLING = bias_changes.GAIN_STEPS = 0.0
     for k, (name, terms) in enumerate(CLEAN.items()):
         warm: list[float] = []
         steps: list[float] = []
@@ -101,8 +101,8 @@ def show_gains(records: int, seed: int) -> Iterator[tuple[str, ...]]:
             means = sums.recordings[0].means[0]
             segment = bias_changes.Segment.of(statistics(sums), means, 1.0)
             assert segment is not None  # 2 h are long enough
-            one = bias_changes.warm_up(segment, 0, [0, 1, 2])
-            warm.append(one.excess if one else 0.0)
+            one = settling.settling(sums, statistics(sums), [0, 1, 2])
+            warm.append(one.gain if one else 0.0)
             each = [bias_changes.bias_steps(segment, a) for a in range(3)]
             steps += [s.excess if s else 0.0 for s in each]
         yield (name, *(f'{np.quantile(v, q):.1f}' for v in (warm, steps) for q in (0.9, 0.99)))
@@ -150,8 +150,8 @@ def show_power(records: int, seed: int) -> Iterator[tuple[str, ...]]:
 
 
 SHOWS = {
-    'alarms': (show_alarms, ('noise', 'warm-up', 'steps', 'level', 'CPU time per axis')),
-    'gains': (show_gains, ('noise', 'warm-up 90 %', '99 %', 'steps 90 %', '99 %')),
+    'alarms': (show_alarms, ('noise', 'settling', 'steps', 'level', 'CPU time per axis')),
+    'gains': (show_gains, ('noise', 'settling 90 %', '99 %', 'steps 90 %', '99 %')),
     'power': (show_power, ('effect', 'found', 'K covered')),
 }
 

@@ -209,8 +209,8 @@ class SegmenterSettings(CheckedSettings):
     )
     skip: float = fixed_parameter(
         AUTO,
-        'Time excluded at the start while the IMU warms up. auto (-1) detects the end of the '
-        'warm-up; 0 uses all data.',
+        'Time excluded at the start. auto (-1) excludes only data before a lasting change of the '
+        'white noise; 0 uses all data.',
         's',
         AUTO,
         1e6,

@@ -206,7 +206,7 @@ def _state_text(health: StreamHealth, static_s: float) -> str:
     }[health.state]
 
 
-NOTED = ('warm_up', 'not_settled', 'settled_part', 'bias_steps', 'level_changes', 'level_changed')
+NOTED = ('settling', 'not_settled', 'bias_steps', 'level_changes', 'level_changed')
 """Findings of the fit that are listed in the status of an axis but do not change its level."""
 
 

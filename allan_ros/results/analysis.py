@@ -100,12 +100,13 @@ def analyze_recorded(
     ``at_rest_before`` is an earlier run whose noise predicts the errors in motion, by default that
     of the recordings themselves.
 
-    A warm-up at the start is excluded, unless the settings of the recordings state a time to skip.
+    Data before a lasting change of the white noise are excluded, unless the settings of the
+    recordings state a time to skip.
     Raises AllanError if there are too few data.
     """
     skip = recorded.provenance.settings.get('skip', AUTO)
-    exclude_warm_up = isinstance(skip, (int, float)) and skip < 0.0
-    fitted = [fit_stationary(s, method, exclude_warm_up) for s in recorded.sums]
+    may_exclude = isinstance(skip, (int, float)) and skip < 0.0
+    fitted = [fit_stationary(s, method, may_exclude) for s in recorded.sums]
     sums = [s for s, _ in fitted]
     curves = [allan_curve(s) for s in sums]
     fits = [with_deviations(fit, curve) for (_, fit), curve in zip(fitted, curves)]

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit of recordings whose noise changes with time: `fit_stationary`.
 
-If the level of the white noise has changed, only the data after the change are fitted. After a
-warm-up, only the data after it are fitted. Findings report steps of the bias and variations of the
-level.
+If the level of the white noise has changed, only the data after the change are fitted. A settling
+of the bias is part of the model. The predictive intervals contain the scatter of the levels between
+periods. Findings report all of these, and steps of the bias.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ scatter may come from impulsive noise."""
 
 
 def fit_stationary(
-    sums: AllanSums, method: str = 'likelihood', settle: bool = True
+    sums: AllanSums, method: str = 'likelihood', may_exclude: bool = True
 ) -> tuple[AllanSums, NoiseModel]:
-    """Fit the data at the present level of the white noise, after a warm-up.
+    """Fit the data at the present level of the white noise.
 
     Parameters
     ----------
     sums : AllanSums
     method : str
         One of `METHODS`; 'paper' always fits all data.
-    settle : bool
-        Whether data may be excluded; findings report a warm-up and changes of the level anyway.
+    may_exclude : bool
+        Whether data before a change of the level may be excluded.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def fit_stationary(
     if method != 'likelihood' or not sums.tau0:
         return sums, fit_noise(sums, method)
     levels = white_noise_levels(sums)
-    present = present_part(sums, levels) if settle else None
+    present = present_part(sums, levels) if may_exclude else None
     data = sums if present is None else _from_period(sums, present[0])
     known = statistics(data)
     of_axis = [known] * len(data.axes)

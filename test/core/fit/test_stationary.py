@@ -48,9 +48,9 @@ def sums_of(*segments: Floats, rate: float = 1.0, pause: float = 1.0) -> AllanSu
     return engine.sums
 
 
-def changes(sums: AllanSums, settle: bool = True) -> dict[str, tuple[str, ...]]:
+def changes(sums: AllanSums, may_exclude: bool = True) -> dict[str, tuple[str, ...]]:
     """Return the axes of each finding about noise that changes with time."""
-    _, model = fit_stationary(sums, settle=settle)
+    _, model = fit_stationary(sums, may_exclude=may_exclude)
     found: dict[str, tuple[str, ...]] = {}
     for each in model.findings:
         if each.id in CHANGES:
@@ -199,7 +199,7 @@ def test_the_model_follows_a_change_of_the_white_noise(
     for fit in model.axes.values():
         assert fit.noise['N'].value == pytest.approx(factor * n, rel=error)
     assert set(changes(sums)['level_changed']) == set(AXES[:3])
-    assert set(changes(sums, settle=False)) == {'level_changes'}
+    assert set(changes(sums, may_exclude=False)) == {'level_changes'}
 
 
 def test_a_short_burst_of_noise_excludes_nothing() -> None:
