@@ -31,6 +31,9 @@ Floats = NDArray[np.float64]
 LARGEST_VARIANCE = 1e300
 """Largest variance of an error; its square root is written to documents."""
 
+LARGEST_LOG = 100.0
+"""Largest logarithm of the ratio of an end of an interval to its value."""
+
 HOUR = 3600.0
 
 INDEPENDENT = 2.0
@@ -150,7 +153,10 @@ def growth_table(
     of_hour = Z_95 / np.sqrt(2.0 * INDEPENDENT * HOUR / (h + window))
     with np.errstate(divide='ignore', invalid='ignore'):
         other = np.hypot(levels / total, of_hour)
-        down, up = np.hypot(np.log(std / lowest), other), np.hypot(np.log(highest / std), other)
+        down, up = (
+            np.minimum(np.hypot(np.log(ratio), other), LARGEST_LOG)
+            for ratio in (std / lowest, highest / std)
+        )
     return tuple(
         Growth(
             float(h[i]),
