@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..estimate import Estimate
-from ..fit.result import Z_95, AxisFit
+from ..estimate import Z_95, Estimate
+from ..fit.result import AxisFit
 from ..noise import Model, Process
 from ..noise.derived import growth_variance
 from ..noise.model import CONTINUOUS

@@ -296,7 +296,8 @@ def _deviances(data: AxisData, fit: Fit) -> dict[int, tuple[float, float]]:
     """Return deviance and number of bins of each octave, in units of independent bins."""
     ratio = data.power[data.used] / fit.spectrum()
     statistics = data.statistics
-    weight = (statistics.dof_alone * data.dof / statistics.dof)[data.used] / statistics.correlation
+    share = data.dof / statistics.dof_of(data.axis)
+    weight = (statistics.dof_alone * share)[data.used] / statistics.correlation
     deviance = weight * (ratio - 1.0 - np.log(np.maximum(ratio, 1e-300)))
     octave = statistics.octave[data.used]
     return {

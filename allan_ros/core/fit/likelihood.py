@@ -144,8 +144,8 @@ class AxisData:
     @classmethod
     def of(cls, statistics: Statistics, axis: int) -> AxisData:
         """Return the statistics of one axis; all bins are used."""
-        noise = 1.0 - statistics.settling[:, axis]
-        power, dof = statistics.power[:, axis] * noise, statistics.dof * noise**2
+        power = statistics.power[:, axis] * (1.0 - statistics.settling[:, axis])
+        dof = statistics.dof_of(axis)
         if len(power):
             scale = float(np.average(power, weights=dof))
         else:

@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..allan.curve import pooled_spectra
+from ..allan.curve import Spectra, pooled_spectra
 from ..allan.sums import AllanSums
-from ..noise import Model, Part
-from .result import NoiseModel
+from .result import AxisFit
 from .statistics import Floats, Statistics
 
 LEVEL_CHANGES = 1e-3
@@ -249,77 +249,78 @@ def _tail(statistic: float, number: int, spread: float, periods: int) -> float:
     return float(fdtrc(number, SPREAD_DOF * periods, statistic / number / spread))
 
 
-def white_noise_levels(sums: AllanSums) -> PeriodLevels:
-    """Return the level of the white noise in each period of the sums."""
+class PeriodSpectra(NamedTuple):
+    """Octave spectra of each period of a recording, and of all."""
+
+    whole: Spectra
+    power: Floats  # (periods, bins, axes)
+    dof: Floats  # (periods, bins), with the share of the correlation of a bin with its neighbors
+    samples: NDArray[np.int64]  # (periods,)
+
+    def levels(self, expected: Floats, share: Floats) -> PeriodLevels:
+        """Return the power of some bins in each period, relative to an expected one.
+
+        ``share``, (bins, axes), is the share of the noise of interest in the power of each bin;
+        bins are weighted with it.
+        """
+        of_bin = self.dof[:, :, None]
+        weight, square = of_bin * share, of_bin * share**2
+        total = np.maximum(weight.sum(axis=1), 1e-300)
+        ratio = self.power / np.maximum(expected, 1e-300)
+        return PeriodLevels(
+            np.sum(weight * ratio, axis=1) / total,
+            weight.sum(axis=1) ** 2 / np.maximum(square.sum(axis=1), 1e-300),
+            self.samples,
+            np.sum(share**2, axis=0) / np.maximum(share.sum(axis=0), 1e-300),
+        )
+
+
+def period_spectra(sums: AllanSums) -> PeriodSpectra:
+    """Return the octave spectra of all periods of the sums."""
     whole = pooled_spectra(sums)
+    periods = [(r, p) for r in sums.recordings for p in r.periods]
+    power = np.zeros((len(periods), len(whole.f), len(sums.axes)))
+    dof = np.zeros((len(periods), len(whole.f)))
+    for k, (r, p) in enumerate(periods):
+        one = pooled_spectra(replace(sums, recordings=(replace(r, periods=(p,)),)))
+        power[k, : len(one.f)], dof[k, : len(one.f)] = one.power, one.shared_dof
+    return PeriodSpectra(whole, power, dof, np.array([p.samples for _, p in periods]))
+
+
+def white_noise_levels(spectra: PeriodSpectra) -> PeriodLevels:
+    """Return the level of the white noise in each period."""
+    whole = spectra.whole
     used = (whole.octave < TOP_OCTAVES) & (whole.dof > 0.0)
-    flat = np.zeros((len(whole.f), len(sums.axes)))
+    flat = np.zeros_like(whole.power)
     for o in np.unique(whole.octave[used]):
         on = whole.octave == o
         flat[on] = whole.power[on] <= SINUSOID_RATIO * np.median(whole.power[on], axis=0)
-    return _levels(sums, whole.power, flat)
+    return spectra.levels(whole.power, flat)
 
 
-def drift_levels(sums: AllanSums, known: Sequence[Statistics], model: NoiseModel) -> PeriodLevels:
-    """Return the level of the drift in each period of the sums.
+def drift_levels(
+    spectra: PeriodSpectra, known: Sequence[Statistics], fits: Sequence[AxisFit], tau0: float
+) -> PeriodLevels:
+    """Return the level of the drift in each period.
 
-    ``known`` are the statistics of each axis, and ``model`` is the fit of the sums. Drift is what
-    makes the integrated error grow, except white noise.
+    ``known`` and ``fits`` are the statistics and the fit of each axis, and ``tau0`` is the sample
+    period in s. Drift is what makes the integrated error grow, except white noise.
     """
-    expected = np.ones((len(known[0].f), len(sums.axes)))
-    share = np.zeros_like(expected)
-    for i, (name, one) in enumerate(zip(sums.axes, known)):
-        total, drift = (
-            sum(
-                (
-                    part.process.variance_of(part.value, model.tau0)
-                    * one.power_of(part.process.in_unit(model.tau0))
-                    for part in parts
-                ),
-                np.zeros(len(one.f)),
-            )
-            for parts in _parts(model.axes[name].model)
-        )
-        some = (total > 0.0) & (one.settling[:, i] < LARGEST_SETTLING)
-        share[some, i] = drift[some] / total[some]
+    expected, share = np.ones_like(spectra.whole.power), np.zeros_like(spectra.whole.power)
+    for i, (one, fit) in enumerate(zip(known, fits)):
+        total, drift = np.zeros((2, len(one.f)))
+        for part in fit.model.parts:
+            process = part.process.in_unit(tau0)
+            if process.is_regressor:
+                continue
+            power = part.process.variance_of(part.value, tau0) * one.power_of(process)
+            total += power
+            if part.process.is_drift and not process.is_white:
+                drift += power
+        some = np.flatnonzero((total > 0.0) & (one.settling[:, i] < LARGEST_SETTLING))
         expected[some, i] = total[some]
-    return _levels(sums, expected, np.where(share > LEAST_SHARE, share, 0.0))
-
-
-def _parts(model: Model) -> tuple[list[Part], list[Part]]:
-    """Return the random processes of a model, and those of them that are drift."""
-    random = [part for part in model.parts if not part.process.is_regressor]
-    return random, [p for p in random if p.process.is_drift and not p.process.is_white]
-
-
-def _levels(sums: AllanSums, expected: Floats, share: Floats) -> PeriodLevels:
-    """Return the power of some bins in each period, relative to the expected one.
-
-    ``share``, (bins, axes), is the share of the noise of interest in the power of each bin; bins
-    are weighted with it.
-    """
-    bins = len(expected)
-    power, dof = [], []
-    for r in sums.recordings:
-        for p in r.periods:
-            one = pooled_spectra(replace(sums, recordings=(replace(r, periods=(p,)),)))
-            number = min(len(one.f), bins)
-            of_bin = one.shared_dof[:number, None]
-            weight = of_bin * share[:number]
-            ratio = one.power[:number] / np.maximum(expected[:number], 1e-300)
-            total = weight.sum(axis=0)
-            power.append(np.sum(weight * ratio, axis=0) / np.maximum(total, 1e-300))
-            square = np.sum(of_bin * share[:number] ** 2, axis=0)
-            dof.append(total**2 / np.maximum(square, 1e-300))
-    samples = np.array([p.samples for p in sums.periods])
-    total = np.maximum(share.sum(axis=0), 1e-300)
-    shape = (-1, len(sums.axes))
-    return PeriodLevels(
-        np.array(power).reshape(shape),
-        np.array(dof).reshape(shape),
-        samples,
-        np.sum(share**2, axis=0) / total,
-    )
+        share[some, i] = drift[some] / total[some]
+    return spectra.levels(expected, np.where(share > LEAST_SHARE, share, 0.0))
 
 
 def present_part(sums: AllanSums, levels: PeriodLevels) -> tuple[int, tuple[int, ...]] | None:

@@ -23,7 +23,9 @@ from .maximum_likelihood import fit_likelihood
 from .methods import fit_noise
 from .period_levels import (
     PeriodLevels,
+    PeriodSpectra,
     drift_levels,
+    period_spectra,
     present_part,
     scatter,
     white_noise_levels,
@@ -71,9 +73,12 @@ def fit_stationary(
     """
     if method != 'likelihood' or not sums.tau0:
         return sums, fit_noise(sums, method)
-    levels = white_noise_levels(sums)
+    spectra = period_spectra(sums)
+    levels = white_noise_levels(spectra)
     present = present_part(sums, levels) if may_exclude else None
     data = sums if present is None else _from_period(sums, present[0])
+    if data is not sums:
+        spectra = period_spectra(data)
     known = statistics(data)
     of_axis = [known] * len(data.axes)
     settles = []
@@ -89,14 +94,14 @@ def fit_stationary(
         at, changed = present
         since = data.samples * sums.tau0
         found += [_level_finding(model, sums.axes[i], levels, i, at, since) for i in changed]
-        levels = white_noise_levels(data)
+        levels = white_noise_levels(spectra)
     # a larger level of the white noise in a part would look like steps
     ratios = (np.divide(*levels.extremes(i)) for i in range(len(sums.axes)))
     shaky = {i for i, ratio in enumerate(ratios) if ratio < 1.0 / SHAKY_RATIO}
     shaky |= {a for one in settles for a in one.axes}
     found += step_findings(data, known, shaky)
     found = [*level_findings(data, levels, model), *found, *model.findings]
-    return data, replace(_with_scatter(data, of_axis, levels, model), findings=tuple(found))
+    return data, replace(_with_scatter(spectra, of_axis, levels, model), findings=tuple(found))
 
 
 def _from_period(sums: AllanSums, at: int) -> AllanSums:
@@ -157,14 +162,14 @@ def _level_finding(
 
 
 def _with_scatter(
-    sums: AllanSums, known: Sequence[Statistics], levels: PeriodLevels, model: NoiseModel
+    spectra: PeriodSpectra, known: Sequence[Statistics], levels: PeriodLevels, model: NoiseModel
 ) -> NoiseModel:
     """Return the model with predictive intervals, where the noise of a sensor varies with time."""
-    drifts = drift_levels(sums, known, model)
-    axes = dict(model.axes)
-    for indices in axes_of_sensors(sums.axes).values():
+    axes, names = dict(model.axes), list(model.axes)
+    drifts = drift_levels(spectra, known, list(axes.values()), model.tau0)
+    for indices in axes_of_sensors(names).values():
         white, drift = scatter(levels, indices), scatter(drifts, indices)
-        for name in (sums.axes[i] for i in indices):
+        for name in (names[i] for i in indices):
             axes[name] = with_scatter(axes[name], white, drift)
     return replace(model, axes=axes)
 

@@ -256,6 +256,11 @@ class Statistics:
             out.append(Column(own, [a + b for a, b in zip(low, more)]))
         return out
 
+    def dof_of(self, axis: int) -> Floats:
+        """Return the degrees of freedom of the bins of an axis, (bins,)."""
+        noise = 1.0 - self.settling[:, axis]
+        return np.asarray(self.dof * noise**2)
+
     def power_of(self, process: Process) -> Floats:
         """Return the expected power of the bins for unit noise without interpolated samples."""
         return expected_power(process, self.octaves)

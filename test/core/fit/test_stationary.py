@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums, part
 from allan_ros.core.fit.bias_changes import step_findings
-from allan_ros.core.fit.period_levels import present_part, white_noise_levels
+from allan_ros.core.fit.period_levels import period_spectra, present_part, white_noise_levels
 from allan_ros.core.fit.settling import settling
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.fit.statistics import statistics
@@ -176,7 +176,7 @@ def test_the_period_within_which_the_white_noise_changes_is_excluded(at: int) ->
     y = draw(7, 108_000, 100.0, 'N')
     y[at:] *= 2.0
     sums = sums_of(y, rate=100.0)
-    first, _ = present_part(sums, white_noise_levels(sums)) or (0, ())
+    first, _ = present_part(sums, white_noise_levels(period_spectra(sums))) or (0, ())
     assert 0 < sum(p.samples for p in sums.periods[first:]) <= 108_000 - at
 
 
