@@ -7,7 +7,7 @@
     bench_motion.py recording FILE ...       recordings: the first drives predict the others
 
 Each record is analyzed as a user does it: the noise at rest is measured from its own rests. The
-first half of 40 drives gives the factors, the other half is predicted. A row has for gyro and
+first 20 of 30 drives give the factors, the others are predicted. A row has for gyro and
 accelerometer the ratio of the errors (median), how often its interval lies above 1, the factor of N
 (median), how often its interval contains the true value, and how often K has a factor; how often
 each cause was named, and how often the intervals with all causes contain 1; and the mean square of
@@ -39,7 +39,7 @@ from allan_ros.core.simulate_drives import MotionErrors, Route, SimulatedDrives,
 from allan_ros.core.stream.drives import Drive, DriveErrors, Rest, drive_errors
 from allan_ros.results.motion import noise_at_rest
 
-RATE, START_NS = 50.0, 10**18
+RATE, START_NS = 20.0, 10**18
 MEMS = Model.of(N=7e-5, B=2e-5, K=5e-6), Model.of(N=1.2e-3, B=2e-4, K=5e-5)
 GOOD = Model.of(N=4e-6, B=5e-7, K=5e-8), Model.of(N=3e-4, B=5e-5, K=5e-6)
 
@@ -58,7 +58,7 @@ CASES = {
     'as at rest': Case(),
     'as at rest, noise of 1 h on the bench': Case(bench_s=3600.0),
     'flat ground': Case({'tilt': 0.0}),
-    '5 drives': Case({'drives': 10, 'first': 40.0}),
+    '5 drives': Case({'drives': 8, 'first': 40.0}),
     'drives of 3 to 8 s': Case({'shortest': 3.0, 'longest': 8.0}),
     'drives of 60 to 150 s': Case({'shortest': 60.0, 'longest': 150.0}),
     'carried by hand (tilts of 0.5 rad)': Case({'tilt': 0.5, 'speed': 2.0}),
@@ -89,12 +89,13 @@ class Outcome(NamedTuple):
 
 
 def one_record(name: str, seed: int) -> Outcome:
-    """Simulate one record, and measure the factors from the first half of its drives."""
+    """Simulate one record, and measure the factors from the first 20 drives."""
     case = CASES[name]
     gyro, accel = ([model] * 3 for model in case.imu)
-    route = Route(**{'drives': 40, **case.route})
+    route = Route(**{'drives': 30, **case.route})
     robot = simulate_drives(RATE, gyro, accel, route, MotionErrors(**case.errors), seed)
-    middle = robot.drives[len(robot.drives) // 2][0]
+    number = 2 * len(robot.drives) // 3
+    middle = robot.drives[number][0]
     bench = None
     if case.bench_s:
         rest = Route(drives=0, first=case.bench_s)
@@ -106,7 +107,7 @@ def one_record(name: str, seed: int) -> Outcome:
     assert motion is not None and results.recorded is not None
     noise = noise_at_rest((bench or results).axes)
     causes = tuple(cause.name for cause in motion.causes)
-    before, after = results.recorded.drives.errors, drives_of(robot)[len(robot.drives) // 2 :]
+    before, after = results.recorded.drives.errors, drives_of(robot)[number:]
     return Outcome(motion, predicted_errors(before, after, noise, causes))
 
 

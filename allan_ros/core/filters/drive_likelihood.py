@@ -4,13 +4,15 @@
 
 The residuals y of all drives are normally distributed with mean 0 and the covariance
 
-    V = s_1^2 M_1 + s_2^2 M_2 + ... + F.
+    V = D + U U',   D = s_1^2 M_1 + s_2^2 M_2 + ... + F.
 
-M_i are covariances due to noise of the sensors, as at rest. F is the covariance of what is unknown
-in any case: white noise in the means of the rests, the bias of the accelerometer, the rotation of
-the Earth, errors of second order, and, if they are to be estimated, calibration errors.
-The factors s_i maximize the likelihood (Fisher scoring; variance components, H. D. Patterson,
-R. Thompson, Biometrika 1971).
+D is independent from drive to drive: M_i are covariances due to noise of the sensors, as at rest,
+and F is the covariance of white noise in the means of the rests, and of errors of second order. U
+has the effects of what drives have in common, times prior standard deviations: the bias of the
+accelerometer, the rotation of the Earth and, if they are to be estimated, calibration errors. The
+factors s_i maximize the likelihood (Fisher scoring; variance components, H. D. Patterson,
+R. Thompson, Biometrika 1971). With S = I + U' D^-1 U, V^-1 is D^-1 - D^-1 U S^-1 U' D^-1, and S^-1
+is the posterior covariance of the coefficients of U.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..imu import SENSORS
 from ..stream.drives import (
     EARTH_RATE,
     ROTATION,
@@ -97,10 +100,8 @@ class Fit(NamedTuple):
         Logarithms of s_i^2.
     value : float
         2 log L up to a constant.
-    weighted : (n,) array
-        V^-1 y.
-    inverse : (n, n) array
-        V^-1.
+    mean, covariance : (r,) array, (r, r) array
+        Posterior of the coefficients of U.
     information : (k, k) array
         Fisher information of the logarithms.
     scores : (drives, k) array
@@ -111,8 +112,8 @@ class Fit(NamedTuple):
     causes: tuple[str, ...]
     log_factors: Floats
     value: float
-    weighted: Floats
-    inverse: Floats
+    mean: Floats
+    covariance: Floats
     information: Floats
     scores: Floats
 
@@ -132,69 +133,87 @@ class Fit(NamedTuple):
 class DriveLikelihood:
     """Residuals of drives and the covariances of everything that may have caused them.
 
+    All are relative to `scale`, so that numbers of different units have similar sizes.
+
     Attributes
     ----------
-    y : (n,) array
-        Residuals of all drives.
-    noise : mapping of str to (n, n) array
+    scale : (9,) array
+        Typical size of rotation, velocity and rate.
+    y : (drives, 9) array
+        Residuals.
+    noise : mapping of str to (drives, 9, 9) array
         Covariances M: 'gyro_white', 'gyro_slow', 'accel_white' and 'accel_slow' as measured at
         rest, 'gyro_drift' and 'accel_drift' if drift is unknown.
-    own : (n, n) array
-        Covariance of white noise at the rests, and of errors of second order.
-    common : (n, n) array
-        Covariance of what drives have in common: bias of the accelerometer, rotation of the Earth.
+    own : (drives, 9, 9) array
+        Covariance F.
+    common : (drives, 9, r) array
+        U without calibration errors.
+    effects : mapping of str to (drives, 9, k) array
+        U of each of `CAUSES`.
     unknown : mapping of str to float
         Standard deviation of the logarithm of the factor of each unknown drift.
-    effects : mapping of str to (n, 9) or (n, 3) array
-        Effects of the elements of `CAUSES`.
     """
 
+    scale: Floats
     y: Floats
     noise: Mapping[str, Floats]
     own: Floats
     common: Floats
-    unknown: Mapping[str, float]
     effects: Mapping[str, Floats]
+    unknown: Mapping[str, float]
 
     @classmethod
     def of(cls, drives: Sequence[DriveErrors], noise: Sequence[NoiseAtRest]) -> DriveLikelihood:
         """Return the likelihood of drives, if the axes have this noise at rest."""
-        h = np.array([each.accel_bias for each in drives])
-        bias, prior = _accel_bias(drives)
-        y = (np.array([each.residual for each in drives]) - h @ bias).ravel()
-        n = len(y)
-        density = [axis.white for axis in noise]
-        whites = [each.white_covariances(density) for each in drives]
+        white = [each.white_covariances([axis.white for axis in noise]) for each in drives]
         covariances = {
-            f'{sensor}_white': _diagonal([white[sensor] for white in whites])
-            for sensor in ('gyro', 'accel')
+            f'{sensor}_white': np.array([one[sensor] for one in white]) for sensor in SENSORS
         }
         unknown: dict[str, float] = {}
-        own = _diagonal([white['rests'] for white in whites])
-        own += np.diag(np.concatenate([_second_order(each) ** 2 for each in drives]))
+        on_bias = np.array([each.accel_bias for each in drives])
         for axis, one in enumerate(noise):
             name = f'{"gyro" if axis < 3 else "accel"}_{"drift" if one.unknown else "slow"}'
             if one.unknown:
                 unknown[name] = max(unknown.get(name, 0.0), one.unknown)
-            part = _diagonal([each.slow_covariance(axis, one.slow) for each in drives])
+            part = np.array([each.slow_covariance(axis, one.slow) for each in drives])
             if axis >= 3:
-                on_bias = _diagonal(h[:, :, axis - 3, None])
-                part += on_bias @ _changes(one.slow, drives) @ on_bias.T
+                h = on_bias[:, :, axis - 3]
+                part += _bias_scatter(one.slow, drives) * np.einsum('di,dj->dij', h, h)
             covariances[name] = covariances.get(name, 0.0) + part
-        constant, earth = h.reshape(n, 3), _turned_earth(drives).reshape(n, -1)
-        common = constant @ prior @ constant.T + EARTH_RATE**2 / 3.0 * earth @ earth.T
+        own = np.array([one['rests'] for one in white])
+        own += np.array([np.diag(_second_order(each) ** 2) for each in drives])
+        bias, prior = _accel_bias(drives)
         effects = {
-            name: np.array([getattr(each, name) for each in drives]).reshape(n, 9)
+            name: np.array([getattr(each, name) for each in drives])
             for name in CAUSES
             if name != 'rotation'
         }
         effects['rotation'] = effects['gyro_matrix'] @ cross_matrices(np.eye(3)).reshape(3, 9).T
-        return cls(y, covariances, own, common, unknown, effects)
+        typical = np.einsum('dii->i', sum(covariances.values(), own)) / len(drives)
+        scale = np.sqrt(np.repeat(typical.reshape(-1, 3).mean(axis=1), 3))
+        common = [on_bias @ np.linalg.cholesky(prior), _turned_earth(drives)]
+        both = np.outer(scale, scale)
+        return cls(
+            scale,
+            (np.array([each.residual for each in drives]) - on_bias @ bias) / scale,
+            {name: each / both for name, each in covariances.items()},
+            own / both,
+            np.concatenate(common, axis=2) / scale[:, None],
+            {name: CAUSES[name] * x / scale[:, None] for name, x in effects.items()},
+            unknown,
+        )
 
-    @property
-    def drives(self) -> int:
-        """Number of drives."""
-        return len(self.y) // ROWS
+    def part(self, drives: slice) -> DriveLikelihood:
+        """Return the likelihood of some of the drives."""
+        return DriveLikelihood(
+            self.scale,
+            self.y[drives],
+            {name: each[drives] for name, each in self.noise.items()},
+            self.own[drives],
+            self.common[drives],
+            {name: each[drives] for name, each in self.effects.items()},
+            self.unknown,
+        )
 
     def fit(self, groups: Groups, causes: tuple[str, ...] = (), start: Fit | None = None) -> Fit:
         """Maximize the likelihood over the factors.
@@ -215,9 +234,8 @@ class DriveLikelihood:
         """
         groups = (*groups, *((name,) for name in self.unknown))
         theta = np.zeros(len(groups)) if start is None else start.log_factors
-        raised, fixed = self._parts(groups, causes)
         sigma = np.array([self.unknown.get(names[0], SIGMA_LOG) for names in groups])
-        evaluated = partial(self._evaluated, groups, causes, raised, fixed, sigma)
+        evaluated = partial(self._evaluated, groups, causes, sigma)
         step, found = 1.0, evaluated(theta)
         for _ in range(MOST_STEPS):
             gradient = found.scores.sum(axis=0) - found.log_factors / sigma**2
@@ -234,76 +252,80 @@ class DriveLikelihood:
                 break
         return found
 
-    def covariance(self, fit: Fit) -> Floats:
-        """Return V with the factors and causes of a fit."""
-        raised, fixed = self._parts(fit.groups, fit.causes)
-        return sum((factor * m for factor, m in zip(np.exp(fit.log_factors), raised)), fixed)
-
-    def _parts(self, groups: Groups, causes: tuple[str, ...]) -> tuple[list[Floats], Floats]:
-        """Return the covariances that have a factor each, and the others."""
+    def covariances(self, groups: Groups, log_factors: Floats) -> tuple[list[Floats], Floats]:
+        """Return the covariances with a factor, each times its factor, and D; (drives, 9, 9)."""
         zero = np.zeros_like(self.own)
-        raised = [sum((self.noise.get(name, zero) for name in names), zero) for names in groups]
+        each = [
+            math.exp(x) * sum((self.noise.get(name, zero) for name in names), zero)
+            for names, x in zip(groups, log_factors.tolist())
+        ]
         named = {name for names in groups for name in names}
-        others = [v for name, v in self.noise.items() if name not in named]
-        matrices = [CAUSES[name] * self.effects[name] for name in causes]
-        others += [x @ x.T for x in matrices]
-        return raised, sum(others, self.own + self.common)
+        others = (noise for name, noise in self.noise.items() if name not in named)
+        return each, sum(each, sum(others, self.own))
+
+    def all_effects(self, causes: tuple[str, ...]) -> Floats:
+        """Return U with some calibration errors, (drives, 9, r)."""
+        return np.concatenate([self.common, *(self.effects[name] for name in causes)], axis=2)
 
     def _evaluated(
-        self,
-        groups: Groups,
-        causes: tuple[str, ...],
-        raised: Sequence[Floats],
-        fixed: Floats,
-        sigma: Floats,
-        theta: Floats,
+        self, groups: Groups, causes: tuple[str, ...], sigma: Floats, theta: Floats
     ) -> Fit:
-        """Return the likelihood, its derivatives and the inverse of V at some factors."""
-        each = [math.exp(t) * v for t, v in zip(theta, raised)]
-        v = sum(each, fixed)
-        scale = np.sqrt(np.diag(v))  # residuals have different units
-        root = np.linalg.cholesky(v / np.outer(scale, scale))
-        half = np.linalg.inv(root) / scale
-        inverse = half.T @ half
-        white = half @ self.y
-        weighted = half.T @ white
-        value = -float(white @ white) - 2.0 * float(np.log(np.diag(root) * scale).sum())
-        value -= float(np.square(theta / sigma).sum())
+        """Return the likelihood and its derivatives at some factors."""
+        each, own = self.covariances(groups, theta)
+        inverse = np.linalg.inv(own)
+        u = self.all_effects(causes)
+        w = inverse @ u  # D^-1 U
+        precision = np.eye(u.shape[2]) + np.einsum('dir,dis->rs', u, w)
+        covariance = np.linalg.inv(precision)
+        alone = np.einsum('dij,dj->di', inverse, self.y)
+        mean = covariance @ np.einsum('dir,di->r', u, alone)
+        weighted = alone - w @ mean  # V^-1 y
+        value = -float((self.y * weighted).sum()) - float(np.linalg.slogdet(precision)[1])
+        value -= float(np.linalg.slogdet(own)[1].sum()) + float(np.square(theta / sigma).sum())
+        blocks = inverse - w @ covariance @ w.swapaxes(1, 2)  # of V^-1
+        scores = np.empty((len(self.y), len(each)))
+        for k, m in enumerate(each):
+            scores[:, k] = np.einsum('di,dij,dj->d', weighted, m, weighted)
+            scores[:, k] -= np.einsum('dij,dji->d', blocks, m)
+        seen = [covariance @ np.einsum('dir,dij,djs->rs', w, m, w, optimize=True) for m in each]
         products = [inverse @ m for m in each]
-        terms = [weighted * (m @ weighted) - np.diag(p) for m, p in zip(each, products)]
-        scores = np.stack([0.5 * one.reshape(-1, ROWS).sum(axis=1) for one in terms], axis=1)
-        information = np.array([[0.5 * np.sum(a * b.T) for b in products] for a in products])
-        information += np.diag(sigma**-2)
-        return Fit(groups, causes, theta, value, weighted, inverse, information, scores)
+        information = np.empty((len(each), len(each)))
+        for i, (a, m) in enumerate(zip(products, each)):
+            for j, b in enumerate(products):
+                shared = np.einsum('dir,dij,djk,dks->rs', w, m, b, w, optimize=True)
+                information[i, j] = (
+                    np.einsum('dij,dji->', a, b)
+                    - 2.0 * np.sum(covariance * shared.T)
+                    + np.sum(seen[i] * seen[j].T)
+                )
+        information = information / 2.0 + np.diag(sigma**-2)
+        return Fit(groups, causes, theta, value, mean, covariance, information, scores / 2.0)
 
     def elements(self, fit: Fit, name: str) -> tuple[Floats, Floats]:
         """Return the posterior means and standard deviations of the elements of a cause, (k,)."""
-        sigma, x = CAUSES[name], self.effects[name]
-        variance = sigma**2 - sigma**4 * np.einsum('ij,ik,kj->j', x, fit.inverse, x, optimize=True)
-        return sigma**2 * x.T @ fit.weighted, np.sqrt(np.maximum(variance, 0.0))
+        first = self.common.shape[2]
+        for each in fit.causes[: fit.causes.index(name)]:
+            first += self.effects[each].shape[2]
+        own = slice(first, first + self.effects[name].shape[2])
+        deviations = np.sqrt(np.diag(fit.covariance)[own])
+        return CAUSES[name] * fit.mean[own], CAUSES[name] * deviations
 
     def ratios(self, fit: Fit) -> Floats:
         """Return the lengths of rotation and velocity errors over their predicted rms, (drives, 2).
 
-        The errors are without what the drives tell about `common` (best linear prediction), and the
-        prediction is that of the noise at rest.
+        The errors are without what the drives tell about bias and rotation of the Earth, and the
+        prediction is that of the noise at rest, with unknown drift as in the fit.
         """
-        y = self.y - self.common @ fit.weighted
-        noise = sum((self.variances(name, fit) for name in self.noise), np.diag(self.own))
-        squares, variances = (x.reshape(-1, ROWS) for x in (y**2, noise))
+        y = self.y - self.common @ fit.mean[: self.common.shape[2]]
+        at_rest = np.where([names[0] in self.unknown for names in fit.groups], fit.log_factors, 0.0)
+        variances = np.einsum('dii->di', self.covariances(fit.groups, at_rest)[1])
         return np.stack(
             [
-                np.sqrt(squares[:, rows].sum(axis=1) / variances[:, rows].sum(axis=1))
+                np.sqrt(np.square(y[:, rows]).sum(axis=1) / variances[:, rows].sum(axis=1))
                 for rows in (ROTATION, VELOCITY)
             ],
             axis=1,
         )
-
-    def variances(self, name: str, fit: Fit) -> Floats:
-        """Return the variances due to a noise at rest, (n,); drift has the level of a fit."""
-        drift = {names[0]: x for names, x in zip(fit.groups, fit.log_factors) if len(names) == 1}
-        level = math.exp(drift[name]) if name in self.unknown else 1.0
-        return np.asarray(level * np.diag(self.noise[name]))
 
 
 def _second_order(drive: DriveErrors) -> Floats:
@@ -341,23 +363,25 @@ def _changes(slow: SlowNoise, drives: Sequence[DriveErrors]) -> Floats:
 
 
 def _turned_earth(drives: Sequence[DriveErrors]) -> Floats:
-    """Return the effects of the rotation rate of the Earth in one frame, (drives, 6, 3 drives).
+    """Return the effects of the rotation of the Earth, (drives, 9, r), times its prior deviation.
 
-    Drives that follow on each other have their columns in common, in the frame of the first.
+    Drives that follow on each other have three columns in common, in the frame of the first.
     """
-    out = np.zeros((len(drives), ROWS, len(drives), 3))
-    column, frame = 0, np.eye(3)  # from the sensor at the first rest to the common frame
+    chains = [i for i, each in enumerate(drives) if i == 0 or not each.follows]
+    out = np.zeros((len(drives), ROWS, len(chains), 3))
+    column, frame = -1, np.eye(3)  # from the sensor at the first rest to the common frame
     for i, each in enumerate(drives):
-        if not each.follows:
-            column, frame = i, np.eye(3)
-        out[i, :, column] = each.earth @ frame.T
+        if i in chains:
+            column, frame = column + 1, np.eye(3)
+        out[i, :, column] = each.earth @ frame.T * (EARTH_RATE / math.sqrt(3.0))
         frame = frame @ each.end
-    return out
+    return out.reshape(len(drives), ROWS, -1)
 
 
-def _diagonal(blocks: Sequence[Floats] | Floats) -> Floats:
-    """Return the matrix with blocks on its diagonal."""
-    d, (rows, columns) = len(blocks), np.shape(blocks[0])
-    out = np.zeros((d, rows, d, columns))
-    out[np.arange(d), :, np.arange(d)] = blocks
-    return out.reshape(d * rows, d * columns)
+def _bias_scatter(slow: SlowNoise, drives: Sequence[DriveErrors]) -> float:
+    """Return the expected variance of a bias at the times of the drives about its mean."""
+    start = np.array([each.start for each in drives])
+    mean_over = 10.0  # s
+    lags = np.abs(start[:, None] - start) / mean_over
+    at_lags, at_zero = slow(mean_over, np.maximum(lags, 1.0)), slow(mean_over, np.zeros(1))
+    return float(np.mean((at_zero[0] - np.asarray(at_lags)) * np.minimum(lags, 1.0)))

@@ -16,7 +16,7 @@ from ..estimate import Estimate
 from ..fields import Fields
 from ..imu import SENSORS
 from ..noise import Model
-from ..stream.drives import ROTATION, ROWS, VELOCITY, DriveErrors, cross_matrices
+from ..stream.drives import ROTATION, VELOCITY, DriveErrors, cross_matrices
 from .drive_likelihood import CAUSES, DriveLikelihood, Fit, NoiseAtRest
 
 Floats = NDArray[np.float64]
@@ -268,25 +268,20 @@ def predicted_errors(
         Mean of the squared errors of rotation and velocity over their predicted variance: with the
         noise at rest, with the factors, and with factors and causes. 1 is right.
     """
-    data = DriveLikelihood.of(used, noise)
-    plain = data.fit(BOTH)
     whole = DriveLikelihood.of([*used, *others], noise)
-    n, d = len(data.y), len(others)
-    out = []
+    data, ahead = whole.part(slice(0, len(used))), whole.part(slice(len(used), None))
+    plain = data.fit(BOTH)
     most = [LIMIT * data.unknown.get(names[0], 0.0) for names in plain.groups]
     at_rest = np.minimum(plain.log_factors, most)
     at_rest[:2] = 0.0
-    rows = np.arange(ROWS)[ROTATION.start : VELOCITY.stop]
-    ahead = n + (np.arange(d)[:, None] * ROWS + rows).ravel()
+    rows = slice(ROTATION.start, VELOCITY.stop)
+    out = []
     for fit in (plain._replace(log_factors=at_rest), plain, data.fit(BOTH, causes, plain)):
-        v = whole.covariance(fit)
-        known = np.linalg.solve(v[:n, :n], np.column_stack([whole.y[:n], v[:n, ahead]]))
-        left = (whole.y[ahead] - v[ahead, :n] @ known[:, 0]).reshape(d, -1)
-        spread = v[np.ix_(ahead, ahead)] - v[ahead, :n] @ known[:, 1:]
-        spread = spread.reshape(d, len(rows), d, len(rows))
-        own = spread[np.arange(d), :, np.arange(d), :]
-        squares = np.einsum('di,dij,dj->d', left, np.linalg.inv(own), left)
-        out.append(float(squares.mean()) / len(rows))
+        u = ahead.all_effects(fit.causes)
+        left = (ahead.y - u @ fit.mean)[:, rows]
+        own = ahead.covariances(fit.groups, fit.log_factors)[1]
+        v = (own + u @ fit.covariance @ u.swapaxes(1, 2))[:, rows, rows]
+        out.append(float(np.einsum('di,dij,dj->di', left, np.linalg.inv(v), left).mean()))
     return out[0], out[1], out[2]
 
 
@@ -297,7 +292,7 @@ def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
     """
     rows = {'gyro': ROTATION, 'accel': VELOCITY}[sensor]
     sizes = {
-        name: float(np.diag(noise).reshape(-1, ROWS)[:, rows].sum())
+        name: float(np.einsum('dii->di', noise)[:, rows].sum())
         for name, noise in data.noise.items()
         if name.startswith(sensor)
     }

@@ -35,7 +35,7 @@ MOST_KEPT = 1 << 20
 """Largest number of buffered samples of a drive, and of a rest: 48 MB each."""
 
 MOST_DRIVES = 60
-"""Number of the latest drives that are kept, about 40 kB each."""
+"""Number of the latest drives that are kept, about 60 kB each."""
 
 Unused = Literal['short', 'long', 'gap', 'short_rest']
 """Why a drive is not used: its duration, missing samples, or a rest below `LEAST_REST_S`."""
