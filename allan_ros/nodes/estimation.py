@@ -161,8 +161,7 @@ class ImuEstimate(Part):
             name = status_name(self._node, self._label, 'in motion')
             imu = one_line(latest.hardware_id or latest.frame_id)
             results, limit = self._results, self._settings.value.motion_limit
-            rest_s, motion = (results.duration_s, results.motion) if results else (0.0, None)
-            statuses.append(motion_status(name, imu, latest.drives, rest_s, motion, limit))
+            statuses.append(motion_status(name, imu, latest.drives, results, limit))
         return statuses
 
     def _comparisons(self, margin: float) -> tuple[Check, ...]:

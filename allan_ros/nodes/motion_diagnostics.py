@@ -8,12 +8,13 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from ..core.filters.motion_factors import LEAST_DRIVES, NoiseInMotion
+from ..core.filters.motion_factors import LEAST_DRIVES
 from ..core.findings import finding
 from ..core.imu import AXES, sensor_of
 from ..core.number_text import significant
 from ..core.stream.drive_recorder import Drives
 from ..results.motion import ERRORS, LEAST_REST_S, causes_text
+from ..results.results import Results
 from .diagnostics import status_of
 
 ENDS = ('', ' low', ' high')
@@ -21,25 +22,24 @@ ENDS = ('', ' low', ' high')
 
 
 def motion_status(
-    name: str,
-    hardware_id: str,
-    drives: Drives,
-    rest_s: float,
-    motion: NoiseInMotion | None,
-    limit: float,
+    name: str, hardware_id: str, drives: Drives, results: Results | None, limit: float
 ) -> DiagnosticStatus:
     """Return the status of the errors in motion of one IMU.
 
-    ``rest_s`` is the time at rest in s from which the noise was measured. ``motion`` is None before
-    the errors are known. Their factor is a warning if its 95 % interval lies above ``limit``.
+    ``results`` is None before the first model. The factor of the errors is a warning if its 95 %
+    interval lies above ``limit``.
     """
     unused = sum(drives.unused.values())
     pairs: list[tuple[str, object]] = [('drives', len(drives.errors)), ('drives not used', unused)]
+    motion = results.motion if results is not None else None
     if motion is None:
+        rest_s = results.duration_s if results is not None else 0.0
         text = (
             f'not measured yet: {len(drives.errors)} of at least {LEAST_DRIVES} drives between '
             f'rests, {rest_s:.0f} of at least {LEAST_REST_S:g} s at rest'
         )
+        if len(drives.errors) >= LEAST_DRIVES and rest_s >= LEAST_REST_S:
+            text = 'not measured: the rests do not show the noise of the sensor'
         return status_of(name, [], text, pairs, hardware_id=hardware_id)
     findings, shown = [], []
     for sensor, one in motion.sensors.items():
@@ -48,6 +48,8 @@ def motion_status(
         numbers = [significant(value, 2) for value in (ratio, low, high)]
         shown.append(f'{error} error {numbers[0]} ({numbers[1]} to {numbers[2]})')
         pairs += [(f'factor of the {error} error{end}', text) for end, text in zip(ENDS, numbers)]
+        for term, factor in one.raised.items():
+            pairs.append((f'factor of {term} of the {sensor}', significant(factor.value or 1.0, 2)))
         if low > limit:
             axes = tuple(axis for axis in AXES if sensor_of(axis) == sensor)
             findings.append(

@@ -43,6 +43,8 @@ def test_the_factor_is_published_with_the_model_and_a_large_one_is_a_warning(gra
     assert 'In motion the angle error is' in status.message
     assert 'more than 3 times' in status.message
     assert float(graph.value('in motion', 'factor of the angle error low')) > 3.0
+    raised = [graph.value('in motion', f'factor of {term} of the gyro') for term in 'NK']
+    assert any(factor and float(factor) > 3.0 for factor in raised)
     assert 'of the gyro' in graph.value('in motion', 'cause')
     motion = graph.until(lambda: models and models[-1]['motion'])
     assert motion['gyro']['factor']['value'] > 3.0
@@ -77,5 +79,8 @@ def test_the_relay_covers_the_errors_while_the_robot_moves(graph) -> None:
     graph.until(lambda: variance() == pytest.approx(RATE * 7e-5**2, rel=0.5))
     low = float(graph.value('in motion', 'factor of the angle error low'))
     assert low > 3.0
-    graph.send(publisher, batch.part(slice(last_drive, last_drive + round(14 * RATE))))
+    moved = last_drive + round(14 * RATE)
+    graph.send(publisher, batch.part(slice(last_drive, moved)))
     graph.until(lambda: variance() > low**2 * RATE * 7e-5**2)
+    graph.send(publisher, batch.part(slice(moved, None)))  # ends at rest
+    graph.until(lambda: variance() == pytest.approx(RATE * 7e-5**2, rel=0.5))
