@@ -83,9 +83,15 @@ def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) 
             f'no two axes to compare: of data at rest, {"; ".join(have)}: choose topics with '
             '--topic and --accel-topic, or record longer'
         )
+    turned = set()
     for row in rows if len(known) > 1 else ():
         if len(row.coherence.tau) and row.coherence.high.min() < OPPOSITE:
             value = float(row.coherence.value[np.argmin(row.coherence.high)])
             opposite = finding('axis_opposite', (row.axis,), coherence=value)
             findings[row.label] = (*findings[row.label], opposite)
+            turned.add(row.axis)
+    for row in rows:
+        if row.measured is not None and row.own is None and row.axis not in turned:
+            unequal = finding('unequal_transfer', (row.axis,), share=row.leak)
+            findings[row.label] = (*findings[row.label], unequal)
     return CommonResult(tuple(rows), findings)

@@ -203,15 +203,19 @@ def common_table(common: CommonResult, units: str = 'deg/h') -> Table:
     cells = {tau: [_coherence_cell(row, tau) for row in common.rows] for tau in times}
     shown = [tau for tau, column in cells.items() if any(cell.text for cell in column)]
     has_noise = any(row.measured or row.own for row in common.rows)
+    has_gains = any(row.gain != 1.0 for row in common.rows)
     rows = []
     for i, row in enumerate(common.rows):
         unit, noise = shown_unit(row.axis, 'N', units), []
         for known in (row.measured, row.own) if has_noise else ():
             noise.append(Cell() if known is None else coefficient_cell(known, unit))
+        if has_gains:
+            noise.append(Cell(f'{row.gain:.3f}', value=row.gain))
         heading = Heading(row.axis, unit.name if has_noise else '')
         rows.append((heading, [Cell(row.label), *noise, *(cells[t][i] for t in shown)]))
     own = 'own N' if len({row.label for row in common.rows}) > 2 else 'own N, mean of both'
-    names = ['IMU', *(('N', own) if has_noise else ()), *(f'at {t:g} s' for t in shown)]
+    numbers = [*(('N', own) if has_noise else ()), *(('factor',) if has_gains else ())]
+    names = ['IMU', *numbers, *(f'at {t:g} s' for t in shown)]
     return Table(
         Heading('axis'),
         [Heading(name, repeats=name == 'IMU') for name in names],

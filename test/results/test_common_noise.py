@@ -63,6 +63,26 @@ def test_findings_of_each_recording_are_part_of_the_result(three: list[ImuBatch]
     assert {f['id'] for f in common.document()['findings']['B']} == ids['B']
 
 
+def test_a_delay_leaves_no_own_noise_and_a_factor_is_shown(three: list[ImuBatch]) -> None:
+    shared = np.random.default_rng(7).normal(size=(12_001, 6)) * 10.0 * WHITE
+    first, second, third = (
+        ImuBatch(each.stamps_ns, each.samples + part)
+        for each, part in zip(
+            imus(vibration=0.0), (shared[1:], 0.5 * (shared[1:] + shared[:-1]), shared[1:])
+        )
+    )
+    delayed = ar.common(first, second, third)
+    assert all(row.own is None and row.measured is not None for row in delayed.rows)
+    assert 'do not measure the common noise equally' in repr(delayed)
+    larger = ImuBatch(three[1].stamps_ns, three[1].samples * 1.5)
+    scaled = ar.common(three[0], larger, three[2])
+    assert 'factor' in repr(scaled)
+    factors = [row.gain for row in scaled.rows if row.axis == 'gyro_x']
+    assert factors[1] / factors[0] == pytest.approx(1.5, rel=0.05)
+    own = [row.own.value for row in scaled.rows if row.axis == 'gyro_x' and row.own]
+    assert own == pytest.approx([1e-4, 1.5e-4, 1e-4], rel=0.15)
+
+
 def test_the_same_recording_twice_is_refused(three: list[ImuBatch], tmp_path: Path) -> None:
     write_recording(tmp_path / 'a.npz', [three[0]])
     with pytest.raises(AllanError, match='given twice'):

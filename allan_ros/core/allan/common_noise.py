@@ -6,7 +6,7 @@ The Allan covariance of two sensors a and b follows from the Allan variances V o
 of the difference of their samples, (V(a) + V(b) - V(a - b)) / 2. A signal that all sensors measure
 equally cancels in the differences; from three or more sensors, the own noise of each one follows
 ("three-cornered hat": Gray & Allan, A method for estimating the frequency stability of an
-individual oscillator, 28th Symp. Frequency Control, 1974).
+individual oscillator, 28th Symp. Frequency Control, 1974). `transfer` tests whether they do.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from .curve import allan_curve
 from .grid import allan_variance
 from .running import RunningSums
 from .sums import AllanSums
+from .transfer import transfer
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +70,13 @@ class CommonNoise:
         independent noise, 1 for common noise.
     measured, own : Estimate or None
         N in SI of all noise, and without the noise that all IMUs measure equally. With two IMUs,
-        ``own`` is the root mean square of both. None if two axes are compared.
+        ``own`` is the root mean square of both. None if two axes are compared; ``own`` also if the
+        IMUs do not measure the common noise equally.
+    gain : float
+        Factor with which the IMU measures the common noise, relative to the mean of all.
+    leak : float
+        Share of the common noise in the power of the differences of two IMUs, by which ``own``
+        would be too large.
     """
 
     axis: str
@@ -77,6 +84,8 @@ class CommonNoise:
     coherence: Coherence
     measured: Estimate | None = None
     own: Estimate | None = None
+    gain: float = 1.0
+    leak: float = 0.0
 
 
 class Samples(NamedTuple):
@@ -91,12 +100,20 @@ def common_noise(axis: str, imus: Sequence[Samples], labels: Sequence[str]) -> l
 
     Raises AllanError if the rates differ, or the common time is too short.
     """
-    blocks, number, found = _sums(axis, imus), len(imus), []
+    parts, number, found = aligned(imus), len(imus), []
+    measures = transfer([part.values for part in parts])
+    parts = [part._replace(values=part.values / measures.gains[:, None]) for part in parts]
+    blocks = _sums(axis, parts)
     covariance, noise = _allan_covariance(blocks, number), white_noise(blocks, number)
     for i, label in enumerate(labels):
         this, others = np.eye(number)[i], (1.0 - np.eye(number)[i]) / (number - 1)
         coherence = _coherence(*covariance, this, others)
-        found.append(CommonNoise(axis, label, coherence, noise[i], noise[number + i]))
+        gain = float(measures.gains[i])
+        measured, own = (
+            None if one is None else one.times(gain) for one in (noise[i], noise[number + i])
+        )
+        own = own if measures.is_equal else None
+        found.append(CommonNoise(axis, label, coherence, measured, own, gain, measures.leak))
     return found
 
 
@@ -104,7 +121,8 @@ def common_of_axes(
     axes: Sequence[str], samples: Sequence[Samples], label: str
 ) -> list[CommonNoise]:
     """Return the coherence of each two axes of one IMU; raise AllanError for too few samples."""
-    covariance, unit = _allan_covariance(_sums(axes[0], samples), len(axes)), np.eye(len(axes))
+    blocks = _sums(axes[0], aligned(samples))
+    covariance, unit = _allan_covariance(blocks, len(axes)), np.eye(len(axes))
     return [
         CommonNoise(f'{axes[i]} {axes[j]}', label, _coherence(*covariance, unit[i], unit[j]))
         for i, j in combinations(range(len(axes)), 2)
@@ -138,16 +156,18 @@ def _pairs(number: int) -> Floats:
     return np.array([one[i] - one[j] for i, j in combinations(range(number), 2)])
 
 
-def _sums(axis: str, sensors: Sequence[Samples]) -> list[AllanSums]:
+def _sums(axis: str, parts: Sequence[Samples]) -> list[AllanSums]:
     """Return the sums of each sensor, then of the difference of each two, in `BLOCKS` blocks.
 
-    The blocks have equal numbers of samples. Raises AllanError if they are too short.
+    ``parts`` are from `aligned`. The blocks have equal numbers of samples. Raises AllanError if
+    they are too short.
     """
-    parts, pairs = aligned(sensors), _pairs(len(sensors))
+    number = len(parts[0].values) if parts else 0
+    pairs = _pairs(number) if number else np.zeros((0, 0))
     size = sum(len(part.stamps) for part in parts) // BLOCKS
     if size < LEAST_BLOCK:
         raise AllanError('the recordings have too little time in common: record them together')
-    names = tuple(f'{axis} {i}' for i in range(len(sensors) + len(pairs)))
+    names = tuple(f'{axis} {i}' for i in range(number + len(pairs)))
     running, blocks = RunningSums(ImuIdentity(), names), []
     for stamps, rows in parts:
         while len(stamps):
