@@ -130,7 +130,7 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
             drift = math.sqrt(float(model.changed(N=0.0).drift.avar([horizon])[0]))
             white = n / math.sqrt(horizon)
             return MADGWICK_FACTOR * math.hypot(
-                factors['N'] * white, factors['K'] * drift, factors['K'] * bias
+                factors['N'] * white, factors['K'] * drift, bias
             )
 
         ends = interval_models(result.fit)

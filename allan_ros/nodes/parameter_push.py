@@ -6,7 +6,8 @@ The values are rows of an export target. A wrong value can make a filter diverge
 so a value is set only if
 
 - its target is in `TARGETS`: the convention of its rows was verified in the code of a filter;
-- it is a noise density of a filter that estimates the bias, not a gain (see `GAINS`);
+- it is a noise density of a filter that estimates the bias, or a gain that is too small for the
+  errors in motion, which were measured in drives of this robot (see `GAINS`);
 - the input has no fault;
 - its 95 % interval is narrow (`SETTLED_RATIO`);
 - it differs from the value that was found by at most ``push.max_factor``;
@@ -24,7 +25,7 @@ import math
 import time
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -44,7 +45,7 @@ from ..view.finding_text import explained
 from .diagnostics import key_values, status_name
 from .former_values import Former, FormerValues
 from .node import AllanNode, Part
-from .push_plan import GAINS_NOT_SET, Numbers, Proposal, PushPlan, load_plan, text_of
+from .push_plan import GAINS_WAIT, Numbers, Proposal, PushPlan, load_plan, text_of
 from .settings import SETTLED_RATIO, PushSettings
 
 ANSWER_S = 5.0
@@ -102,8 +103,6 @@ class ParameterPush(Part):
         self._asked_at = self._due_at = 0.0
         self._former: FormerValues | None = None  # the file, once it is open
         self._was_killed = False  # whether values of an earlier program must be restored
-        if self._plan is not None and self._plan.has_gains:
-            self._log.warning(GAINS_NOT_SET)
         if target:
             self._set = owner.create_client(SetParameters, f'{target}/set_parameters')
             # created last: a node that answers it has also discovered the other client
@@ -148,8 +147,6 @@ class ParameterPush(Part):
         if self._reason and self._found():
             if self._is_running():
                 self._resume(self._restoring(self._reason))
-        elif self._plan.has_gains:
-            self._update_gains(self._plan, now)
         elif not self._reason and self._results is not None:
             ready = self._proposals(self._plan, self._results)
             if ready and self._is_running():
@@ -174,11 +171,9 @@ class ParameterPush(Part):
                     done.append(f'{name} = {text_of(held.now)} (was {text_of(held.found)})')
         said = f'set {", ".join(done)}' if done else 'nothing set yet'
         warned = any(warning for warning, _ in self._notes.values())
-        if self._plan.has_gains:
-            said, warned = GAINS_NOT_SET, True
-            for row in self._gains:
-                pairs[f'{row.name} at rest, not set [{row.unit}]'] = text_of(row.values)
-                pairs[f'origin of {row.name}'] = row.words
+        for row in self._gains:
+            pairs[f'{row.name} at rest, not set [{row.unit}]'] = text_of(row.values)
+            pairs[f'origin of {row.name}'] = row.words
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if warned and enabled else DiagnosticStatus.OK,
             name=status_name(self._owner, f'parameters of {self.node}'),
@@ -257,39 +252,47 @@ class ParameterPush(Part):
 
     # --- setting ----------------------------------------------------------------------------------
 
-    def _update_gains(self, plan: PushPlan, now: float) -> None:
-        """Compute the gains that cover the noise and, unless it is removed, the bias at rest."""
-        settings, results, self._gains = self._settings.value, self._results, ()
-        complete = settings.debiased or all(a in self._bias for a in AXES[SENSORS['gyro']])
-        if results is None or self._refusal or not complete:
-            return
-        self._due_at = now + settings.period
-        with suppress(AllanError):  # a coefficient is not known yet
-            known = {} if settings.debiased else self._bias
-            bias = {axis: one.largest for axis, one in known.items()}
-            self._gains = target_rows(results, plan.target, plan.options, bias)
+    def _rows(self, plan: PushPlan, results: Results) -> tuple[Row, ...]:
+        """Return the rows of the target, with the factors in motion if these are known.
+
+        A gain covers the bias at rest, too, unless the driver removes it. Raises AllanError if the
+        noise model or the bias is not complete.
+        """
+        options = replace(plan.options, motion=results.motion is not None)
+        bias: dict[str, float] = {}
+        if plan.has_gains and not self._settings.value.debiased:
+            if not all(axis in self._bias for axis in AXES[SENSORS['gyro']]):
+                raise AllanError('the bias of the gyro at rest is not known yet')
+            bias = {axis: one.largest for axis, one in self._bias.items()}
+        return target_rows(results, plan.target, options, bias)
 
     def _proposals(self, plan: PushPlan, results: Results) -> list[Proposal]:
         """Return the values that can be set; for each other value, store the reason as a note."""
+        self._gains = ()
         try:
-            rows = target_rows(results, plan.target, plan.options)
+            rows = self._rows(plan, results)
         except AllanError as error:
             self._note(
                 '', f'the noise model is not complete yet: {explained(error)}', warning=False
             )
             return []
-        for missing in plan.names.keys() - {row.name for row in rows}:
-            self._note(plan.names[missing], f'{plan.target} has no number {missing}')
+        if plan.has_gains and results.motion is None:
+            self._gains = tuple(row for row in rows if row.name in plan.rows)
+            self._note('', GAINS_WAIT)
+            return []
+        names = plan.rows
+        for missing in names.keys() - {row.name for row in rows}:
+            self._note(names[missing], f'{plan.target} has no number {missing}')
         ready = []
         for row in rows:
-            name = plan.names.get(row.name, '') if plan.names else row.name
+            name = names.get(row.name, '') if names else row.name
             low, high = row.interval
             if name and row.ratio > SETTLED_RATIO:
                 known = f'between {low:.3g} and {high:.3g}' if row.ratio < math.inf else 'not known'
                 why = f'it is set when its 95 % interval is within a factor of {SETTLED_RATIO:g}'
                 self._note(name, f'is {known} yet; {why}', warning=False)
             elif name:
-                proposal = Proposal(name, row.values, row.interval, row.words)
+                proposal = Proposal(name, row.values, row.interval, row.words, plan.has_gains)
                 held = self._held.get(name)
                 if held is None or (not held.left and proposal.differs(held.refused)):
                     ready.append(proposal)
@@ -311,6 +314,9 @@ class ParameterPush(Part):
                 continue
             held.now = values
             found = held.found or values
+            if kept := proposal.keeps(found):
+                self._note(name, kept, warning=False)
+                continue
             refusal = proposal.refusal(found, self._settings.value.max_factor)
             if refusal:
                 self._note(name, refusal, warning=any(found))

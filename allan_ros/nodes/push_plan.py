@@ -10,24 +10,31 @@ from dataclasses import dataclass
 
 from ..core.errors import AllanError
 from ..core.fields import Fields
+from ..core.filters.motion_factors import LEAST_DRIVES
+from ..core.stream.drive_recorder import LEAST_DRIVE_S, LEAST_REST_S, LONGEST_DRIVE_S
 from ..export import ExportOptions
 from ..readers.files import config_file, read_yaml
 
 SCHEMA = 'allan_ros/push/1'
 
-GAINS = ('imu_filter_madgwick',)  # gain in rad/s, zeta in rad/s^2
-"""Export targets whose rows are gains of a filter without a state for the bias. A gain has to cover
-the noise in motion. Computed from the noise and the bias at rest, it increases the tilt error in
-motion two to four times. So gains are shown in the status, but not set."""
+GAINS = {'imu_filter_madgwick': ('gain',)}  # in rad/s; zeta only matters with a magnetometer
+"""Export target -> its rows that are gains of a filter without a state for the bias. A gain has to
+cover the errors of the gyro in motion: without a factor in motion, it is shown in the status, but
+not set."""
+
+RAISED = 2.0
+"""A gain is only raised, and only if it is smaller by more than this factor than what covers the
+errors of the gyro in motion: then the filter does not follow them. A larger gain may be needed for
+other reasons, such as a short convergence, and lowering it makes the tilt worse at rest."""
 
 TARGETS = (*GAINS, 'kalibr', 'fast_lio')  # kalibr: densities N and K, fast_lio: N^2 f and K^2 f
 """Export targets that ``push.filter`` may name. `docs/targets.md` names the code that shows the
 convention of each."""
 
-GAINS_NOT_SET = (
-    'nothing is set: the gain has to cover the noise in motion, which is not measured, and a gain '
-    'from the noise at rest makes the tilt worse in motion. Keep the gain that works while the '
-    'robot moves, and start without push.node and push.filter'
+GAINS_WAIT = (
+    'the gain has to cover the errors in motion, which are not measured yet: drive at least '
+    f'{LEAST_DRIVES} times for {LEAST_DRIVE_S:g} to {LONGEST_DRIVE_S:g} s between rests of at '
+    f'least {LEAST_REST_S:g} s (status "in motion")'
 )
 """Message of the status for a plan of `GAINS`: what is missing, and what to do."""
 
@@ -48,8 +55,13 @@ class PushPlan:
 
     @property
     def has_gains(self) -> bool:
-        """Whether the values are gains, which are not set."""
+        """Whether the values are gains."""
         return self.target in GAINS
+
+    @property
+    def rows(self) -> Mapping[str, str]:
+        """Name of a row -> name of the parameter; empty for all rows."""
+        return {row: self.names.get(row, row) for row in GAINS.get(self.target, self.names)}
 
 
 def load_plan(name: str) -> PushPlan:
@@ -85,12 +97,22 @@ class Proposal:
     values: Numbers
     interval: tuple[float, float]
     origin: str
+    is_gain: bool = False
 
     def differs(self, other: Numbers) -> bool:
         """Return whether any number differs from the other one by more than `CHANGE`."""
         if len(other) != len(self.values):
             return True
         return not all(abs(v - c) <= CHANGE * abs(c) for v, c in zip(self.values, other))
+
+    def keeps(self, found: Numbers) -> str:
+        """Return why the value that was found is as good; '' if it is to be replaced."""
+        if not self.is_gain or len(found) != 1 or not self.values[0] <= RAISED * found[0]:
+            return ''
+        return (
+            f'is {found[0]:.4g} in the node and covers the errors of the gyro in motion, for which '
+            f'{self.values[0]:.4g} is enough'
+        )
 
     def refusal(self, found: Numbers, factor: float) -> str:
         """Return why the value must not replace the one that was found; '' if it may."""

@@ -237,7 +237,7 @@ class PushSettings(CheckedSettings):
         high=1e6,
     )
     debiased: bool = parameter(
-        False, 'The driver removes the gyro bias, so the gain that is shown does not cover it.'
+        False, 'The driver removes the gyro bias, so a gain does not cover it.'
     )
     period: float = parameter(300.0, 'Shortest time between two changes.', 's', 0.1, 604800.0)
 

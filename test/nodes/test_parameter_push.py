@@ -14,6 +14,9 @@ import pytest
 pytest.importorskip('rclpy')
 
 from allan_ros.core.errors import AllanError
+from allan_ros.core.imu import ImuBatch
+from allan_ros.core.noise import Model
+from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
 from allan_ros.nodes.former_values import Former, FormerValues
 from allan_ros.nodes.push_plan import TARGETS, Proposal, load_plan
 from allan_ros.readers.files import config_names
@@ -91,23 +94,59 @@ def test_parameters_are_set_refused_and_restored(graph, still_imu, tmp_path, cap
     assert logged.count('fixed for you') == 1
 
 
-def test_a_gain_is_shown_but_not_set(graph, still_imu):
-    """A gain that covers noise and bias at rest is too large or too small for motion."""
+GAIN = {'push.node': '/imu_filter_madgwick', 'push.filter': 'imu_filter_madgwick'}
+
+
+def test_a_gain_is_shown_but_not_set_until_the_errors_in_motion_are_known(graph, still_imu):
     node = filter_in(graph, 'imu_filter_madgwick')
     batch, bias = still_imu(6000), np.radians(0.1)
     batch.samples[:, 0] += bias
-    push = {'push.node': '/imu_filter_madgwick', 'push.filter': 'imu_filter_madgwick'}
-    graph.run('monitor', **QUICK, **push, **{'push.max_factor': 1e5})
-    status = said(graph, 'nothing is set: the gain has to cover the noise in motion')
-    assert status.level == WARN and 'Keep the gain that works' in status.message
+    graph.run('monitor', **QUICK, **GAIN, **{'push.max_factor': 1e5})
     graph.send(graph.publisher(), batch)
     graph.model_of(6000)
+    status = said(graph, 'the gain has to cover the errors in motion, which are not measured yet')
+    assert status.level == WARN and 'drive at least 5 times for 2 to 180 s' in status.message
     shown = graph.until(lambda: graph.value('imu_filter_madgwick', 'gain at rest, not set'))
     assert bias < float(shown) / 0.75**0.5 < 1.5 * bias
     assert 'and the bias' in graph.value('imu_filter_madgwick', 'origin of gain')
     graph.spin(1.5)  # three periods
     assert (node.get_parameter('gain').value, node.get_parameter('zeta').value) == (0.1, 0.0)
-    assert said(graph, 'nothing is set').level == WARN
+    assert said(graph, 'nothing set yet').level == WARN
+
+
+@pytest.mark.parametrize('former, raised', [(5e-5, True), (0.1, False)])
+def test_a_gain_is_raised_if_it_does_not_cover_the_errors_in_motion(graph, former, raised):
+    """The error of the gyro is its bias of 1 mrad/s at least, since scale factors add to it."""
+    from rclpy.parameter import Parameter
+
+    node = filter_in(graph, 'imu_filter_madgwick')
+    node.set_parameters([Parameter('gain', value=former)])
+    noise = [Model.of(N=7e-5)] * 3, [Model.of(N=1.2e-3)] * 3
+    route = Route(drives=10, tilt=0.15, shortest=15.0, longest=25.0, rest=11.0)
+    robot = simulate_drives(50.0, *noise, route, MotionErrors(gyro_scale=0.02), seed=1)
+    robot.samples[:, 0] += 1e-3
+    stamps = 10**18 + np.arange(len(robot.samples)) * 20_000_000
+    monitor = graph.run('monitor', **QUICK, **GAIN, **{'push.max_factor': 1e3})
+    graph.send(graph.publisher(), ImuBatch(stamps, robot.samples, frame_id='imu'))
+    if not raised:
+        status = said(graph, 'covers the errors of the gyro in motion, for which 0.00')
+        assert status.level == OK and node.get_parameter('gain').value == 0.1
+        return
+    assert said(graph, 'set gain = 0.00').level == OK
+    gain = node.get_parameter('gain').value
+    assert 0.87e-3 < gain < 0.02 and node.get_parameter('zeta').value == 0.0
+    monitor.set_parameters([Parameter('push.enabled', value=False)])
+    graph.until(lambda: node.get_parameter('gain').value == former)
+
+
+@pytest.mark.parametrize(
+    'found, gain, kept',
+    [((0.01,), 0.019, True), ((0.01,), 0.021, False), ((0.1,), 0.001, True), ((), 0.01, False)],
+)
+def test_a_gain_is_never_lowered_and_not_raised_for_little(found, gain, kept):
+    for is_gain in (True, False):
+        proposal = Proposal('gain', (gain,), (gain, gain), '', is_gain)
+        assert bool(proposal.keeps(found)) == (kept and is_gain)
 
 
 def test_a_value_that_an_operator_changes_is_left_as_it_is(graph, pushing):

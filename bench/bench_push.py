@@ -1,0 +1,147 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Does a pushed gain make a filter worse? The Madgwick filter of the package ahrs in a loop.
+
+    pip install ahrs
+    python bench/bench_push.py --seeds 5
+
+A robot rests for two minutes, and then drives and rests 12 times. Its IMU is good or cheap (scale
+factors, misalignments, sensitivity to acceleration, more noise in motion) and has a bias. The
+samples pass the stream, the fit and the factors in motion as in a node, and give the gain. For each
+former gain, the table has the tilt error of the filter with the gain that is in the node afterwards
+over the error with the former one, in motion and at rest: the largest of the seeds. A dash marks a
+former gain that is left.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from ahrs.common.orientation import acc2q
+from ahrs.filters import Madgwick
+
+from allan_ros.core import simulate_drives as simulated
+from allan_ros.core.imu import AXES, ImuBatch
+from allan_ros.core.noise import Model
+from allan_ros.core.simulate_drives import MotionErrors, Route
+from allan_ros.core.stream.pipeline import ImuStream
+from allan_ros.export import ExportOptions, target_rows
+from allan_ros.nodes.push_plan import Proposal
+from allan_ros.readers.recorded import Provenance
+from allan_ros.results.analysis import analyze_sums
+from allan_ros.results.motion import with_motion
+
+RATE = 50
+"""Sample rate in Hz."""
+
+FORMER = (3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1)
+"""Gains in rad/s that an operator may have set."""
+
+BIAS = 1.5e-3
+"""Standard deviation of the gyro bias in rad/s (0.09 deg/s)."""
+
+TIMES = {'first': 120.0, 'rest': 10.0, 'shortest': 20.0, 'longest': 40.0, 'drives': 12}
+
+ROUTES = {
+    'driving': Route(speed=1.0, turn=0.5, tilt=0.05, **TIMES),
+    'rough ground': Route(speed=4.0, turn=1.0, tilt=0.15, **TIMES),
+    'by hand': Route(speed=1.5, turn=1.5, tilt=0.6, **TIMES),
+}
+
+IMUS = {
+    'good': MotionErrors(vibration=0.1),
+    'cheap': MotionErrors(
+        gyro_scale=0.01,
+        gyro_misalignment=0.01,
+        g_sensitivity=2e-4,
+        vibration=0.5,
+        gyro_noise=3.0,
+    ),
+}
+
+
+def filtered(samples: np.ndarray, gain: float) -> np.ndarray:
+    """Return the quaternions of the filter, (n, 4)."""
+    madgwick = Madgwick(frequency=float(RATE), gain_imu=gain)
+    out = np.empty((len(samples), 4))
+    now = acc2q(samples[:RATE, 3:].mean(axis=0))
+    for i, sample in enumerate(samples):
+        out[i] = now = madgwick.updateIMU(now, sample[:3], sample[3:])
+    return out
+
+
+def tilt_errors(q: np.ndarray, attitude: np.ndarray) -> np.ndarray:
+    """Return the angle in deg between the estimated and the true direction of gravity, (n,)."""
+    w, x, y, z = q.T
+    up = np.stack([2 * (x * z - w * y), 2 * (w * x + y * z), 1 - 2 * (x * x + y * y)], axis=1)
+    cosine = np.einsum('ni,ni->n', up, attitude[:, 2, :])
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def rms_errors(
+    samples: np.ndarray, gain: float, attitude: np.ndarray, moving: np.ndarray
+) -> np.ndarray:
+    """Return the rms tilt error in deg in motion and at rest, (2,)."""
+    errors = tilt_errors(filtered(samples, gain), attitude) ** 2
+    return np.sqrt([errors[moving].mean(), errors[~moving].mean()])
+
+
+def proposed_gain(samples: np.ndarray) -> tuple[float, float]:
+    """Return the gain in rad/s for these samples, and the factor of N of the gyro in motion."""
+    stream = ImuStream(with_drives=True)
+    stamps = 10**18 + np.arange(len(samples)) * (10**9 // RATE)
+    stream.update(ImuBatch(stamps, samples))
+    stream.end()
+    results = with_motion(analyze_sums(stream.result().sums, Provenance()), stream.drives())
+    assert results.motion is not None
+    bias = {axis: abs(results.axes[axis].at_rest.mean) for axis in AXES[:3]}
+    row = next(iter(target_rows(results, 'imu_filter_madgwick', ExportOptions(motion=True), bias)))
+    raised = results.motion.sensors['gyro'].raised
+    return row.values[0], raised['N'].value if 'N' in raised else 1.0
+
+
+def run(route: Route, imu: MotionErrors, seed: int) -> tuple[float, float, dict[float, np.ndarray]]:
+    """Return the gain, the factor, and the ratio of errors of each former gain that is replaced."""
+    quiet = [Model.of(N=1.5e-4, K=1e-5)] * 3, [Model.of(N=2e-3, K=1e-4)] * 3
+    robot = simulated.simulate_drives(float(RATE), *quiet, route, imu, seed)
+    path = simulated._Path.of(float(RATE), route, imu, np.random.default_rng(seed))
+    attitude, moving = simulated._from_euler(path.angles)[1:], path.moving > 0
+    samples = robot.samples + np.append(
+        np.random.default_rng(seed + 99).normal(0, BIAS, 3), [0] * 3
+    )
+    gain, factor = proposed_gain(samples)
+    after, ratios = None, {}
+    for former in FORMER:
+        if not Proposal('gain', (gain,), (gain, gain), '', is_gain=True).keeps((former,)):
+            after = rms_errors(samples, gain, attitude, moving) if after is None else after
+            ratios[former] = after / rms_errors(samples, former, attitude, moving)
+    return gain, factor, ratios
+
+
+def main() -> None:
+    """Print the table."""
+    formatter = argparse.RawTextHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=formatter)
+    parser.add_argument('--seeds', type=int, default=5)
+    seeds = range(parser.parse_args().seeds)
+    print(f'{"":22}{"gain":>16}{"factor":>12}' + ''.join(f'{former:>14g}' for former in FORMER))
+    for where, route in ROUTES.items():
+        for which, imu in IMUS.items():
+            runs = [run(route, imu, seed) for seed in seeds]
+            gains, factors = ([each[i] for each in runs] for i in (0, 1))
+            cells = []
+            for former in FORMER:
+                known = [ratios[former] for *_, ratios in runs if former in ratios]
+                worst = np.max(known, axis=0) if known else None
+                cells.append('-' if worst is None else f'{worst[0]:.2f} {worst[1]:.2f}')
+            print(
+                f'{f"{where}, {which}":22}{f"{min(gains):.4f}..{max(gains):.4f}":>16}'
+                f'{f"{min(factors):.1f}..{max(factors):.1f}":>12}'
+                + ''.join(f'{cell:>14}' for cell in cells),
+                flush=True,
+            )
+
+
+if __name__ == '__main__':
+    main()
