@@ -129,9 +129,7 @@ def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
         def gain(model: Model, n: float, bias: float = bias) -> float:
             drift = math.sqrt(float(model.changed(N=0.0).drift.avar([horizon])[0]))
             white = n / math.sqrt(horizon)
-            return MADGWICK_FACTOR * math.hypot(
-                factors['N'] * white, factors['K'] * drift, bias
-            )
+            return MADGWICK_FACTOR * math.hypot(factors['N'] * white, factors['K'] * drift, bias)
 
         ends = interval_models(result.fit)
         low, high = map(gain, ends, white.interval) if ends else (0.0, math.inf)
