@@ -16,15 +16,15 @@ former gain that is left.
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 
 import numpy as np
 from ahrs.common.orientation import acc2q
 from ahrs.filters import Madgwick
 
-from allan_ros.core import simulate_drives as simulated
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate_drives import MotionErrors, Route
+from allan_ros.core.simulate_drives import MotionErrors, Route, SimulatedDrives, simulate_drives
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.export import ExportOptions, target_rows
 from allan_ros.nodes.push_plan import Proposal
@@ -71,20 +71,33 @@ def filtered(samples: np.ndarray, gain: float) -> np.ndarray:
     return out
 
 
-def tilt_errors(q: np.ndarray, attitude: np.ndarray) -> np.ndarray:
-    """Return the angle in deg between the estimated and the true direction of gravity, (n,)."""
-    w, x, y, z = q.T
-    up = np.stack([2 * (x * z - w * y), 2 * (w * x + y * z), 1 - 2 * (x * x + y * y)], axis=1)
-    cosine = np.einsum('ni,ni->n', up, attitude[:, 2, :])
-    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+def rms_errors(samples: np.ndarray, gain: float, robot: SimulatedDrives) -> np.ndarray:
+    """Return the rms tilt error in deg in motion and at rest, (2,).
+
+    The tilt error is the angle between the estimated and the true direction of gravity.
+    """
+    w, x, y, z = filtered(samples, gain).T
+    roll, pitch, _ = robot.angles[1:].T
+    cosine = (
+        -np.sin(pitch) * 2 * (x * z - w * y)
+        + np.sin(roll) * np.cos(pitch) * 2 * (w * x + y * z)
+        + np.cos(roll) * np.cos(pitch) * (1 - 2 * (x * x + y * y))
+    )
+    squares = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) ** 2
+    moving = np.zeros(len(samples), dtype=bool)
+    for first, last in robot.drives:
+        moving[first:last] = True
+    return np.sqrt([squares[moving].mean(), squares[~moving].mean()])
 
 
-def rms_errors(
-    samples: np.ndarray, gain: float, attitude: np.ndarray, moving: np.ndarray
-) -> np.ndarray:
-    """Return the rms tilt error in deg in motion and at rest, (2,)."""
-    errors = tilt_errors(filtered(samples, gain), attitude) ** 2
-    return np.sqrt([errors[moving].mean(), errors[~moving].mean()])
+@dataclass(frozen=True)
+class Push:
+    """What a push does: the gain in rad/s that is proposed, the factor of N of the gyro in motion,
+    and for each former gain that is replaced, the ratio of the errors in motion and at rest."""
+
+    gain: float
+    factor: float
+    ratios: dict[float, np.ndarray]
 
 
 def proposed_gain(samples: np.ndarray) -> tuple[float, float]:
@@ -97,26 +110,21 @@ def proposed_gain(samples: np.ndarray) -> tuple[float, float]:
     assert results.motion is not None
     bias = {axis: abs(results.axes[axis].at_rest.mean) for axis in AXES[:3]}
     row = next(iter(target_rows(results, 'imu_filter_madgwick', ExportOptions(motion=True), bias)))
-    raised = results.motion.sensors['gyro'].raised
-    return row.values[0], raised['N'].value if 'N' in raised else 1.0
+    factor = results.motion.sensors['gyro'].raised.get('N')
+    return row.value, 1.0 if factor is None or factor.value is None else factor.value
 
 
-def run(route: Route, imu: MotionErrors, seed: int) -> tuple[float, float, dict[float, np.ndarray]]:
-    """Return the gain, the factor, and the ratio of errors of each former gain that is replaced."""
+def run(route: Route, imu: MotionErrors, seed: int) -> Push:
+    """Simulate a robot, compute the gain, and run the filter with it and with each former gain."""
     quiet = [Model.of(N=1.5e-4, K=1e-5)] * 3, [Model.of(N=2e-3, K=1e-4)] * 3
-    robot = simulated.simulate_drives(float(RATE), *quiet, route, imu, seed)
-    path = simulated._Path.of(float(RATE), route, imu, np.random.default_rng(seed))
-    attitude, moving = simulated._from_euler(path.angles)[1:], path.moving > 0
-    samples = robot.samples + np.append(
-        np.random.default_rng(seed + 99).normal(0, BIAS, 3), [0] * 3
-    )
+    robot = simulate_drives(float(RATE), *quiet, route, imu, seed)
+    bias = np.random.default_rng(seed + 99).normal(0, BIAS, 3)
+    samples = robot.samples + np.append(bias, [0] * 3)
     gain, factor = proposed_gain(samples)
-    after, ratios = None, {}
-    for former in FORMER:
-        if not Proposal('gain', (gain,), (gain, gain), '', is_gain=True).keeps((former,)):
-            after = rms_errors(samples, gain, attitude, moving) if after is None else after
-            ratios[former] = after / rms_errors(samples, former, attitude, moving)
-    return gain, factor, ratios
+    proposal = Proposal('gain', (gain,), (gain, gain), '', is_gain=True)
+    replaced = [former for former in FORMER if not proposal.keeps((former,))]
+    after = rms_errors(samples, gain, robot) if replaced else np.ones(2)
+    return Push(gain, factor, {g: after / rms_errors(samples, g, robot) for g in replaced})
 
 
 def main() -> None:
@@ -129,10 +137,10 @@ def main() -> None:
     for where, route in ROUTES.items():
         for which, imu in IMUS.items():
             runs = [run(route, imu, seed) for seed in seeds]
-            gains, factors = ([each[i] for each in runs] for i in (0, 1))
+            gains, factors = [each.gain for each in runs], [each.factor for each in runs]
             cells = []
             for former in FORMER:
-                known = [ratios[former] for *_, ratios in runs if former in ratios]
+                known = [each.ratios[former] for each in runs if former in each.ratios]
                 worst = np.max(known, axis=0) if known else None
                 cells.append('-' if worst is None else f'{worst[0]:.2f} {worst[1]:.2f}')
             print(
