@@ -19,8 +19,8 @@ from .version import __version__ as __version__
 
 if TYPE_CHECKING:
     from .api.analysis import analyze, load
+    from .api.classes import Results, sensor
     from .api.comparison import common, compare, inflate
-    from .api.results import Results, sensor
     from .core.allan.curve import AxisCurve
     from .core.errors import AllanError
     from .core.estimate import Estimate
@@ -48,7 +48,7 @@ __all__ = [
 _HOME = {
     **dict.fromkeys(('analyze', 'load'), 'api.analysis'),
     **dict.fromkeys(('common', 'compare', 'inflate'), 'api.comparison'),
-    **dict.fromkeys(('Results', 'sensor'), 'api.results'),
+    **dict.fromkeys(('Results', 'sensor'), 'api.classes'),
     'AllanError': 'core.errors',
     'AxisCurve': 'core.allan.curve',
     'Estimate': 'core.estimate',

@@ -35,7 +35,7 @@ from allan_ros.core.fit.result import TERMS, AxisFit
 from allan_ros.core.imu import from_datasheet, shown_unit
 from allan_ros.core.noise import PROCESSES, GaussMarkov, Model
 from allan_ros.core.noise.derived import avar
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 AXES = ('gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z')
 """Number of axes that are fitted together, as the axes of one IMU."""

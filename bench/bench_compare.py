@@ -19,8 +19,8 @@ from collections.abc import Iterable
 from scipy.stats import beta
 
 import allan_ros as ar
-from allan_ros.core.compare import Check
-from allan_ros.core.simulate import PRESETS
+from allan_ros.core.check import Check
+from allan_ros.core.simulator import PRESETS
 
 RATE = 50.0
 """Hz."""

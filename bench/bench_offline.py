@@ -46,7 +46,7 @@ STORAGES = {'mcap zstd': ('mcap', 'storage'), 'sqlite3': ('sqlite3', 'none')}
 def bag(folder: Path, name: str, messages: int) -> Path:
     """Return a simulated bag of this storage and length; an existing one is reused."""
     from allan_ros.core.noise import Model
-    from allan_ros.core.simulate import simulate_imu
+    from allan_ros.core.simulator import simulate_imu
     from fuzz.reading import write_bag
 
     storage, compression = STORAGES[name]
@@ -98,7 +98,7 @@ def floor(path: Path) -> int:
     """
     from zstandard import ZstdDecompressor
 
-    from allan_ros.readers.mcap import CHUNK, MAGIC, RECORD
+    from allan_ros.readers.mcap import CHUNK, MAGIC, RECORD_HEAD
 
     for database in path.glob('*.db3'):
         with sqlite3.connect(f'file:{database}?immutable=1', uri=True) as connection:
@@ -107,9 +107,9 @@ def floor(path: Path) -> int:
     decompress, at, size = ZstdDecompressor().decompress, len(MAGIC), 0
     (file,) = path.glob('*.mcap')
     with file.open('rb') as data:
-        while data.seek(at) == at and len(head := data.read(RECORD.size)) == RECORD.size:
-            opcode, length = RECORD.unpack(head)
-            at += RECORD.size + length
+        while data.seek(at) == at and len(head := data.read(RECORD_HEAD.size)) == RECORD_HEAD.size:
+            opcode, length = RECORD_HEAD.unpack(head)
+            at += RECORD_HEAD.size + length
             if opcode == CHUNK:
                 size += len(decompress(data.read(length)[CHUNK_HEAD:]))
     return size // MESSAGE_BYTES

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from online_nodes import EMPTY_SUBSCRIBER, Client, Process, node
 
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_imu
+from allan_ros.core.simulator import simulate_imu
 from allan_ros.readers.cdr import encode_imus
 
 RATES_HZ = (200, 1000, 4000)

@@ -20,7 +20,7 @@ from bench_accuracy import Outcome, clopper_pearson
 import allan_ros as ar
 from allan_ros.core.imu import AXES, from_datasheet, sensor_of
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import LEVEL, PRESETS, simulate_axis
+from allan_ros.core.simulator import LEVEL, PRESETS, simulate_axis
 
 RATE, SECONDS = 50.0, 900.0
 SHOCK_S = 0.2

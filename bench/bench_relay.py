@@ -26,7 +26,7 @@ import numpy as np
 from online_nodes import EMPTY_SUBSCRIBER, Client, Process, node
 
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_imu
+from allan_ros.core.simulator import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.readers.cdr import CovariancePatch, encode_imus
 from allan_ros.readers.recorded import Provenance

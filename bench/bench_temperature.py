@@ -18,7 +18,7 @@ from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.temperature import temperature_models
 from allan_ros.core.imu import AXES
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 Floats = NDArray[np.float64]
 

@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_imu
+from allan_ros.core.simulator import simulate_imu
 from allan_ros.readers import ReadOptions, open_recordings
 from allan_ros.readers.cdr import encode_imus
 

@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import allan_ros
-from allan_ros.cli.console import OPTIONS
+from allan_ros.cli.console import COMMON_OPTIONS
 from allan_ros.cli.main import EXITS, VERBS, command_of
 from allan_ros.cli.options import declare
 from allan_ros.core.findings import CATALOG
 from allan_ros.core.settings import ParameterInfo, describe
-from allan_ros.nodes.settings import GROUPS
+from allan_ros.nodes.node_settings import GROUPS
 from allan_ros.view.finding_text import FIELD, words
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -162,7 +162,7 @@ def _launch_rows() -> Iterator[str]:
 def cli_page() -> str:
     """Return the page of the command line's options."""
     common = argparse.ArgumentParser(add_help=False)
-    declare(common, OPTIONS)
+    declare(common, COMMON_OPTIONS)
     every = EVERY_VERB.format(
         options='\n'.join(_option_row(action) for action in common._actions),
         exits='\n'.join(f'| {code} | {what} |' for code, what in EXITS.items()),

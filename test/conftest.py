@@ -15,12 +15,12 @@ import pytest
 from hypothesis import settings
 from support.chromium import Chromium, find_chromium
 
-from allan_ros.api.results import Results
+from allan_ros.api.classes import Results
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit.result import NoiseModel
 from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_imu
+from allan_ros.core.simulator import simulate_imu
 from allan_ros.core.stream.pipeline import ImuStream
 from allan_ros.readers import SourceInfo
 from allan_ros.readers.recorded import Provenance

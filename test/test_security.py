@@ -76,7 +76,7 @@ def test_a_link_in_place_of_the_checkpoint_is_replaced_not_followed(tmp_path: Pa
 @pytest.mark.parametrize('label', ['../x', '/etc/x', 'a/b', '..', 'a\0b', 'a b', '~', 'é/..'])
 def test_a_label_is_not_a_path(label: str) -> None:
     pytest.importorskip('rclpy')
-    from allan_ros.nodes.settings import InputSettings
+    from allan_ros.nodes.node_settings import InputSettings
 
     with pytest.raises(AllanError, match='labels'):
         InputSettings(topics=('a', 'b'), labels=(label, 'other'))
@@ -85,7 +85,7 @@ def test_a_label_is_not_a_path(label: str) -> None:
 @pytest.mark.parametrize('topic', ['../../x', '/a/../../x', 'a b'])
 def test_no_topic_leads_a_checkpoint_out_of_its_folder(topic: str) -> None:
     pytest.importorskip('rclpy')
-    from allan_ros.nodes.settings import InputSettings
+    from allan_ros.nodes.node_settings import InputSettings
 
     try:
         settings = InputSettings(topics=(topic, 'imu'))

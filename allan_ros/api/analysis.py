@@ -10,7 +10,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-from ..core.compare import MARGIN
+from ..core.check import MARGIN
 from ..core.errors import AllanError
 from ..core.settings import SegmenterSettings, check_names, check_rate, describe, expect
 from ..readers import ReadOptions
@@ -30,8 +30,8 @@ from ..results.documents import RESULTS, SUMS, load_sums
 from ..results.documents import load as load_results
 from ..results.from_truth import is_truth, results_of_truth
 from ..results.results import Results as PlainResults
-from ..view.settings import ResultSettings
-from .results import Results, compared, public
+from ..view.result_settings import ResultSettings
+from .classes import Results, compared, public
 
 
 @public

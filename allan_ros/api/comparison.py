@@ -10,15 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..core.compare import MARGIN
+from ..core.check import MARGIN
 from ..core.errors import AllanError
 from ..core.filters.noise_parameters import measure_inflation
 from ..core.settings import LIST, SegmenterSettings, check_range, expect
 from ..readers import Recording, topics_of
 from ..readers.files import PATH
 from ..readers.recorded import Observer, ReadJob, Silent
-from ..results.common_noise import CommonResult as PlainCommonResult
-from ..results.common_noise import common_of
+from ..results.common_result import CommonResult as PlainCommonResult
+from ..results.common_result import common_of
 from ..results.comparison import REST, RUNNING, compare_runs
 from ..results.comparison import Inflation as PlainInflation
 from ..results.comparison import RunComparison as PlainRunComparison
@@ -26,9 +26,9 @@ from ..results.datasheets import load_sensor
 from ..results.documents import labels_of
 from ..results.from_truth import is_truth
 from ..results.results import Results as PlainResults
-from ..view.settings import ResultSettings
+from ..view.result_settings import ResultSettings
 from .analysis import read_settings, results_of
-from .results import public
+from .classes import public
 
 
 class CommonResult(PlainCommonResult):

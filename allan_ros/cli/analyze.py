@@ -34,12 +34,12 @@ from ..results.plan import load_plan
 from ..view.batch_files import SUMMARY
 from ..view.finding_text import finding_line
 from ..view.result_document import result_document
-from ..view.settings import ResultSettings
+from ..view.result_settings import ResultSettings
 from ..view.verdict_text import verdict_of
 from .batch import (
     EXIT_FAILED,
     EXIT_UNJUDGED,
-    Unit,
+    BatchItem,
     exit_code_of,
     fit_and_write,
     names_of,
@@ -51,7 +51,7 @@ from .batch import (
 )
 from .console import EXIT_ERROR, Console, colored, width
 from .options import Command, Option, Settings, settings_of
-from .tables import findings_lines, results_lines
+from .result_lines import findings_lines, results_lines
 
 EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
 """Exit codes that only this verb has."""
@@ -272,7 +272,7 @@ def check(args: argparse.Namespace) -> int:
     jobs = [read_jobs(paths, args, bool(args.output)) for paths in units.values()]
     short = names_of([of_unit[0] for of_unit in jobs])
     unread = [one for given in args.inputs for one in unread_units(given)]
-    return run_check([Unit(*unit) for unit in zip(units, jobs, short)], args, unread)
+    return run_check([BatchItem(*unit) for unit in zip(units, jobs, short)], args, unread)
 
 
 ANALYZE_TEXT = f"""

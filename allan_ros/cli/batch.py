@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from ..api.analysis import is_document
-from ..api.results import compared
-from ..core.compare import Check
+from ..api.classes import compared
+from ..core.check import Check
 from ..core.errors import AllanError, one_line
 from ..core.estimate import value_text
 from ..core.fields import plain
@@ -35,17 +35,16 @@ from ..results.analysis import analyze_recorded
 from ..results.documents import load, load_sums
 from ..results.plan import Limits, Plan, load_plan
 from ..results.results import Results
-from ..results.unit_check import WORDS as UNIT_WORDS
-from ..results.unit_check import Decision, UnitCheck, check_unit, worst
+from ..results.unit_check import DECISION_WORDS, Decision, UnitCheck, check_unit, worst
 from ..view.batch_files import INDEX, SUMMARY
 from ..view.finding_text import explained, finding_line
 from ..view.result_document import result_document
-from ..view.settings import ResultSettings
+from ..view.result_settings import ResultSettings
 from ..view.unit_text import unchecked_text, unit_sentences
-from ..view.verdict_text import WORDS, verdict_of
+from ..view.verdict_text import VERDICT_WORDS, verdict_of
 from .console import EXIT_ERROR, EXIT_FAULT, Console, colored, fault_text, painted
 from .options import settings_of
-from .tables import LEVEL_COLORS
+from .result_lines import LEVEL_COLORS
 
 EXIT_FAILED, EXIT_UNJUDGED = int(Decision.EXCEEDS), int(Decision.NOT_JUDGED)
 
@@ -62,7 +61,7 @@ MOST_NAMED = 10
 
 
 @dataclass(frozen=True)
-class Unit:
+class BatchItem:
     """One IMU in a batch: its name in the summary, and the jobs that read its recordings.
 
     ``short`` is another unique name, from which that of its folder is made; '' if it is ``name``.
@@ -87,7 +86,7 @@ class Unit:
 class Outcome:
     """The results of one unit, or the reason why there are none."""
 
-    unit: Unit
+    unit: BatchItem
     results: Results | None = None
     error: str = ''
     code: int = EXIT_ERROR  # exit code if there are no results
@@ -136,7 +135,7 @@ class Judge:
         results, units = outcome.results, self._args.units
         if results is None:
             decision = Decision(outcome.code)
-            return Judged(outcome, decision, UNIT_WORDS[decision], [outcome.error])
+            return Judged(outcome, decision, DECISION_WORDS[decision], [outcome.error])
         check = check_unit(results, self._plan)
         note = self._note(outcome.unit.name, results)
         decision = check.decision
@@ -144,9 +143,9 @@ class Judge:
             decision = Decision.EXCEEDS
         elif note and decision is Decision.WITHIN:
             decision = Decision.NOT_JUDGED  # one of the two was not measured
-        word = UNIT_WORDS[decision]
+        word = DECISION_WORDS[decision]
         if not self._decides:
-            word = WORDS[results.level].lower()
+            word = VERDICT_WORDS[results.level].lower()
         sentences = unit_sentences(check, results, units)
         return Judged(outcome, decision, word, sentences, check, note)
 
@@ -169,7 +168,7 @@ def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     judge = Judge(args, None, decides=False)
     found: list[Finding] = []
     _make_output(args)
-    for outcome in _outcomes([Unit(n, [job]) for n, job in zip(names_of(jobs), jobs)], args):
+    for outcome in _outcomes([BatchItem(n, [job]) for n, job in zip(names_of(jobs), jobs)], args):
         units.append(one := judge.judged(outcome))
         code = outcome.code
         if outcome.results is not None:
@@ -198,7 +197,7 @@ def unread_units(folder: str) -> list[Outcome]:
         rows = list(csv.DictReader(io.StringIO(file.read(MAX_SUMMARY).decode('utf-8', 'replace'))))
     return [
         Outcome(
-            Unit(row['unit'], [ReadJob(row['unit'], hardware_id=row.get('serial') or '')]),
+            BatchItem(row['unit'], [ReadJob(row['unit'], hardware_id=row.get('serial') or '')]),
             error=one_line(f'{row["unit"]}: not read for this archive: {row.get("reason")}'),
         )
         for row in rows
@@ -207,7 +206,7 @@ def unread_units(folder: str) -> list[Outcome]:
 
 
 def run_check(
-    units: Sequence[Unit], args: argparse.Namespace, unread: Sequence[Outcome] = ()
+    units: Sequence[BatchItem], args: argparse.Namespace, unread: Sequence[Outcome] = ()
 ) -> int:
     """Print one line for each unit as it finishes, and the totals; return the worst exit code.
 
@@ -249,7 +248,7 @@ def run_check(
 
 def _total(word: str, names: Sequence[str]) -> str:
     """Return the number of units with a verdict, and their names unless they are healthy."""
-    if word == UNIT_WORDS[Decision.WITHIN]:
+    if word == DECISION_WORDS[Decision.WITHIN]:
         return f'{len(names)} {word}'
     more = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
     return one_line(f'{len(names)} {word} ({", ".join(names[:MOST_NAMED])}{more})')
@@ -263,7 +262,9 @@ def _print_unit(one: Judged, args: argparse.Namespace) -> None:
         numbers = ', '.join(_noise_texts(one.outcome.results, args.units))
         text = f'{one.name}{serial}: {text.rstrip(".")}; {numbers}'.rstrip('; ')
     line = one_line(f'{one.word}: {text}')
-    color = next((LEVEL_COLORS[k] for k, w in WORDS.items() if w.lower() == one.word), '1;31')
+    color = next(
+        (LEVEL_COLORS[k] for k, w in VERDICT_WORDS.items() if w.lower() == one.word), '1;31'
+    )
     print(painted(line, one.word, color, colored(sys.stdout)), flush=True)
 
 
@@ -382,7 +383,7 @@ def exit_code_of(results: Results, fail_on: str | None) -> int:
     return 0 if any(c.value is not None for c in known) else EXIT_ERROR
 
 
-def _outcomes(units: Sequence[Unit], args: argparse.Namespace) -> Iterator[Outcome]:
+def _outcomes(units: Sequence[BatchItem], args: argparse.Namespace) -> Iterator[Outcome]:
     """Yield the outcomes in the order of the units; several processes or a cluster may run them."""
     if getattr(args, 'scheduler', None):
         read = on_cluster([unit.jobs[0] for unit in units], args.scheduler, Console.of(args))
@@ -400,7 +401,7 @@ def _outcomes(units: Sequence[Unit], args: argparse.Namespace) -> Iterator[Outco
 
 
 def outcome_of(
-    unit: Unit,
+    unit: BatchItem,
     args: argparse.Namespace,
     recorded: RecordingSums | Finding | Exception | None = None,
 ) -> Outcome:

@@ -25,10 +25,10 @@ from ..api.analysis import is_document
 from ..core.errors import AllanError
 from ..results.comparison import comparison_document, inflation_document
 from ..view.comparison_lines import common_lines, inflation_lines
-from ..view.settings import ResultSettings
+from ..view.result_settings import ResultSettings
 from .console import Console, width
 from .options import Command, Option, Settings, percent, seconds
-from .tables import comparison_lines
+from .result_lines import comparison_lines
 
 SENSOR_PREFIX = 'sensor:'
 

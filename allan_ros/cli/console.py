@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 from ..core.errors import one_line
 from ..version import __version__
-from .options import Group, Option
+from .options import Option, OptionGroup
 
 EXIT_ERROR, EXIT_FAULT = 1, 70
 """Exit codes: an error that the user can fix, and a bug."""
@@ -78,8 +78,8 @@ NARROWEST = 40
 SEVERITY_COLORS = {'info': '36', 'warning': '33', 'error': '31'}
 """ANSI colors (ECMA-48) of the severity of a finding: cyan, yellow, red."""
 
-OPTIONS: tuple[Group, ...] = (
-    Group(
+COMMON_OPTIONS: tuple[OptionGroup, ...] = (
+    OptionGroup(
         'terminal',
         (
             Option(('--json',), 'print one JSON document to stdout; messages go to stderr'),

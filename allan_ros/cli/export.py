@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-GAP = 2
+COLUMN_GAP = 2
 """Characters between two columns."""
 
 SEEN = {
@@ -147,8 +147,8 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
                 significant(max(limits) / UNITS[unit].factor, LIMIT_DIGITS) if limits else '-'
             )
         rows.append(row)
-    widths = [max(map(len, column)) + GAP for column in zip(*rows)]
-    shown = sum(sum(widths[: n + 1]) - GAP <= columns for n in range(len(widths)))
+    widths = [max(map(len, column)) + COLUMN_GAP for column in zip(*rows)]
+    shown = sum(sum(widths[: n + 1]) - COLUMN_GAP <= columns for n in range(len(widths)))
     for row in rows:
         yield ''.join(f'{cell:{w}}' for cell, w in zip(row[:shown], widths)).rstrip()
     yield ''
@@ -242,4 +242,4 @@ SENSOR_OPTIONS = (
 
 EXPORT = Command(__doc__ or '', [*EXPORT_OPTIONS, Settings('numbers', ExportOptions)], run)
 
-SENSORS = Command(SENSORS_TEXT, SENSOR_OPTIONS, sensors)
+SENSORS_COMMAND = Command(SENSORS_TEXT, SENSOR_OPTIONS, sensors)

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, NoReturn
 
 from .. import __version__, keep_to_one_thread
 from ..core.errors import AllanError
-from .console import EXIT_ERROR, EXIT_FAULT, OPTIONS, fault_text
+from .console import COMMON_OPTIONS, EXIT_ERROR, EXIT_FAULT, fault_text
 from .options import Command, declare
 
 HELP_COLUMN = 26
@@ -46,7 +46,9 @@ VERBS = {
         'list significant differences between recordings, or from a datasheet',
     ),
     'sensors': Verb(
-        'export', 'SENSORS', 'list the known datasheets of IMUs, or show one with its sources'
+        'export',
+        'SENSORS_COMMAND',
+        'list the known datasheets of IMUs, or show one with its sources',
     ),
     'export': Verb(
         'export', 'EXPORT', 'write the measured noise to a file for a filter or simulator'
@@ -159,7 +161,7 @@ def build_parser(verb: str = '') -> AllanParser:
             command = command_of(name)
             sub.description = command.description
             sub.epilog = _exits_text({**EXITS, **command.exits})
-            declare(sub, (*command.options, *OPTIONS))
+            declare(sub, (*command.options, *COMMON_OPTIONS))
             sub.shorten_usage()
     return parser
 

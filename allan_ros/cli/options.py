@@ -35,14 +35,14 @@ class Option(NamedTuple):
     exclusive: bool = False  # whether it excludes the other exclusive options of its group
 
 
-class Group(NamedTuple):
+class OptionGroup(NamedTuple):
     """Options below one heading in the help."""
 
     title: str
     options: tuple[Option, ...]
 
 
-Declared = Sequence[Option | Group | Settings]
+Declared = Sequence[Option | OptionGroup | Settings]
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def declare(parser: argparse.ArgumentParser, options: Declared) -> None:
     for one in options:
         if isinstance(one, Settings):
             add_settings(parser, *one)
-        elif isinstance(one, Group):
+        elif isinstance(one, OptionGroup):
             group = parser.add_argument_group(one.title)
             exclusive = group.add_mutually_exclusive_group()
             for each in one.options:

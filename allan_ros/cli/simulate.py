@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING
 
 from ..core.errors import one_line
 from ..core.imu import AXES, HOUR, NANOSECONDS, SENSORS
-from ..core.simulate import PRESETS, Faults, samples_in, simulate_imu
+from ..core.simulator import PRESETS, Faults, samples_in, simulate_imu
 from .console import Console
-from .options import Command, Group, Option, seconds, terms
+from .options import Command, Option, OptionGroup, seconds, terms
 
 if TYPE_CHECKING:
     from ..core.imu import ImuBatch
@@ -39,9 +39,9 @@ NOISES = {
 }
 """Option for noise terms -> axes to which they apply, as text."""
 
-OPTIONS = (
+SIMULATE_OPTIONS = (
     Option(('output',), 'recording to write', 'OUT'),
-    Group(
+    OptionGroup(
         'noise',
         (
             Option(
@@ -70,7 +70,7 @@ OPTIONS = (
             ),
         ),
     ),
-    Group(
+    OptionGroup(
         'recording',
         (
             Option(('--hours',), 'length in hours', 'HOURS', parse=float, default=2.0),
@@ -148,4 +148,4 @@ def _tracked(batches: Iterator[ImuBatch], samples: int, console: Console) -> Ite
             progress.advance(len(batch))
 
 
-SIMULATE = Command(__doc__ or '', OPTIONS, run)
+SIMULATE = Command(__doc__ or '', SIMULATE_OPTIONS, run)

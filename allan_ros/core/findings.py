@@ -93,7 +93,7 @@ class Finding:
         }
 
 
-class Kind(NamedTuple):
+class CatalogEntry(NamedTuple):
     """An entry of the catalog: the severity of a finding, and its values.
 
     ``values`` maps each name to one of `QUANTITIES`, or to '' for another value; ``optional`` are
@@ -105,14 +105,14 @@ class Kind(NamedTuple):
     optional: frozenset[str]
 
 
-def _catalog(text: str) -> Iterator[tuple[str, Kind]]:
+def _catalog(text: str) -> Iterator[tuple[str, CatalogEntry]]:
     """Yield the id and the kind of each entry."""
     for entry in re.findall(r'(?m)^\w+:.*(?:\n .*)*', re.sub(r'(?m)^\[.*\n(?: .*\n)*', '', text)):
         head, *names = entry.replace(': ', ':', 1).split()
         id, _, severity = head.partition(':')
         pairs = (name.rstrip('?').partition(':')[::2] for name in names)
         optional = (name.rstrip('?').partition(':')[0] for name in names if name.endswith('?'))
-        yield id, Kind(severity, dict(pairs), frozenset(optional))
+        yield id, CatalogEntry(severity, dict(pairs), frozenset(optional))
 
 
 _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
@@ -120,7 +120,7 @@ _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
 CATALOG = dict(_catalog(_TEXT))
 """Kind of finding by id."""
 
-_FAULTS, _NUMBERS, LIVE, UNUSABLE = (
+_FAULTS, _COUNTS, LIVE, UNUSABLE = (
     re.findall(rf'(?m)^\[{name}\]\n((?: .*\n)*)', _TEXT)[0].split()
     for name in ('faults', 'numbers', 'live', 'unusable')
 )
@@ -155,7 +155,7 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     return Finding(id, severity, axes, used)
 
 
-def missing_values(known: Kind, values: Mapping[str, Any]) -> list[str]:
+def missing_values(known: CatalogEntry, values: Mapping[str, Any]) -> list[str]:
     """Return the names of the values without which a text is incomplete."""
     return [
         name for name in known.values if name not in known.optional and values.get(name) is None
@@ -225,7 +225,7 @@ def _rank(finding: Finding) -> tuple[int, int]:
     """Return the group of a finding and its place in this group."""
     known = CATALOG.get(finding.id)
     if known is not None and finding.severity == known.severity:
-        for group, ids in enumerate((_FAULTS, _NUMBERS)):
+        for group, ids in enumerate((_FAULTS, _COUNTS)):
             if finding.id in ids:
                 return group, ids.index(finding.id)
     group = {'error': 0, 'warning': 1, 'info': len(SEVERITIES)}[finding.severity]

@@ -143,7 +143,7 @@ class CheckedSettings:
 SLOWEST_HZ = 1e-6
 """Smallest sample rate: two samples in eleven days."""
 
-LARGEST = 1e150
+LARGEST_SETTING = 1e150
 """Largest magnitude of a number: its square is a finite float64."""
 
 
@@ -154,7 +154,10 @@ def check_range(low: float | None, high: float | None, unit: str = '', /, **valu
     """
     for name, value in values.items():
         expect(Real, **{name: value})
-        within = (-LARGEST if low is None else low), (LARGEST if high is None else high)
+        within = (
+            (-LARGEST_SETTING if low is None else low),
+            (LARGEST_SETTING if high is None else high),
+        )
         if not within[0] <= value <= within[1]:  # type: ignore[operator]
             limits = 'be finite'
             if low is not None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .imu import STANDARD_GRAVITY
 from .noise import Model
 from .settings import CheckedSettings, parameter
-from .simulate import simulate_imu
+from .simulator import simulate_imu
 from .stream.drives import EARTH_RATE, rotation_matrices
 
 Floats = NDArray[np.float64]

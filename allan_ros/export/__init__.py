@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from ..core.errors import AllanError
 from ..core.findings import Finding, finding
 from ..results.from_datasheet import FROM_DATASHEET
-from .model import FilterNoise
+from .filter_noise import FilterNoise
 from .target import RAISED, Export, ExportOptions, Row, Target, origin_text
 from .targets import TARGETS
 from .text import header_lines

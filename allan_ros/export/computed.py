@@ -22,7 +22,7 @@ from ..core.filters.state_space import StateSpace
 from ..core.imu import AXES, SI_UNITS, sensor_of
 from ..core.noise import Model
 from ..core.number_text import LIMIT_DIGITS, VALUE_DIGITS, significant
-from .model import NOTATIONS, FilterNoise, Notation, clamped, rounded
+from .filter_noise import NOTATIONS, FilterNoise, Notation, clamped, rounded
 from .target import ANY_NODE, Key, Row
 
 SCHEMA = 'allan_ros/state_space/3'

@@ -14,7 +14,7 @@ from ..core.filters.growth import growth_table, predicted_growth
 from ..core.imu import AXES, DEGREE, HOUR, SENSORS, UNITS, sensor_of
 from ..core.noise import GaussMarkov, Model
 from ..core.number_text import significant
-from .model import FilterNoise, notation_of
+from .filter_noise import FilterNoise, notation_of
 from .target import ExportOptions, Key, Target
 
 if TYPE_CHECKING:
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
 AFTER_S = (1.0, 10.0, 60.0)
 """Times in s after the last correction at which the drift is compared."""
 
-SHOWN = {'gyro': (DEGREE, 'deg'), 'accel': (1.0, 'm/s')}
+SHOWN_UNITS = {'gyro': (DEGREE, 'deg'), 'accel': (1.0, 'm/s')}
 """Sensor -> SI value and name of the unit of its drift."""
 
-DIGITS = 2
+SHOWN_DIGITS = 2
 """Significant digits of a drift."""
 
-ROUNDING = 0.01
+ROUNDED_STD = 0.01
 """Relative difference that is due to the rounding of the numbers in a file."""
 
-SMALLEST, LARGEST = 1e-30, 1e15
+SMALLEST_STD, LARGEST_STD = 1e-30, 1e15
 """Range of plausible numbers in a file, in any unit; their squares are finite."""
 
-COMMENT = re.compile(r'(?m)^\s*(?:#|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
+A_COMMENT = re.compile(r'(?m)^\s*(?:#|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
 """Comments of YAML, Python and JSON, and strings with a space."""
 
-NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
+A_NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
 
-EXAMPLE = 'kalibr, openvins or px4'
+EXAMPLE_TARGETS = 'kalibr, openvins or px4'
 
 
 class Drift(NamedTuple):
@@ -63,14 +63,14 @@ class Drift(NamedTuple):
         return self.file < (self.ci95[0] if self.ci95 else self.measured)
 
     def __str__(self) -> str:
-        factor, unit = SHOWN[sensor_of(self.axis)]
+        factor, unit = SHOWN_UNITS[sensor_of(self.axis)]
         file, measured, *ends = (
-            f'{significant(x / factor, DIGITS)}'
+            f'{significant(x / factor, SHOWN_DIGITS)}'
             for x in (self.file, self.measured, *(self.ci95 or ()))
         )
         interval = f' ({"..".join(ends)})' if ends else ''
         text = f'{self.axis} after {self.after:g} s: your file {file} {unit}, measured {measured}'
-        return f'{text}{interval} {unit}, {significant(self.ratio, DIGITS)} times'
+        return f'{text}{interval} {unit}, {significant(self.ratio, SHOWN_DIGITS)} times'
 
 
 def against(
@@ -116,9 +116,9 @@ def verdicts(drifts: tuple[Drift, ...]) -> list[str]:
     lines = []
     for sensor in dict.fromkeys(sensor_of(one.axis) for one in drifts):
         worst = max((d for d in drifts if sensor_of(d.axis) == sensor), key=lambda d: d.ratio)
-        factor = significant(max(worst.ratio, 1.0 / worst.ratio), DIGITS)
+        factor = significant(max(worst.ratio, 1.0 / worst.ratio), SHOWN_DIGITS)
         said = f'your file covers the measured drift, by {factor} or more'
-        if worst.ratio > 1.0 + ROUNDING:
+        if worst.ratio > 1.0 + ROUNDED_STD:
             said = f'a filter with your file is overconfident by {factor}'
             if not worst.overconfident:
                 said += ', within the interval of the measured drift'
@@ -132,9 +132,9 @@ def file_models(target: Target, text: str, rate: float) -> Mapping[str, Model]:
     if not whats & {'K', 'sigma'}:
         raise AllanError(
             f'{target.file_name} has no noise model to compare: give --to for a filter with N and '
-            f'the drift of the bias in its file, such as {EXAMPLE}'
+            f'the drift of the bias in its file, such as {EXAMPLE_TARGETS}'
         )
-    plain = COMMENT.sub('', text)
+    plain = A_COMMENT.sub('', text)
     values: dict[tuple[str, str], list[float]] = {}
     for key in target.keys:
         if key.what in ('rate', 'topic'):
@@ -155,17 +155,17 @@ def _numbers(plain: str, key: Key) -> list[float]:
     """Return the one or three numbers of a key in a text without comments."""
     name = key.name
     known = re.escape(name)
-    values = re.findall(rf'(?<![\w.]){known}["\']?\s*[:=,\s]\s*(\[[^\]]*\]|{NUMBER})', plain)
-    numbers = [[float(n) for n in re.findall(NUMBER, value)] for value in dict.fromkeys(values)]
+    values = re.findall(rf'(?<![\w.]){known}["\']?\s*[:=,\s]\s*(\[[^\]]*\]|{A_NUMBER})', plain)
+    numbers = [[float(n) for n in re.findall(A_NUMBER, value)] for value in dict.fromkeys(values)]
     if len(numbers) != 1 or len(numbers[0]) not in (1, 3):
         what = 'contains no number' if not numbers else 'contains several values'
         raise AllanError(
             f'your file {what} of {name}: give the file of the filter that --to names, with one IMU'
         )
-    least = 0.0 if key.what == 'K' else SMALLEST
-    if not all(least <= value <= LARGEST for value in numbers[0]):
+    least = 0.0 if key.what == 'K' else SMALLEST_STD
+    if not all(least <= value <= LARGEST_STD for value in numbers[0]):
         raise AllanError(
-            f'{name} of your file is {values[0]}: give a number from {least:g} to {LARGEST:g}'
+            f'{name} of your file is {values[0]}: give a number from {least:g} to {LARGEST_STD:g}'
         )
     return numbers[0]
 

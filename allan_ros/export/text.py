@@ -20,7 +20,7 @@ from ..core.number_text import LIMIT_DIGITS, duration_text, significant
 from ..results.from_datasheet import FROM_DATASHEET
 from ..results.motion import MEASURED
 from ..version import __version__
-from .model import REFUSED, FilterNoise
+from .filter_noise import REFUSED, FilterNoise
 from .target import Form, Row, Value
 
 if TYPE_CHECKING:

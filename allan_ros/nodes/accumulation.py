@@ -22,21 +22,22 @@ from ..core.stream.pipeline import ImuStream
 from ..core.stream.present_faults import noise_now
 from ..core.stream.transport import TransportMonitor, faults_of
 from ..readers import SourceInfo
+from ..readers.cdr import IMU_TYPE
 from ..readers.recorded import Provenance
 from ..results.checkpoint import Checkpoint, Total
 from ..view.finding_text import finding_line
 from .diagnostics import input_status, status_name
-from .imu_input import IMU_TYPE, ImuInput, full_name
+from .imu_input import ImuInput, full_name
 from .messages import REPLACED_SHARE, Snapshot, kinds_of, replaced_share
-from .node import AllanNode, Part, Periodic
-from .settings import CheckpointSettings, InputSettings, WatchedImu, home_of
+from .node import AllanNode, NodePart, Periodic
+from .node_settings import CheckpointSettings, InputSettings, WatchedImu, home_of
 from .sums_output import SumsOutput
 
 UPDATE_S = 0.5
 """Period in s at which fetched messages are decoded and accumulated."""
 
 
-class ImuWatch(Part):
+class ImuWatch(NodePart):
     """Accumulates the sums of one IMU, and continues them from its checkpoint after a restart.
 
     ``output`` publishes the sums: periodically, for a new subscriber, and when sums are reset or

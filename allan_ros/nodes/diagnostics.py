@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from ..core.allan.recent import NoiseStep
 from ..core.allan.sums import AllanSums
-from ..core.compare import Check
+from ..core.check import Check
 from ..core.errors import one_line
 from ..core.estimate import Estimate, value_text
 from ..core.findings import Finding, by_consequence, finding, quantity
@@ -37,7 +37,7 @@ LEVELS: Mapping[str, bytes] = {
 }
 """Severity of a finding -> level of a status, which is `bytes` in Python."""
 
-NUMBER = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
+NUMBER_TEXT = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
 """Pattern of the values of a status that are written as metrics."""
 
 FINDING = 'finding'
@@ -206,7 +206,7 @@ def _state_text(health: StreamHealth, static_s: float) -> str:
     }[health.state]
 
 
-NOTED = ('settling', 'not_settled', 'bias_steps', 'level_changes', 'level_changed')
+FIT_NOTES = ('settling', 'not_settled', 'bias_steps', 'level_changes', 'level_changed')
 """Findings of the fit that are listed in the status of an axis but do not change its level."""
 
 
@@ -375,7 +375,7 @@ def _metrics(status: DiagnosticStatus) -> Iterator[str]:
         quantity, _, unit = pair.key.removesuffix(']').partition(' [')
         if quantity.startswith(f'{FINDING}: '):
             yield _metric('finding', 1, **labels, id=quantity.removeprefix(f'{FINDING}: '))
-        elif re.fullmatch(NUMBER, pair.value):
+        elif re.fullmatch(NUMBER_TEXT, pair.value):
             yield _metric('value', pair.value, **labels, quantity=quantity, unit=unit)
 
 

@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from ..core.allan.recent import NoiseStep, noise_steps
 from ..core.allan.sums import AllanSums
-from ..core.compare import Check
+from ..core.check import Check
 from ..core.errors import AllanError, one_line
 from ..core.filters.motion_factors import LEAST_DRIVES
 from ..core.findings import Finding, finding
@@ -36,7 +36,7 @@ from ..results.motion import with_motion
 from ..results.results import Results
 from ..view.result_document import result_document
 from .diagnostics import (
-    NOTED,
+    FIT_NOTES,
     AxisView,
     axis_status,
     key_values,
@@ -53,8 +53,8 @@ from .messages import (
     replaced_share,
 )
 from .motion_diagnostics import motion_status
-from .node import AllanNode, Part
-from .settings import EstimatorSettings, home_of
+from .node import AllanNode, NodePart
+from .node_settings import EstimatorSettings, home_of
 from .shell import LATCHED, Worker
 
 FIT_SHARE = 0.05
@@ -70,7 +70,7 @@ ALONE_S = 5.0
 """Time in s after which sums are reported as missing if no publisher has been discovered."""
 
 
-class ImuEstimate(Part):
+class ImuEstimate(NodePart):
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
     If samples are removed from the sums, the model is invalidated: a noise model without axes is
@@ -181,7 +181,9 @@ class ImuEstimate(Part):
     ) -> DiagnosticStatus:
         margin, results = self._settings.value.margin, self._results
         fit = results.axes.get(axis) if results else None
-        noted = [f for f in results.findings if f.id in NOTED and axis in f.axes] if results else []
+        noted = (
+            [f for f in results.findings if f.id in FIT_NOTES and axis in f.axes] if results else []
+        )
         view = AxisView(
             axis=axis,
             sums=sums,
@@ -283,7 +285,7 @@ class ImuEstimate(Part):
         return response
 
 
-class SumsInput(Part):
+class SumsInput(NodePart):
     """Subscribes to the sums of an accumulator, and passes every snapshot to ``listener``."""
 
     def __init__(self, node: AllanNode, listener: Callable[[Snapshot], None]) -> None:

@@ -36,8 +36,8 @@ from ..core.errors import one_line
 from ..core.findings import Finding, finding
 from ..core.imu import NANOSECONDS, ImuBatch, sample_factors
 from ..core.stream.transport import Arrivals, ConstantAxes, TransportStatistics
-from ..readers.cdr import MalformedMessage, decode_imus, is_imu
-from .settings import InputSettings
+from ..readers.cdr import IMU_TYPE, MalformedMessage, decode_imus, is_imu
+from .node_settings import InputSettings
 
 try:
     from rclpy.event_handler import (
@@ -52,7 +52,6 @@ except ImportError:  # Humble
         UnsupportedEventTypeError,
     )
 
-IMU_TYPE = 'sensor_msgs/msg/Imu'
 
 QUEUE_DEPTH = 5000
 """Queue depth of the subscription in messages, which ``qos_overrides`` change. Fast DDS keeps no

@@ -25,10 +25,10 @@ from .shell import LATCHED
 HOST = '127.0.0.1'
 """Address of the server: only this machine can connect, unless a tunnel or proxy forwards it."""
 
-REFRESH_S = 10
+RELOAD_S = 10
 """Time in s after which the browser reloads the page."""
 
-SUMS = '/sums', ['std_msgs/msg/String']
+SUMS_TOPIC = '/sums', ['std_msgs/msg/String']
 """Suffix of the names of topics with sums, and their types."""
 
 CACHED_PAGES = 8
@@ -37,7 +37,7 @@ CACHED_PAGES = 8
 MOST_REQUESTS, REQUEST_S = 16, 10.0
 """Largest number of requests at a time, and longest time in s for one; others are closed."""
 
-STALE_S = 60.0
+STALE_SUMS_S = 60.0
 """Age in s from which sums are shown as out of date; nodes publish them every 10 s."""
 
 
@@ -93,7 +93,7 @@ class LivePage:
 
     def discover(self) -> None:
         """Subscribe to the sums of accumulators that have started since the last call."""
-        end, types = SUMS
+        end, types = SUMS_TOPIC
         for topic, found in self._node.get_topic_names_and_types():
             if topic not in self._subscriptions and topic.endswith(end) and found == types:
                 self._subscriptions[topic] = self._node.create_subscription(
@@ -139,7 +139,7 @@ def _report(topic: str, text: str) -> str:
 
 def _with_age(html: str, age_s: float, running: bool) -> str:
     """Return a page with a line that states how old its data are, below the start of its body."""
-    stale = age_s > STALE_S or not running
+    stale = age_s > STALE_SUMS_S or not running
     text = f'live at {time.strftime("%H:%M:%S")}; data received {duration_text(age_s)} ago'
     if stale:
         why = 'the node no longer publishes' if running else 'the node has stopped'
@@ -185,7 +185,7 @@ def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
             self.send_header('Content-Type', 'text/html; charset=utf-8')
             self.send_header('Content-Length', str(len(body)))
             self.send_header('Cache-Control', 'no-store')
-            self.send_header('Refresh', str(REFRESH_S))
+            self.send_header('Refresh', str(RELOAD_S))
             self.end_headers()
             try:
                 self.wfile.write(body)

@@ -41,10 +41,10 @@ REPLACED_SHARE = 0.1
 """Coefficients are invalidated if their sums lose a larger share of the samples. A small loss is
 normal: samples from the start of a motion are removed when the motion is detected."""
 
-ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
+TWIST_ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
 """Axis -> row in the 6x6 covariance of a twist: linear x, y, z, then angular x, y, z."""
 
-UNKNOWN = -1.0
+NO_VARIANCE = -1.0
 """Variance of an axis whose bias is unknown, as in sensor_msgs/Imu."""
 
 
@@ -270,9 +270,9 @@ def bias_message(
     message.header.frame_id = frame_id
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(end_ns, 10**9)
     covariance = [0.0] * 36
-    for axis, row in ROWS.items():
+    for axis, row in TWIST_ROWS.items():
         bias = known.get(axis)
-        covariance[7 * row] = UNKNOWN if bias is None else bias.std**2
+        covariance[7 * row] = NO_VARIANCE if bias is None else bias.std**2
         if bias is not None:
             sensor, letter = axis.split('_')
             vector = {'gyro': message.twist.twist.angular, 'accel': message.twist.twist.linear}
@@ -284,7 +284,7 @@ def bias_message(
 def bias_of(message: TwistWithCovarianceStamped) -> dict[str, Estimate]:
     """Return the biases in a message of `bias_message`, by axis."""
     twist, known = message.twist.twist, {}
-    for axis, row in ROWS.items():
+    for axis, row in TWIST_ROWS.items():
         sensor, letter = axis.split('_')
         vector = twist.angular if sensor == 'gyro' else twist.linear
         if (variance := message.twist.covariance[7 * row]) >= 0.0:

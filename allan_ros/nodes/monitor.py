@@ -14,10 +14,10 @@ from typing import Any
 from ..core.errors import AllanError
 from .accumulation import watched_imus, watches
 from .estimation import ImuEstimate, SumsInput
-from .node import AllanNode, Part
+from .node import AllanNode, NodePart
+from .node_settings import InputSettings, MonitorSettings, RelaySettings, WatchedImu, home_of
 from .parameter_push import ParameterPush
 from .relaying import ImuRelay, ModelInput
-from .settings import InputSettings, MonitorSettings, RelaySettings, WatchedImu, home_of
 from .shell import Worker, run
 
 
@@ -83,7 +83,7 @@ class Monitor(AllanNode):
                 'relay.enabled excludes input.accel_topics, because filters expect both sensors in '
                 'each message: unite them in the driver'
             )
-        parts: list[Part] = []
+        parts: list[NodePart] = []
         described: list[str] = []
         for imu in imus:
             topic = self.resolve_topic_name(f'{home_of(imu.label)}noise_model')

@@ -13,7 +13,7 @@ from ..core.findings import finding
 from ..core.imu import AXES, sensor_of
 from ..core.number_text import significant
 from ..core.stream.drive_recorder import Drives
-from ..results.motion import ERRORS, LEAST_REST_S, causes_text
+from ..results.motion import INTEGRAL_NAMES, LEAST_REST_S, causes_text
 from ..results.results import Results
 from .diagnostics import status_of
 
@@ -44,7 +44,7 @@ def motion_status(
     findings, shown = [], []
     for sensor, one in motion.sensors.items():
         low, high = one.factor.ci95 or (0.0, math.inf)
-        ratio, error = one.factor.value or 1.0, ERRORS[sensor]
+        ratio, error = one.factor.value or 1.0, INTEGRAL_NAMES[sensor]
         numbers = [significant(value, 2) for value in (ratio, low, high)]
         shown.append(f'{error} error {numbers[0]} ({numbers[1]} to {numbers[2]})')
         pairs += [(f'factor of the {error} error{end}', text) for end, text in zip(ENDS, numbers)]

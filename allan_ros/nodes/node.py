@@ -28,8 +28,8 @@ from ..core.settings import CheckedSettings, ParameterInfo, describe
 from ..readers.files import write_atomic
 from ..view.finding_text import finding_line
 from .diagnostics import metrics_text, status_name, status_of
-from .settings import GROUPS, PublishSettings
-from .shell import STEADY
+from .node_settings import GROUPS, PublishSettings
+from .shell import STEADY_CLOCK
 
 T = TypeVar('T', bound=CheckedSettings)
 
@@ -200,7 +200,7 @@ class Periodic:
         return True
 
 
-class Part:
+class NodePart:
     """One part of a node, such as the input, the estimate or the relay of one IMU."""
 
     def tick(self, now: float) -> None:
@@ -226,21 +226,21 @@ class AllanNode(Node):
         super().__init__(name, **options)
         self.parameters = Parameters(self)
         self.publish = self.parameters.group('publish', PublishSettings)
-        self._parts: Sequence[Part] = ()
+        self._parts: Sequence[NodePart] = ()
         self._faults: dict[tuple[str, str], tuple[float, Finding]] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._diagnostics_due = Periodic(lambda: self.publish.value.diagnostics_period)
         self.metrics_file = ''
         self._metrics_due = Periodic(lambda: METRICS_S)
 
-    def begin(self, parts: Sequence[Part], purpose: str) -> None:
+    def begin(self, parts: Sequence[NodePart], purpose: str) -> None:
         """Start a timer that polls the parts, and log the purpose."""
         self._parts = parts
         settings = ', '.join(self.parameters.changes()) or 'all defaults'
         self.get_logger().info(f'{purpose}; settings: {settings}')
         for line in self.parameters.unknown():
             self.get_logger().warning(line)
-        self.create_timer(TICK_S, self._tick, clock=STEADY)
+        self.create_timer(TICK_S, self._tick, clock=STEADY_CLOCK)
 
     def close(self) -> None:
         """Close all parts of the node."""

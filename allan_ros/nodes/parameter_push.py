@@ -44,9 +44,9 @@ from ..results.results import Results
 from ..view.finding_text import explained
 from .diagnostics import key_values, status_name
 from .former_values import Former, FormerValues
-from .node import AllanNode, Part
+from .node import AllanNode, NodePart
+from .node_settings import SETTLED_RATIO, PushSettings
 from .push_plan import GAINS_WAIT, Numbers, Proposal, PushPlan, load_plan, text_of
-from .settings import SETTLED_RATIO, PushSettings
 
 ANSWER_S = 5.0
 """Time in s to wait for an answer of the node; without one, the next update tries again."""
@@ -79,7 +79,7 @@ class Held:
     left: bool = False  # whether someone else has changed it
 
 
-class ParameterPush(Part):
+class ParameterPush(NodePart):
     """Sets parameters of the node ``push.node`` whenever the noise model has changed enough.
 
     It declares the parameters ``push.*`` of its ``owner``. Without ``push.node``, nothing is set.

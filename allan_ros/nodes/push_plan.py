@@ -27,9 +27,9 @@ RAISED = 2.0
 errors of the gyro in motion: then the filter does not follow them. A larger gain may be needed for
 other reasons, such as a short convergence, and lowering it makes the tilt worse at rest."""
 
-TARGETS = (*GAINS, 'kalibr', 'fast_lio')  # kalibr: densities N and K, fast_lio: N^2 f and K^2 f
-"""Export targets that ``push.filter`` may name. `docs/targets.md` names the code that shows the
-convention of each."""
+PUSHED_TARGETS = (*GAINS, 'kalibr', 'fast_lio')
+"""Export targets that ``push.filter`` may name: gains, densities N and K (kalibr), and N^2 f and
+K^2 f (fast_lio). `docs/targets.md` names the code that shows the convention of each."""
 
 GAINS_WAIT = (
     'the gain has to cover the errors in motion, which are not measured yet: drive at least '
@@ -73,7 +73,7 @@ def load_plan(name: str) -> PushPlan:
     fields = Fields(read_yaml(path), str(path))
     fields.schema(SCHEMA)
     fields.only('schema', 'target', 'estimates_bias', 'horizon', 'parameters')
-    target = fields.choice('target', TARGETS)
+    target = fields.choice('target', PUSHED_TARGETS)
     estimates_bias = 'estimates_bias' in fields and fields.value('estimates_bias')
     if target not in GAINS and not estimates_bias:
         raise AllanError(

@@ -42,8 +42,8 @@ from ..view.finding_text import finding_line
 from .diagnostics import status_name, status_of
 from .imu_input import QUEUE_DEPTH, full_name, qos_text, subscribe_raw
 from .messages import ModelListener, bias_of
-from .node import AllanNode, Part
-from .settings import SETTLED_RATIO, EstimatorSettings, RelaySettings, WatchedImu
+from .node import AllanNode, NodePart
+from .node_settings import SETTLED_RATIO, EstimatorSettings, RelaySettings, WatchedImu
 from .shell import LATCHED
 
 WAIT_NS = 100_000_000
@@ -218,7 +218,7 @@ class ModelInput:
             self.listener(self._results, self._bias)
 
 
-class ImuRelay(Part):
+class ImuRelay(NodePart):
     """Republishes the messages of one IMU on ``<topic>_with_covariance``, with covariances.
 
     They are from the noise model that `offer` receives, and for a sensor without one from the

@@ -37,7 +37,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """QoS of sums and noise model: reliable, and a late subscriber receives the last message."""
 
-STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+STEADY_CLOCK = Clock(clock_type=ClockType.STEADY_TIME)
 """Clock of all timers. It runs on while ``/clock`` is paused or the system time is changed."""
 
 

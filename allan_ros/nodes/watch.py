@@ -22,7 +22,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from ..core.errors import one_line
-from .shell import STEADY, run
+from .shell import STEADY_CLOCK, run
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -38,7 +38,7 @@ WEB_PORT = 8095
 REFRESH_S = 0.5
 """Period in s at which the table is redrawn."""
 
-SETTLE_S, DISCOVERY_S = 1.5, 3.5
+SETTLE_S, OTHERS_S = 1.5, 3.5
 """Time in s from the first status until every node that is discovered has published once, and time
 from the start until every node is discovered: Fast DDS announces a process every 3 s."""
 
@@ -55,7 +55,7 @@ HINT_S = 8.0
 EXIT_LEVEL = {'ok': 0, 'WARN': 3, 'STALE': 4, 'ERROR': 4}
 """Exit code of ``--check`` by the most severe level."""
 
-EXIT_FAILED = 1
+EXIT_NO_STATUS = 1
 """Exit code: no status was received."""
 
 DISCOVERY = (
@@ -66,7 +66,7 @@ DISCOVERY = (
 )
 """Environment variables that determine which nodes discover each other."""
 
-WORDS = {
+LEVEL_WORDS = {
     DiagnosticStatus.OK: 'ok',
     DiagnosticStatus.STALE: 'STALE',
     DiagnosticStatus.WARN: 'WARN',
@@ -83,7 +83,7 @@ STALE_S = 5.0
 
 
 @dataclass(frozen=True)
-class Row:
+class StatusRow:
     """One status as it is displayed; ``age_s`` is the time since it was received, in s."""
 
     level: str
@@ -105,33 +105,33 @@ class Row:
         return f'{self.age_s:.0f} s' if self.level == 'STALE' else ''
 
 
-def row(status: DiagnosticStatus, age_s: float) -> Row:
+def row(status: DiagnosticStatus, age_s: float) -> StatusRow:
     """Convert a status that was received ``age_s`` seconds ago; control characters are escaped."""
     values = {one_line(v.key): one_line(v.value) for v in status.values}
     node, _, name = one_line(status.name).rpartition(': ')
-    level = 'STALE' if age_s > STALE_S else WORDS.get(status.level, 'STALE')
+    level = 'STALE' if age_s > STALE_S else LEVEL_WORDS.get(status.level, 'STALE')
     message, hardware_id = one_line(status.message), one_line(status.hardware_id)
-    return Row(level, node, name, message, age_s, hardware_id, values)
+    return StatusRow(level, node, name, message, age_s, hardware_id, values)
 
 
-def most_severe_first(rows: Iterable[Row]) -> list[Row]:
+def most_severe_first(rows: Iterable[StatusRow]) -> list[StatusRow]:
     """Return the rows sorted by level, then by node and name."""
     return sorted(rows, key=lambda r: (list(STYLES).index(r.level), r.node, r.name))
 
 
-def headline(rows: Sequence[Row]) -> str:
+def headline(rows: Sequence[StatusRow]) -> str:
     """Return a line with the number of statuses per level, and the age of the latest status."""
     counts = {level: sum(r.level == level for r in rows) for level in STYLES}
     numbers = ', '.join(f'{count} {level}' for level, count in counts.items() if count)
     return f'allan_ros: {numbers}; last message {min(r.age_s for r in rows):.1f} s ago'
 
 
-def plain_line(row: Row) -> str:
+def plain_line(row: StatusRow) -> str:
     """Return a status in one line of text."""
     return f'{row.level:5} {row.title}: {row.message}{f" ({row.age} old)" if row.age else ""}'
 
 
-def picture(rows: Sequence[Row]) -> RenderableType:
+def picture(rows: Sequence[StatusRow]) -> RenderableType:
     """Return a table for rich."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -151,7 +151,7 @@ def picture(rows: Sequence[Row]) -> RenderableType:
     return table
 
 
-def document(rows: Sequence[Row]) -> str:
+def document(rows: Sequence[StatusRow]) -> str:
     """Return the rows as a JSON document."""
     return json.dumps({'statuses': [asdict(row) for row in rows]}, indent=1)
 
@@ -166,7 +166,7 @@ class Watch(Node):
         self._wanted = f'/{options.node.strip("/")}/' if options.node.strip('/') else ''
         self._levels: dict[tuple[str, str], str] = {}  # of the lines printed so far
         self._hinted = False
-        self._final: list[Row] = []  # rows when the node was closed
+        self._final: list[StatusRow] = []  # rows when the node was closed
         self._console = None if options.json or options.plain else terminal()
         self._live: Live | None = None
         if self._console and not options.once:
@@ -182,13 +182,13 @@ class Watch(Node):
             from .live_page import LivePage
 
             self._page = LivePage(self, options.web)
-        self.create_timer(REFRESH_S, self._refresh, clock=STEADY)
+        self.create_timer(REFRESH_S, self._refresh, clock=STEADY_CLOCK)
 
     def exit_code(self) -> int:
         """Return the exit code after `close`; ``--check``: by the most severe level."""
         rows = self._final
         if not rows:
-            return EXIT_FAILED
+            return EXIT_NO_STATUS
         return max(EXIT_LEVEL[row.level] for row in rows) if self._options.check else 0
 
     def close(self) -> None:
@@ -229,7 +229,7 @@ class Watch(Node):
             settled = self._first is not None and now - self._first >= SETTLE_S
             heard = self.count_publishers(TOPIC)
             patience = self._options.seconds or (PATIENCE_S if heard else NOBODY_S)
-            settled = settled and now - self._began >= DISCOVERY_S and not self._missing()
+            settled = settled and now - self._began >= OTHERS_S and not self._missing()
             done = settled or now - self._began >= patience
         else:
             silent = not self._latest and now - self._began >= HINT_S
@@ -252,13 +252,13 @@ class Watch(Node):
             self._hinted = True
             print(hint, file=sys.stderr, flush=True)
 
-    def _rows(self) -> list[Row]:
+    def _rows(self) -> list[StatusRow]:
         now = time.monotonic()
         rows = [row(status, now - at) for at, status in self._latest.values()]
         if self._options.once and rows:
             said = 'runs, but publishes no status'
             silent = (name.strip('/') for name in self._missing())
-            rows += [Row('STALE', name, 'node', said, now - self._began) for name in silent]
+            rows += [StatusRow('STALE', name, 'node', said, now - self._began) for name in silent]
         return most_severe_first(rows)
 
     def _missing(self) -> list[str]:

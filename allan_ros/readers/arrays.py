@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads samples from memory and from numpy files: ``.npz`` with the array ``imu``, or ``.npy``.
 
-The columns of a file are t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2), or some of them (`NAMES`), or
-those in the options. In a ``.npz`` file, the array ``stamps_ns`` (int64) replaces t, and
-``record_ns`` (int64) and ``frame_id`` (one string) are optional.
+The columns of a file are t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2), or some of them
+(`COLUMN_NAMES`), or those in the options. In a ``.npz`` file, the array ``stamps_ns`` (int64)
+replaces t, and ``record_ns`` (int64) and ``frame_id`` (one string) are optional.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from ..core.fields import MAX_INTEGER
 from ..core.findings import finding
 from ..core.imu import AXES, MAX_NAME, SENSORS, ImuBatch, even_stamps
 from ..core.stream.signal import MAX_BINS, TemperatureTrace, trace_of
-from .columns import EXAMPLE, FIRST_ROWS, Columns, columns_of
+from .columns import EXAMPLE_COLUMNS, FIRST_ROWS, ColumnLayout, columns_of
 from .files import open_regular
 from .recording import (
     MAX_CHUNK_BYTES,
@@ -46,14 +46,14 @@ from .recording import (
 )
 from .unit_names import to_celsius
 
-NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE}
+COLUMN_NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE_COLUMNS}
 """Number of columns of an array -> their names."""
 
-SAMPLES, STAMPS, RECORD, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
+SAMPLES, STAMPS, ARRAY_NAMES, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 
 ZIP_MAGIC = b'PK\x03\x04'
 
-MAX_FRAME_BYTES = 4 * MAX_NAME
+MAX_FRAME_ARRAY_BYTES = 4 * MAX_NAME
 """Largest size of a frame_id in bytes; numpy stores four for each character."""
 
 MAX_HEADER_BYTES = 1 << 16
@@ -91,18 +91,19 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
     return Recording(info, len(batch), read, options=known, axes=found.given, close=kept.clear)
 
 
-def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
+def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, ColumnLayout, str]:
     """Return the samples of a file, the meaning of its columns, and the name of the first stamp."""
     arrays = _arrays(path)
     samples = arrays[SAMPLES]
     if samples.ndim not in (1, 2):
         raise AllanError(
-            f'{path} has shape {samples.shape}: give one row per sample with columns {EXAMPLE}'
+            f'{path} has shape {samples.shape}: give one row per sample with columns '
+            f'{EXAMPLE_COLUMNS}'
         )
     n, width = len(samples), prod(samples.shape[1:])
     if not n:
         raise AllanError(f'{path} contains no sample: record or export it again')
-    for name in {STAMPS, RECORD} & arrays.keys():
+    for name in {STAMPS, ARRAY_NAMES} & arrays.keys():
         times = arrays[name]
         if times.shape != (n,) or times.dtype.kind not in 'iu':
             raise AllanError(
@@ -110,9 +111,9 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
                 f'int64, one for each of the {n} samples'
             )
     frame_id = arrays.get(FRAME, np.array(''))
-    if frame_id.size != 1 or frame_id.itemsize > MAX_FRAME_BYTES:
+    if frame_id.size != 1 or frame_id.itemsize > MAX_FRAME_ARRAY_BYTES:
         raise AllanError(f'{path}: array {FRAME!r} must be one short string: save it as a string')
-    names = tuple(options.columns or NAMES.get(width, '').split(','))
+    names = tuple(options.columns or COLUMN_NAMES.get(width, '').split(','))
     if len(names) != width or any('=' in name for name in names):
         raise AllanError(
             f'{path} has shape {samples.shape}: name each of its columns, such '
@@ -122,7 +123,7 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, Columns, str]:
     columns = samples.reshape(n, width).T
     stamps = arrays[STAMPS].astype(np.int64) if STAMPS in arrays else None
     batch, found = _batch(path, names, columns, found, options, stamps)
-    record = arrays[RECORD].astype(np.int64) if RECORD in arrays else None
+    record = arrays[ARRAY_NAMES].astype(np.int64) if ARRAY_NAMES in arrays else None
     batch = replace(batch, record_ns=record, frame_id=str(frame_id.reshape(-1)[0]))
     return batch, found, names[found.stamp[0][0]] if found.stamp else ''
 
@@ -138,10 +139,10 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
                 raise AllanError(
                     f'{path}: has no array {SAMPLES!r} (it has '
                     f'{", ".join(members[:10]) or "none"}): save the samples as {SAMPLES!r} with '
-                    f'columns {EXAMPLE}'
+                    f'columns {EXAMPLE_COLUMNS}'
                 )
             arrays = {}
-            for name in (name for name in (SAMPLES, STAMPS, RECORD, FRAME) if name in members):
+            for name in (name for name in (SAMPLES, STAMPS, ARRAY_NAMES, FRAME) if name in members):
                 with archive.open(f'{name}.npy') as member:
                     kinds = 'U' if name == FRAME else 'fiu'
                     arrays[name] = _array(member, f'{path}: array {name!r}', kinds, limit)
@@ -237,7 +238,7 @@ def recording_in_memory(
 
 
 def _temperature(
-    names: Sequence[str], columns: Any, found: Columns, batch: ImuBatch
+    names: Sequence[str], columns: Any, found: ColumnLayout, batch: ImuBatch
 ) -> TemperatureTrace | None:
     """Return the column of the temperature over time; None if there is none."""
     if found.temperature is None:
@@ -311,10 +312,10 @@ def _batch(
     where: object,
     names: Sequence[str],
     columns: Any,
-    found: Columns,
+    found: ColumnLayout,
     options: ReadOptions,
     stamps: NDArray[np.int64] | None,
-) -> tuple[ImuBatch, Columns]:
+) -> tuple[ImuBatch, ColumnLayout]:
     """Return the samples in columns, and the meaning of the columns with the unit of the stamps.
 
     ``stamps`` replace the columns of times. Raises AllanError when there is no axis or no time, a

@@ -32,12 +32,12 @@ from .unit_names import (
 LEFT_OUT = '-'
 """Name of a column that is not used."""
 
-EXAMPLE = 't,gx,gy,gz,ax,ay,az'
+EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 
 FIRST_ROWS = 200
 """Number of rows from which the unit of the stamps is recognized."""
 
-UNKNOWN, DATES = 0, -1
+NO_COLUMN, DATES = 0, -1
 """In place of a factor to ns: times whose unit is not stated, and dates such as 2026-01-31T12:00.
 """
 
@@ -106,7 +106,7 @@ class Meaning(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Columns:
+class ColumnLayout:
     """Which columns of a table contain samples, times and temperature."""
 
     axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
@@ -129,7 +129,7 @@ class Columns:
         if not self.axes:
             raise AllanError(
                 f'{where}: no column ({listed(names)}) is a gyro or accel axis: name them, such as '
-                f'--columns {EXAMPLE} ({LEFT_OUT} leaves one out), or t=NAME,gx=NAME,...'
+                f'--columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out), or t=NAME,gx=NAME,...'
             )
         if not self.stamp and not with_times:
             raise AllanError(
@@ -137,7 +137,9 @@ class Columns:
                 'sample rate (--rate 200, rate=200)'
             )
 
-    def with_time_unit(self, where: object, times: NDArray[np.float64], stated: str) -> Columns:
+    def with_time_unit(
+        self, where: object, times: NDArray[np.float64], stated: str
+    ) -> ColumnLayout:
         """Return the columns with the unit of the stamps.
 
         ``times`` are the first stamps. The unit is ``stated`` in the options, or in the name of the
@@ -155,7 +157,7 @@ class Columns:
                 f'{where}: the unit {self.unclear_time!r} of column {column + 1}, the time, is '
                 f'unknown: state it with --stamp-unit ({", ".join(STAMP_UNITS)})'
             )
-        elif factor == UNKNOWN:
+        elif factor == NO_COLUMN:
             unit = by_size or by_step
         elif by_size and len(times) >= ENOUGH and 0.0 < _step(times) * factor < SHORTEST_NS:
             raise AllanError(
@@ -207,7 +209,7 @@ def _unit_by_step(times: NDArray[np.float64]) -> str:
     return next((unit for unit, longest in LONGEST_STEP.items() if step < longest), 'ns')
 
 
-def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Columns:
+def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> ColumnLayout:
     """Find the columns of samples, times and temperature by the names of all columns.
 
     Of several times, the first is used. Raises AllanError when the unit of a column is unknown, or
@@ -248,7 +250,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         elif kind:
             unclear.setdefault(kind, unknown)
             stated = unit or options.stamp_unit or ('s' if kind == 'record' else '')
-            times.setdefault(kind, (column, STAMP_UNITS.get(stated, UNKNOWN)))
+            times.setdefault(kind, (column, STAMP_UNITS.get(stated, NO_COLUMN)))
         elif name.strip() != LEFT_OUT:
             unrecognized.append(name.strip())
     if unclear.get('record'):
@@ -257,7 +259,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
             f'{", ".join(STAMP_UNITS)}'
         )
     stamp: tuple[str, ...] = next((kinds for kinds in _STAMPS if times.keys() >= set(kinds)), ())
-    return Columns(
+    return ColumnLayout(
         {AXES.index(axis): found for axis, found in axes.items()},
         tuple(times[kind] for kind in stamp),
         (times['record'],) if 'record' in times else (),

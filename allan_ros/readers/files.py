@@ -327,7 +327,7 @@ def config_folders(kind: str) -> list[Path]:
     return [folder for folder in folders if folder.is_dir()]
 
 
-NEAREST, LISTED = 3, 8
+NEAREST, LISTED_NAMES = 3, 8
 """For an unknown name: largest number of similar names that are suggested, and number of names that
 are listed if none is similar."""
 
@@ -340,8 +340,8 @@ def _suggestion(name: str, names: Sequence[str]) -> str:
     near = near or [plain[key] for key in close if re.search('.*'.join(digits), key)]
     if near:
         return f'did you mean {" or ".join(near[:NEAREST])}'
-    more = f' (and {len(names) - LISTED} more)' if len(names) > LISTED else ''
-    return f'choose one of {", ".join(names[:LISTED])}{more}'
+    more = f' (and {len(names) - LISTED_NAMES} more)' if len(names) > LISTED_NAMES else ''
+    return f'choose one of {", ".join(names[:LISTED_NAMES])}{more}'
 
 
 def _simplified(name: str) -> str:

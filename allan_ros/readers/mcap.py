@@ -30,14 +30,14 @@ from .recording import MAX_CHUNK_BYTES, damaged, translated
 
 MAGIC = b'\x89MCAP0\r\n'
 
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
+FOOTER, SCHEMA_OPCODE, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
 
-CHUNK_INDEX, STATISTICS, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
+CHUNK_INDEX, STATISTICS_OPCODE, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
 
 FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
 """Opcode -> only valid length of a record."""
 
-RECORD = struct.Struct('<BQ')
+RECORD_HEAD = struct.Struct('<BQ')
 """Opcode and length at the start of each record."""
 
 MESSAGE_HEAD = struct.Struct('<HIqQ')
@@ -59,7 +59,7 @@ time, and size of the map from channel to number of messages that follows."""
 CRC_BYTES = 4
 """Size of the CRC-32 of the summary, the last field of the footer; 0 if there is none."""
 
-FOOTER_BYTES = RECORD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
+FOOTER_BYTES = RECORD_HEAD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
 
 LOOSE_BYTES = 1 << 20
 """Messages outside chunks are read about this many bytes at a time."""
@@ -101,7 +101,7 @@ class Contents:
         """Count the message, or store the schema, channel or statistics in ``data[at:stop]``."""
         if opcode == MESSAGE:
             self.counted[MESSAGE_HEAD.unpack_from(data, at)[0]] += 1
-        elif opcode == SCHEMA:
+        elif opcode == SCHEMA_OPCODE:
             (number,) = struct.unpack_from('<H', data, at)
             self.schemas[number] = _text(data, at + 2)[0]
         elif opcode == CHANNEL:
@@ -110,7 +110,7 @@ class Contents:
             encoding, at = _text(data, at)
             kind = normal_type(self.schemas.get(schema, ''))
             self.topics[number] = Topic(number, name, kind, encoding)
-        elif opcode == STATISTICS:
+        elif opcode == STATISTICS_OPCODE:
             self.totals = STATISTICS_HEAD.unpack_from(data, at)
             size = self.totals[-1]
             at += STATISTICS_HEAD.size
@@ -147,7 +147,7 @@ class McapStorage:
         self._contents, listed, end = self._read_summary()
         at = len(MAGIC)
         for chunk in listed:
-            at = max(self._scan(at, chunk.offset - RECORD.size), chunk.next)
+            at = max(self._scan(at, chunk.offset - RECORD_HEAD.size), chunk.next)
             self._chunks.append(chunk)
         at = self._scan(at, end)
         known = self._contents
@@ -245,7 +245,7 @@ class McapStorage:
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
         if not footer.endswith(MAGIC) or footer[0] != FOOTER:
             return unusable
-        start, _, checksum = struct.unpack_from('<QQI', footer, RECORD.size)
+        start, _, checksum = struct.unpack_from('<QQI', footer, RECORD_HEAD.size)
         end = self._size - FOOTER_BYTES
         if not 0 < start <= end:
             return unusable
@@ -276,13 +276,13 @@ class McapStorage:
         Reading ends at ``stop``, or at the first record that extends beyond it.
         """
         skipped = 0
-        while at + RECORD.size <= stop:
-            head = self._read(at, RECORD.size)
+        while at + RECORD_HEAD.size <= stop:
+            head = self._read(at, RECORD_HEAD.size)
             if head.startswith(MAGIC):  # after the footer
                 at += len(MAGIC)
                 continue
-            opcode, length = RECORD.unpack(head)
-            start, end = at + RECORD.size, at + RECORD.size + length
+            opcode, length = RECORD_HEAD.unpack(head)
+            start, end = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
             if end > stop or opcode == 0:
                 break
             if FIXED_BYTES.get(opcode, length) != length or DATA_END < opcode <= LAST_OPCODE:
@@ -300,7 +300,7 @@ class McapStorage:
             elif opcode == MESSAGE_INDEX:
                 channel, size = INDEX_HEAD.unpack(self._read(start, INDEX_HEAD.size))
                 self._indexed[channel] += size // 16
-            elif opcode in (SCHEMA, CHANNEL, STATISTICS):
+            elif opcode in (SCHEMA_OPCODE, CHANNEL, STATISTICS_OPCODE):
                 self._contents.add(opcode, self._read(start, length), 0, length)
             at = end
         if skipped:
@@ -327,7 +327,7 @@ def _listed_chunk(data: bytes, at: int) -> tuple[Chunk, set[int]]:
     at += CHUNK_INDEX_HEAD.size
     channels = {n for n, _ in struct.iter_unpack('<HQ', data[at : at + map_bytes])}
     (index_length,) = struct.unpack_from('<Q', data, at + map_bytes)
-    start, end = offset + RECORD.size, offset + length
+    start, end = offset + RECORD_HEAD.size, offset + length
     return Chunk(first, start, end - start, end + index_length), channels
 
 
@@ -360,7 +360,7 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
     Raises struct.error when a record extends beyond the end.
     """
-    at, size, unpack, head_bytes = 0, len(data), RECORD.unpack_from, RECORD.size
+    at, size, unpack, head_bytes = 0, len(data), RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while at + head_bytes <= size:
         opcode, length = unpack(data, at)
         start = at + head_bytes
@@ -376,8 +376,8 @@ def equal_messages(data: bytes, start: int, end: int) -> NDArray[np.void] | None
     ``start`` and ``end`` are the offsets of the content of the first one. Returns None if they have
     different lengths, or other records follow.
     """
-    first, length = start - RECORD.size, end - start
-    count, rest = divmod(len(data) - first, RECORD.size + length)
+    first, length = start - RECORD_HEAD.size, end - start
+    count, rest = divmod(len(data) - first, RECORD_HEAD.size + length)
     if rest or length <= MESSAGE_HEAD.size:
         return None
     found = np.ndarray((count,), _message_dtype(length), data, first)

@@ -19,10 +19,10 @@ from .bag_messages import Messages, Topic, Truncation, normal_type
 from .files import open_regular
 from .recording import damaged, translated
 
-ROWS = 512
+FETCHED_ROWS = 512
 """Number of rows that are fetched from SQLite at a time: few enough for the processor cache."""
 
-BLOCK = 4 * ROWS
+BLOCK_ROWS = 4 * FETCHED_ROWS
 """Number of messages that are decoded together."""
 
 _LIBRARY_ERRORS = (sqlite3.Error, OSError, OverflowError, ValueError, TypeError, AttributeError)
@@ -86,7 +86,7 @@ class Sqlite3Storage:
                 f'SELECT {columns} FROM messages WHERE topic_id IN {_listed(ids)} '
                 'ORDER BY timestamp, id'
             )
-            while batch := rows.fetchmany(ROWS):
+            while batch := rows.fetchmany(FETCHED_ROWS):
                 times: list[int] = []
                 payloads: list[bytes | memoryview] = []
                 topics: list[int] = []
@@ -95,7 +95,7 @@ class Sqlite3Storage:
                     times += more_times
                     payloads += more_payloads
                     topics += of_topics[0] if of_topics else ()
-                    batch = rows.fetchmany(ROWS) if len(times) < BLOCK else []
+                    batch = rows.fetchmany(FETCHED_ROWS) if len(times) < BLOCK_ROWS else []
                 if set(map(type, payloads)) != {bytes}:
                     raise ValueError('a message is not a BLOB')
                 numbers = np.array(topics or [*ids] * len(times))

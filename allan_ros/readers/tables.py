@@ -32,10 +32,10 @@ from ..core.imu import AXES, SAMPLE_SI, ImuBatch, even_stamps
 from ..core.stream.signal import Decimated, TemperatureTrace, trace_of
 from .columns import (
     DATES,
-    EXAMPLE,
+    EXAMPLE_COLUMNS,
     FIRST_ROWS,
     LEFT_OUT,
-    Columns,
+    ColumnLayout,
     columns_of,
     listed,
     names_by_file,
@@ -47,7 +47,7 @@ from .unit_names import to_celsius
 
 T = TypeVar('T')
 
-COMMENT, FRAME_COMMENT = '#', '# frame_id:'
+COMMENT_MARK, FRAME_COMMENT = '#', '# frame_id:'
 
 INT64 = np.iinfo(np.int64)
 
@@ -93,7 +93,7 @@ class _Table:
     width: int  # number of columns
     names: tuple[str, ...]
     header_line: int  # number of the line with the names; 0 without a header
-    columns: Columns
+    columns: ColumnLayout
     rate_hz: float  # sample rate if there are no stamps
     _kept: Decimated[tuple[int, float]] = field(default_factory=Decimated)
 
@@ -161,7 +161,7 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
     lines = _bounded_lines(path, file)
     number = 0
     for number, line in enumerate(lines, 1):  # noqa: B007
-        if line.startswith(COMMENT):
+        if line.startswith(COMMENT_MARK):
             comment = line
         elif not line.isspace():
             break
@@ -170,7 +170,7 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
     if '\0' in line:
         raise AllanError(f'{path}: is UTF-16 or not text: save the table as UTF-8')
     delimiter = next((mark for mark in '\t;,' if mark in QUOTED.sub('', line)), '')
-    more = (one for one in lines if not one.startswith(COMMENT) and not one.isspace())
+    more = (one for one in lines if not one.startswith(COMMENT_MARK) and not one.isspace())
     rows = _split(chain([line], more), delimiter)
     try:
         first = tuple(cell.strip() for cell in next(rows))
@@ -229,7 +229,7 @@ def _names(
     else:
         raise AllanError(
             f'{path}: has {len(first)} columns of numbers and no header: '
-            f'name them, such as --columns {EXAMPLE} ({LEFT_OUT} leaves one out)'
+            f'name them, such as --columns {EXAMPLE_COLUMNS} ({LEFT_OUT} leaves one out)'
         )
     return (picked_names(path, names, given) if picked else names_by_file(path.stem, names)), line
 
@@ -297,7 +297,7 @@ class _Lines:
     def __iter__(self) -> Iterator[str]:
         for line in _bounded_lines(self._table.path, self._file):
             self.number += 1
-            if line.startswith(COMMENT):
+            if line.startswith(COMMENT_MARK):
                 if line.startswith(FRAME_COMMENT):
                     self.frame_id = line[len(FRAME_COMMENT) :].strip()
             elif self.number > self._table.header_line and not line.isspace():

@@ -43,7 +43,7 @@ THERMOMETERS = ('sensor_gyro', 'sensor_accel')
 SELECTION = 'sensor_selection'
 """Topic that states which IMU ``sensor_combined`` is from."""
 
-MAX_BYTES = 4 * 2**30
+MAX_LOG_BYTES = 4 * 2**30
 """Largest size of a log in bytes; the parser keeps the data of the topics in memory."""
 
 MAX_SEEKS = 50_000
@@ -88,8 +88,8 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
 def _parsed(path: Path) -> Any:
     core = optional_package('pyulog', f'{path}: reading a PX4 log')
     with open_regular(path) as file, redirect_stdout(io.StringIO()):  # the parser prints
-        if os.fstat(file.fileno()).st_size > MAX_BYTES:
-            raise AllanError(f'{path}: is larger than {MAX_BYTES} bytes: split the log')
+        if os.fstat(file.fileno()).st_size > MAX_LOG_BYTES:
+            raise AllanError(f'{path}: is larger than {MAX_LOG_BYTES} bytes: split the log')
         try:
             return core.ULog(_Limited(file), [*TOPICS, *THERMOMETERS, SELECTION])
         except Exception as error:  # the parser may raise any exception

@@ -43,7 +43,7 @@ TEMPERATURE_SPELLINGS = {
 NO_UNITS = ('', 'utc', 'gmt', 'local', 'unix', 'epoch', 'posix', 'ros', 'iso', 'iso8601')
 """Words in brackets after a time that are not units."""
 
-_WORDS = {
+_SPELLINGS = {
     'deg': 'degrees|degree|degs|deg',
     'rad': 'radians|radian|rad',
     'h': 'hours|hour|hrs|hr',
@@ -65,7 +65,7 @@ def plain_unit(text: str) -> str:
     text = unicodedata.normalize('NFKC', text).replace('μ', 'u').replace('−', '-')
     text = re.sub(r'\s*\bper\b\s*', '/', text)
     if re.search(r'[/^\s*·-]', text):
-        for word, spellings in _WORDS.items():
+        for word, spellings in _SPELLINGS.items():
             text = re.sub(rf'(?<![a-z])(?:{spellings})(?![a-z])', word, text)
     return re.sub(r'[\s^*·.()]', '', text).replace('_', '/')
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..core.compare import FAMILY_ERROR, Check, differences, worst_verdict
+from ..core.check import FAMILY_ERROR, Check, differences, worst_verdict
 from ..core.errors import AllanError, one_line
 from ..core.fields import plain
 from ..core.filters.reductions import shortest_horizon

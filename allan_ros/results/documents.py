@@ -22,7 +22,7 @@ import numpy as np
 from ..core.allan.curve import CI_LEVEL, AxisCurve
 from ..core.allan.document import sums_from_document, sums_to_document
 from ..core.allan.sums import AllanSums
-from ..core.compare import MARGIN
+from ..core.check import MARGIN
 from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
 from ..core.fields import Fields, SignedInt, plain
@@ -57,14 +57,14 @@ SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
 MAX_SETTINGS = 100
 """Largest number of settings, and of entries of one setting."""
 
-LISTED_SEGMENTS = 1000
+WRITTEN_SEGMENTS = 1000
 """Number of longest segments that are listed; the total number is always stated."""
 
 FIT = ('m_min', 'filtered', 'white_scatter', 'drift_scatter', 'gof_z', 'lack_of_fit')
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
 """Fields of a fit and of an axis that have the same name in results.json."""
 
-NAMES = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
+OTHER_KEYS = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
 """Field of a dataclass -> its key in results.json, where these differ."""
 
 
@@ -101,7 +101,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
 
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
-    fields = Fields(document, where, NAMES)
+    fields = Fields(document, where, OTHER_KEYS)
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
     stated = fields.fields('axes')
@@ -153,7 +153,7 @@ def sums_file_from_document(
 
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
-    fields = Fields(document, where, NAMES)
+    fields = Fields(document, where, OTHER_KEYS)
     fields.schema(SUMS_SCHEMA)
     return (
         tuple(sums_from_document(s, f'{where}: sums') for s in fields.sequence('sums')),
@@ -226,7 +226,7 @@ def labels_of(paths: Sequence[str]) -> list[str]:
 
 
 def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
-    longest = sorted(provenance.segments, key=lambda s: -s.samples)[:LISTED_SEGMENTS]
+    longest = sorted(provenance.segments, key=lambda s: -s.samples)[:WRITTEN_SEGMENTS]
     return {
         'source': plain(provenance.sources),
         'segments': plain(longest),

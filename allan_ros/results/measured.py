@@ -7,17 +7,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
-from ..core.compare import Check, Judgement
+from ..core.check import Check, Judgement
 from ..core.estimate import Estimate
 from ..core.imu import AXES, DATASHEET_UNITS, SENSORS, UNITS
 from ..core.number_text import significant
 from .datasheets import Datasheet, Measured
 from .results import Results
 
-SHOWN = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
+CATALOGUE_UNITS = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
 """Unit of a measured value in the catalogue, if it differs from `DATASHEET_UNITS`."""
 
-WORDS: dict[Judgement, str] = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}
+CHANGE_WORDS: dict[Judgement, str] = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}
 """Change from the measured units -> its text."""
 
 
@@ -37,7 +37,7 @@ def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
 
 def _texts(kind: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
     """Return the values of a term as text, followed by the unit of the catalogue."""
-    unit = SHOWN.get((kind, term), DATASHEET_UNITS[kind][term])
+    unit = CATALOGUE_UNITS.get((kind, term), DATASHEET_UNITS[kind][term])
     return *(significant(value / UNITS[unit].factor, digits) for value in values), unit
 
 
@@ -72,8 +72,8 @@ def measured_check_text(check: Check) -> str:
     known = (math.nan if number is None else number for number in numbers)
     value, low_text, high_text, least, most, unit = _texts(check.axis, check.quantity, *known)
     return (
-        f'{check.axis} {check.quantity} {WORDS[check.verdict]}: {value} ({low_text}..{high_text}) '
-        f'{unit}, {check.reference}: {least}..{most}'
+        f'{check.axis} {check.quantity} {CHANGE_WORDS[check.verdict]}: {value} '
+        f'({low_text}..{high_text}) {unit}, {check.reference}: {least}..{most}'
     )
 
 

@@ -33,7 +33,7 @@ MOVING = 0.1
 EXPLAINED = 0.7
 """A cause is stated for a sensor if its factor falls below this share with the cause."""
 
-ERRORS = {'gyro': 'angle', 'accel': 'velocity'}
+INTEGRAL_NAMES = {'gyro': 'angle', 'accel': 'velocity'}
 """Sensor -> what its integral is."""
 
 MEASURED = ('error_in_motion', 'motion_as_at_rest')
@@ -155,7 +155,7 @@ def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
         low, high = factor.ci95 or (0.0, math.inf)
         axes = tuple(axis for axis in AXES if axis.startswith(sensor))
         numbers = {
-            'error': ERRORS[sensor],
+            'error': INTEGRAL_NAMES[sensor],
             'ratio': value,
             'low': low,
             'high': high,

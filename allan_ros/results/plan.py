@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.allan.at_rest import AtRest
-from ..core.compare import MARGIN, Check, check_limits
+from ..core.check import MARGIN, Check, check_limits
 from ..core.errors import AllanError
 from ..core.estimate import UNKNOWN, Estimate
 from ..core.fields import Fields, located

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, TypeVar
 
-from ..core.compare import MARGIN, AxisNoise, Check, Run, differences, worst_verdict
+from ..core.check import MARGIN, AxisNoise, Check, Run, differences, worst_verdict
 from ..core.errors import AllanError
 from ..core.estimate import Estimate
 from ..core.findings import Finding

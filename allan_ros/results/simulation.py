@@ -28,7 +28,7 @@ from ..core.fields import Fields, located
 from ..core.imu import AXES, SI_UNITS, ImuBatch, from_datasheet, joined, sensor_of
 from ..core.noise import LETTERS, Model
 from ..core.settings import check_range, expect, settings_from
-from ..core.simulate import PRESETS, Faults, simulate_imu
+from ..core.simulator import PRESETS, Faults, simulate_imu
 from ..readers.files import public, read_yaml, to_json, write_atomic
 from .datasheets import load_sensor
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from ..core.compare import Check
+from ..core.check import Check
 from ..core.findings import Finding, by_consequence
 from .plan import Plan
 from .results import SENSOR_FAULTS, UNSUITABLE, WRONG_UNITS, Results
@@ -29,7 +29,7 @@ WORST_FIRST = (
 )
 """The decision about a batch is the first of these that occurs."""
 
-WORDS = {
+DECISION_WORDS = {
     Decision.WITHIN: 'healthy',
     Decision.UNREADABLE: 'error',
     Decision.EXCEEDS: 'failed',
@@ -41,7 +41,7 @@ WORDS = {
 BROKEN = (*SENSOR_FAULTS, 'stuck', 'clipped', 'axis_absent', 'axes_equal')
 """Ids of findings that indicate a broken axis."""
 
-NOTED = ('spikes',)
+SUSPECT_NOTES = ('spikes',)
 """Ids of notes that make a unit suspect."""
 
 ABOUT_THE_FORMAT = (
@@ -100,7 +100,7 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     """
     found = by_consequence(results.findings)
     broken = [f for f in found if f.id in BROKEN]
-    severe = [f for f in found if f.severity != 'info' or f.id in NOTED]
+    severe = [f for f in found if f.severity != 'info' or f.id in SUSPECT_NOTES]
     suspect = [f for f in severe if f.id not in ABOUT_THE_FORMAT]
     causes = tuple(dict.fromkeys([*broken, *suspect]))
     checks = plan.checks(results) if plan else ()

@@ -27,7 +27,7 @@ from .table import Cell, Heading, Record, Table, csv_text, html_table
 SUMMARY, INDEX = 'summary.csv', 'index.html'
 """Files of the summary, next to the folders of the units."""
 
-TERMS = ('N', 'B', 'K')
+SUMMARY_TERMS = ('N', 'B', 'K')
 """Coefficients of each axis in the summary, also without limits."""
 
 
@@ -95,7 +95,7 @@ def _record(row: UnitRow, units: str) -> Record:
         if row.check.plan is not None
     }
     for axis, result in row.results.axes.items():
-        for term in TERMS:
+        for term in SUMMARY_TERMS:
             unit = shown_unit(axis, term, units)
             free = Limits(None, None, unit.name, 1.0 / unit.factor)
             known = stated.pop((axis, term), (result.fit.noise[term].magnitude, free))
@@ -133,7 +133,7 @@ WIDTH, HEIGHT = 110, 44
 COLORS = ('#c0504d', '#4f9a57', '#4f72c0')
 """Colors of the axes x, y and z."""
 
-STYLE = """
+INDEX_STYLE = """
 :root { color-scheme: light dark; font: 15px/1.4 system-ui, sans-serif; }
 body { margin: 1.5rem; }
 h1 { font-size: 1.3rem; }
@@ -224,7 +224,7 @@ def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<title>{len(rows)} units</title>\n<style>{STYLE}</style>\n</head>\n<body>\n'
+        f'<title>{len(rows)} units</title>\n<style>{INDEX_STYLE}</style>\n</head>\n<body>\n'
         f'<h1>{len(rows)} units{against}: {escape(counts)}</h1>\n'
         f'<div class="wide">{body}</div>\n'
         f'<p><a href="{SUMMARY}">{SUMMARY}</a> has the numbers. allan_ros {__version__}</p>\n'

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ..core.filters.reductions import horizon_text
-from ..results.common_noise import CommonResult
+from ..results.common_result import CommonResult
 from ..results.comparison import Inflation
 from .comparison_table import common_table, deviation_ratio_table, inflation_table
 from .finding_text import finding_line

@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ..core.allan.common_noise import CommonNoise
-from ..core.compare import Check
+from ..core.check import Check
 from ..core.estimate import NOTHING_KNOWN, UNKNOWN, Estimate
 from ..core.fit.result import TERMS
 from ..core.imu import SI_UNITS, sensor_of, shown_unit
 from ..core.number_text import prefixed, significant
-from ..results.common_noise import CommonResult
+from ..results.common_result import CommonResult
 from ..results.comparison import Inflation, RunComparison, significant_of, use_of
 from ..results.results import Results
 from .coefficient_table import (

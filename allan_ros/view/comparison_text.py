@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from ..core.compare import Check
+from ..core.check import Check
 from ..core.number_text import significant
 from ..results.comparison import RunComparison, significant_of
 from ..results.results import Results

@@ -127,7 +127,11 @@ def _text_of(values: Sequence[Any], spec: str, units: str, spelled: Callable[[st
     if isinstance(values[0], tuple):
         return ', '.join(f'{q.name} {_text_of([q], spec, units, spelled)}' for q in values[0])
     each = dict.fromkeys(_plain_text(value, spec) for value in sorted(values))
-    if 1 < len(each) <= LISTED and ' ' not in ''.join(each) and max(values) > APART * min(values):
+    if (
+        1 < len(each) <= MOST_VALUES
+        and ' ' not in ''.join(each)
+        and max(values) > APART * min(values)
+    ):
         *first, last = each
         return f'{", ".join(first)} and {last}'
     texts = [_plain_text(value, spec) for value in (min(values), max(values))]
@@ -173,7 +177,7 @@ def _quantities_text(
     return f'{" to ".join(values)} {spelled(unit.name)}{interval}'
 
 
-LISTED, APART = 3, 1.1
+MOST_VALUES, APART = 3, 1.1
 """Up to this many numbers of several axes are listed if the largest one is larger than the smallest
 one by this ratio: their range could be read as a band of frequencies. Others are a range."""
 

@@ -24,7 +24,7 @@ from .table import Cell, Heading, Table
 Axes = Mapping[str, AxisResult]
 """The axes of one sensor."""
 
-ERRORS = {
+ERROR_UNITS = {
     'gyro': {'deg/h': ShownUnit('°', 180.0 / math.pi), 'SI': ShownUnit('rad', 1.0)},
     'accel': dict.fromkeys(UNIT_SYSTEMS, ShownUnit('m/s', 1.0)),
 }
@@ -101,7 +101,7 @@ def growth_table(axes: Axes, units: str) -> Table:
     One standard deviation with its 95 % interval: a row for each duration, a column for each axis.
     """
     sensor = sensor_of(next(iter(axes)))
-    unit = ERRORS[sensor][units]
+    unit = ERROR_UNITS[sensor][units]
     rows = [
         (
             Heading(f'after {growth[0].horizon:g}{NO_BREAK}s'),

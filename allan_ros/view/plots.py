@@ -28,7 +28,7 @@ except ImportError as error:
     ) from None
 
 if TYPE_CHECKING:
-    from ..results.common_noise import CommonResult
+    from ..results.common_result import CommonResult
     from ..results.results import Results
 
 RC: dict[str, Any] = {

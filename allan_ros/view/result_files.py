@@ -38,7 +38,7 @@ SIGNAL_BINS = 1000
 
 REPORT = 'report.html'
 
-LONGEST_WAIT_S = 60.0
+LOCK_WAIT_S = 60.0
 """Longest time in s to wait for another process that writes into the same folder."""
 
 
@@ -98,7 +98,7 @@ def write_result_files(
 @contextmanager
 def _folder_locked(folder: Path) -> Iterator[None]:
     """Lock the folder; raise AllanError if another process writes into it for a minute."""
-    lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LONGEST_WAIT_S
+    lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LOCK_WAIT_S
     while owner := lock.acquire():
         if time.monotonic() > deadline:
             raise AllanError(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..core.compare import Check
+from ..core.check import Check
 from ..core.estimate import Estimate
 from ..core.findings import grouped
 from ..core.imu import AXES, SENSORS, sensor_of

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ..core.compare import Check
+from ..core.check import Check
 from ..core.findings import Finding, by_consequence, grouped, is_note
 from ..core.fit.record_length import ADVISED_TERMS
 from ..core.imu import AXES, SENSORS, sensor_of, shown_unit
@@ -24,7 +24,7 @@ from .coefficient_table import axis_table
 from .finding_text import finding_line, texts_of
 from .table import WIDE, terminal_lines
 
-WORDS: dict[Level, str] = {
+VERDICT_WORDS: dict[Level, str] = {
     'healthy': 'Healthy',
     'attention': 'Usable with care',
     'measured': 'Measured',

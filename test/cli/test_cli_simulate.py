@@ -7,7 +7,7 @@ from allan_ros.cli.main import main
 from allan_ros.core.fit.result import TERMS
 from allan_ros.core.imu import shown_unit
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import PRESETS
+from allan_ros.core.simulator import PRESETS
 from allan_ros.readers import open_recordings
 from allan_ros.results.datasheets import load_sensor
 from allan_ros.results.simulation import read_noise, truth_path

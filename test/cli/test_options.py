@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import pytest
 
 from allan_ros.cli.main import build_parser
-from allan_ros.cli.options import Group, Option, add_settings, declare, settings_of
+from allan_ros.cli.options import Option, OptionGroup, add_settings, declare, settings_of
 from allan_ros.core.errors import AllanError
 from allan_ros.core.settings import CheckedSettings, SegmenterSettings, parameter
 
@@ -59,7 +59,7 @@ def test_a_list_of_columns_may_begin_with_a_dash() -> None:
 
 DECLARED = (
     Option(('inputs',), 'one or several', 'INPUT', nargs='+'),
-    Group(
+    OptionGroup(
         'group',
         (
             Option(('-q', '--quiet'), 'a switch', exclusive=True),

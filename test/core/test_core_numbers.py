@@ -19,7 +19,7 @@ from support.sums import sums_of
 from allan_ros.core.allan.curve import allan_curve, edf
 from allan_ros.core.allan.document import sums_from_document, sums_to_document
 from allan_ros.core.allan.grid import MAX_LEVELS, MIN_VARIANCE, counts, grid
-from allan_ros.core.allan.periods import Period, Recording
+from allan_ros.core.allan.periods import Period, RecordedPeriods
 from allan_ros.core.allan.recent import noise_steps
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit.methods import METHODS, fit_noise
@@ -116,7 +116,7 @@ def sums_in_theory(samples: int, segments: int = 1) -> AllanSums:
         (twice * groups)[:, None],
         segments * (samples - 1) * PERIOD_NS,
         segments * (samples - 1),
-        (Recording((period.stored(),), (), np.zeros(1)),),
+        (RecordedPeriods((period.stored(),), (), np.zeros(1)),),
         ((total, segments),),
     )
 

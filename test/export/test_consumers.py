@@ -17,7 +17,7 @@ from support.exports import EXPECTED, refitted
 
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 from allan_ros.export import ExportOptions, make_export
 from allan_ros.results.results import Results
 

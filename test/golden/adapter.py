@@ -247,7 +247,7 @@ def statuses(results: ar.Results, batches: Sequence[ImuBatch]) -> dict[str, Any]
 
     ``batches`` are the samples, from which the status of the input is computed.
     """
-    from allan_ros.nodes.diagnostics import NOTED, AxisView, axis_status, input_status
+    from allan_ros.nodes.diagnostics import FIT_NOTES, AxisView, axis_status, input_status
 
     known = {axis: sums for sums in results.recorded.sums for axis in sums.axes}
     found = {}
@@ -262,7 +262,7 @@ def statuses(results: ar.Results, batches: Sequence[ImuBatch]) -> dict[str, Any]
             comparisons=tuple(c for c in results.comparisons if c.axis == name),
             margin=results.margin,
             step=None,
-            noted=tuple(f for f in results.findings if f.id in NOTED and name in f.axes),
+            noted=tuple(f for f in results.findings if f.id in FIT_NOTES and name in f.axes),
         )
         found[name] = _status(axis_status(name, 'SN 7', view))
     stream = ImuStream()

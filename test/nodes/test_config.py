@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from allan_ros.core.settings import describe
-from allan_ros.nodes.settings import GROUPS
+from allan_ros.nodes.node_settings import GROUPS
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from support.numbers import NO_NUMBER, noiseless_sums, noisy_sums
 
 from allan_ros.core.allan.recent import NoiseStep, noise_steps
 from allan_ros.core.allan.sums import AllanSums
-from allan_ros.core.compare import Check
+from allan_ros.core.check import Check
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.findings import CATALOG, finding
 from allan_ros.core.fit.result import TERMS, AxisFit

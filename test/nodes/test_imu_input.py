@@ -13,7 +13,7 @@ pytest.importorskip('rclpy')
 
 from allan_ros.core.imu import ImuBatch
 from allan_ros.nodes.imu_input import ImuInput
-from allan_ros.nodes.settings import InputSettings
+from allan_ros.nodes.node_settings import InputSettings
 from allan_ros.readers.cdr import encode_imus
 
 SETTINGS = InputSettings()

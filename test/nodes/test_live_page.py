@@ -26,7 +26,7 @@ from support.chromium import Chromium
 from support.node_server import PATIENCE_S
 
 from allan_ros.core.errors import AllanError
-from allan_ros.nodes.live_page import MOST_REQUESTS, REFRESH_S, LivePage, _with_age
+from allan_ros.nodes.live_page import MOST_REQUESTS, RELOAD_S, LivePage, _with_age
 from allan_ros.nodes.messages import Snapshot
 from allan_ros.readers.files import to_json
 
@@ -56,7 +56,7 @@ def port_of(page: LivePage) -> int:
 
 def read(address: str) -> str:
     with urllib.request.urlopen(address, timeout=PATIENCE_S) as answer:
-        assert answer.headers['Refresh'] == str(REFRESH_S)
+        assert answer.headers['Refresh'] == str(RELOAD_S)
         text: str = answer.read().decode()
         return text
 

@@ -18,7 +18,7 @@ from allan_ros.core.imu import ImuBatch
 from allan_ros.core.noise import Model
 from allan_ros.core.simulate_drives import MotionErrors, Route, simulate_drives
 from allan_ros.nodes.former_values import Former, FormerValues
-from allan_ros.nodes.push_plan import TARGETS, Proposal, load_plan
+from allan_ros.nodes.push_plan import PUSHED_TARGETS, Proposal, load_plan
 from allan_ros.readers.files import config_names
 
 OK, WARN = b'\x00', b'\x01'
@@ -377,7 +377,7 @@ def test_a_value_far_from_the_one_that_was_found_is_refused():
 def test_every_plan_of_the_package_can_be_read():
     assert config_names('filters') == ['imu_filter_madgwick', 'noise_densities']
     for name in config_names('filters'):
-        assert load_plan(name).target in TARGETS
+        assert load_plan(name).target in PUSHED_TARGETS
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from allan_ros.core.errors import AllanError
 from allan_ros.export import target_of
 from allan_ros.nodes.node import Parameters
-from allan_ros.nodes.settings import GROUPS, EstimatorSettings, PublishSettings
+from allan_ros.nodes.node_settings import GROUPS, EstimatorSettings, PublishSettings
 from allan_ros.results.results import Results
 
 

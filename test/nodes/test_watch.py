@@ -14,7 +14,7 @@ pytest.importorskip('rclpy')
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from support.node_server import PATIENCE_S
 
-from allan_ros.nodes.watch import Row, headline, most_severe_first, picture, plain_line, row
+from allan_ros.nodes.watch import StatusRow, headline, most_severe_first, picture, plain_line, row
 
 ADVICE = 'no message on /imu for 3.2 s; look at the driver [and its cable]'
 
@@ -24,19 +24,19 @@ def status(name: str, level: bytes = DiagnosticStatus.OK, message: str = '', **v
     return DiagnosticStatus(name=name, level=level, message=message, values=pairs)
 
 
-def gyro(age_s: float = 0.2) -> Row:
+def gyro(age_s: float = 0.2) -> StatusRow:
     message = 'N 0.1720 deg/sqrt(h), B < 3.10 deg/h from 20.0 min of static data; B shows soon'
     return row(status('allan_monitor: imu gyro x', message=message), age_s)
 
 
-def rows() -> list[Row]:
+def rows() -> list[StatusRow]:
     silent = status('allan_monitor: imu input', DiagnosticStatus.ERROR, ADVICE)
     louder = status('robot/allan_estimator: imu gyro y', DiagnosticStatus.WARN, 'N rose')
     late = status('allan_monitor: imu accel z', message='N 0.01')
     return most_severe_first([gyro(), row(louder, 0.4), row(late, 12.3), row(silent, 0.1)])
 
 
-def drawn(shown: list[Row], columns: int, encoding: str = 'utf-8') -> list[str]:
+def drawn(shown: list[StatusRow], columns: int, encoding: str = 'utf-8') -> list[str]:
     console = pytest.importorskip('rich.console')
     file = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
     console.Console(width=columns, file=file).print(picture(shown))

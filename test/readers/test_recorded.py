@@ -14,7 +14,7 @@ import allan_ros as ar
 from allan_ros.cli.main import main
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch
-from allan_ros.core.stream.signal import STATISTICS, SignalEnvelope, summarize_signal
+from allan_ros.core.stream.signal import BIN_STATISTICS, SignalEnvelope, summarize_signal
 from allan_ros.readers import ReadOptions
 from allan_ros.readers.recorded import ReadJob, RecordingSums, add_recordings, read_recording
 from allan_ros.results.analysis import analyze_recorded
@@ -157,7 +157,7 @@ def test_the_joined_signal_has_every_sample_of_the_accelerometer() -> None:
     assert joined.bins == parts[GYRO].bins
     for name in ('low', 'high'):
         both, alone = joined.statistics()[name], accel.statistics()[name]
-        whole = STATISTICS[name].reduce
+        whole = BIN_STATISTICS[name].reduce
         np.testing.assert_array_equal(whole(both[:, 3:]), whole(alone[:, 3:]))
         np.testing.assert_array_equal(both[:, :3], parts[GYRO].statistics()[name][:, :3])
     assert (joined.statistics()['high'][:, 4] == 50.0).sum() >= 3

@@ -130,5 +130,5 @@ def test_the_fast_paths_give_the_messages_of_the_plain_one(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / 'bag'
         write_bag(path, stretches, *way, seed)
-        with mock.patch.object(bag_sqlite3, 'ROWS', rows):
+        with mock.patch.object(bag_sqlite3, 'FETCHED_ROWS', rows):
             assert our_way(path) == one_by_one(path)

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from allan_ros.api.results import Results
-from allan_ros.cli.tables import results_lines
+from allan_ros.api.classes import Results
+from allan_ros.cli.result_lines import results_lines
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.export import make_export

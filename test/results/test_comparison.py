@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 from support.exports import scaled
 
-from allan_ros.core.compare import worst_verdict
+from allan_ros.core.check import worst_verdict
 from allan_ros.core.errors import AllanError
 from allan_ros.core.estimate import Estimate
 from allan_ros.core.fit.result import TERMS

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 import allan_ros as ar
-from allan_ros.core.compare import worst_verdict
+from allan_ros.core.check import worst_verdict
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, UNITS, sensor_of
 from allan_ros.results.datasheets import (

@@ -7,7 +7,7 @@ import pytest
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import Faults
+from allan_ros.core.simulator import Faults
 from allan_ros.results.simulation import read_noise, truth_path, write_truth
 
 

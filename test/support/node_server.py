@@ -137,7 +137,7 @@ def _end_with(server: int) -> None:
 if __name__ == '__main__':
     # the first limits the threads of numpy
     main = importlib.import_module('allan_ros.nodes.__main__').main
-    for name in ('api', 'core.compare', 'results.checkpoint'):
+    for name in ('api.analysis', 'core.check', 'results.checkpoint'):
         importlib.import_module(f'allan_ros.{name}')
     request = serve()
     os.environ.clear()

@@ -7,7 +7,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
-from allan_ros.api.results import Results
+from allan_ros.api.classes import Results
 from allan_ros.core.imu import ImuIdentity
 
 

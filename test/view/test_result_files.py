@@ -110,7 +110,7 @@ def test_two_runs_into_one_folder_wait_for_each_other(
         thread.join()
     assert without_report(content(folder)) in alone
     assert lock.acquire() == ''
-    monkeypatch.setattr('allan_ros.view.result_files.LONGEST_WAIT_S', 0.0)
+    monkeypatch.setattr('allan_ros.view.result_files.LOCK_WAIT_S', 0.0)
     with pytest.raises(AllanError, match=f'process {os.getpid()} is writing to this folder'):
         write_result_files(folder, runs[0])
     lock.release()

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 DRIFT_BLOCKS = 16
 """Number of means of equal length, over all recordings, from which the drift is computed."""
 
-LEAST_RANGE_K = 3.0
+LEAST_SLOPE_RANGE_K = 3.0
 """Range of the temperature in K below which no slope over temperature is computed."""
 
 HALF_POWER = 0.5
@@ -167,7 +167,7 @@ def _slope(heat: Floats, values: Floats) -> Estimate | None:
     autoregressive process with the correlation of neighboring residuals.
     """
     n = len(heat)
-    if n < 4 or float(np.ptp(heat)) < LEAST_RANGE_K:
+    if n < 4 or float(np.ptp(heat)) < LEAST_SLOPE_RANGE_K:
         return None
     x, y = heat - heat.mean(), values - values.mean()
     slope = float(x @ y / (x @ x))

@@ -49,7 +49,7 @@ _work, _samples = WorkMemory(), WorkMemory()
 
 
 @dataclass(frozen=True)
-class Level:
+class CascadeLevel:
     """One level of the cascade: its decimation, averaging factors and octave spectra."""
 
     stride: int  # samples per point
@@ -64,13 +64,13 @@ class Level:
 
 
 @lru_cache
-def level_of(j: int) -> Level:
+def level_of(j: int) -> CascadeLevel:
     """Return factors and octaves of level j."""
     if j == 0:
         groups = range(1), range(1, SAMPLE_OCTAVES)
-        return Level(1, BLOCK, FIRST_FACTORS + LEVEL_FACTORS, groups)
+        return CascadeLevel(1, BLOCK, FIRST_FACTORS + LEVEL_FACTORS, groups)
     o = SAMPLE_OCTAVES + j - 1
-    return Level(1 << j, BLOCK // 2, LEVEL_FACTORS, (range(o, o + 1),))
+    return CascadeLevel(1 << j, BLOCK // 2, LEVEL_FACTORS, (range(o, o + 1),))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from ..errors import AllanError
 from ..fields import MAX_INTEGER, Fields
 from ..imu import AXES, LARGEST, MAX_NAME, ImuIdentity
 from .grid import FIRST_FACTORS, LEVEL_FACTORS, MAX_LEVELS, SAMPLE_OCTAVES, bins_up_to
-from .periods import KEPT_SEGMENTS, MAX_MEANS, MAX_PERIODS, BlockMeans, Period, Recording
+from .periods import KEPT_SEGMENTS, MAX_MEANS, MAX_PERIODS, BlockMeans, Period, RecordedPeriods
 from .sums import AllanSums
 
 Ints = NDArray[np.int64]
@@ -49,7 +49,7 @@ MAX_SUM = 1e80
 MAX_PERIOD_NS = 10**13
 """Longest accepted sample period in ns, nearly three hours."""
 
-NAMES = ('frame_id', 'hardware_id', 'checksum')
+KEYS = ('frame_id', 'hardware_id', 'checksum')
 """Keys that the checksum does not cover: a file name that is not UTF-8 is written with escapes."""
 
 
@@ -72,12 +72,12 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
 
 def checksum_of(document: Mapping[str, Any]) -> str:
     """Return the checksum of the numbers in a document of `sums_to_document`."""
-    numbers = {key: value for key, value in document.items() if key not in NAMES}
+    numbers = {key: value for key, value in document.items() if key not in KEYS}
     text = json.dumps(numbers, sort_keys=True, separators=(',', ':'))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _recording_to_document(recording: Recording, factors: int) -> dict[str, Any]:
+def _recording_to_document(recording: RecordedPeriods, factors: int) -> dict[str, Any]:
     """Return a recording; an array of all periods compresses better than one of each."""
     periods = recording.periods
     octaves = max(len(p.blocks) for p in periods)
@@ -199,7 +199,7 @@ def _whole_table(fields: Fields, key: str, most: int, columns: int) -> Ints:
     return values.astype(np.int64)
 
 
-def _recording(fields: Fields, factors: int, axes: int) -> Recording:
+def _recording(fields: Fields, factors: int, axes: int) -> RecordedPeriods:
     age, octaves = fields.integer('age', least=0), fields.integer('octaves', least=0)
     n, most = fields.integer('periods', least=1), MAX_INTEGER // MAX_PERIODS
     if n > MAX_PERIODS or octaves > MAX_OCTAVES:
@@ -223,7 +223,7 @@ def _recording(fields: Fields, factors: int, axes: int) -> Recording:
     )
     periods = tuple(Period(*column).stored() for column in columns)
     means = tuple(_means(f, axes) for f in fields.each('means', KEPT_SEGMENTS))
-    return Recording(periods, means, reference)
+    return RecordedPeriods(periods, means, reference)
 
 
 def _means(fields: Fields, axes: int) -> BlockMeans:

@@ -80,7 +80,7 @@ class Period(ByValue):
     blocks: Ints  # (octaves,) number of spectral blocks
     pairs: Ints  # (octaves,) number of pairs of overlapping ones
     power: Floats  # (bins, axes) sum of their power in the bins of all octaves
-    total: Floats  # (axes,) sum of the samples minus ``Recording.reference``
+    total: Floats  # (axes,) sum of the samples minus ``RecordedPeriods.reference``
     interpolated: int  # number of samples that are interpolated on some axis
 
     @property
@@ -124,7 +124,7 @@ class BlockMeans(ByValue):
     start_ns: int  # its stamp
     samples: int  # number of samples of the segment
     step: int  # samples per block, a power of two
-    values: Floats  # (means, axes) means minus ``Recording.reference``
+    values: Floats  # (means, axes) means minus ``RecordedPeriods.reference``
 
     def coarser(self, step: int) -> BlockMeans:
         """Return the means over longer blocks."""
@@ -136,7 +136,7 @@ class BlockMeans(ByValue):
 
 
 @dataclass(frozen=True, eq=False)
-class Recording(ByValue):
+class RecordedPeriods(ByValue):
     """Periods and block means of one recording."""
 
     periods: tuple[Period, ...]
@@ -154,12 +154,12 @@ class Recording(ByValue):
         total = sum((p.total for p in self.periods), np.zeros(len(self.reference)))
         return np.asarray(self.reference + total / max(self.samples, 1))
 
-    def merged(self, i: int) -> Recording:
+    def merged(self, i: int) -> RecordedPeriods:
         """Return a copy in which period i and the next one are one period."""
         p = self.periods
         return replace(self, periods=(*p[:i], p[i] + p[i + 1], *p[i + 2 :]))
 
-    def joined(self, later: Recording) -> Recording:
+    def joined(self, later: RecordedPeriods) -> RecordedPeriods:
         """Return one recording of both, as if the later one was continued after a gap."""
         age, shift = self.samples, later.reference - self.reference
         periods = tuple(
@@ -185,7 +185,7 @@ def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
     return min(((r, i) for i, r in enumerate(relative)), default=(float('inf'), 0))
 
 
-def bounded(recordings: Iterable[Recording]) -> tuple[Recording, ...]:
+def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...]:
     """Return recordings with at most `MAX_PERIODS` periods and `MAX_MEANS` means in all.
 
     They are sorted by time. If there are more recordings, the oldest are joined to one.

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 LONGEST_TAU_SHARE = 0.25
 """Longest averaging time that is compared, as a fraction of the window."""
 
-MIN_EDF = 30.0
+MIN_STEP_EDF = 30.0
 """Smallest number of degrees of freedom before and after a step; the ratio of the variances is then
 accurate to 30 %."""
 
@@ -168,5 +168,5 @@ def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
     with np.errstate(invalid='ignore', divide='ignore'):
         before, after, both = (n * np.log(p / n) for n, p in zip(nu, sums))
         gain = both - before - after
-    enough = (nu[0] >= MIN_EDF) & (nu[1] >= MIN_EDF) & (sums[0] > 0.0) & (sums[1] > 0.0)
+    enough = (nu[0] >= MIN_STEP_EDF) & (nu[1] >= MIN_STEP_EDF) & (sums[0] > 0.0) & (sums[1] > 0.0)
     return np.where(enough, gain, -np.inf)

@@ -18,13 +18,13 @@ from .periods import (
     MEAN_BYTES,
     BlockMeans,
     Period,
-    Recording,
+    RecordedPeriods,
     bounded_means,
     pair_to_merge,
     rounded,
     totals,
 )
-from .replaced import no_stretches
+from .replaced_stretches import no_stretches
 from .sums import AllanSums, Lengths, add_lengths
 
 Floats = NDArray[np.float64]
@@ -232,7 +232,7 @@ class RunningSums:
             group_sum_sq[:some],
             state.elapsed_ns,
             intervals,
-            (Recording(periods, state.means, state.reference),),
+            (RecordedPeriods(periods, state.means, state.reference),),
             state.lengths,
             no_stretches(len(self._axes)),
         )

@@ -25,12 +25,12 @@ from .periods import (
     BlockMeans,
     ByValue,
     Period,
-    Recording,
+    RecordedPeriods,
     add_padded,
     bounded,
     nonzero_length,
 )
-from .replaced import add_stretches, no_stretches, scaled_stretches
+from .replaced_stretches import add_stretches, no_stretches, scaled_stretches
 
 Floats = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ class AllanSums(ByValue):
     elapsed_ns, intervals : int
         Time from the first to the last stamp of each segment in ns, and number of sample periods
         in it, summed over the segments. Their quotient is the sample period.
-    recordings : tuple of Recording
+    recordings : tuple of RecordedPeriods
         The same sums by period of time, octave spectra and block means of each recording, in the
         order of time.
     lengths : tuple of pairs of int
@@ -99,7 +99,7 @@ class AllanSums(ByValue):
     group_sum_sq: Floats
     elapsed_ns: int = 0
     intervals: int = 0
-    recordings: tuple[Recording, ...] = ()
+    recordings: tuple[RecordedPeriods, ...] = ()
     lengths: Lengths = ()
     replaced: NDArray[np.int64] = field(default_factory=lambda: no_stretches(0))
 
@@ -292,7 +292,7 @@ def part(sums: AllanSums, first: int) -> AllanSums:
     )
 
 
-def _excerpt(recording: Recording, tau0: float | None, first: int) -> Recording:
+def _excerpt(recording: RecordedPeriods, tau0: float | None, first: int) -> RecordedPeriods:
     """Return a recording without its first periods, and the means in the others."""
     periods = recording.periods[first:]
     means: tuple[BlockMeans, ...] = ()
@@ -315,7 +315,9 @@ def _clipped(means: BlockMeans, tau0: float, begin: int) -> BlockMeans:
     )
 
 
-def _from_means(recordings: list[Recording], m: int, stride: int) -> tuple[int, Floats | float]:
+def _from_means(
+    recordings: list[RecordedPeriods], m: int, stride: int
+) -> tuple[int, Floats | float]:
     """Return number and sum of squares, (axes,), of the second differences from block means."""
     number, squares = 0, 0.0
     for means in (means for r in recordings for means in r.means):

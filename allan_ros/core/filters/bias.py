@@ -31,7 +31,7 @@ MEAN_S = 1.0
 AHEAD_S = 10.0
 """Time in s over which the future bias is averaged."""
 
-KEPT_MEANS = 600
+STORED_MEANS = 600
 """Number of means of an axis that are stored to restart the filter when its model changes."""
 
 STEP_MEANS, STEP_SIGMA = 30, 6.0
@@ -172,7 +172,7 @@ class BiasTracker:
 
         Means that end at or before the latest stored one are skipped.
         """
-        kept = self._kept.setdefault(axis, deque(maxlen=KEPT_MEANS))
+        kept = self._kept.setdefault(axis, deque(maxlen=STORED_MEANS))
         if kept and len(end_ns) and end_ns[-1] < kept[-1][0]:
             kept.clear()
             self._filters.pop(axis, None)

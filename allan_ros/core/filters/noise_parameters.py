@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
-from ..compare import Check, check_limits
+from ..check import Check, check_limits
 from ..errors import AllanError
 from ..estimate import Estimate
 from ..fit.result import AxisFit

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ..allan.cascade import MAX_INTERPOLATED
 from ..allan.curve import pooled_spectra
 from ..allan.grid import LONGEST_BLOCK, SAMPLE_OCTAVES, bins_up_to, octave, tapers
-from ..allan.periods import BlockMeans, Recording
+from ..allan.periods import BlockMeans, RecordedPeriods
 from ..allan.sums import AllanSums
 from ..noise import Gamma, Process
 from ..noise.processes.quantization import Quantization
@@ -408,7 +408,7 @@ def _groups(
     return step, tuple(groups)
 
 
-def elapsed(recording: Recording, means: BlockMeans, tau0: float) -> float:
+def elapsed(recording: RecordedPeriods, means: BlockMeans, tau0: float) -> float:
     """Return the time from the start of a recording to a segment of it, in samples."""
     return (means.start_ns - recording.periods[0].begin_ns) * 1e-9 / tau0
 

@@ -27,7 +27,7 @@ GAIN_RESOLVED = 5.41
 """Least gain in -2 log L from 0 for a term to be resolved: one-sided 1 % (B 1.0, K 1.0 %)."""
 
 
-LARGEST = 1e150
+LARGEST_NUMBER = 1e150
 """Largest coefficient whose square is a float; a document may state any number."""
 
 
@@ -268,7 +268,7 @@ class Process:
 
     def variance_of(self, coefficient: float, tau0: float) -> float:
         """Return the factor of gamma for an SI coefficient: its square in sample units."""
-        return min(abs(self.in_samples(coefficient, tau0)), LARGEST) ** 2
+        return min(abs(self.in_samples(coefficient, tau0)), LARGEST_NUMBER) ** 2
 
     def coefficient_of(self, variance: float, tau0: float) -> float:
         """Return the SI coefficient of a factor of gamma; 0 for a negative one."""

@@ -44,7 +44,7 @@ DISORDERED_SHARE = 0.25
 """If more than this share of the stamps are earlier than the previous one, although they were
 sorted over `REORDER` places, they are not used."""
 
-EPOCH_S = (1e9, 4e9)
+STAMP_EPOCH_S = (1e9, 4e9)
 """Present times of a clock, in s: the years 2001 to 2096."""
 
 SLOWEST_S = 0.1
@@ -71,7 +71,7 @@ def unit_of_stamps(stamps: Stamps) -> str:
     step = np.median(np.abs(np.diff(stamps))) if len(stamps) > 1 else 0
     for unit in ('us', 'ms'):
         second = NANOSECONDS // STAMP_UNITS[unit]
-        low, high = (limit * second for limit in EPOCH_S)
+        low, high = (limit * second for limit in STAMP_EPOCH_S)
         if low <= stamps.min() and stamps.max() < high and 0 < step <= SLOWEST_S * second:
             return unit
     return 'ns'

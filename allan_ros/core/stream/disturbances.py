@@ -43,7 +43,7 @@ CHANGED_DIRECTION, NO_ROTATION = np.radians(30.0), np.radians(6.0)
 """Smallest angle by which gravity turns, and largest angle by which the gyro turns meanwhile, if
 the axes of the sensors have changed."""
 
-REPLACED_SHARE = 0.5
+REPLACED_SHOCK_SHARE = 0.5
 """Largest ratio of replaced samples to samples at rest in a segment."""
 
 
@@ -102,7 +102,7 @@ def _is_isolated(far: Flags, at: int) -> bool:
     return inside and not far[at - 1] and not far[at + 1] and int(np.count_nonzero(far)) <= 2
 
 
-class Level:
+class RestLevel:
     """Mean over the last windows at rest, and number of samples at rest, in a segment."""
 
     def __init__(self) -> None:
@@ -126,7 +126,7 @@ class Motion:
     ``level`` is the level of the segment before a shock, or None if it is no shock.
     """
 
-    def __init__(self, kind: str, began_ns: int, level: Level | None = None) -> None:
+    def __init__(self, kind: str, began_ns: int, level: RestLevel | None = None) -> None:
         self.kind = kind  # 'motion', 'stuck' or 'noise_increased'
         self.began_ns, self.ended_ns = began_ns, began_ns
         self.level = level
@@ -188,7 +188,7 @@ class Motion:
         turned = (self._total - self._samples * first)[floor.gyro] * period_s
         block = joined(held[: 1 - self.quiet])
         n = len(block)
-        allowed = REPLACED_SHARE * self.level.rest - self.level.replaced
+        allowed = REPLACED_SHOCK_SHARE * self.level.rest - self.level.replaced
         if np.linalg.norm(turned) > TURNED or n > allowed:
             return []
         share = np.arange(1, n + 1) / (n + 1)

@@ -16,7 +16,7 @@ import numpy as np
 from ..imu import AXES, Floats, ImuBatch
 from .drives import REST_S, Drive, DriveErrors, Rest, drive_errors
 
-LEAST_REST_S = 1.0
+LEAST_STOP_S = 1.0
 """Shortest rest at both ends of a drive in s. The mean of the gyro over 1 s has an error of N, and
 a drive of 30 s then an angle error of 30 N s, five times that of the noise during the drive."""
 
@@ -24,7 +24,7 @@ LEAST_DRIVE_S, LONGEST_DRIVE_S = 2.0, 180.0
 """Duration of drives that are used, in s. For longer ones the errors are not small any more, and a
 state estimator has other aids."""
 
-AHEAD_S = 60.0
+LONGEST_AHEAD_S = 60.0
 """Time in s, longer than the samples that motion detection holds back. A drive is too long if so
 many more samples than those of the longest drive follow the last one at rest."""
 
@@ -38,7 +38,7 @@ MOST_DRIVES = 60
 """Number of the latest drives that are kept, about 60 kB each."""
 
 Unused = Literal['short', 'long', 'gap', 'short_rest']
-"""Why a drive is not used: its duration, missing samples, or a rest below `LEAST_REST_S`."""
+"""Why a drive is not used: its duration, missing samples, or a rest below `LEAST_STOP_S`."""
 
 
 class Drives(NamedTuple):
@@ -78,7 +78,7 @@ class DriveRecorder:
         self._drives: deque[DriveErrors] = deque(maxlen=MOST_DRIVES)
         self._unused: Counter[Unused] = Counter()
         self._tau0 = tau0
-        self._most = min(round((LONGEST_DRIVE_S + AHEAD_S) / tau0), MOST_KEPT)
+        self._most = min(round((LONGEST_DRIVE_S + LONGEST_AHEAD_S) / tau0), MOST_KEPT)
         self._rest_samples = max(min(round(REST_S / tau0), MOST_KEPT), 1)
         self._raw: deque[ImuBatch] = deque()  # samples after the last one at rest
         self._is_long = False  # whether samples were dropped, because a drive is too long
@@ -194,7 +194,7 @@ class DriveRecorder:
         rows = np.concatenate([np.empty((0, len(AXES))), *parts])
         rows = rows[-self._rest_samples :] if latest else rows
         seconds = len(rows) * self._tau0
-        if seconds < LEAST_REST_S:
+        if seconds < LEAST_STOP_S:
             return None
         mean = rows.mean(axis=0)
         return Rest(mean[:3], mean[3:], seconds)

@@ -59,7 +59,7 @@ deviation above the resolution on three axes, 2 % are."""
 STUCK_SHARE = 0.75
 """An axis is stuck in a window if it repeats one value for this share of the window."""
 
-ROUNDING = 1e-13
+ROUNDING_OF_MEANS = 1e-13
 """A standard deviation below this fraction of the mean is a rounding error: no sensor has a
 resolution of 43 bits."""
 
@@ -134,7 +134,7 @@ class Windows:
         variance = np.einsum('ijk,ijk->ij', from_mean, from_mean) / max(size - 1, 1)
         peak = np.abs(from_mean, out=from_mean).max(axis=2)
         # the variance of constant samples is 0, but rounding of their mean makes it positive
-        variance[variance <= (ROUNDING * mean) ** 2] = 0.0
+        variance[variance <= (ROUNDING_OF_MEANS * mean) ** 2] = 0.0
         return cls(np.stack([mean, variance, peak]))
 
     @classmethod

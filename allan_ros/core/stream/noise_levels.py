@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..allan.replaced import RunningStretches
+from ..allan.replaced_stretches import RunningStretches
 from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
 from ..imu import ImuBatch, ImuIdentity

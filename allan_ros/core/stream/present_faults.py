@@ -15,7 +15,7 @@ from .health import WEIGHTLESS, StreamHealth, gravity_findings, gravity_unit
 from .noise_floor import SAME_GRAVITY, NoiseFloor, Windows, is_stuck
 from .sensors import zeros_and_repeats
 
-STEADY = 0.1
+STEADY_CHANGE = 0.1
 """Largest step between the means of neighboring windows, and largest standard deviation in a
 window, as a fraction of gravity, at which the magnitude of the mean acceleration is judged."""
 
@@ -79,7 +79,7 @@ def _gravity(
     means = windows.mean[~floor.gyro]
     norm, known = float(np.linalg.norm(means.mean(axis=1))), floor.gravity
     weightless = WEIGHTLESS * STANDARD_GRAVITY
-    largest = STEADY * max(norm, weightless)
+    largest = STEADY_CHANGE * max(norm, weightless)
     steps = np.abs(np.diff(means, axis=1)).max(initial=0.0)
     if steps > largest or np.sqrt(variance).max() > largest or gravity_unit(known) != 'm/s^2':
         return []

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..imu import Flags, Floats, ImuBatch
-from .disturbances import LEAST_LEVEL, LONGEST_SHOCK_S, Level, Motion
+from .disturbances import LEAST_LEVEL, LONGEST_SHOCK_S, Motion, RestLevel
 from .health import Counts, Event, Longest
 from .noise_floor import NoiseFloor, WindowClass, Windows, is_stuck
 from .noise_levels import Change, NoiseLevels
@@ -46,7 +46,7 @@ class RestFilter:
         self.stuck = np.zeros(len(axes), bool)
         self._size, self._period_s, self._axes = size, period_s, axes
         self._levels, self._events, self._splits = levels, events, splits
-        self._level, self._last_mean = Level(), np.full(len(axes), np.nan)
+        self._level, self._last_mean = RestLevel(), np.full(len(axes), np.nan)
         self._cut = ''  # reason for the gap before the next still block
         # the last still window, because a motion may follow, and the windows of a possible shock
         self._held: list[ImuBatch] = []
@@ -214,7 +214,7 @@ class RestFilter:
             self._levels.present.add(block)
 
     def _forget_level(self) -> None:
-        self._level, self._last_mean = Level(), np.full(len(self._axes), np.nan)
+        self._level, self._last_mean = RestLevel(), np.full(len(self._axes), np.nan)
 
 
 def count_samples(blocks: Iterable[ImuBatch]) -> int:

@@ -26,7 +26,7 @@ MAX_BINS = 2048
 """Largest number of bins, more than the pixels of a plot; when all are full, pairs are joined."""
 
 
-STATISTICS: dict[str, Any] = {
+BIN_STATISTICS: dict[str, Any] = {
     'low': np.fmin,
     'high': np.fmax,
     'total': np.add,
@@ -48,7 +48,7 @@ class SignalEnvelope:
     def __init__(self) -> None:
         self._step = 1
         self._samples = 0
-        self._bins = {name: np.empty((MAX_BINS, len(AXES))) for name in STATISTICS}
+        self._bins = {name: np.empty((MAX_BINS, len(AXES))) for name in BIN_STATISTICS}
         self._start_ns = np.empty((MAX_BINS, 2), np.int64)
         self._last = np.full((1, len(AXES)), np.nan)
 
@@ -58,7 +58,7 @@ class SignalEnvelope:
             room = MAX_BINS * self._step - self._samples
             if not room:
                 half = MAX_BINS // 2
-                for name, join in STATISTICS.items():
+                for name, join in BIN_STATISTICS.items():
                     values = self._bins[name]
                     values[:half] = join(values[::2], values[1::2])
                 self._start_ns[:half] = self._start_ns[::2]
@@ -74,7 +74,7 @@ class SignalEnvelope:
         # a bin contains all bins of the other topic that begin in it, or else the next one
         starts = np.searchsorted(other.start_ns[1:], self.start_ns).clip(max=other.bins - 1)
         starts[:1] = 0
-        for name, join in STATISTICS.items():
+        for name, join in BIN_STATISTICS.items():
             values = other._bins[name][: other.bins, accel]
             joined._bins[name][: self.bins, accel] = join.reduceat(values, starts)
         return joined
@@ -85,11 +85,11 @@ class SignalEnvelope:
         return -(-self._samples // self._step)
 
     def statistics(self, step: int = 1) -> dict[str, Floats]:
-        """Return the `STATISTICS` of each group of ``step`` bins, each (groups, 6), in SI."""
+        """Return the `BIN_STATISTICS` of each group of ``step`` bins, each (groups, 6), in SI."""
         starts = np.arange(0, self.bins, step)
         return {
             name: join.reduceat(self._bins[name][: self.bins], starts)
-            for name, join in STATISTICS.items()
+            for name, join in BIN_STATISTICS.items()
         }
 
     @property
@@ -128,7 +128,7 @@ class SignalEnvelope:
         if begun:
             start_ns[0] = self._start_ns[at]
         self._start_ns[filled] = start_ns
-        for name, join in STATISTICS.items():
+        for name, join in BIN_STATISTICS.items():
             joined = join.reduceat(new[name], starts)
             if begun:
                 joined[0] = join(joined[0], self._bins[name][at])
@@ -203,7 +203,7 @@ class Decimated(Generic[Item]):
         return iter(self._items)
 
 
-GAP = 3.0
+GAP_BINS = 3.0
 """Duration of a bin, relative to the median, above which it contains a gap."""
 
 
@@ -319,7 +319,7 @@ def _recording(
     usual = float(np.median(steps))
     length = float(time[-1] + usual)
     # bins of equal sample count that last far longer than the others
-    at = np.flatnonzero(steps > GAP * usual)
+    at = np.flatnonzero(steps > GAP_BINS * usual)
     holes = [(float(time[i] + usual), float(time[i + 1])) for i in at]
     first_ns = int(signal.start_ns[0])
     outside = list(_excluded(_times(segments, first_ns, length), holes, length))

@@ -51,7 +51,7 @@ LIVE_PACE = 0.2
 """Largest relative difference between stamps and time of reception that is regarded as live. If a
 recording is played at another speed, clock steps cannot be told from gaps."""
 
-CAUSES = ('messages_lost', 'silent_s', 'stamps_leapt', 'frame_changed', 'dropped')
+CAUSES_OF_LOSS = ('messages_lost', 'silent_s', 'stamps_leapt', 'frame_changed', 'dropped')
 """Counts of known causes of missing samples."""
 
 EXCUSED = 10
@@ -269,7 +269,7 @@ class TransportMonitor:
         found to be missing, because the samples after a gap must be classified first. ``progress``
         tells whether usable samples arrived.
         """
-        if any(more[cause] for cause in CAUSES):
+        if any(more[cause] for cause in CAUSES_OF_LOSS):
             self._excused = EXCUSED
         if not self._excused:
             before, self._unexplained = self._unexplained, self._unexplained + more['missing']

@@ -34,7 +34,7 @@ from ..finding_text import texts_of
 from ..format import SENSOR_NAMES, pretty_unit
 from ..table import in_units
 from ..verdict_text import (
-    WORDS,
+    VERDICT_WORDS,
     Verdict,
     findings_and_notes,
     further_steps,
@@ -223,7 +223,7 @@ def _verdict_section(results: Results, verdict: Verdict) -> str:
         f'<section id="verdict" class="{verdict.level}">'
         f'<svg viewBox="0 0 24 24" aria-hidden="true">'
         f'<circle cx="12" cy="12" r="11"/>{ICONS[verdict.level]}</svg>'
-        f'<strong>{WORDS[verdict.level]}</strong><span>{summary}</span>{link}'
+        f'<strong>{VERDICT_WORDS[verdict.level]}</strong><span>{summary}</span>{link}'
         '</section>'
     )
 

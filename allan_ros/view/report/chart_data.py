@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 MEANS = 128
 """Largest number of points in the charts of the bias and of the noise over time."""
 
-LEAST_POINTS = 4
+LEAST_TREND_POINTS = 4
 """Smallest number of points of a chart over time."""
 
 
@@ -258,7 +258,7 @@ def trends(results: Results, sensor: str, summary: SignalSummary | None) -> list
     columns = [AXES.index(name) for name in names]
     bias = _over_time(summary, summary.mean[:, columns])
     noise = _over_time(summary, summary.noise[:, columns] ** 2)
-    if np.isfinite(bias.values).any(axis=1).sum() < LEAST_POINTS:
+    if np.isfinite(bias.values).any(axis=1).sum() < LEAST_TREND_POINTS:
         return []
     bias = bias._replace(values=bias.values - np.nanmean(bias.values, axis=0))
     terms = [results.axes[name].fit.noise['N'] for name in names]
@@ -307,7 +307,7 @@ def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | 
     some = np.isfinite(trace.celsius)
     celsius = np.interp(bias.x, trace.time_s[some], trace.celsius[some], np.nan, np.nan)
     known = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
-    if known.sum() < LEAST_POINTS or np.ptp(celsius[known]) <= 0.5:  # degC
+    if known.sum() < LEAST_TREND_POINTS or np.ptp(celsius[known]) <= 0.5:  # degC
         return None
     order = np.argsort(celsius[known], kind='stable')
     return Trend(celsius[known][order], bias.values[known][order], bias.tau)

@@ -10,7 +10,7 @@ from functools import partial
 from html import escape
 from typing import TYPE_CHECKING
 
-from ...core.compare import Check
+from ...core.check import Check
 from ...core.errors import AllanError
 from ...core.fit.record_length import ADVISED_TERMS
 from ...core.fit.result import TERMS

@@ -8,7 +8,7 @@ from allan_ros.core.allan.curve import allan_curve, edf, noise_types_of_avar
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.errors import AllanError
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 AXES = ('gyro_x', 'gyro_y')
 FACTORS = 2 ** np.arange(11)

@@ -6,7 +6,7 @@ from support.allan_table import allan_table
 
 from allan_ros.core.allan.curve import chi_squared_limits, correlation, edf
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 ALPHA = {'Q': 2, 'N': 0, 'B': -1, 'K': -2}
 

@@ -20,7 +20,7 @@ from allan_ros.core.filters.bias import (
 )
 from allan_ros.core.fit.result import AxisFit
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 DEG = math.pi / 180.0
 HOUR_BIAS = DEG / 3600

@@ -13,7 +13,7 @@ from allan_ros.core.filters.growth import predicted_growth
 from allan_ros.core.filters.state_space import StateSpace
 from allan_ros.core.noise import GaussMarkov, Model
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 PROCESSES = {
     'N': Model.of(N=1.0),

@@ -10,7 +10,7 @@ from allan_ros.core.fit.candidates import Candidates, LowBandFit
 from allan_ros.core.fit.likelihood import AxisData
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.noise import RANDOM_TERMS, SEARCHED, Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 
 @pytest.fixture(scope='module')

@@ -12,7 +12,7 @@ from scipy.signal import butter, lfilter
 
 import allan_ros as ar
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 from allan_ros.results.documents import results_from_document, results_to_document
 
 RATE, N = 100.0, 120_000

@@ -13,7 +13,7 @@ from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.result import TERMS
 from allan_ros.core.imu import from_datasheet
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 from allan_ros.view.finding_text import texts_of
 
 AXES = ('gyro_x', 'accel_z')

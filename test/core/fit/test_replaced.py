@@ -9,7 +9,7 @@ from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.replaced import replaced_excess
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 from allan_ros.core.stream.pipeline import ImuStream
 
 RATE, SECONDS = 50.0, 900.0

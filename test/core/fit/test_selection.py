@@ -17,7 +17,7 @@ from allan_ros.core.fit.selection import Selection
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.noise import RANDOM_TERMS, Model
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 RATE = 100.0
 TAU0 = 1.0 / RATE

@@ -19,7 +19,7 @@ from allan_ros.core.fit.stationary import fit_stationary
 from allan_ros.core.fit.statistics import statistics
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 Floats = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from allan_ros.core.noise.processes.bounded_walk import BoundedWalk
 from allan_ros.core.noise.processes.resonance import Resonance
 from allan_ros.core.noise.processes.sinusoid import Sinusoid
 from allan_ros.core.noise.processes.white import White
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 SAMPLES, AXES = 6000, 150
 ALARM = 1e-4

@@ -17,7 +17,7 @@ from allan_ros.core.fit.methods import fit_noise
 from allan_ros.core.fit.temperature import TemperatureModel, _rising, temperature_models
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 
 Floats = NDArray[np.float64]
 

@@ -202,7 +202,7 @@ def test_the_fit_finds_the_process_and_all_outputs_have_it(one: type[Process]) -
 
 
 NAMED = {
-    'export/model.py',  # formats with one Gauss-Markov bias
+    'export/filter_noise.py',  # formats with one Gauss-Markov bias
     'export/own_file.py',
 }
 """Modules outside of `core/noise` that name a process with a shape."""

@@ -10,7 +10,7 @@ import pytest
 from allan_ros.core.imu import AXES, ImuBatch, ImuIdentity
 from allan_ros.core.noise import Model
 from allan_ros.core.settings import SegmenterSettings
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 from allan_ros.core.stream.health import Counts, Longest
 from allan_ros.core.stream.motion import MotionGate
 from allan_ros.core.stream.noise_levels import NoiseLevel, NoiseLevels

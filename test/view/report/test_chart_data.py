@@ -15,7 +15,7 @@ import allan_ros as ar
 from allan_ros.core.allan.curve import noise_density
 from allan_ros.core.fit.result import AxisFit
 from allan_ros.core.noise import PROCESSES, Model
-from allan_ros.core.simulate import simulate_axis
+from allan_ros.core.simulator import simulate_axis
 from allan_ros.core.stream.signal import SignalSummary, SignalTemperature, summarize_signal
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.results.results import Results

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from ..results.axis_result import AxisResult
     from ..results.results import Results
 
-DIGITS = 6
+FILE_DIGITS = 6
 """Significant digits of numbers in a file, more than any interval justifies."""
 
 REFUSED = ('gyro_unit', 'accel_unit', 'accel_scale', *UNSUITABLE)
@@ -89,7 +89,7 @@ def notation_of(key: Key) -> Notation:
     return NOTATIONS.get(key.unit) or Notation('', key.unit, factor=UNITS[key.unit].factor)
 
 
-def rounded(value: Any, digits: int = DIGITS) -> Any:
+def rounded(value: Any, digits: int = FILE_DIGITS) -> Any:
     """Return a number, or nested lists of numbers, rounded to ``digits`` significant digits."""
     if isinstance(value, (list, tuple)):
         return [rounded(each, digits) for each in value]

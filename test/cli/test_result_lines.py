@@ -10,7 +10,7 @@ from itertools import pairwise
 import pytest
 from support.findings import example
 
-from allan_ros.cli.tables import (
+from allan_ros.cli.result_lines import (
     comparison_lines,
     findings_lines,
     results_lines,

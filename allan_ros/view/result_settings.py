@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 
-from ..core.compare import MARGIN
+from ..core.check import MARGIN
 from ..core.fit.methods import METHODS
 from ..core.settings import UNIT_SYSTEMS, CheckedSettings, choose, parameter
 from .format import FORMATS

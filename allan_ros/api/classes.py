@@ -29,7 +29,7 @@ from ..results.documents import load as load_results
 from ..results.from_datasheet import DEFAULT_RATE_HZ, results_of_datasheet
 from ..results.results import Results as PlainResults
 from ..view.finding_text import finding_line
-from ..view.settings import check_plots
+from ..view.result_settings import check_plots
 
 if TYPE_CHECKING:
     from ..view.verdict_text import Verdict

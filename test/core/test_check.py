@@ -11,7 +11,7 @@ import pytest
 from scipy.special import ndtr
 
 from allan_ros.core.allan.curve import AxisCurve, chi_squared_limits
-from allan_ros.core.compare import (
+from allan_ros.core.check import (
     FAMILY_ERROR,
     AxisNoise,
     Check,

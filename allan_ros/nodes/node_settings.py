@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from ..core.compare import MARGIN
+from ..core.check import MARGIN
 from ..core.errors import AllanError
 from ..core.fit.methods import METHODS
 from ..core.imu import SAMPLE_UNITS

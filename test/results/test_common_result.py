@@ -15,7 +15,7 @@ from allan_ros.cli.main import main
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import AXES, ImuBatch
 from allan_ros.readers.writing import write_recording
-from allan_ros.results.common_noise import CommonResult
+from allan_ros.results.common_result import CommonResult
 from fuzz.reading import write_bag
 
 RATE = 100.0

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ..core.compare import Check, Judgement, worst_verdict
+from ..core.check import Check, Judgement, worst_verdict
 from ..core.errors import AllanError
 from ..core.estimate import NOTHING_KNOWN
 from ..core.imu import AXES, SENSORS, ShownUnit, sensor_of, shown_unit
@@ -23,7 +23,7 @@ from ..view.format import deviation_text, temperature_text
 from ..view.model_table import filter_table
 from ..view.table import Cell, Heading, Table, terminal_lines
 from ..view.verdict_text import (
-    WORDS,
+    VERDICT_WORDS,
     Verdict,
     finding_text,
     findings_and_notes,
@@ -87,7 +87,7 @@ def _line(group: list[Check], stated: str, units: str) -> str:
 DEVIATION = 'deviation'
 """Label of the last row."""
 
-MOST_FINDINGS, MOST_STEPS = 5, 4
+MOST_FINDINGS, MOST_NEXT_STEPS = 5, 4
 """Largest number of findings without ``--verbose``, and of next steps."""
 
 
@@ -142,7 +142,7 @@ def _has_numbers(results: Results, axis: str) -> bool:
 
 def verdict_lines(verdict: Verdict, columns: int, colors: bool = False) -> list[str]:
     """Return the lines of the level and the summary of a verdict, wrapped to ``columns``."""
-    word = WORDS[verdict.level].lower()
+    word = VERDICT_WORDS[verdict.level].lower()
     lines = wrapped(f'{word}: {verdict.summary}', columns, '  ')
     return [painted(lines[0], word, LEVEL_COLORS[verdict.level], colors), *lines[1:]]
 
@@ -168,7 +168,7 @@ def findings_lines(
 
 def _step_lines(results: Results, verdict: Verdict, columns: int) -> Iterator[str]:
     """Yield the next steps that are not remedies of findings."""
-    for i, step in enumerate(further_steps(results, verdict)[:MOST_STEPS]):
+    for i, step in enumerate(further_steps(results, verdict)[:MOST_NEXT_STEPS]):
         if i == 0:
             yield ''
         yield from wrapped(f'{"next:" if i == 0 else "     "} {step}', columns, ' ' * 6)

@@ -6,7 +6,7 @@ import pytest
 from allan_ros.core.errors import AllanError
 from allan_ros.core.imu import joined
 from allan_ros.core.noise import Model
-from allan_ros.core.simulate import (
+from allan_ros.core.simulator import (
     BATCH_SAMPLES,
     Faults,
     simulate_axis,
