@@ -29,16 +29,16 @@ SHOWN_UNITS = {'gyro': (DEGREE, 'deg'), 'accel': (1.0, 'm/s')}
 SHOWN_DIGITS = 2
 """Significant digits of a drift."""
 
-ROUNDED_STD = 0.01
+ROUNDING_TOLERANCE = 0.01
 """Relative difference that is due to the rounding of the numbers in a file."""
 
 SMALLEST_STD, LARGEST_STD = 1e-30, 1e15
 """Range of plausible numbers in a file, in any unit; their squares are finite."""
 
-A_COMMENT = re.compile(r'(?m)^\s*(?:#|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
+COMMENT_PATTERN = re.compile(r'(?m)^\s*(?:#|//).*|(?s:/\*.*?\*/)|"[^"\n]* [^"\n]*"')
 """Comments of YAML, Python and JSON, and strings with a space."""
 
-A_NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
+NUMBER_PATTERN = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
 
 EXAMPLE_TARGETS = 'kalibr, openvins or px4'
 
@@ -118,7 +118,7 @@ def verdicts(drifts: tuple[Drift, ...]) -> list[str]:
         worst = max((d for d in drifts if sensor_of(d.axis) == sensor), key=lambda d: d.ratio)
         factor = significant(max(worst.ratio, 1.0 / worst.ratio), SHOWN_DIGITS)
         said = f'your file covers the measured drift, by {factor} or more'
-        if worst.ratio > 1.0 + ROUNDED_STD:
+        if worst.ratio > 1.0 + ROUNDING_TOLERANCE:
             said = f'a filter with your file is overconfident by {factor}'
             if not worst.overconfident:
                 said += ', within the interval of the measured drift'
@@ -134,7 +134,7 @@ def file_models(target: Target, text: str, rate: float) -> Mapping[str, Model]:
             f'{target.file_name} has no noise model to compare: give --to for a filter with N and '
             f'the drift of the bias in its file, such as {EXAMPLE_TARGETS}'
         )
-    plain = A_COMMENT.sub('', text)
+    plain = COMMENT_PATTERN.sub('', text)
     values: dict[tuple[str, str], list[float]] = {}
     for key in target.keys:
         if key.what in ('rate', 'topic'):
@@ -155,8 +155,12 @@ def _numbers(plain: str, key: Key) -> list[float]:
     """Return the one or three numbers of a key in a text without comments."""
     name = key.name
     known = re.escape(name)
-    values = re.findall(rf'(?<![\w.]){known}["\']?\s*[:=,\s]\s*(\[[^\]]*\]|{A_NUMBER})', plain)
-    numbers = [[float(n) for n in re.findall(A_NUMBER, value)] for value in dict.fromkeys(values)]
+    values = re.findall(
+        rf'(?<![\w.]){known}["\']?\s*[:=,\s]\s*(\[[^\]]*\]|{NUMBER_PATTERN})', plain
+    )
+    numbers = [
+        [float(n) for n in re.findall(NUMBER_PATTERN, value)] for value in dict.fromkeys(values)
+    ]
     if len(numbers) != 1 or len(numbers[0]) not in (1, 3):
         what = 'contains no number' if not numbers else 'contains several values'
         raise AllanError(

@@ -38,7 +38,7 @@ WEB_PORT = 8095
 REFRESH_S = 0.5
 """Period in s at which the table is redrawn."""
 
-SETTLE_S, OTHERS_S = 1.5, 3.5
+SETTLE_S, DISCOVERY_WAIT_S = 1.5, 3.5
 """Time in s from the first status until every node that is discovered has published once, and time
 from the start until every node is discovered: Fast DDS announces a process every 3 s."""
 
@@ -229,7 +229,7 @@ class Watch(Node):
             settled = self._first is not None and now - self._first >= SETTLE_S
             heard = self.count_publishers(TOPIC)
             patience = self._options.seconds or (PATIENCE_S if heard else NOBODY_S)
-            settled = settled and now - self._began >= OTHERS_S and not self._missing()
+            settled = settled and now - self._began >= DISCOVERY_WAIT_S and not self._missing()
             done = settled or now - self._began >= patience
         else:
             silent = not self._latest and now - self._began >= HINT_S

@@ -49,7 +49,7 @@ from .unit_names import to_celsius
 COLUMN_NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE_COLUMNS}
 """Number of columns of an array -> their names."""
 
-SAMPLES, STAMPS, ARRAY_NAMES, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
+SAMPLES, STAMPS, RECORD_STAMPS, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 
 ZIP_MAGIC = b'PK\x03\x04'
 
@@ -103,7 +103,7 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, ColumnLayout, str
     n, width = len(samples), prod(samples.shape[1:])
     if not n:
         raise AllanError(f'{path} contains no sample: record or export it again')
-    for name in {STAMPS, ARRAY_NAMES} & arrays.keys():
+    for name in {STAMPS, RECORD_STAMPS} & arrays.keys():
         times = arrays[name]
         if times.shape != (n,) or times.dtype.kind not in 'iu':
             raise AllanError(
@@ -123,7 +123,7 @@ def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, ColumnLayout, str
     columns = samples.reshape(n, width).T
     stamps = arrays[STAMPS].astype(np.int64) if STAMPS in arrays else None
     batch, found = _batch(path, names, columns, found, options, stamps)
-    record = arrays[ARRAY_NAMES].astype(np.int64) if ARRAY_NAMES in arrays else None
+    record = arrays[RECORD_STAMPS].astype(np.int64) if RECORD_STAMPS in arrays else None
     batch = replace(batch, record_ns=record, frame_id=str(frame_id.reshape(-1)[0]))
     return batch, found, names[found.stamp[0][0]] if found.stamp else ''
 
@@ -142,7 +142,9 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
                     f'columns {EXAMPLE_COLUMNS}'
                 )
             arrays = {}
-            for name in (name for name in (SAMPLES, STAMPS, ARRAY_NAMES, FRAME) if name in members):
+            for name in (
+                name for name in (SAMPLES, STAMPS, RECORD_STAMPS, FRAME) if name in members
+            ):
                 with archive.open(f'{name}.npy') as member:
                     kinds = 'U' if name == FRAME else 'fiu'
                     arrays[name] = _array(member, f'{path}: array {name!r}', kinds, limit)

@@ -64,7 +64,11 @@ FIT = ('m_min', 'filtered', 'white_scatter', 'drift_scatter', 'gof_z', 'lack_of_
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
 """Fields of a fit and of an axis that have the same name in results.json."""
 
-OTHER_KEYS = {'correlation_time': 'tau', 'correlation_time_ci95': 'tau_ci95', 'regions': 'reading'}
+DOCUMENT_KEYS = {
+    'correlation_time': 'tau',
+    'correlation_time_ci95': 'tau_ci95',
+    'regions': 'reading',
+}
 """Field of a dataclass -> its key in results.json, where these differ."""
 
 
@@ -101,7 +105,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
 
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
-    fields = Fields(document, where, OTHER_KEYS)
+    fields = Fields(document, where, DOCUMENT_KEYS)
     fields.schema(RESULTS_SCHEMA)
     provenance = _provenance_from_document(fields)
     stated = fields.fields('axes')
@@ -153,7 +157,7 @@ def sums_file_from_document(
 
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
-    fields = Fields(document, where, OTHER_KEYS)
+    fields = Fields(document, where, DOCUMENT_KEYS)
     fields.schema(SUMS_SCHEMA)
     return (
         tuple(sums_from_document(s, f'{where}: sums') for s in fields.sequence('sums')),

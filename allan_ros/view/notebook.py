@@ -13,7 +13,9 @@ from .coefficient_table import coefficient_table
 from .table import html_table
 from .verdict_text import headline, verdict_of
 
-SHEET = '.allan_ros small { display: block; opacity: .7; } .allan_ros table { margin: .5em 0; }'
+NOTEBOOK_STYLE = (
+    '.allan_ros small { display: block; opacity: .7; } .allan_ros table { margin: .5em 0; }'
+)
 """Style sheet of the output: the intervals stand below the values."""
 
 
@@ -27,4 +29,4 @@ def notebook_html(results: Results) -> str:
         if known:
             table = coefficient_table(known, units, prefixes=True)
             parts.append(html_table('coefficients', lambda _, table=table: table))  # type: ignore[misc]
-    return f'<div class="allan_ros"><style>{SHEET}</style>{"".join(parts)}</div>'
+    return f'<div class="allan_ros"><style>{NOTEBOOK_STYLE}</style>{"".join(parts)}</div>'

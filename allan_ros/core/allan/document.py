@@ -49,7 +49,7 @@ MAX_SUM = 1e80
 MAX_PERIOD_NS = 10**13
 """Longest accepted sample period in ns, nearly three hours."""
 
-KEYS = ('frame_id', 'hardware_id', 'checksum')
+TEXT_KEYS = ('frame_id', 'hardware_id', 'checksum')
 """Keys that the checksum does not cover: a file name that is not UTF-8 is written with escapes."""
 
 
@@ -72,7 +72,7 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
 
 def checksum_of(document: Mapping[str, Any]) -> str:
     """Return the checksum of the numbers in a document of `sums_to_document`."""
-    numbers = {key: value for key, value in document.items() if key not in KEYS}
+    numbers = {key: value for key, value in document.items() if key not in TEXT_KEYS}
     text = json.dumps(numbers, sort_keys=True, separators=(',', ':'))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
