@@ -63,8 +63,10 @@ def _text(value: object) -> str:
     return 'unknown' if value is None else one_line(str(value))
 
 
-OPTION = re.compile(r'(?P<open>\()?(?P<option>--[a-z-]+)(; in a node, parameter [a-z_.]+)?')
-"""An option of the command line in the text of a finding."""
+OPTION = re.compile(
+    r'(?P<open>\()?(allan [a-z]+ )?(?P<option>--[a-z-]+)(; in a node, parameter [a-z_.]+)?'
+)
+"""An option of the command line, possibly after its command, in the text of a finding."""
 
 PARAMETERS = {
     '--no-motion-gate': 'parameter segmenter.motion_gate:=false',
@@ -75,6 +77,7 @@ PARAMETERS = {
     '--accel-unit': 'parameter input.accel_unit, and restart; with a relay, correct the driver',
     '--topic': 'parameter input.topics:=',
     '--accel-topic': 'parameter input.accel_topics:=',
+    '--motion': 'parameter relay.motion:=true',
 }
 """Option of the command line -> what to do in a node. With ``:=``, the value follows."""
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ..core.errors import AllanError
 from ..core.fields import Fields
 from ..core.filters.motion_factors import LEAST_DRIVES
-from ..core.stream.drive_recorder import LEAST_DRIVE_S, LEAST_REST_S, LONGEST_DRIVE_S
+from ..core.stream.drive_recorder import LEAST_DRIVE_S, LEAST_STOP_S, LONGEST_DRIVE_S
 from ..export import ExportOptions
 from ..readers.files import config_file, read_yaml
 
@@ -34,7 +34,7 @@ K^2 f (fast_lio). `docs/targets.md` names the code that shows the convention of 
 GAINS_WAIT = (
     'the gain has to cover the errors in motion, which are not measured yet: drive at least '
     f'{LEAST_DRIVES} times for {LEAST_DRIVE_S:g} to {LONGEST_DRIVE_S:g} s between rests of at '
-    f'least {LEAST_REST_S:g} s (status "in motion")'
+    f'least {LEAST_STOP_S:g} s (status "in motion")'
 )
 """Message of the status for a plan of `GAINS`: what is missing, and what to do."""
 
