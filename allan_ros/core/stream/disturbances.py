@@ -15,7 +15,7 @@ from collections import deque
 import numpy as np
 
 from ..imu import Flags, Floats, ImuBatch, joined
-from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, NoiseFloor, Windows
+from .noise_floor import LEAST_WINDOW, MAD_TO_SIGMA, NoiseFloor, WindowClass, Windows
 
 SPIKE_SIGMAS = 7.0
 """An isolated sample is a spike if it deviates from the mean of its window by more than this number
@@ -131,16 +131,19 @@ class Motion:
         self.began_ns, self.ended_ns = began_ns, began_ns
         self.level = level
         self.windows = self.quiet = 0  # number of windows, and of quiet ones at the end
+        self.steady = 0  # number of windows at the end that are quiet or only rotating
+        self.axes_changed = False  # of the accelerometer, or their signs
         # means of the last windows before it
         self.before = level.before() if level is not None else np.empty((0, 0))
         self._after: deque[Floats] = deque(maxlen=LEVEL_WINDOWS)
         self._samples = 0
         self._total: float | Floats = 0.0  # sum of the samples
 
-    def add(self, window: ImuBatch, mean: Floats, quiet: bool) -> None:
-        """Add the next window and its mean, (axes,)."""
-        self.quiet = self.quiet + 1 if quiet else 0
-        if not quiet:
+    def add(self, window: ImuBatch, mean: Floats, found: WindowClass) -> None:
+        """Add the next window, its mean, (axes,), and its class."""
+        self.quiet = self.quiet + 1 if found.quiet else 0
+        self.steady = self.steady + 1 if found.quiet or found.rotating else 0
+        if not found.quiet:
             self.ended_ns = int(window.stamps_ns[-1])
         self._after.append(mean)
         self.windows += 1
@@ -162,18 +165,24 @@ class Motion:
         change = after - self.before.mean(axis=0)
         return np.asarray(np.where(np.abs(change) > limit, change, 0.0))
 
-    def axes_changed(self, floor: NoiseFloor, period_s: float) -> bool:
-        """Return whether gravity changed its direction although the gyro measured no rotation."""
-        counts = len(self.before), min(self.quiet, len(self._after))
-        gyro = floor.gyro
-        if min(counts) < LEAST_LEVEL or np.count_nonzero(gyro) < 3 or np.count_nonzero(~gyro) < 3:
+    def finds_other_axes(self, floor: NoiseFloor, period_s: float) -> bool:
+        """Return whether the axes changed, when this is found for the first time.
+
+        They changed if gravity has another direction in the steady windows at the end, although the
+        gyro measured no rotation since the motion began.
+        """
+        gyro, counts = floor.gyro, (len(self.before), min(self.steady, len(self._after)))
+        if self.axes_changed or min(counts) < LEAST_LEVEL:
+            return False
+        if np.count_nonzero(gyro) < 3 or np.count_nonzero(~gyro) < 3:
             return False
         before = self.before.mean(axis=0)
         after = np.array(list(self._after)[-counts[1] :]).mean(axis=0)
         turned = np.linalg.norm((self._total - self._samples * before)[gyro]) * period_s
         norms = np.linalg.norm(before[~gyro]) * np.linalg.norm(after[~gyro])
         cosine = before[~gyro] @ after[~gyro] / norms if norms else 1.0
-        return bool(turned < NO_ROTATION and cosine < np.cos(CHANGED_DIRECTION))
+        self.axes_changed = bool(turned < NO_ROTATION and cosine < np.cos(CHANGED_DIRECTION))
+        return self.axes_changed
 
     def replaced(self, held: list[ImuBatch], floor: NoiseFloor, period_s: float) -> list[ImuBatch]:
         """Return the windows with the samples of the shock replaced; empty if it is no shock.

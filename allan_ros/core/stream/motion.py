@@ -328,8 +328,7 @@ class MotionGate:
     def _update_floor(self) -> None:
         """Update the noise floor from the latest block of windows."""
         block, still = self._recent, self._recent.still
-        rotating = bool(block.found.rotating.all())
-        updated = self._rest.floor.updated(block.windows, still, rotating)
+        updated = self._rest.floor.updated(block.windows, still, block.is_steady)
         if updated.is_plausible():
             examined = still & (np.arange(len(still)) % EXAMINED == 0)
             usable = _usable(joined(block.samples), self.size, examined)

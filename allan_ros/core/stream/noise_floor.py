@@ -426,22 +426,20 @@ class NoiseFloor:
         few = np.count_nonzero(rest) < QUANTILE * len(rest)
         return not (few or self._is_at_rest(windows, former.ratio, axes))
 
-    def updated(self, block: Windows, still: Flags, rotating: bool) -> NoiseFloor:
+    def updated(self, block: Windows, still: Flags, steady: bool) -> NoiseFloor:
         """Return the noise floor updated by a block of k windows.
 
-        ``still``, (k,), flags windows at rest, of which half are needed. If all windows differ from
-        the floor only in their mean angular rate (``rotating``), only the mean is updated.
+        ``still``, (k,), flags windows at rest. If these are at least half of the block, their noise
+        and mean are used. If they are fewer, but the block is ``steady``, only the mean is updated:
+        the bias of the gyro changed suddenly, or was learned during a rotation. A block is steady
+        if all windows are at rest, or would be at another bias of the gyro.
         """
         if np.count_nonzero(still) >= len(still) // 2:
             rest = block if still.all() else Windows(block.values[:, :, still])
             recent = _quantile(rest.variance, QUANTILE)
             variance = self.variance + FLOOR_GAIN * (recent - self.variance)
             return replace(self, variance=variance, mean=_quantile(rest.mean, 0.5))
-        if rotating:
-            # a constant rate during a complete block is a bias that changed suddenly, or that was
-            # learned during a rotation
-            return replace(self, mean=_quantile(block.mean, 0.5))
-        return self
+        return replace(self, mean=_quantile(block.mean, 0.5)) if steady else self
 
     def increase(self, rows: Floats, block: Windows) -> Floats | None:
         """Return the ratio of the noise of a block at rest to the noise floor, (axes,).

@@ -87,6 +87,12 @@ class RecentWindows:
         return not (self.still | found.decreased | found.foreign).any()
 
     @property
+    def is_steady(self) -> bool:
+        """Whether all windows are at rest, or would be at another bias of the gyro."""
+        found = self.found
+        return bool((found.quiet | found.rotating).all())
+
+    @property
     def white_noise(self) -> Floats:
         """Standard deviation of the differences of neighboring samples / sqrt(2), (axes,)."""
         return np.asarray(np.sqrt(0.5 * np.mean(np.diff(self.rows, axis=1) ** 2, axis=1)))

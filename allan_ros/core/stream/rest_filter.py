@@ -143,8 +143,6 @@ class RestFilter:
         """Add the motion that just ended, if any, to the list of events."""
         motion, self.motion = self.motion, None
         if motion is not None:
-            if motion.axes_changed(self.floor, self._period_s):
-                self._splits['axes changed'] += 1
             changes = zip(self._axes, motion.change(self.floor).tolist())
             seconds = (motion.ended_ns - motion.began_ns) * 1e-9 + self._period_s
             changed = {axis: change for axis, change in changes if abs(change) > 0.0}
@@ -168,11 +166,15 @@ class RestFilter:
             self._counts.moving += len(window)
         else:
             self._held.append(window)
-        motion.add(window, mean, bool(found.quiet))
+        motion.add(window, mean, found)
         window_s = self._size * self._period_s
+        enough = max(LEAST_LEVEL, round(MARGIN_AFTER_S / window_s))
+        # during the motion, because a changed bias of the gyro may prolong it
+        if motion.steady == enough and motion.finds_other_axes(self.floor, self._period_s):
+            self._splits['axes changed'] += 1
         if motion.windows - motion.quiet > int(LONGEST_SHOCK_S / window_s):
             self.drop_shock()
-        if motion.quiet >= max(LEAST_LEVEL, round(MARGIN_AFTER_S / window_s)):
+        if motion.quiet >= enough:
             self._end_motion(motion)
 
     def _end_motion(self, motion: Motion) -> None:

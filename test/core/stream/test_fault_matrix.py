@@ -32,6 +32,8 @@ import bench_faults as bench  # noqa: E402
         ('spikes', False, 30),
         ('second_imu', False, 120),
         ('flipped', False, 30),
+        ('flipped', True, 120),
+        ('bias_step', False, None),
         ('permuted', False, None),
         ('half_rate', False, 30),
         ('every_second_zero', False, 30),

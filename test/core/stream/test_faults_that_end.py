@@ -135,3 +135,16 @@ def test_noise_that_decreases_twice_resumes_the_first_sums():
     # up to half of a block is needed to find that the noise is as before
     check(result, len(x) - 37.5 * rate, 1.0 - 0.75 * BLOCK_S / 200)
     assert_same(result, stream(rounded(x), rate, chunks=(999, 5)))
+
+
+@pytest.mark.parametrize('limits', [0.9, 1.0, 1.1, 3.0])
+def test_another_bias_of_the_gyro_becomes_normal(limits):
+    """Near the limit of a rotation, noise decides about each window."""
+    rate, rng = 100, np.random.default_rng(8)
+    x = imu(150, rate, rng)
+    x[63 * rate :, 1] += limits * np.radians(0.5)
+    result = stream(rounded(x), rate)
+    # the mean is updated at the end of a block, and two more seconds are excluded
+    check(result, len(x), 1.0 - (2 * BLOCK_S + 2 + 1) / 150)
+    assert result.health.state == 'at_rest' and result.health.discarded == 0
+    assert_same(result, stream(rounded(x), rate, chunks=(999, 5)))
