@@ -1,9 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate of the bias of a sensor at rest with its interval.
+"""Estimate of the bias of a sensor at rest, with its 95 % interval.
 
-The bias is defined as the mean of the samples over the next 10 s without their white noise. A
-Kalman filter estimates it from means over 1 s; its states are the noise processes of the sensor.
+The bias is defined as the mean of the samples over the next 10 s, without their white noise. It is
+estimated by a Kalman filter from means over 1 s. The states of the Kalman filter are the noise
+processes of the sensor.
 """
 
 from __future__ import annotations
@@ -26,37 +27,39 @@ from .state_space import state_space
 Floats = NDArray[np.float64]
 
 MEAN_S = 1.0
-"""Averaging time in s of the means that are the input of the filter."""
+"""Averaging time in s of the means that are the input of the Kalman filter."""
 
 AHEAD_S = 10.0
 """Time in s over which the future bias is averaged."""
 
 STORED_MEANS = 600
-"""Number of means of an axis that are stored to restart the filter when its model changes."""
+"""Number of means of an axis that are stored, so that the Kalman filter can restart from them when
+the noise model changes: 10 min."""
 
 STEP_MEANS, STEP_SIGMA = 30, 6.0
-"""The filter restarts from the latest means, at most this many, if the sum of their prediction
-errors exceeds its standard deviation by this factor: the bias has made a step."""
+"""The bias has made a step if the sum of the prediction errors of the latest means exceeds
+`STEP_SIGMA` standard deviations of this sum. Sums over 1 to `STEP_MEANS` means are tested."""
 
 
 class BiasModel(NamedTuple):
     """Stochastic model of the bias of one axis: noise processes and an unknown constant slope."""
 
     processes: Model
-    slope_std: float = 0.0  # prior standard deviation of the slope, per s; 0 for no slope
+    slope_std: float = 0.0  # prior standard deviation of the slope in SI per s; 0 for no slope
 
     @classmethod
     def of_fit(cls, fit: AxisFit) -> BiasModel:
         """Return the model from the fit of an axis.
 
-        The standard deviation of the slope is the root sum of squares of R and its standard error,
-        even if R is not resolved. Without a slope, the 95 % interval of the bias 10 min ahead
-        contains only 89 to 93 % of the values of simulated sensors.
+        The standard deviation of the slope is the root of the sum of the squares of R and of its
+        standard error, even if R is not resolved. If the slope was omitted, the 95 % interval of
+        the bias 10 min ahead would contain only 89 to 93 % of the values of simulated sensors.
         """
         ramp = fit.noise['R'].magnitude
         value, limit = ramp.value or 0.0, ramp.upper95 or 0.0
         if ramp.status == 'estimated':
-            low, high = ramp.ci95 or (0.0, 2e3 * Z_95 * value)  # no interval: a vague prior
+            # without an interval, the prior is vague
+            low, high = ramp.ci95 or (0.0, 2e3 * Z_95 * value)
             error = (high - low) / (2.0 * Z_95)
         else:
             error = max(limit - value, 0.0) / Z_95
@@ -67,12 +70,12 @@ class BiasModel(NamedTuple):
 class BiasFilter:
     """Kalman filter for the bias of one axis at rest, from means over 1 s (`MEAN_S`).
 
-    The means follow each other without gaps, except for the times given to `pause`.
+    Successive means have no gap between them, except for the times that are given to `pause`.
 
     Parameters
     ----------
     model : BiasModel
-        Noise processes and slope, which become the states of the filter.
+        Noise processes and slope, which become the states of the Kalman filter.
 
     Examples
     --------
@@ -99,9 +102,9 @@ class BiasFilter:
         self._errors: deque[tuple[float, float]] = deque(maxlen=STEP_MEANS)
 
     def update(self, mean: float) -> None:
-        """Predict the state over 1 s, and update it with the mean of the samples over it.
+        """Predict the state over 1 s, and update it with the mean of the samples of this second.
 
-        If the bias has made a step, the state is estimated from the means after it alone.
+        If the bias has made a step, the state is estimated only from the means after the step.
         """
         self._update(mean)
         sums = np.cumsum([error for _, error in self._errors][::-1])
@@ -129,12 +132,12 @@ class BiasFilter:
         self._known = True
 
     def pause(self, seconds: float) -> None:
-        """Predict the state over a time without means at rest."""
+        """Predict the state over a time in s for which there is no mean, for example a motion."""
         if self._known and seconds > 0.0:
             self._predict(self._space.transition(seconds), self._space.noise(seconds))
 
     def estimate(self) -> Estimate:
-        """Return the predicted mean bias over the next 10 s.
+        """Return the predicted mean bias over the next 10 s, in the unit of the samples.
 
         Raises
         ------
@@ -156,10 +159,10 @@ class BiasFilter:
 
 
 class BiasTracker:
-    """Estimates of the bias of all axes of an IMU from means at rest, by one filter per axis.
+    """Estimates of the bias of all axes of an IMU from means at rest, by one `BiasFilter` per axis.
 
-    When the model of an axis changes, its filter restarts from the stored means. When the time
-    jumps back, as after a reset, the stored means are dropped.
+    When the noise models change, each filter restarts from the stored means of its axis. When the
+    time jumps back, as after a reset, the stored means are removed.
     """
 
     def __init__(self) -> None:
@@ -168,9 +171,10 @@ class BiasTracker:
         self._kept: dict[str, deque[tuple[int, float]]] = {}
 
     def add_means(self, axis: str, end_ns: Sequence[int], values: Sequence[float]) -> None:
-        """Add means of an axis over 1 s and their end times in ns.
+        """Add means of an axis over 1 s, and the times in ns at which they end.
 
-        Means that end at or before the latest stored one are skipped.
+        Means that end at or before the latest stored mean are ignored. If all new means end before
+        it, the time has jumped back: then the stored means are removed, and all new means are used.
         """
         kept = self._kept.setdefault(axis, deque(maxlen=STORED_MEANS))
         if kept and len(end_ns) and end_ns[-1] < kept[-1][0]:
@@ -193,26 +197,29 @@ class BiasTracker:
             self._restart(axis)
 
     def bias(self, axis: str) -> Estimate | None:
-        """Return the mean bias of an axis over the 10 s after the latest mean.
+        """Return the predicted mean bias of an axis over the 10 s after the latest mean.
 
-        The result is None without a model or a mean.
+        The unit is the unit of the samples. The result is None without a model or a mean.
         """
         return self._filters[axis].estimate() if axis in self._filters else None
 
     @property
     def end_ns(self) -> int:
-        """End time of the latest mean of the axes with a bias in ns; 0 without any."""
+        """Time in ns at which the latest mean ends, of all axes with a bias; 0 if none has one."""
         return max((self._kept[axis][-1][0] for axis in self._filters), default=0)
 
     def _restart(self, axis: str) -> None:
-        """Run a new filter of an axis over the stored means."""
+        """Run a new filter of an axis over the stored means, if the axis has a model and means."""
         if axis in self._models and (kept := self._kept.get(axis)):
             self._filters[axis] = BiasFilter(self._models[axis])
             _add(self._filters[axis], kept)
 
 
 def _add(bias: BiasFilter, means: Iterable[tuple[int, float]], last: int | None = None) -> None:
-    """Add means (end time in ns, value); ``last`` is the end time of the mean before them."""
+    """Add pairs (end time in ns, mean) to a filter.
+
+    ``last`` is the end time of the mean before the first pair; None if there is none.
+    """
     for end, mean in means:
         pause = 0.0 if last is None else (end - last) * 1e-9 - MEAN_S
         if pause > 0.1 * MEAN_S:

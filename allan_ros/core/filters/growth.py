@@ -1,13 +1,13 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Predicted error growth of an integrated sensor: angle of a gyro, velocity of an accelerometer.
+"""Predicted error of the integral of a sensor: angle of a gyro, velocity of an accelerometer.
 
 The bias is averaged over the W seconds before time 0 and subtracted. At the prediction horizon h,
 the integral theta of the samples (angle or velocity) has the error
 
     e(h) = theta(h) - theta(0) - (h/W) (theta(0) - theta(-W)).
 
-A constant bias does not change e, so its variance follows from gamma of each process
+A constant bias does not change e. The variance of e therefore follows from gamma of each process
 (`allan_ros.core.noise.derived.growth_variance`).
 """
 
@@ -29,17 +29,20 @@ from ..noise.model import CONTINUOUS
 Floats = NDArray[np.float64]
 
 LARGEST_VARIANCE = 1e300
-"""Largest variance of an error; its square root is written to documents."""
+"""Largest variance of an error. Larger variances are set to this value, because documents contain
+finite numbers only."""
 
 LARGEST_LOG = 100.0
-"""Largest logarithm of the ratio of an end of an interval to its value."""
+"""Largest logarithm of the ratio of an end of an interval to the estimate."""
 
 HOUR = 3600.0
+"""Duration of an hour in s."""
 
 INDEPENDENT = 2.0
-"""Independent errors in a time of h + W. The mean square of errors with the autocorrelation rho
-over a time T varies like that of T / integral of rho^2 independent errors. With h = W, a time of
-h + W has 3.0 of them for white noise, and 1.9 for a random walk."""
+"""Number of independent errors in a time of h + W. The mean square of errors with the
+autocorrelation rho over a time T varies like the mean square of T / integral of rho^2 independent
+errors. For h = W, this number is 3.0 for white noise and 1.9 for a random walk in a time of h +
+W."""
 
 GROWTH_S = (1.0, 10.0, 30.0, 100.0, 300.0)
 GROWTH_WINDOW_S = 100.0
@@ -47,7 +50,7 @@ GROWTH_WINDOW_S = 100.0
 
 
 def predicted_growth(model: Model, horizon: ArrayLike, window: ArrayLike) -> Floats:
-    """Return the standard deviation of the error of the integrated samples.
+    """Return the predicted standard deviation of the error of the integrated samples.
 
     Parameters
     ----------
@@ -61,11 +64,11 @@ def predicted_growth(model: Model, horizon: ArrayLike, window: ArrayLike) -> Flo
     Returns
     -------
     float64 array
-        In the unit of the samples times s.
+        Standard deviation in the unit of the samples times s; shape of ``horizon``.
 
     Examples
     --------
-    White noise of 1 unit/sqrt(Hz), bias averaged over as long as it is integrated:
+    White noise with N = 1. The bias is averaged over 8 s, then the samples are integrated over 8 s:
 
     >>> float(predicted_growth(Model.of(N=1.0), 8.0, 8.0))
     4.0
@@ -75,9 +78,10 @@ def predicted_growth(model: Model, horizon: ArrayLike, window: ArrayLike) -> Flo
 
 
 def growth_parts(model: Model, horizon: ArrayLike, window: ArrayLike) -> Mapping[Process, Floats]:
-    """Return process -> variance of the error due to it, in the squared unit of the samples x s^2.
+    """Return process -> variance of the error that is due to this process.
 
-    The parameters are the same as in `predicted_growth`.
+    The parameters are the same as in `predicted_growth`. The variances have the squared unit of the
+    samples times s^2, and the broadcast shape of ``horizon`` and ``window``.
     """
     h, w = np.broadcast_arrays(np.asarray(horizon, float), np.asarray(window, float))
     step = CONTINUOUS * float(min(h.min(initial=1.0), w.min(initial=1.0)))
@@ -101,8 +105,8 @@ class Growth:
     window : float
         Time in s before the correction, over which the bias was averaged.
     std : Estimate
-        Predicted standard deviation of the error, in the unit of the samples times s. It has no
-        interval if a term of the model has none.
+        Predicted standard deviation of the error, in the unit of the samples times s. The estimate
+        has no interval if a term of the model has neither an interval nor a limit.
     """
 
     horizon: float
@@ -115,20 +119,33 @@ def growth_table(
     horizons: tuple[float, ...] = GROWTH_S,
     window: float = GROWTH_WINDOW_S,
 ) -> tuple[Growth, ...]:
-    """Return the predicted error at some times after the last correction.
+    """Return the predicted error at some times after the last correction, with intervals.
 
-    ``horizons`` are these times and ``window`` the time over which the bias was averaged before, in
-    s. Terms that are not resolved are included with their estimates. For the upper end of
-    the interval, all terms have their 95 % upper limits.
+    Parameters
+    ----------
+    fit : AxisFit
+        Fit of one axis. Terms that are not resolved are included with their estimates.
+    horizons : tuple of float
+        Times since the last correction in s.
+    window : float
+        Time in s before the correction, over which the bias was averaged.
 
-    The distances of the ends of the interval from the estimate are added in quadrature over the
-    terms (method of variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine
-    2008). This assumes uncorrelated estimates. Estimates of neighboring terms are negatively
-    correlated, which makes the interval too wide rather than too narrow.
+    Returns
+    -------
+    tuple of Growth
+        One for each horizon.
 
-    The predictive interval contains the root mean square of the errors in another hour: the levels
-    of white noise and drift may differ from those of the recording, and an hour contains a limited
-    number of independent errors (`INDEPENDENT`).
+    Notes
+    -----
+    For the upper end of the interval, all terms have their 95 % upper limits. The distances of the
+    ends of the interval from the estimate are added in quadrature over the terms (method of
+    variance estimates recovery; G. Y. Zou, A. Donner, Statistics in Medicine 2008). This assumes
+    uncorrelated estimates. Estimates of neighboring terms are negatively correlated, which makes
+    the interval too wide rather than too narrow.
+
+    The predictive interval contains the root mean square of the errors in another hour. The levels
+    of white noise and drift in that hour may differ from the levels in the recording, and an hour
+    contains a limited number of independent errors (`INDEPENDENT`).
     """
     h = np.array(horizons)
     model = fit.model.drift
@@ -180,13 +197,21 @@ def _limit(fit: AxisFit, term: str) -> float:
 
 
 def interval_models(fit: AxisFit, predictive: bool = True) -> tuple[Model, Model] | None:
-    """Return the model at the lower and at the upper ends of all 95 % intervals.
+    """Return the model with all coefficients at the lower, and at the upper ends of 95 % intervals.
 
-    They are the predictive intervals, or with ``predictive`` False those of the recording.
+    The interval of a term with only a limit begins at 0. R is replaced by its magnitude, and Q by
+    0. Shapes and sinusoids are unchanged.
 
-    The interval of a term with only a limit begins at 0. The ramp R is replaced by its magnitude.
-    Shapes and sinusoids are unchanged. The result is None if N, B, K or R of the model has neither
-    an interval nor a limit.
+    Parameters
+    ----------
+    fit : AxisFit
+    predictive : bool
+        Whether the predictive intervals are used; else the intervals of the recording.
+
+    Returns
+    -------
+    (Model, Model) or None
+        None if N, B, K or R of the model has neither an interval nor a limit.
     """
     intervals: dict[str, tuple[float, float]] = {}
     for term in 'NBKR':

@@ -1,12 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise models of one axis, reduced to the few states of a filter.
+"""Reduced-order models: the noise of one axis with only the parameters of a state estimator.
 
-A filter with the parameters N and K models only white noise and a random walk. If the sensor also
-has bias instability, such a filter underestimates its error with the fitted N and K. A `Reduction`
-contains raised parameters: the filter predicts an error growth at least as large as the complete
-model does, over a range of prediction horizons (times that a filter integrates without a
-correction). The bias is assumed to be averaged over the longest of these horizons.
+A state estimator with the parameters N and K underestimates its error if the sensor also has bias
+instability. A `Reduction` has larger parameters, with which the predicted error is at least the
+error of the complete model at all horizons (times of integration without a correction). The bias is
+assumed to be averaged over the longest horizon.
 """
 
 from __future__ import annotations
@@ -29,17 +28,18 @@ from .state_space import has_states, state_space, white_density
 Floats = NDArray[np.float64]
 
 States = Literal['none', 'walk', 'processes']
-"""Bias models of a filter: no state, a random walk, or a random walk with several Gauss-Markov
-processes."""
+"""Bias model of a state estimator: no bias state, a random walk, or a random walk and the other
+processes that have states."""
 
 HORIZON_S = 30.0
-"""Default of the longest horizon."""
+"""Default of the longest horizon in s."""
 
 HORIZONS_PER_RANGE = 30
-"""Number of horizons at which the error growth of two models is compared."""
+"""Number of horizons at which the predicted errors of two models are compared."""
 
 POOR_RATIO = 2.0
-"""Largest accepted ratio between the error growth of a reduction and of the complete model."""
+"""Largest accepted ratio of the predicted errors of a reduced-order model and of the complete
+model, and of the inverse."""
 
 
 def shortest_horizon(longest: float) -> float:
@@ -57,16 +57,16 @@ def horizon_text(longest: float) -> str:
 
 
 class FilterLevel(NamedTuple):
-    """A noise level that a filter uses: an estimate or its limit, and by how much it was raised.
+    """Noise parameter for a state estimator: an estimate or its limit, which may be increased.
 
     Attributes
     ----------
     estimate : Estimate
-        N, B, K or R of an axis, or another number for a filter (``name``), in SI; it is positive.
-        If it is not resolved, the filter uses its 95 % upper limit.
+        Positive number in SI: N, B, K or R of an axis, or another parameter (``name``). If it is
+        not resolved, the state estimator gets its 95 % upper limit.
     raised_from : float or None
-        Fitted coefficient (0 if it is not resolved) of a number that was increased so that the
-        filter does not underestimate the error growth; None if it was not increased.
+        Fitted coefficient (0 if it is not resolved) before it was increased, so that the state
+        estimator does not underestimate its error; None if it was not increased.
     """
 
     estimate: Estimate
@@ -74,7 +74,7 @@ class FilterLevel(NamedTuple):
 
     @property
     def value(self) -> float:
-        """The number in the file: the estimate, or else its 95 % upper limit."""
+        """Number for the state estimator: the estimate if it is resolved, else its upper limit."""
         known = self.estimate
         return (known.value if known.resolved else known.upper95) or 0.0
 
@@ -85,18 +85,18 @@ class FilterLevel(NamedTuple):
 
     @property
     def no_interval(self) -> bool:
-        """Whether the value is an estimate without a 95 % interval."""
+        """Whether the value is a resolved estimate that has no interval and was not increased."""
         known = self.estimate
         return known.resolved and known.ci95 is None and self.raised_from is None
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval: (0, value) for a limit, and (0, inf) if it is unknown."""
+        """95 % interval: (0, value) for a limit, (0, inf) if the interval is unknown."""
         low, high = (0.0, self.value) if self.is_limit else self.estimate.ci95 or (0.0, math.inf)
         return max(low, 0.0), high
 
     def raised(self, value: float, fitted: float, ci95: tuple[float, float] | None) -> FilterLevel:
-        """Return the level with a larger number than the ``fitted`` coefficient."""
+        """Return the level with a ``value`` above the ``fitted`` one, and the interval ``ci95``."""
         if self.is_limit:
             return FilterLevel(replace(self.estimate, upper95=value), fitted)
         known = replace(self.estimate, value=value, recording_ci95=ci95, predictive_ci95=None)
@@ -104,38 +104,53 @@ class FilterLevel(NamedTuple):
 
 
 class Reduction(NamedTuple):
-    """Noise model of one axis, reduced to the states of a filter."""
+    """Reduced-order model of one axis."""
 
-    model: Model  # N, K and the processes with states that the filter assumes
-    # smallest and largest ratio over the horizons of the error growth (standard deviation) that the
-    # filter predicts to the growth with the complete model
+    model: Model  # N, K and the processes with states that the state estimator assumes
+    # standard deviation of the error predicted by the reduced-order model over the one predicted by
+    # the complete model: smallest and largest ratio of all horizons
     ratio: tuple[float, float]
-    # N and K with their intervals, if the model of an axis was reduced
+    # N and K with their intervals; empty if the model did not come from the fit of an axis
     levels: Mapping[str, FilterLevel]
 
     @property
     def poor(self) -> bool:
-        """Whether the error growth is wrong by more than a factor of 2 at some horizon."""
+        """Whether the predicted error is wrong by more than a factor of 2 at some horizon."""
         return self.ratio[1] > POOR_RATIO or self.ratio[0] < 1.0 / POOR_RATIO
 
 
 @lru_cache(maxsize=64)
 def reduce_model(model: Model, states: States = 'walk', horizon: float = HORIZON_S) -> Reduction:
-    """Return a noise model reduced to the states of a filter.
+    """Return a reduced-order model that predicts at least the errors of the complete model.
 
-    At all horizons from 1 s to ``horizon`` s, the reduced model predicts at least the error growth
-    of ``model``. The ``states`` determine what is adjusted:
+    Processes whose integral is bounded, such as quantization and vibration, are excluded.
 
+    Parameters
+    ----------
+    model : Model
+        Complete model of one axis.
+    states : {'none', 'walk', 'processes'}
+        Bias states of the state estimator, which determine what is adjusted (see below).
+    horizon : float
+        Longest horizon in s. The shortest one is 1 s, or a tenth of the longest if this is less.
+
+    Returns
+    -------
+    Reduction
+        With 'none' and 'walk', no ratio is below 1. With 'processes', the approximation of B may
+        predict errors that are up to 5 % smaller.
+
+    Notes
+    -----
     ============  ================================================================================
     none          N is increased, because white noise represents all drift.
-    walk          K is increased, N is kept.
-    processes     B becomes four Gauss-Markov processes and all others are kept. K is increased only
-                  for a ramp and slow sinusoids, which have no states.
+    walk          K is increased, N is kept. If the result would be poor (see `Reduction.poor`), the
+                  processes with the shortest correlation times are treated as white noise, which
+                  increases N.
+    processes     B becomes four Gauss-Markov processes, and other processes with states are kept.
+                  K is increased for the slowest part of B, and for a ramp and slow sinusoids, which
+                  have no states.
     ============  ================================================================================
-
-    If the result with 'walk' would be poor (see `Reduction.poor`), the processes with the shortest
-    correlation times are treated as white noise and increase N. Processes whose integral is
-    bounded, such as quantization and vibration, are left out.
 
     Examples
     --------
@@ -160,7 +175,7 @@ def _by_time(model: Model) -> list[Process]:
 
 
 def _reduced(complete: Model, fast: int, states: States, horizon: float) -> Reduction:
-    """Return a reduction that treats the ``fast`` fastest processes as white noise."""
+    """Return the reduced-order model in which the ``fast`` fastest processes are white noise."""
     quick = _by_time(complete)[:fast]
     added = sum(
         (part.value * white_density(part.process)) ** 2
@@ -191,18 +206,18 @@ def _reduced(complete: Model, fast: int, states: States, horizon: float) -> Redu
 
 
 def horizons(longest: float) -> Floats:
-    """Return the horizons in s at which the error growth of two models is compared."""
+    """Return the 30 horizons in s, (30,), at which the errors of two models are compared."""
     return np.geomspace(shortest_horizon(longest), longest, HORIZONS_PER_RANGE)
 
 
 def _growth(model: Model, horizon: float) -> Floats:
-    """Return the predicted growth at 30 horizons up to the given one."""
+    """Return the standard deviation of the predicted error at the horizons up to the given one."""
     return predicted_growth(model, horizons(horizon), horizon)
 
 
 @lru_cache(maxsize=512)
 def _unit_variance(process: Process, horizon: float) -> Floats:
-    """Return the variance of the predicted error at 30 horizons, for the coefficient 1."""
+    """Return the variance of the predicted error at the horizons, for the coefficient 1."""
     variance = np.asarray(_growth(Model.of((1.0, process)), horizon) ** 2)
     variance.setflags(write=False)
     return variance
@@ -215,14 +230,28 @@ def closest_process(
     tau: float | None = None,
     bound: bool = True,
 ) -> tuple[float, float] | None:
-    """Return the process (coefficient, correlation time) closest to the drift of a model, or None.
+    """Return the single process that replaces all drift of a model with the least error.
 
-    It replaces all drift of the model and minimizes the largest relative difference of the error
-    growth over the horizons up to ``horizon`` s. The result is None if the model has no drift.
+    It minimizes the largest relative difference of the predicted errors at all horizons.
 
-    ``kind`` is a process whose shape is a correlation time. This time is ``tau`` in s; with None,
-    it is selected. If ``bound`` is set, the growth is not smaller than with the model, as a filter
-    requires. Otherwise it may also be smaller.
+    Parameters
+    ----------
+    model : Model
+        Complete model of one axis.
+    kind : function of float
+        Returns the process with a given correlation time in s.
+    horizon : float
+        Longest horizon in s.
+    tau : float, optional
+        Correlation time in s; selected if it is None.
+    bound : bool
+        Whether the predicted error must be at least the error of the model, as for a state
+        estimator. If False, it may also be smaller.
+
+    Returns
+    -------
+    (float, float) or None
+        Coefficient in SI and correlation time in s; None if the model has no drift.
     """
     complete = model.drift
     if not complete.has_drift:

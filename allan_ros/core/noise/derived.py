@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Statistics of a noise process, derived from its gamma: one function for all processes.
 
-Every statistic is a contrast, that is, a sum of means with weights w_i whose sum is 0. Its variance
-is sum w_i w_j gamma(M, |i - j|), and a constant in gamma cancels. Bias instability and random walk
-need no other treatment, although they have no other autocovariance (G. Matheron, The intrinsic
-random functions and their applications, 1973).
+Every statistic is a contrast: a sum of means with weights w_i whose sum is 0. The variance of a
+contrast is sum w_i w_j gamma(M, |i - j|), in which a constant in gamma cancels. The same formula
+therefore holds for bias instability and random walk, whose variance is infinite (generalized
+covariance; G. Matheron, The intrinsic random functions and their applications, 1973).
 
 The time unit is the sample period, and the coefficient is 1.
 """
@@ -24,14 +24,18 @@ from .process import Floats, Process
 from .processes.gauss_markov import GaussMarkov
 
 MOST_CACHED = 1 << 22
-"""Largest number of lags of which gamma is kept for the next axis of a simulation."""
+"""Largest number of lags for which gamma is kept for the next axis of a simulation (34 MB for each
+process)."""
 
 LONGEST_CIRCLE = 16
-"""Largest length of a circulant covariance relative to the shortest possible one."""
+"""Largest length of a circulant covariance matrix relative to the shortest possible one. If a
+matrix of this length still has negative eigenvalues, they are set to 0."""
 
 
 def avar(process: Process, m: ArrayLike) -> Floats:
-    """Return the Allan variance at averaging factors m: gamma(m, 0) - gamma(m, 1).
+    """Return the Allan variance at averaging factors m, for the coefficient 1.
+
+    It is gamma(m, 0) - gamma(m, 1). The result is a float64 array of the shape of ``m``.
 
     Examples
     --------
@@ -43,11 +47,14 @@ def avar(process: Process, m: ArrayLike) -> Floats:
 
 
 def autocorrelation(weights: NDArray[np.number]) -> Floats:
-    """Return c with sum c_j gamma_j = sum w_i conj(w_k) gamma_|i-k| of weights, (..., n)."""
+    """Return the coefficients c_j of gamma_j in the sum of w_i conj(w_k) gamma_|i-k| over i and k.
+
+    The weights w and the result are (..., n).
+    """
     n = np.shape(weights)[-1]
-    c = np.fft.ifft(np.abs(np.fft.fft(weights, 2 * n)) ** 2).real[..., :n]
-    c[..., 1:] *= 2.0
-    return np.asarray(c)
+    coefficients = np.fft.ifft(np.abs(np.fft.fft(weights, 2 * n)) ** 2).real[..., :n]
+    coefficients[..., 1:] *= 2.0
+    return np.asarray(coefficients)
 
 
 def contrast_variance(process: Process, weights: NDArray[np.number], step: int = 1) -> Floats:
@@ -56,30 +63,36 @@ def contrast_variance(process: Process, weights: NDArray[np.number], step: int =
     Parameters
     ----------
     process : Process
+        Process with its shape in samples; its coefficient is 1.
     weights : (..., n) array
-        Weights of sum 0. Complex ones give the mean square of the magnitude, which is the expected
-        power of a tapered block.
+        Weights w_i whose sum is 0. With complex weights, the result is the mean square of the
+        magnitude, for example the expected power of a tapered block.
     step : int
         Samples per mean.
+
+    Returns
+    -------
+    (...) float64 array
     """
     lags = np.arange(np.shape(weights)[-1])
     return np.asarray(autocorrelation(weights) @ process.gamma(step, lags))
 
 
 def covariance_of_means(process: Process, step: int, lags: ArrayLike) -> Floats:
-    """Return the covariance, up to a constant, of means over ``step`` samples.
+    """Return the covariance of means over ``step`` samples, up to a constant.
 
-    ``lags`` are their distances in means, for example a matrix of the distances of all pairs.
+    ``lags`` are the distances of two means as a number of means, for example a matrix of the
+    distances of all pairs. The result has the shape of ``lags``.
     """
     return process.gamma(step, lags)
 
 
 def growth_variance(process: Process, horizon: ArrayLike, window: ArrayLike) -> Floats:
-    """Return the variance of the error of integrated samples after the bias was subtracted.
+    """Return the variance of the sum of ``horizon`` samples after the bias was subtracted.
 
-    The bias is the mean over the ``window`` samples before; ``horizon`` samples are integrated.
-    A sum over M samples has the variance M^2 gamma(M, 0), so the covariance of two neighboring sums
-    follows from those of both and of their sum.
+    The bias is the mean of the ``window`` samples before them. Both numbers of samples may be
+    arrays, which broadcast. A sum over M samples has the variance M^2 gamma(M, 0). The covariance
+    of two neighboring sums follows from the variances of both sums and of their total.
     """
     n, b = np.asarray(horizon, float), np.asarray(window, float)
     of_horizon, of_window, of_both = (process.gamma(M, 0) for M in (n, b, n + b))
@@ -90,11 +103,13 @@ def growth_variance(process: Process, horizon: ArrayLike, window: ArrayLike) -> 
 def simulate(parts: Iterable[tuple[float, Process]], n: int, rng: np.random.Generator) -> Floats:
     """Return n samples of a sum of processes, (n,), up to a constant.
 
-    ``parts`` are coefficients in sample units, and processes. The samples are drawn by circulant
-    embedding of gamma (Dietrich & Newsam, SIAM J. Sci. Comput. 18, 1997): an even periodic sequence
-    whose first half is gamma has the eigenvalues of a covariance matrix. The constant in gamma and
-    an infinite spectrum at frequency 0 change only the mean, so flicker noise and random walk are
-    exact, too. A process with a `Process.sample` of its own draws itself.
+    ``parts`` are pairs of a coefficient and a process, with the sample period as the unit of time.
+
+    The samples are drawn by circulant embedding of gamma (Dietrich & Newsam, SIAM J. Sci. Comput.
+    18, 1997): gamma, continued to an even periodic sequence, is the first row of a circulant
+    covariance matrix, whose eigenvalues are the Fourier transform of this row. The constant in
+    gamma and an infinite spectrum at frequency 0 change only the mean, so flicker noise and random
+    walk are exact, too. Ramps and sinusoids are computed by their own `Process.sample`.
     """
     from scipy import fft  # slow to import, and rarely needed
 
@@ -137,16 +152,16 @@ def _kept_lags(process: Process, number: int) -> Floats:
 
 
 def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
-    """Return a random stationary sequence with a circulant covariance, (2 half,).
+    """Return a random stationary sequence with a circulant covariance matrix, (2 half,).
 
-    ``eigenvalues``, (half + 1,), are the spectrum at frequencies from 0 to 1/2. Only the first
-    half + 1 values of the result have the autocovariance that the eigenvalues represent.
+    ``eigenvalues``, (half + 1,), are the spectrum at frequencies from 0 to 1/2. The autocovariance
+    is correct for lags of up to ``half``: only half + 1 successive values can be used.
     """
     from scipy import fft
 
     size = 2 * (len(eigenvalues) - 1)
     spectrum = rng.standard_normal(2 * len(eigenvalues)).view(complex)
-    # A real sequence has real values, with the full variance, at the frequencies 0 and 1/2.
+    # the transform of a real sequence is real at the frequencies 0 and 1/2, with the full variance
     spectrum[[0, -1]] = spectrum.real[[0, -1]] * math.sqrt(2.0)
     spectrum *= np.sqrt(eigenvalues * (size / 2.0))
     return np.asarray(fft.irfft(spectrum, size, overwrite_x=True))
@@ -155,20 +170,22 @@ def _draw(eigenvalues: Floats, rng: np.random.Generator) -> Floats:
 def bank(
     process: Process, times: Sequence[float], m: ArrayLike
 ) -> tuple[tuple[float, GaussMarkov], ...]:
-    """Return Gauss-Markov processes whose sum has nearly the Allan variance of a process.
+    """Return Gauss-Markov processes whose sum approximates the Allan variance of a process.
 
     Parameters
     ----------
     process : Process
+        The process to be approximated, with the coefficient 1.
     times : sequence of float
-        Correlation times of the Gauss-Markov processes.
+        Correlation times of the Gauss-Markov processes in samples.
     m : (factors,) array
-        Averaging factors at which the relative differences are minimized.
+        Averaging factors at which the relative differences of the Allan variances are minimized
+        (nonnegative least squares).
 
     Returns
     -------
-    tuple of (variance, GaussMarkov)
-        Only processes with a variance above 0.
+    tuple of (float, GaussMarkov)
+        Variance and process; only pairs with a variance above 0.
     """
     members = [GaussMarkov(float(time)) for time in times]
     target = avar(process, m)

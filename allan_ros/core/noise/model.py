@@ -18,19 +18,20 @@ from .process import Floats, Process
 from .registry import LETTERS, PROCESSES
 
 CONTINUOUS = 1e-6
-"""Sample period relative to the shortest time, with which continuous time is approximated."""
+"""Sample period with which continuous time is approximated, relative to the shortest time of
+interest."""
 
 BY_LETTER: Mapping[str, Process] = {
     one.letter: one() for one in PROCESSES.values() if one.letter and not one.parameters
 }
-"""Letter -> process of the five terms."""
+"""Letter -> process, for the five terms Q, N, B, K and R."""
 
 
 Interval = tuple[float, float]
 
 
 class Part(NamedTuple):
-    """A process of a model.
+    """A process of a model with its coefficient.
 
     Attributes
     ----------
@@ -39,9 +40,10 @@ class Part(NamedTuple):
     value : float
         Coefficient in SI.
     ci95 : (low, high) or None
-        95 % interval of the coefficient; None if it is unknown or stated elsewhere (terms).
+        95 % interval of the coefficient; None if it is unknown. The intervals of the five terms are
+        not in a model but in `AxisFit.noise`.
     shape_ci95 : tuple of (low, high)
-        95 % intervals of the numbers of the shape; empty if they are unknown.
+        95 % interval of each number of the shape; empty if the intervals are unknown.
     """
 
     process: Process
@@ -57,11 +59,11 @@ class Covariance:
     Attributes
     ----------
     names : tuple of str
-        Parameters: 'Q', 'N', 'B', 'K', then the names of the processes with a number, in the order
-        of `Model.parts`.
-    matrix : (parameters, parameters) array
-        Covariance of their squares (of N^2, of sigma^2, of amplitude^2 ...) in SI, with the
-        uncertainty of correlation times and frequencies included.
+        Names of the coefficients: 'Q', 'N', 'B', 'K', then the other processes in the order of
+        `Model.parts` as name and number, such as 'gauss_markov 0'.
+    matrix : (names, names) array
+        Covariance of the squared coefficients (N^2, sigma^2, amplitude^2 ...) in SI. It includes
+        the uncertainty of correlation times and frequencies.
     """
 
     names: tuple[str, ...]
@@ -75,8 +77,9 @@ class Model:
     Attributes
     ----------
     parts : tuple of Part
-        Processes with their coefficients in SI: the terms Q, N, B, K and R first. Sigma and
-        amplitude have the unit of the samples.
+        Processes with their coefficients in SI, the terms Q, N, B, K and R first. The coefficient
+        of another process is a standard deviation (sigma) or an amplitude in the unit of the
+        samples.
     covariance : Covariance or None
         Covariance of the fitted coefficients; None if it is unknown.
 
@@ -95,10 +98,12 @@ class Model:
     def of(cls, *processes: tuple[float, Process], **terms: float) -> Model:
         """Return the model of terms (``N=1e-3``) and of pairs (coefficient, process) in SI.
 
+        Terms and processes with the coefficient 0 are not in the model.
+
         Raises
         ------
         AllanError
-            If a value is not finite, or a coefficient other than R is negative.
+            If a term is not finite, or a term other than R is negative.
         """
         for name, value in terms.items():
             if not math.isfinite(value) or (value < 0.0 and name != 'R'):
@@ -109,31 +114,46 @@ class Model:
         return cls(tuple(parts))
 
     def value(self, letter: str) -> float:
-        """Return the coefficient of a term without a shape, such as 'N'; 0 if there is none."""
+        """Return the coefficient of one of the terms Q, N, B, K and R in SI.
+
+        The result is 0 if the model does not contain the term.
+        """
         return sum(part.value for part in self.parts if part.process == BY_LETTER[letter])
 
     def changed(self, **terms: float) -> Model:
-        """Return the model with other coefficients of some terms."""
+        """Return a model in which some terms (``N=1e-3``, in SI) have other coefficients.
+
+        Raises
+        ------
+        AllanError
+            As for `of`.
+        """
         own = {letter: self.value(letter) for letter in BY_LETTER}
         new = Model.of(**{**own, **terms}).parts
         rest = (part for part in self.parts if part.process not in BY_LETTER.values())
         return replace(self, parts=(*new, *rest))
 
     def __getitem__(self, name: str) -> tuple[Part, ...]:
-        """Return the parts of one kind of process, such as 'sinusoid'."""
+        """Return all parts whose process has a name, such as 'sinusoid'."""
         return tuple(part for part in self.parts if part.process.name == name)
 
     @property
     def shaped(self) -> Model:
-        """The model of the processes with a shape: all except terms and filter."""
+        """The model of all processes with a shape: without the five terms and the filter."""
         return self.where(lambda process: bool(process.parameters))
 
     def at_end(self, end: int, scatter: float = 0.0) -> Model:
-        """Return the model at the lower (0) or upper (1) ends of the intervals of its parts.
+        """Return the model with each coefficient at an end of its 95 % interval.
 
-        Coefficients without an interval, sinusoids and shapes are unchanged. ``scatter`` is half of
-        the 95 % interval of the logarithm of the drift in another hour, by which the intervals of
-        drift become wider.
+        Coefficients without an interval, sinusoids and shapes are unchanged.
+
+        Parameters
+        ----------
+        end : int
+            0 for the lower ends of the intervals, 1 for the upper ends.
+        scatter : float
+            Half of the 95 % interval of the logarithm of the amplitude of the drift in another hour
+            (`AxisFit.drift_scatter`). The intervals of drift processes become wider by it.
         """
 
         def value(part: Part) -> float:
@@ -153,10 +173,10 @@ class Model:
 
     @property
     def drift(self) -> Model:
-        """The model of what contributes to the growth of an integrated error.
+        """The model of all noise whose integrated error grows with time.
 
-        Processes whose integral is bounded, such as quantization and sinusoids, are left out. Of a
-        resonance, the density at 0 Hz is added to the white noise.
+        Processes whose integral is bounded, such as quantization and sinusoids above 0.1 Hz, are
+        excluded. A resonance is replaced by white noise with the same density at 0 Hz.
         """
         drift = self.where(lambda process: process.is_drift)
         added = sum(part.value**2 * part.process.density_at_zero for part in self.parts)
@@ -175,13 +195,13 @@ class Model:
         tau : (times,) array
             Averaging times in s.
         tau0 : float
-            Sample period in s; the result is for sampled noise (discrete random walk, aliased
-            sinusoids). With 0, it is for continuous time.
+            Sample period in s. The result is for sampled noise (random walk in discrete steps,
+            aliased sinusoids). With 0, the result is for continuous time.
 
         Returns
         -------
         (times,) float64 array
-            Squared unit of the samples.
+            Allan variance in the squared unit of the samples.
 
         Examples
         --------
@@ -192,7 +212,7 @@ class Model:
         return np.asarray(sum(self.contributions(tau, tau0).values(), np.zeros_like(tau)))
 
     def contributions(self, tau: ArrayLike, tau0: float = 0.0) -> dict[str, Floats]:
-        """Return the Allan variance of each process; their sum is `avar`.
+        """Return the Allan variance of each process; the sum over all processes is `avar`.
 
         Parameters
         ----------
@@ -202,7 +222,8 @@ class Model:
         Returns
         -------
         dict of name to (times,) float64 array
-            Names are the titles of the processes, such as 'N' and 'GM 300 s'.
+            Keys are the titles of the processes, such as 'N' and 'GM 300 s'. Values are in the
+            squared unit of the samples.
         """
         tau = np.asarray(tau, float)
         step = tau0 or CONTINUOUS * float(tau.min(initial=1.0))

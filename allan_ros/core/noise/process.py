@@ -17,52 +17,62 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Gamma = Callable[[ArrayLike, ArrayLike], Floats]
-"""gamma(M, j), whose arguments broadcast."""
+"""Function gamma(M, j) as `Process.gamma`, whose arguments broadcast."""
 
 GAIN_PROCESS = 11.0
-"""Least gain in -2 log L of one more process, plus 2 log(bins) if it has a frequency: 1 % of axes
-(0.7 % with the threshold of a bounded walk; sinusoids and resonances: none)."""
+"""Least gain in -2 log L (decrease) for which one more process is added to a model. For a process
+with a frequency, 2 log(bins) is added. The value is chosen for false alarms on 1 % of the axes.
+Measured (`bench/bench_accuracy.py`): a Gauss-Markov process or a bounded random walk on 0.7 % of
+2100 axes, a sinusoid or a resonance on none."""
 
 GAIN_RESOLVED = 5.41
-"""Least gain in -2 log L from 0 for a term to be resolved: one-sided 1 % (B 1.0, K 1.0 %)."""
-
+"""Least gain in -2 log L of the estimate of a term over 0 for which the term is resolved. It is
+2.33^2, for false alarms of 1 % (one-sided). Measured: 1.0 % for B and 1.0 % for K."""
 
 LARGEST_NUMBER = 1e150
-"""Largest coefficient whose square is a float; a document may state any number."""
-
+"""Limit of a coefficient before it is squared, because documents may contain larger numbers, whose
+squares overflow."""
 
 LEAST_PERIODS = 3.0
-"""Fewest periods of a sinusoid or resonance in the longest segment. A slow drift imitates fewer."""
+"""Fewest periods of a sinusoid or resonance in the longest segment. Fewer periods cannot be told
+from a slow drift."""
 
 
 class Parameter(NamedTuple):
-    """One number of the shape of a process. Its name is the name of a field of the class."""
+    """One number of the shape of a process."""
 
-    name: str
+    name: str  # of the field of the class
     unit: Literal['s', 'Hz']  # the time unit is the sample period in gamma, and 1 s in a `Model`
-    largest_step: float  # of a search, in the logarithm of the number
-    derivative_step: float  # for the derivative of an expectation, in the logarithm of the number
+    largest_step: float  # largest change of the logarithm of the number in one step of a search
+    derivative_step: float  # change of the logarithm of the number in a numerical derivative
 
 
 CORRELATION_TIME = Parameter('correlation_time', 's', 0.7, 1e-3)
-"""Time in which the autocovariance decays to 1/e. A search moves by at most a factor of two."""
+"""Time in which the autocovariance decays to 1/e. A step of a search changes it by at most a factor
+of two."""
 
 FREQUENCY = Parameter('frequency', 'Hz', 0.06, 1e-4)
-"""A search moves the frequency by at most half a bin of the spectra."""
+"""Frequency of an oscillation. A step of a search changes it by at most 6 %, which is half a bin at
+the lower end of an octave of the spectra."""
 
 
 class States(NamedTuple):
-    """Linear system x' = A x + white noise whose output is the process with the coefficient 1."""
+    """Linear system x' = A x + v with white noise v, whose output c'x is the process.
+
+    The coefficient of the process is 1.
+    """
 
     dynamics: Floats  # A, (states, states), per unit of time
-    noise: Floats  # two-sided density of the white noise, (states, states)
-    output: Floats  # (states,)
-    initial: Floats  # covariance of the states at the start; the level of a walk starts from 0
+    noise: Floats  # two-sided power spectral density of v, (states, states)
+    output: Floats  # c, (states,)
+    initial: Floats  # covariance of x at the start, (states, states); a random walk starts from 0
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Range of shapes that the data of a fit can tell apart; the time unit is the sample period.
+    """Range of the shapes of processes that the data of a fit can tell apart.
+
+    The time unit is the sample period.
 
     Attributes
     ----------
@@ -73,9 +83,9 @@ class Search:
     crossover : float
         Frequency in cycles per sample below which the fit uses block means instead of spectra.
     f : (bins,) array
-        Frequencies of the spectra.
+        Frequencies of the bins of the spectra in cycles per sample.
     block : (bins,) array
-        Samples per block of each bin.
+        Samples per spectral block of each bin.
     shortest : float
         Shortest correlation time of a process without a frequency.
     """
@@ -88,20 +98,21 @@ class Search:
     shortest: float
 
     def narrowest(self, frequency: float) -> float:
-        """Return the correlation time from which a process looks like a sinusoid in the spectra.
+        """Return the correlation time from which a resonance cannot be told from a sinusoid.
 
-        Its bandwidth is then a third of the width of a bin.
+        The bandwidth of the resonance is then a third of the width of a bin.
         """
-        at = int(np.argmin(np.abs(self.f - frequency))) if len(self.f) else 0
-        return float(self.block[at]) if len(self.f) else 64.0
+        nearest = int(np.argmin(np.abs(self.f - frequency))) if len(self.f) else 0
+        return float(self.block[nearest]) if len(self.f) else 64.0
 
 
 @dataclass(frozen=True)
 class Process:
-    """A noise process with a shape.
+    """A noise process with the coefficient 1, and with a shape if it has fields.
 
-    A subclass is a frozen dataclass in a module of `allan_ros.core.noise.processes`, whose fields
-    are the numbers of the shape. It must define `gamma`, and `states` or `no_states`.
+    A subclass is a frozen dataclass in a module of `allan_ros.core.noise.processes`. The fields of
+    the subclass are the numbers of the shape, for example a correlation time. It must define
+    `gamma`, and either `states` or `no_states`.
     """
 
     name: ClassVar[str]
@@ -129,20 +140,20 @@ class Process:
     """Id of the finding that reports the process; '' if none does."""
 
     no_states: ClassVar[str] = ''
-    """Why a Kalman filter has no exact states for the process; '' if `states` gives them."""
+    """Why a Kalman filter has no exact states for the process; '' if `states` returns states."""
 
     is_white: ClassVar[bool] = False
-    """Whether the process has no memory."""
+    """Whether the process is white noise."""
 
     is_regressor: ClassVar[bool] = False
-    """Whether it is a known function with an unknown factor and no random process."""
+    """Whether the process is a known function of time with an unknown factor, such as a ramp."""
 
     is_line: ClassVar[bool] = False
     """Whether all power is at one frequency."""
 
     low_band: ClassVar[Literal['dense', 'rank two', 'none']] = 'dense'
-    """Covariance of slow contrasts of block means in the search for the process: a dense matrix,
-    the squares of a cosine and a sine, or none because all candidates are faster."""
+    """Form of the covariance of the block means in the search for the process: a dense matrix, a
+    matrix of rank two (cosine and sine), or none because all candidates are faster."""
 
     replaces: ClassVar[type[Process] | None] = None
     """The term that this process replaces if the data show its shape."""
@@ -150,31 +161,47 @@ class Process:
     def gamma(self, M: ArrayLike, j: ArrayLike) -> Floats:
         """Return the autocovariance of means over M samples at a lag of j means.
 
-        The coefficient is 1, the time unit is the sample period, and the arguments broadcast. M
-        need not be whole. A constant, the same for all M and j, may be omitted.
+        The coefficient is 1, and the time unit is the sample period.
+
+        Parameters
+        ----------
+        M : array
+            Samples per mean, above 0; need not be whole.
+        j : array
+            Lag as a number of means, at least 0; broadcasts with ``M``.
+
+        Returns
+        -------
+        float64 array
+            Autocovariance in the squared unit of the samples, up to a constant that is the same for
+            all M and j.
         """
         raise NotImplementedError
 
     @property
     def is_drift(self) -> bool:
-        """Whether the integral of the process grows; the shape is in s and Hz."""
+        """Whether the process adds to the growing error of an integral (shape in s and Hz)."""
         return True
 
     @property
     def density_at_zero(self) -> float:
-        """Two-sided density at 0 Hz of vibration with the coefficient 1, in s; 0 for a line.
+        """Two-sided power spectral density at 0 Hz of a broad oscillation, for the coefficient 1.
 
-        The integral of vibration grows like that of white noise of this density.
+        The integral of the oscillation grows like the integral of white noise of this density. The
+        unit is the unit of time. The density is 0 for all other processes.
         """
         return 0.0
 
     @property
     def slowest_time(self) -> float:
-        """Time within which the process changes, for a comparison with slow disturbances."""
+        """Correlation time, or half of the period of a sinusoid.
+
+        It is infinite for a process without a shape, and 0 for a resonance.
+        """
         return math.inf
 
     def states(self) -> States | None:
-        """Return exact states in continuous time, or None."""
+        """Return the exact state-space model in continuous time, or None if there is none."""
         return None
 
     @classmethod
@@ -184,46 +211,54 @@ class Process:
 
     @classmethod
     def threshold(cls, bins: int) -> float:
-        """Return the least gain in -2 log L of one more process.
+        """Return the least gain in -2 log L for which the process is added to a model.
 
-        The search over the frequencies of ``bins`` bins increases it by 2 log(bins). A process with
-        two numbers contains a simpler one with one, so it must be better by `GAIN_RESOLVED`.
+        A search over the frequencies of ``bins`` bins increases this gain by 2 log(bins). A process
+        whose shape has two numbers must be better by `GAIN_RESOLVED` than the simpler process with
+        one number that it contains as a limit.
         """
         search = 2.0 * math.log(bins) * (FREQUENCY in cls.parameters)
         return GAIN_PROCESS + search + GAIN_RESOLVED * max(len(cls.parameters) - 1, 0)
 
     def bounds(self, parameter: Parameter, search: Search) -> tuple[float, float]:
-        """Return the lowest and the highest value of a number of the shape in a search."""
+        """Return the lowest and the highest value of a number of the shape in a search.
+
+        Both are in samples or in cycles per sample.
+        """
         if parameter.unit == 's':
             return search.shortest, 4.0 * search.longest
         return LEAST_PERIODS / search.longest, 0.499
 
     @property
     def bends_spectrum(self) -> bool:
-        """Whether the highest frequencies have a spectrum like that of a low-pass filter."""
+        """Whether the spectrum at the highest frequencies looks like low-pass filtered noise."""
         return False
 
     def is_broad_near(self, highest: float) -> bool:
-        """Return whether it can have the shape of a low-pass filter that bends the spectrum.
+        """Return whether the process can imitate a low-pass filter that bends the spectrum.
 
-        ``highest`` is the highest frequency of the fit, near which such a filter bends it.
+        ``highest`` is the highest frequency of the fit in cycles per sample, near which a filter
+        bends the spectrum.
         """
         return False
 
     def limit(self, search: Search) -> Process:
-        """Return the process that this one becomes at the end of its range, or itself."""
+        """Return the simpler process that this one becomes at a limit of its shape, or itself."""
         return self
 
     def alias_variance(self, step: int) -> float:
-        """Return the variance of means over ``step`` samples if only aliases of it remain, or 0."""
+        """Return the largest variance of means over ``step`` samples that is due to an alias.
+
+        The result is 0 for a process without aliases in these means.
+        """
         return 0.0
 
     def facts(self, value: float) -> dict[str, float]:
-        """Return the numbers of the finding about a process with an SI coefficient."""
+        """Return the numbers of the finding about the process; ``value`` is its SI coefficient."""
         return {self.coefficient: value, **self.numbers}
 
     def sample(self, n: int, rng: np.random.Generator) -> Floats | None:
-        """Return n samples, or None if `derived.simulate` draws them from gamma."""
+        """Return n samples, (n,), or None if `derived.simulate` draws them from gamma."""
         return None
 
     # --- units ------------------------------------------------------------------------------------
@@ -247,10 +282,10 @@ class Process:
         return self.with_shape({parameter.name: self.numbers[parameter.name] * factor})
 
     def in_unit(self, unit: float) -> Process:
-        """Return the process with another time unit, which is ``unit`` old ones long.
+        """Return the process with its shape in another unit of time.
 
-        ``in_unit(tau0)`` is the shape in samples of a shape in s, and ``in_unit(1.0 / tau0)`` the
-        reverse.
+        ``unit`` is the length of the new unit in the present one: ``in_unit(tau0)`` converts a
+        shape from s to samples, and ``in_unit(1.0 / tau0)`` from samples to s.
         """
         if not self.parameters:
             return self
@@ -263,15 +298,18 @@ class Process:
         )
 
     def in_samples(self, coefficient: float, tau0: float) -> float:
-        """Return an SI coefficient with the sample period as the time unit."""
+        """Return an SI coefficient in sample units, where the sample period is the unit of time."""
         return coefficient * math.pow(tau0, -self.time_power)
 
     def variance_of(self, coefficient: float, tau0: float) -> float:
-        """Return the factor of gamma for an SI coefficient: its square in sample units."""
+        """Return the factor by which gamma is multiplied: the coefficient squared, in sample units.
+
+        ``coefficient`` is in SI, and ``tau0`` is the sample period in s.
+        """
         return min(abs(self.in_samples(coefficient, tau0)), LARGEST_NUMBER) ** 2
 
     def coefficient_of(self, variance: float, tau0: float) -> float:
-        """Return the SI coefficient of a factor of gamma; 0 for a negative one."""
+        """Return the SI coefficient for a factor of gamma (``variance``); 0 if it is negative."""
         return math.sqrt(max(variance, 0.0)) * math.pow(tau0, self.time_power)
 
     @property

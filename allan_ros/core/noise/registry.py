@@ -24,13 +24,13 @@ def _classes() -> Iterator[type[Process]]:
 
 
 def _place(one: type[Process]) -> tuple[int, int, str]:
-    """Return the place of a process in the registry: the five terms first."""
+    """Return the sort key of a process: the five terms come first."""
     letter = LETTERS.find(one.letter) if one.letter else len(LETTERS)
     return len(one.parameters) and len(LETTERS), letter, one.name
 
 
 PROCESSES: Mapping[str, type[Process]] = {one.name: one for one in sorted(_classes(), key=_place)}
-"""Name -> class."""
+"""Name in documents -> class, the five terms first."""
 
 RANDOM_TERMS: tuple[Process, ...] = tuple(
     one()

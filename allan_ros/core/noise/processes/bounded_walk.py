@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random walk that a restoring force bounds: a slow Gauss-Markov process with the coefficient K."""
+"""Bounded random walk: a slow Gauss-Markov process with the coefficient K."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from .random_walk import RandomWalk
 class BoundedWalk(Process):
     """Gauss-Markov process that grows like a random walk of unit steps before its correlation time.
 
-    It replaces the random walk, which it becomes at infinite correlation time T: 1/T > 0 is one
-    more coefficient.
+    At an infinite correlation time T, the process is a random walk. A fit replaces the random walk
+    by this process if the data show that 1/T is above 0.
     """
 
     name = 'bounded_walk'
@@ -55,4 +55,4 @@ class BoundedWalk(Process):
 
     @classmethod
     def threshold(cls, bins: int) -> float:
-        return 7.0  # at any correlation time: 1 %
+        return 7.0  # false alarms on 1 % of the axes in a search over all correlation times

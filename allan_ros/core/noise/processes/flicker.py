@@ -16,15 +16,17 @@ FLICKER_FLOOR = 2.0 * math.log(2.0) / math.pi
 """Ratio of the Allan variance of bias instability to B^2: (0.664)^2 (IEEE Std 952-1997, C.1.3)."""
 
 SERIES_FROM = 30
-"""Lag from which the autocovariance is computed by a series."""
+"""Lag, as a number of means, above which the autocovariance is computed by a series: the second
+difference of large numbers loses digits."""
 
 
 @dataclass(frozen=True)
 class Flicker(Process):
     """Flicker noise with B = 1.
 
-    gamma is the second difference of -t^2 ln|t| / (2 pi) over M^2 with t in samples; at long lags,
-    of its series. The term ln(M) makes the omitted constant equal for all M.
+    gamma is the second difference of -t^2 ln|t| / (2 pi), divided by M^2, where t is in samples. At
+    long lags, a series of this difference is used. The term ln(M) makes the omitted constant equal
+    for all M.
     """
 
     name = 'flicker'
@@ -44,5 +46,5 @@ class Flicker(Process):
 
 
 def _square_log(t: Floats) -> Floats:
-    """Return t^2 ln|t|, 0 at 0."""
+    """Return t^2 ln|t|, which is 0 at t = 0."""
     return np.asarray(t * t * np.log(np.where(t > 0.0, t, 1.0)))

@@ -12,10 +12,10 @@ from .quantization import Quantization
 
 @dataclass(frozen=True)
 class LowPass(Quantization):
-    """Effect of a low-pass filter on averages that are long compared with its response.
+    """Effect of a low-pass filter on averages that are long compared with its impulse response.
 
-    A filter changes the spectrum of white noise by a series in f^2, whose first term has the
-    spectrum of quantization noise. Its coefficient may be negative, and mostly is.
+    A filter changes the spectrum of white noise by a series in f^2. The first term of the series
+    has the spectrum of quantization noise, with a coefficient that is mostly negative.
     """
 
     name = 'low_pass'

@@ -14,7 +14,7 @@ from ..process import Floats, Process
 
 @dataclass(frozen=True)
 class Quantization(Process):
-    """The difference of white noise of unit variance."""
+    """First difference of white noise of unit variance."""
 
     name = 'quantization'
     letter = 'Q'

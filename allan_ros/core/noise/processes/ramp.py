@@ -14,10 +14,11 @@ from ..process import Floats, Process, States
 
 @dataclass(frozen=True)
 class Ramp(Process):
-    """Ramp of one unit per sample: a regressor whose coefficient has a sign.
+    """Ramp of one unit per sample: a regressor whose coefficient may be negative.
 
-    A weighted sum of means at the times t_i with weights w_i of sum 0 has the square
-    (sum w_i t_i)^2 = - sum w_i w_j (t_i - t_j)^2 / 2, so a ramp has a gamma like random processes.
+    A sum of means at the times t_i with weights w_i, whose sum is 0, has the square
+    (sum w_i t_i)^2 = - sum w_i w_j (t_i - t_j)^2 / 2. A ramp therefore has a gamma like a random
+    process.
     """
 
     name = 'ramp'

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Resonance: a damped oscillation that noise excites, for example of a mounting."""
+"""Resonance, for example of a mounting: a damped oscillation that is excited by white noise."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from ..process import CORRELATION_TIME, FREQUENCY, Floats, Parameter, Process, S
 from .sinusoid import Sinusoid
 
 BANDWIDTHS = (1.0, 3.0)
-"""Correlation times of the candidates, in periods times 1.5. Shorter ones than the first period are
-not allowed: they imitate a low-pass filter."""
+"""Correlation times of the candidates, in units of 1.5 periods. A fitted correlation time is at
+least one period: a shorter one imitates a low-pass filter."""
 
 
 @dataclass(frozen=True)
 class Resonance(Process):
     """Second-order process of unit variance: a damped oscillation of random phase.
 
-    Its autocovariance at a lag of t is exp(-t/T) cos(2 pi f t). It becomes a sinusoid when its
-    bandwidth is far below the resolution of the spectra.
+    The autocovariance at a lag of t is exp(-t/T) cos(2 pi f t). If the bandwidth is far below the
+    resolution of the spectra, the fit replaces the resonance by a sinusoid.
     """
 
     name = 'resonance'
@@ -61,7 +61,7 @@ class Resonance(Process):
 
     @property
     def slowest_time(self) -> float:
-        return 0.0  # it is always fast
+        return 0.0  # a resonance is fast compared with any drift
 
     def is_broad_near(self, highest: float) -> bool:
         periods = self.frequency * self.correlation_time
@@ -78,7 +78,7 @@ class Resonance(Process):
 
     @classmethod
     def grid(cls, search: Search) -> Iterator[Process]:
-        """Yield resonances at the frequencies of the bins well above the block means."""
+        """Yield resonances at the frequencies of the bins above twice the crossover frequency."""
         f = search.f[search.f > 2.0 * search.crossover]
         return (cls(float(x), float(1.5 * c / x)) for x in f for c in BANDWIDTHS)
 

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from ..process import FREQUENCY, LEAST_PERIODS, Floats, Process, Search
 
 SLOW_SINUSOID_HZ = 0.1
-"""Sinusoids up to this frequency are treated as drift of the sensor (temperature cycles); faster
-ones as motion."""
+"""Highest frequency in Hz of a sinusoid that counts as drift of the sensor, such as a temperature
+cycle. Faster sinusoids count as vibration or motion."""
 
 DAY_S = 86400.0
 
@@ -56,12 +56,12 @@ class Sinusoid(Process):
     def alias_variance(self, step: int) -> float:
         if self.frequency * step <= 1.0:
             return 0.0
-        # of all aliases at random frequencies
+        # the gain of the means at an alias is at most 1/(step sin(pi f))
         return 0.5 / (step * math.sin(math.pi * self.frequency)) ** 2
 
     @classmethod
     def grid(cls, search: Search) -> Iterator[Process]:
-        """Yield sinusoids at the frequencies of the bins and between them."""
+        """Yield sinusoids half a bin apart; below the lowest bin, half a period per segment."""
         f, highest = search.f, min(search.crossover, 0.5 / search.step)
         low = np.arange(LEAST_PERIODS, search.longest * highest, 0.5) / search.longest
         width = np.diff(f, append=f[-1:] if len(f) else [])
@@ -72,8 +72,9 @@ class Sinusoid(Process):
 
 
 def daily_cycle(samples: int, tau0: float) -> Sinusoid | None:
-    """Return the daily cycle, which may be in the model of a segment of more than 18 h.
+    """Return a sinusoid with a period of one day, or None for a segment of 18 h or less.
 
-    The temperature of most rooms follows it.
+    ``samples`` is the number of samples of the segment, and ``tau0`` is the sample period in s. A
+    daily cycle is expected because the temperature of most rooms has one.
     """
     return Sinusoid(tau0 / DAY_S) if samples * tau0 > 0.75 * DAY_S else None
