@@ -29,10 +29,10 @@ from ..core.errors import AllanError, one_line
 from ..core.estimate import Estimate
 from ..core.filters.noise_parameters import Variances, white_ratio, white_variances
 from ..core.findings import Finding, finding
-from ..core.imu import AXES, NANOSECONDS, SENSORS, ImuIdentity, sensor_of
+from ..core.imu import AXES, SENSORS, ImuIdentity, sensor_of
 from ..core.stream.present_faults import noise_ratios
 from ..core.stream.transport import faults_of
-from ..readers.cdr import CovariancePatch, MalformedMessage, decode_imus, frame_id_of
+from ..readers.cdr import CovariancePatch, MalformedMessage, frame_id_of
 from ..readers.files import parse_json
 from ..results.datasheets import load_sensor
 from ..results.documents import results_from_document
@@ -40,6 +40,7 @@ from ..results.from_datasheet import results_of_datasheet
 from ..results.results import Results
 from ..view.finding_text import finding_line
 from .diagnostics import status_name, status_of
+from .first_messages import FirstMessages
 from .imu_input import QUEUE_DEPTH, full_name, qos_text, subscribe_raw
 from .messages import ModelListener, bias_of
 from .node import AllanNode, NodePart
@@ -61,10 +62,6 @@ MODEL_GRACE_S = 120.0
 
 DISCOVERY_S = 5.0
 """Time in s after the start from which a missing publisher of the noise model is a warning."""
-
-FIRST_RATE_HZ, RATE_S = 1000.0, 1.0
-"""Sample rate for which a datasheet gives the covariances of the first messages, and time in s from
-which the rate is measured. Few IMUs are faster, so the first covariances are rather too large."""
 
 PROBES = {sensor: CovariancePatch({sensor: (1.0, 1.0, 1.0)}) for sensor in SENSORS}
 """Sensor -> a patch that changes its covariance only if it is zero."""
@@ -146,32 +143,6 @@ def bias_in_model(results: Results) -> dict[str, Estimate]:
     }
 
 
-class RateOfStamps:
-    """The sample rate of messages by their stamps, as the largest one over `RATE_S`."""
-
-    def __init__(self) -> None:
-        self.rate_hz = FIRST_RATE_HZ
-        self._window: tuple[int, int] | None = None  # number of messages, and stamp in ns
-        self._known = False
-
-    def update(self, count: int, latest: bytes | None) -> None:
-        """Process the number of messages so far, and the latest of them."""
-        if latest is None:
-            return
-        try:
-            stamp = int(decode_imus([latest], 'cdr').stamps_ns[0])
-        except MalformedMessage:
-            return
-        began, since = self._window or (count, stamp)
-        seconds = (stamp - since) / NANOSECONDS
-        if self._window is None or not 0.0 <= seconds < 10.0 * RATE_S:  # a jump or a pause
-            self._window = count, stamp
-        elif seconds >= RATE_S:
-            rate = (count - began) / seconds
-            self.rate_hz = max(rate, self.rate_hz) if self._known else rate
-            self._window, self._known = (count, stamp), True
-
-
 class ModelInput:
     """Passes the topics ``noise_model`` and ``bias`` of an estimator in another process on.
 
@@ -222,9 +193,10 @@ class ImuRelay(NodePart):
     """Republishes the messages of one IMU on ``<topic>_with_covariance``, with covariances.
 
     They are from the noise model that `offer` receives, and for a sensor without one from the
-    datasheet ``estimator.sensor``. ``input_findings`` returns the findings about the input of the
-    model, whose topic is ``model_topic``. Raises AllanError if both topics have the same name after
-    remapping, or the datasheet cannot be read.
+    datasheet ``estimator.sensor``. With a datasheet, they cover the mean angular rate so far until
+    the bias is known. ``input_findings`` returns the findings about the input of the model, whose
+    topic is ``model_topic``. Raises AllanError if both topics have the same name after remapping,
+    or the datasheet cannot be read.
     """
 
     def __init__(
@@ -247,7 +219,7 @@ class ImuRelay(NodePart):
         self._bias: Mapping[str, Estimate] = {}
         self._variances: dict[str, Variances] = {}  # that are filled in
         self._from_datasheet: tuple[str, ...] = ()  # sensors
-        self._rate = RateOfStamps()
+        self._first = FirstMessages()
         self._latest: bytes | None = None  # message
         self._patch = CovariancePatch({})
         self._made_of: tuple[object, ...] = ()
@@ -300,12 +272,13 @@ class ImuRelay(NodePart):
     def tick(self, now: float) -> None:
         """Make a new patch if the noise model, the bias or the parameters have changed."""
         if self._datasheet is not None:
-            self._rate.update(self._counts[RECEIVED], self._latest)
-        made_of = self._results, self._settings.value, self._bias, self._rate.rate_hz
+            self._first.update(self._counts[RECEIVED], self._latest)
+        first = self._first.rate_hz, self._first.bias
+        made_of = self._results, self._settings.value, self._bias, *first
         if self._made_of and all(map(operator.is_, made_of, self._made_of)):
             return
         self._made_of = made_of
-        results, settings, bias, rate = made_of
+        results, settings, bias, rate, first_bias = made_of
         noise: dict[str, Variances] = {}
         if self._datasheet is not None:
             noise = relay_variances(self._datasheet, settings, rate)
@@ -321,7 +294,7 @@ class ImuRelay(NodePart):
             if settings.motion:
                 noise = in_motion(noise, results)
         if not settings.debiased:
-            noise = cover_bias(noise, bias, settings.horizon * rate)
+            noise = cover_bias(noise, {**first_bias, **bias}, settings.horizon * rate)
         self._variances, self._from_datasheet = noise, tuple(s for s in SENSORS if s in stated)
         self._patch = CovariancePatch(noise, settings.overwrite, frame_id)
 

@@ -1,0 +1,73 @@
+# Copyright 2026 the allan_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sample rate and mean angular rate of an IMU, before a noise model is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..core.estimate import Estimate
+from ..core.imu import AXES, NANOSECONDS, SENSORS, Floats
+from ..readers.cdr import MalformedMessage, decode_imus
+
+FIRST_RATE_HZ, RATE_S = 1000.0, 1.0
+"""Sample rate for which a datasheet gives the covariances of the first messages, and time in s from
+which the rate is measured. Few IMUs are faster, so the first covariances are rather too large."""
+
+
+class FirstMessages:
+    """The sample rate and the mean angular rate of messages, from some of them.
+
+    ``rate_hz`` is the largest rate by the stamps over `RATE_S`. ``bias`` is the mean of each axis
+    of the gyro with its standard error, updated every `RATE_S`. It is the bias of the gyro if the
+    IMU is at rest; a covariance that covers it is too large if the IMU turns.
+    """
+
+    def __init__(self) -> None:
+        self.rate_hz = FIRST_RATE_HZ
+        self.bias: dict[str, Estimate] = {}
+        self._window: tuple[int, int] | None = None  # number of messages, and stamp in ns
+        self._known = False
+        self._count = 0  # of messages at the last call
+        # of samples, their sum, and the sum of their squares
+        self._number, self._total, self._squares = 0, np.zeros(3), np.zeros(3)
+
+    def update(self, count: int, latest: bytes | None) -> None:
+        """Process the number of messages so far, and the latest of them."""
+        if latest is None or count == self._count:
+            return
+        self._count = count
+        try:
+            decoded = decode_imus([latest], 'cdr')
+        except MalformedMessage:
+            return
+        stamp = int(decoded.stamps_ns[0])
+        if np.isfinite(rates := decoded.samples[0, SENSORS['gyro']]).all():
+            self._add(rates)
+        began, since = self._window or (count, stamp)
+        seconds = (stamp - since) / NANOSECONDS
+        if self._window is None or not 0.0 <= seconds < 10.0 * RATE_S:  # a jump or a pause
+            self._window = count, stamp
+        elif seconds >= RATE_S:
+            rate = (count - began) / seconds
+            self.rate_hz = max(rate, self.rate_hz) if self._known else rate
+            self._window, self._known = (count, stamp), True
+        else:
+            return
+        self.bias = self._mean()
+
+    def _add(self, rates: Floats) -> None:
+        self._number += 1
+        self._total += rates
+        self._squares += rates**2
+
+    def _mean(self) -> dict[str, Estimate]:
+        """Return the mean of each axis of the gyro; empty before the first message."""
+        if not self._number:
+            return {}
+        mean = self._total / self._number
+        variance = np.maximum(self._squares / self._number - mean**2, 0.0) / self._number
+        axes = AXES[SENSORS['gyro']]
+        return {a: Estimate.normal(float(m), math.sqrt(v)) for a, m, v in zip(axes, mean, variance)}
