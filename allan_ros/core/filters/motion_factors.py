@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""By which factors the errors of an IMU are larger in motion than its noise at rest predicts."""
+"""Factors by which the errors of an IMU in motion exceed the prediction from its noise at rest."""
 
 from __future__ import annotations
 
@@ -22,32 +22,37 @@ from .drive_likelihood import CAUSES, DriveLikelihood, Fit, NoiseAtRest
 Floats = NDArray[np.float64]
 
 LEAST_DRIVES = 5
-"""Fewest drives for a result: the quantile of the intervals, t with this number minus 2, is 3.2."""
+"""Fewest drives for a result. With five drives, Student's t has three degrees of freedom: the
+intervals are 1.6 times as wide as with many drives (quantiles 3.2 and 1.96)."""
 
 DRIFT_S, SPREAD = 100.0, 25.0
-"""Time in s after which an unknown drift adds as much to an integral as white noise does, as an
-average over sensors, and largest factor of its square root of power on both sides."""
+"""Assumptions about an unknown drift. The typical random walk adds as much variance to an integral
+of `DRIFT_S` seconds as white noise does. The amplitude of the drift may be smaller or larger than
+this by a factor of up to `SPREAD`."""
 
 LIMIT = 2.0
-"""Logarithm of the power of an unknown drift at its limit, in standard deviations."""
+"""Upper limit of the logarithm of the power of an unknown drift, in standard deviations above the
+mean."""
 
 FLICKER_S = 30.0
-"""Time in s up to which an unknown drift is rather flicker noise than a random walk."""
+"""Assumed ratio B^2/K^2 of an unknown drift in s: the Allan variance of flicker noise exceeds that
+of the random walk at averaging times up to 40 s."""
 
 GAIN_CAUSE = 10.0
-"""Least gain in 2 log L for a matrix to be named as a cause."""
+"""Least gain in 2 log L for which a calibration error is named as a cause."""
 
 GAIN_PART = 4.0
-"""Least gain in 2 log L for the white or the slow noise alone to carry a factor."""
+"""Least difference in 2 log L between a factor for the white noise alone and a factor for the slow
+noise alone. If the difference is smaller, one factor multiplies both."""
 
 KNOWN_SHARE = 0.5
-"""An element of a matrix is determined if its standard deviation is below this share of the one
-before the data."""
+"""An element of a matrix is resolved if its posterior standard deviation is below this share of its
+prior standard deviation."""
 
 Part = Literal['all', 'white', 'slow']
 
 BOTH = ('gyro_white', 'gyro_slow'), ('accel_white', 'accel_slow')
-"""Noise that is multiplied by the factors of gyro and accelerometer."""
+"""Noise that is multiplied by one factor for the gyro, and by one factor for the accelerometer."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +62,14 @@ class Cause:
     Attributes
     ----------
     name : str
-        One of `CAUSES`.
+        'rotation', 'gyro_matrix', 'accel_matrix' or 'g_sensitivity'.
     gain : float
-        Gain in 2 log L.
+        Increase of 2 log L by this cause.
     elements : tuple of Estimate
-        The nine elements of the matrix, row by row; errors are the matrix times the true rates or
-        specific forces. Of a rotation, the vector in rad by which the axes of the gyro are turned
-        against those of the accelerometer. Elements that the drives do not determine are not
-        resolved: gravity shows no rotation around the vertical.
+        For 'rotation', the three elements of the vector in rad by which the axes of the gyro are
+        turned against the axes of the accelerometer. Else the nine elements of the matrix, row by
+        row; the error is the matrix times the true rate or specific force. Elements that the drives
+        do not determine are not resolved, because gravity shows no rotation about the vertical.
     """
 
     name: str
@@ -73,24 +78,31 @@ class Cause:
 
     @property
     def matrix(self) -> Floats:
-        """The matrix, (3, 3); NaN for elements that are not resolved."""
+        """The matrix, (3, 3); for a rotation, its cross-product matrix. NaN if not resolved."""
         values = np.array([np.nan if one.value is None else one.value for one in self.elements])
         return values.reshape(3, 3) if len(values) == 9 else cross_matrices(values)
 
     @classmethod
     def from_document(cls, fields: Fields) -> Cause:
-        """Return the cause in a JSON object, whose elements may be negative."""
+        """Return the cause from the fields of a JSON object; its elements may be negative."""
         elements = (Estimate.from_document(each, signed=True) for each in fields.each('elements'))
         return cls(fields.text('name'), fields.number('gain'), tuple(elements))
 
 
 @dataclass(frozen=True)
 class DriveRatio:
-    """Lengths of the errors of one drive over their rms as predicted from the noise at rest.
+    """Errors of one drive over the root mean square that the noise at rest predicts.
 
-    The errors are without the estimated bias of the accelerometer.
-    ``duration`` is the duration of the drive in s, ``turned`` the angle it turned in rad;
-    ``rotation`` is the ratio of the errors of the rotation, ``velocity`` of the velocity.
+    The effect of the estimated bias of the accelerometer is subtracted from the errors.
+
+    Attributes
+    ----------
+    duration : float
+        Duration of the drive in s.
+    turned : float
+        Angle by which the IMU turned during the drive, in rad.
+    rotation, velocity : float
+        Ratio of the error of the rotation, and of the velocity, to the predicted one.
     """
 
     duration: float
@@ -101,19 +113,20 @@ class DriveRatio:
 
 @dataclass(frozen=True)
 class SensorInMotion:
-    """Errors of one sensor in motion over the prediction from its noise at rest.
+    """Errors of one sensor in motion, relative to the prediction from its noise at rest.
 
     Attributes
     ----------
     factor : Estimate
-        Ratio of the rms errors of all drives to their prediction, of the angle for the gyro and of
-        the velocity for the accelerometer, without any calibration error in the model.
+        Ratio of the root mean square error of all drives to the predicted one: of the angle for the
+        gyro, of the velocity for the accelerometer. No calibration error is in the model.
     white, slow : Estimate or None
         Factors of N and of K (and other drift) that explain this ratio; None for a term that is as
-        at rest. The errors of white noise grow with the root of the duration of a drive, and those
-        of drift faster. Both are the same if the drives do not tell.
+        at rest. Errors due to white noise grow with the root of the duration of a drive, errors due
+        to drift grow faster. If the drives do not tell which grows, both factors are the same.
     explained : Estimate or None
-        ``factor`` with the calibration errors of all causes in the model; None without causes.
+        The same ratio as ``factor``, but with the calibration errors of all causes in the model;
+        None without causes.
     """
 
     factor: Estimate
@@ -123,24 +136,24 @@ class SensorInMotion:
 
     @property
     def raised(self) -> Mapping[str, Estimate]:
-        """Term -> its factor, of 'N' and 'K' if they are not as at rest."""
+        """Term -> factor, for those of 'N' and 'K' that differ from rest."""
         return {term: one for term, one in (('N', self.white), ('K', self.slow)) if one is not None}
 
 
 @dataclass(frozen=True)
 class NoiseInMotion:
-    """Errors of gyro and accelerometer in motion, and their causes.
+    """Errors of gyro and accelerometer in motion, and the causes of these errors.
 
-    ``motion['gyro']`` is the factor of the gyro, ``motion['accel']`` that of the accelerometer.
+    ``motion['gyro']`` and ``motion['accel']`` are the factors of the gyro and of the accelerometer.
 
     Attributes
     ----------
     gyro, accel : SensorInMotion
-        The factors of both sensors.
+        Errors of each sensor relative to the prediction.
     causes : tuple of Cause
-        Calibration errors that explain the errors.
+        Calibration errors that explain a part of the errors.
     drives : tuple of DriveRatio
-        Errors of each drive relative to their prediction.
+        Errors of each drive relative to the prediction.
     """
 
     gyro: SensorInMotion
@@ -153,23 +166,28 @@ class NoiseInMotion:
 
     @property
     def sensors(self) -> Mapping[str, SensorInMotion]:
-        """Sensor -> its factor."""
+        """Sensor ('gyro', 'accel') -> its errors in motion."""
         return {'gyro': self.gyro, 'accel': self.accel}
 
 
 def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> NoiseAtRest:
-    """Return the noise of an axis at rest for the prediction of errors in motion.
+    """Return the noise of an axis at rest, from which errors in motion are predicted.
 
-    The ramp of a recording is no noise, and the bias at the rest before each drive is subtracted.
+    The ramp is excluded: it is no noise, and the bias at the rest before each drive is subtracted.
 
     Parameters
     ----------
     model : Model
-        Resolved noise. Without any drift, the drift is unknown, within the limits.
+        Resolved noise. If it contains no drift, a drift of unknown size within ``limits`` is
+        assumed.
     tau0 : float
         Sample period in s.
     limits : mapping of 'B' or 'K' to float
         Upper limits of terms that are not resolved, in SI.
+
+    Returns
+    -------
+    NoiseAtRest
     """
     white, sigma = model.value('N'), 0.0
     parts = [p for p in model.drift.parts if not (p.process.is_white or p.process.is_regressor)]
@@ -194,7 +212,7 @@ def axis_noise(model: Model, tau0: float, limits: Mapping[str, float] = {}) -> N
 def noise_in_motion(
     drives: Sequence[DriveErrors], noise: Sequence[NoiseAtRest]
 ) -> NoiseInMotion | None:
-    """Return the factors of all drives; None for fewer than `LEAST_DRIVES`.
+    """Return the factors of both sensors and their causes; None for fewer than 5 drives.
 
     Parameters
     ----------
@@ -227,7 +245,7 @@ def noise_in_motion(
 
 
 def _with_causes(data: DriveLikelihood, plain: Fit) -> tuple[Fit, dict[str, float]]:
-    """Add causes one by one while they explain enough; return the fit and their gains."""
+    """Add causes one by one while each gains `GAIN_CAUSE`; return the fit and the gains."""
     best, gains = plain, {}
     while names := [name for name in CAUSES if name not in best.causes]:
         trials = {}
@@ -248,25 +266,26 @@ def predicted_errors(
     noise: Sequence[NoiseAtRest],
     causes: tuple[str, ...] = (),
 ) -> tuple[float, float, float]:
-    """Return the squared errors of drives over their prediction from other drives.
+    """Return the mean squared errors of some drives over the variance predicted from other drives.
 
     Parameters
     ----------
     used : sequence of DriveErrors
         Drives from which factors and causes are estimated.
     others : sequence of DriveErrors
-        Drives that are predicted. What both have in common, such as the bias of the accelerometer,
-        is predicted from the used ones.
+        Drives that are predicted. Unknowns that all drives have in common, such as the bias of the
+        accelerometer, are estimated from the used drives.
     noise : sequence of NoiseAtRest
         Noise of the six axes at rest.
     causes : tuple of str
-        Calibration errors that the used drives show, of `CAUSES`.
+        Calibration errors in the third model, of `CAUSES`.
 
     Returns
     -------
     (float, float, float)
-        Mean of the squared errors of rotation and velocity over their predicted variance: with the
-        noise at rest, with the factors, and with factors and causes. 1 is right.
+        Mean of the squared errors of rotation and velocity over the predicted variance, for three
+        models: the noise at rest, with the factors, and with the factors and causes. The mean is 1
+        if the model is right.
     """
     whole = DriveLikelihood.of([*used, *others], noise)
     data, ahead = whole.part(slice(0, len(used))), whole.part(slice(len(used), None))
@@ -286,9 +305,9 @@ def predicted_errors(
 
 
 def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
-    """Return the ratio of the rms errors of a sensor to their prediction.
+    """Return the ratio of the rms error of a sensor in all drives to the predicted one.
 
-    An unknown drift is predicted as the drives show it, but at most at its limit.
+    The prediction contains an unknown drift with its fitted size, but at most with its limit.
     """
     rows = {'gyro': ROTATION, 'accel': VELOCITY}[sensor]
     sizes = {
@@ -317,7 +336,7 @@ def _ratio(data: DriveLikelihood, fit: Fit, sensor: str) -> Estimate:
 def _raised(
     data: DriveLikelihood, fit: Fit, sensor: str, part: Part
 ) -> tuple[Estimate | None, Estimate | None]:
-    """Return the factors of white noise and drift of a sensor."""
+    """Return the factor of the white noise and the factor of the drift of a sensor."""
     halves = _quantile(fit) * fit.errors
     found = {
         names[0]: tuple(math.exp((x + s * h - offset) / 2.0) for s in (0.0, -1.0, 1.0))
@@ -341,7 +360,7 @@ def _quantile(fit: Fit) -> float:
 
 
 def _part(data: DriveLikelihood, fit: Fit, sensor: str) -> tuple[Part, Fit]:
-    """Return which noise of a sensor is larger in motion, and the fit with the factor of it."""
+    """Return which noise of a sensor is larger in motion, and the fit with its factor."""
     if f'{sensor}_slow' not in data.noise:
         return 'white', fit
     trials: dict[Part, Fit] = {}
@@ -357,7 +376,7 @@ def _part(data: DriveLikelihood, fit: Fit, sensor: str) -> tuple[Part, Fit]:
 
 
 def _elements(data: DriveLikelihood, fit: Fit, name: str) -> tuple[Estimate, ...]:
-    """Return the elements of the matrix of a cause with their intervals."""
+    """Return the elements of a calibration error with 95 % intervals."""
     means, deviations = data.elements(fit, name)
     half = _quantile(fit) * deviations
     known = deviations < KNOWN_SHARE * CAUSES[name]

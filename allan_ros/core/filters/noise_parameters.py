@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise parameters of a filter, computed from the noise models of the axes.
+"""Noise parameters for a state estimator, computed from the noise models of the axes.
 
 N and K are continuous-time noise densities: roots of two-sided power spectral densities. They are
 the fitted coefficients (`axis_level`) or the parameters of a reduced-order model (`reduce_axis`).
@@ -25,9 +25,21 @@ from .reductions import HORIZON_S, FilterLevel, Reduction, States, reduce_model
 def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
     """Return the fitted coefficient of a term, or its 95 % upper limit if it is not resolved.
 
-    With the limit, a filter overestimates the noise and gives its other sensors more weight.
-    ``axis`` is the name of the axis in messages. Raises AllanError if there is neither a positive
-    estimate nor a finite limit.
+    With the limit, a state estimator overestimates the noise and gives other sensors more weight.
+
+    Parameters
+    ----------
+    axis : str
+        Name of the axis in messages.
+    fit : AxisFit
+        Fit of the axis.
+    term : str
+        'Q', 'N', 'B', 'K' or 'R'; for R, the magnitude is returned.
+
+    Raises
+    ------
+    AllanError
+        If there is neither a positive estimate nor a finite limit.
     """
     coefficient = fit.noise[term].magnitude if term == 'R' else fit.noise[term]
     value, limit = coefficient.value, coefficient.upper95
@@ -45,16 +57,28 @@ def axis_level(axis: str, fit: AxisFit, term: str) -> FilterLevel:
 def reduce_axis(
     axis: str, fit: AxisFit, states: States = 'walk', horizon: float = HORIZON_S
 ) -> Reduction:
-    """Return the noise model of one axis, reduced to the states of a filter.
+    """Return the reduced-order model of one axis with its N and K.
 
-    N is replaced by its upper limit if it is not resolved, and so is K if the model has no drift.
+    If N is not resolved, its upper limit is used. If the model has no drift, or 'walk' would give
+    no random walk, K or its upper limit is added.
 
-    ``states`` are the states with which the filter models the bias, and ``horizon`` the longest
-    time in s that it integrates without a correction. ``axis`` is the name of the axis in messages.
+    Parameters
+    ----------
+    axis : str
+        Name of the axis in messages.
+    fit : AxisFit
+        Fit of the axis.
+    states : {'none', 'walk', 'processes'}
+        States with which the state estimator models the bias (see `reduce_model`).
+    horizon : float
+        Longest time in s that the state estimator integrates without a correction.
 
-    The ``levels`` of the result are N and, if it has a random walk, K. The interval of an increased
-    value ranges over the reductions of the models at the lower and at the upper ends of the 95 %
-    intervals of all coefficients.
+    Returns
+    -------
+    Reduction
+        ``levels`` are N and, if the model has a random walk, K. The interval of an increased value
+        ranges over the reduced-order models of two complete models: with all coefficients at the
+        lower, and at the upper ends of their 95 % intervals.
 
     Raises
     ------
@@ -65,7 +89,7 @@ def reduce_axis(
     model = fit.model.changed(N=white.value)
     resolved_walk = model.value('K')
     reduction = reduce_model(model, states, horizon)
-    # without drift, or if all drift is fast and became white noise
+    # there is no drift, or all drift is fast and was replaced by white noise
     if not model.has_drift or (states == 'walk' and not reduction.model.value('K')):
         walk = axis_level(axis, fit, 'K')
         reduction = reduce_model(model.changed(K=walk.value), states, horizon)
@@ -96,11 +120,24 @@ Variances = tuple[float, float, float]
 def white_variances(
     axes: Mapping[str, AxisFit], rate: float, inflation: float = 1.0, horizon: float = 0.0
 ) -> dict[str, Variances]:
-    """Return the sample variances (inflation N)^2 f of x, y, z for each sensor, 'gyro' and 'accel'.
+    """Return the variance (inflation N)^2 f of a sample of each axis, by sensor.
 
-    ``rate`` is the sample rate f in Hz. A sensor is left out if N of an axis has neither a value
-    nor a limit. If ``horizon`` (in s) is not 0, N is increased until white noise alone covers the
-    predicted error growth up to this time, for filters without a state for the bias.
+    Parameters
+    ----------
+    axes : mapping of axis name to AxisFit
+    rate : float
+        Sample rate f in Hz.
+    inflation : float
+        Factor by which N is multiplied.
+    horizon : float
+        If not 0, the longest time in s that a state estimator without bias states integrates. N is
+        then increased until white noise alone predicts at least the error of the complete model.
+
+    Returns
+    -------
+    dict of 'gyro' and 'accel' to (x, y, z)
+        In the squared unit of the samples. A sensor is excluded if N of one of its axes has neither
+        a value nor a limit, or if an axis is missing.
     """
     stds: dict[str, float] = {}
     for name, fit in axes.items():
@@ -120,10 +157,10 @@ def white_variances(
 
 
 def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
-    """Return how well the densities of `white_variances` with a horizon are known.
+    """Return the largest ratio of the upper to the lower end of the 95 % intervals of N.
 
-    It is the largest ratio of the upper to the lower end of their 95 % intervals; infinite if one
-    has no interval.
+    N is increased for a ``horizon`` in s as in `white_variances`. The result is infinite if an axis
+    has no interval, or an interval that begins at 0.
     """
     ratios = [1.0]
     for fit in axes.values():
@@ -136,11 +173,20 @@ def white_ratio(axes: Mapping[str, AxisFit], horizon: float) -> float:
 def measure_inflation(
     rest: Mapping[str, AxisFit], running: Mapping[str, AxisFit], horizon: float = HORIZON_S
 ) -> dict[str, dict[str, Check]]:
-    """Return the increase of N and K due to running motors: axis -> term -> comparison.
+    """Return the ratio of N and of K with motors on to N and K with motors off.
 
-    ``rest`` and ``running`` are the fits of a robot at rest, with motors off and with motors on. N
-    and K are taken from models reduced to white noise and a random walk. ``horizon`` is the
-    longest time in s that the filter integrates without a correction.
+    N and K are the parameters of reduced-order models with white noise and a random walk.
+
+    Parameters
+    ----------
+    rest, running : mapping of axis name to AxisFit
+        Fits of two recordings of a robot at rest, with motors off and with motors on.
+    horizon : float
+        Longest time in s that the state estimator integrates without a correction.
+
+    Returns
+    -------
+    dict of axis name to dict of 'N' or 'K' to Check
 
     Raises
     ------

@@ -9,8 +9,8 @@ The states are the integral of the samples (angle or velocity) and the component
     x_i'   = A_i x_i + white noise                   (`Process.states` of each other process)
 
 Bias instability has no exact model with a finite number of states. It is approximated by four
-Gauss-Markov processes with logarithmically spaced correlation times, whose Allan variance agrees
-within 5 % from about 3 s to 3000 s.
+Gauss-Markov processes with logarithmically spaced correlation times. Their Allan variance agrees
+with bias instability within 5 % from about 3 s to 3000 s.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ BANK_SIZE = 4
 """Number of Gauss-Markov processes that approximate bias instability."""
 
 LONGEST_TIME_S = 1500.0
-"""Longest correlation time in s of these processes."""
+"""Longest correlation time in s of the processes that approximate bias instability."""
 
 SHORTEST_TIME_S = 1.5
-"""Default of their shortest correlation time in s. It is smaller if bias instability exceeds white
-noise at shorter averaging times."""
+"""Largest value of the shortest correlation time in s of these processes. The time is shorter if
+bias instability exceeds white noise at short averaging times (see `flicker_processes`)."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,10 @@ class StateSpace:
     white : float
         Density N of the white noise, in the unit of the samples per sqrt(Hz).
     walk : float
-        Density K of the random walk. If it is 0, the walk is a constant bias.
+        Density K of the random walk in SI. If it is 0, the state of the walk is a constant bias.
     processes : tuple of (coefficient, Process)
-        Other processes with `Process.states`, in SI: a coefficient is mostly the stationary
-        standard deviation in the unit of the samples.
+        Other processes with `Process.states`, in SI. The coefficient of most processes is the
+        stationary standard deviation in the unit of the samples.
     slope : bool
         Whether a constant slope of the walk is the last state.
     """
@@ -82,7 +82,13 @@ class StateSpace:
         return int(self._blocks[-1][2].stop) + self.slope
 
     def transition(self, dt: float) -> Floats:
-        """Return the state transition matrix Phi, (size, size), for a step of ``dt`` s."""
+        """Return the state transition matrix Phi, (size, size), for a step of ``dt`` s.
+
+        Raises
+        ------
+        AllanError
+            If the step is not positive and finite.
+        """
         phi = np.eye(self.size)
         for _, process, place in self._blocks:
             own, _ = _integrated(process, _checked(dt))
@@ -92,7 +98,13 @@ class StateSpace:
         return phi
 
     def noise(self, dt: float) -> Floats:
-        """Return the discrete process noise covariance Qd, (size, size), of a step of ``dt`` s."""
+        """Return the discrete process noise covariance Qd, (size, size), of a step of ``dt`` s.
+
+        Raises
+        ------
+        AllanError
+            If the step is not positive and finite.
+        """
         q = np.zeros((self.size, self.size))
         q[0, 0] = self.white**2 * _checked(dt)
         for value, process, place in self._blocks:
@@ -104,8 +116,9 @@ class StateSpace:
     def initial_covariance(self, walk: float, slope: float = 0.0) -> Floats:
         """Return the initial covariance of the states, (size, size).
 
-        ``walk`` and ``slope`` are the prior standard deviations of these states. The other
-        processes have their stationary covariance, and the integral starts from 0.
+        ``walk`` and ``slope`` are the prior standard deviations of the states of the random walk
+        and of its slope. The other processes have their stationary covariance, and the integral
+        starts from 0.
         """
         p = np.zeros((self.size, self.size))
         for value, process, place in self._blocks:
@@ -116,7 +129,7 @@ class StateSpace:
         return p
 
     def sample_variance(self, rate: float) -> float:
-        """Return R = N^2 f, the variance of the white noise of one sample at ``rate`` Hz."""
+        """Return the variance R = N^2 f of the white noise of one sample at the rate f in Hz."""
         return self.white**2 * rate
 
 
@@ -139,7 +152,7 @@ def _integrated(process: Process, dt: float) -> tuple[Floats, Floats]:
 
     The matrices of a short step follow from a matrix exponential (C. F. van Loan, IEEE Trans.
     Automatic Control 23, 1978). Each doubling of the step adds positive matrices, so that no digits
-    are lost. The unit of time is dt, and the unit of the integral dt times that of the samples.
+    are lost. During the computation, the unit of time is ``dt``.
     """
     from scipy.linalg import expm  # slow to import
 
@@ -167,10 +180,9 @@ def _integrated(process: Process, dt: float) -> tuple[Floats, Floats]:
 def state_space(model: Model) -> StateSpace:
     """Return the state-space model of noise processes.
 
-    Bias instability becomes the Gauss-Markov processes of `flicker_processes`. For its slow
-    components, K^2 of the random walk is increased by B^2/(3 pi T), where T is their longest
-    correlation time. Quantization, ramp and sinusoids are left out, because a filter has no states
-    for them.
+    Bias instability becomes the Gauss-Markov processes of `flicker_processes`. Because these have
+    a longest correlation time T, K^2 of the random walk is increased by B^2/(3 pi T) for slower
+    components. Quantization, ramp and sinusoids are excluded, because they have no states.
     """
     n, b, k = (model.value(letter) for letter in 'NBK')
     slow = b / math.sqrt(3.0 * math.pi * LONGEST_TIME_S)
@@ -181,7 +193,7 @@ def state_space(model: Model) -> StateSpace:
 
 
 def has_states(process: Process) -> bool:
-    """Return whether a filter represents a process by states; a ramp is a slope, if at all."""
+    """Return whether a process becomes states; a ramp is the slope of the walk instead."""
     return process.states() is not None and not process.is_regressor
 
 
@@ -190,9 +202,21 @@ def flicker_processes(
 ) -> tuple[tuple[float, Process], ...]:
     """Return Gauss-Markov processes whose sum approximates the Allan variance of flicker noise.
 
-    ``bias_instability`` is the coefficient B of the flicker noise, and ``white`` the density N of
-    the white noise. White noise dominates at averaging times below N^2 / (0.441 B^2). The shortest
-    correlation time is a fifth of this, limited to the range 0.15 s to `SHORTEST_TIME_S`.
+    White noise dominates at averaging times below N^2 / (0.441 B^2). The shortest correlation time
+    is a fifth of this time, limited to the range from 0.15 s to `SHORTEST_TIME_S`.
+
+    Parameters
+    ----------
+    bias_instability : float
+        Coefficient B of the flicker noise in SI, above 0.
+    white : float
+        Density N of the white noise in SI.
+
+    Returns
+    -------
+    tuple of (float, Process)
+        Standard deviation in the unit of the samples, and Gauss-Markov process with its correlation
+        time in s.
     """
     crossing_s = white**2 / (FLICKER_FLOOR * bias_instability**2)
     shortest = min(max(crossing_s / 5.0, 0.15), SHORTEST_TIME_S)
@@ -207,9 +231,10 @@ def flicker_processes(
 
 
 def white_density(process: Process) -> float:
-    """Return the density (N for the coefficient 1) with which a process looks like white noise.
+    """Return the density N of the white noise that a process with the coefficient 1 resembles.
 
-    That is at times that are long compared with its correlation times.
+    It resembles white noise at times that are long compared with its correlation time. The unit is
+    sqrt(s). Raises AllanError if the process has no states.
     """
     states = _states(process)
     gain = np.linalg.solve(-states.dynamics.T, states.output)
