@@ -27,7 +27,7 @@ ARGUMENTS = {
     'baseline': ('', 'results.json of an earlier run to compare with'),
     'checkpoint': (
         '',
-        'file that keeps the Allan variance sums over a restart; a folder for several IMUs',
+        'file that keeps the Allan sums over a restart; a folder for several IMUs',
     ),
     'hardware_id': ('', 'serial number of each IMU, separated by commas'),
     'relay': (
@@ -52,7 +52,7 @@ LISTS = {
     'labels': 'input.labels',
     'hardware_id': 'input.hardware_ids',
 }
-"""The same for arguments that are lists."""
+"""Launch argument that is a list -> parameter that it overrides if it is given."""
 
 BOOLEANS = {'true': True, 'yes': True, 'on': True, '1': True}
 BOOLEANS |= {'false': False, 'no': False, 'off': False, '0': False}

@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files that filters, calibration tools and simulators read.
+"""Configuration files of state estimators, calibration tools and simulators.
 
-A `Target` describes one file: its keys (`Key`), their convention and its source, and the text
-format (`text`). `model` computes the `Row` of each key from the noise model, and `computed` the
-rows that are not in a table of keys. All targets are in `targets`.
+A `Target` describes one file: its keys (`Key`), the convention of its numbers with its source, and
+its format (module `text`). The module `filter_noise` computes the `Row` of each key from the noise
+model, and `computed` computes rows that are not in a table of keys. All targets are in `targets`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 WITHOUT_PARAMETERS = ('robot_localization', 'fuse')
-"""Filters that read the covariances of each message."""
+"""State estimators that read the covariances of each message."""
 
 
 def target_of(name: str) -> Target:
@@ -63,9 +63,9 @@ def target_rows(
 ) -> tuple[Row, ...]:
     """Return the measured numbers of a target, to set them as parameters of a running filter.
 
-    The parameters are the same as in `make_export`. ``bias`` maps axes to their bias at rest in SI.
-    If the filter has no state for the bias, its gain is raised to cover this bias. Leave it empty
-    if the bias is subtracted from the samples.
+    ``results``, ``name`` and ``options`` are the same as in `make_export`. ``bias`` is axis -> bias
+    at rest in SI. The gain of a filter without a bias state is raised to cover this bias. Leave
+    ``bias`` empty if the bias is subtracted from the samples.
 
     Raises
     ------
@@ -85,8 +85,8 @@ def make_export(
     """Return the text of a file with the measured noise for a filter or simulator.
 
     ``name`` is one of `TARGETS`, and ``words`` returns the text of a finding for the header. Raises
-    AllanError when the target is unknown, an option does not
-    apply to it, the results lack a required number, or their units are wrong.
+    AllanError when the target is unknown, the results lack a number or the factors in motion that
+    the file needs, or the samples are probably not in SI units.
     """
     target = target_of(name)
     noise = FilterNoise(results, options, target)

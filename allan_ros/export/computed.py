@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows that are no table of keys: state space, Gazebo, Madgwick filter, temperature.
+"""Rows of targets that have no table of keys: state space, Gazebo, Madgwick filter, temperature.
 
 The document ``allan_ros/state_space/3`` has for each axis under ``axes``: the levels ``white``,
 ``walk`` and ``processes`` in SI, and the matrices of
@@ -28,7 +28,7 @@ from .target import ANY_NODE, Key, Row
 SCHEMA = 'allan_ros/state_space/3'
 
 MATRIX_DIGITS = 12
-"""Significant digits of the matrices: diagonal elements of Phi are close to 1."""
+"""Significant digits of the matrices: elements on the diagonal of Phi differ little from 1."""
 
 
 def state_space_rows(noise: FilterNoise) -> Iterator[Row]:
@@ -80,14 +80,14 @@ def gazebo_rows(noise: FilterNoise) -> Iterator[Row]:
                 ('dynamic_bias_correlation_time', 'tau', 's'),
             )
         )
-        # these texts refer to all three axes
+        # these texts describe all three axes, so only the first axis has them
         white_words, bias_words = (f'of {sensor} {row.words}' for row in (white, bias))
         for i, (name, axis) in enumerate(noise.axes_of(sensor).items()):
             path = ('imu', element, name[-1], 'noise')
             step, turn_on = axis.rounding, axis.turn_on
             yield Row((*path, '@type'), 'gaussian_quantized' if step else 'gaussian')
             yield Row((*path, 'mean'), 0.0)
-            # at least half of the variance, so that rounding does not suppress the noise completely
+            # at least half of the variance remains, so that rounding does not suppress all noise
             variance = white.value[i] ** 2
             stddev = math.sqrt(max(variance - (step or 0.0) ** 2 / 12.0, variance / 2.0))
             yield Row((*path, white.key), rounded(stddev), white_words, levels=white.levels)
@@ -115,9 +115,11 @@ for inertial and inertial/magnetic sensor arrays, 2010, section on filter gains)
 def madgwick_rows(noise: FilterNoise) -> Iterator[Row]:
     """Yield the parameters gain and zeta of the Madgwick filter at the horizon h.
 
-    The gain is sqrt(3/4) times the error of the gyro: its Allan deviation at h without quantization
-    and vibration, and its bias if this is known, because the filter estimates no bias without a
-    magnetometer. zeta is sqrt(3/4) times the drift per second: R if every axis has a ramp, else
+    The gain is sqrt(3/4) times the error of the gyro. This error consists of the Allan deviation at
+    h without quantization and vibration, and of the bias if it is known, because the filter
+    estimates no bias without a magnetometer.
+
+    zeta is sqrt(3/4) times the drift per second. This drift is R if every axis has a ramp, else
     K / sqrt(h), because a random walk moves by K sqrt(h) within h.
     """
     horizon, axes = noise.horizon, noise.axes_of('gyro')
@@ -163,7 +165,7 @@ def covariance_rows(noise: FilterNoise) -> Iterator[Row]:
 def temperature_rows(noise: FilterNoise) -> Iterator[Row]:
     """Yield T0, and b0, b1 and b2 of the sensors whose three axes have a model of the bias.
 
-    Where the temperature has no effect that is resolved, b1 and b2 are 0.
+    b1 and b2 are 0 on axes where the effect of the temperature is not resolved.
     """
     sensors = noise.results.temperature_models
     complete = {s: models for s, models in sensors.items() if len(models) == len(AXES) / 2}

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The noise of one IMU in the convention of one target: the rows of its file.
 
+Discrete-time noise
+-------------------
 N and K are continuous-time noise densities. A filter with the rate f needs discrete-time noise. In
 one step of 1/f seconds, white noise must add N^2/f to the variance of the integral of the samples,
 and a random walk must add K^2/f to the variance of the bias (N. Trawny, S. I. Roumeliotis, Indirect
@@ -40,11 +42,11 @@ if TYPE_CHECKING:
     from ..results.results import Results
 
 FILE_DIGITS = 6
-"""Significant digits of numbers in a file, more than any interval justifies."""
+"""Significant digits of numbers in a file. Rounding to them is far below any 95 % interval."""
 
 REFUSED = ('gyro_unit', 'accel_unit', 'accel_scale', *UNSUITABLE)
-"""Ids of findings that the samples are not in SI units, or that the recording does not show the
-noise of the sensor: no file is written without `--force`."""
+"""Ids of findings with which no file is written without `--force`: the samples are not in SI units,
+or the recording does not show the noise of the sensor."""
 
 DEFAULT_TOPIC = '/imu0'
 """Topic in files of recordings without a topic, as in the examples of Kalibr."""
@@ -63,7 +65,7 @@ class Notation(NamedTuple):
     unit: str
     power: float = 1.0
     rate_power: float = 0.0
-    factor: float = 1.0  # unit of the number in SI
+    factor: float = 1.0  # SI value of the unit of the number
 
     def number(self, level: float, rate: float) -> float:
         """Return the number to write for N or K in SI (``level``) and a filter rate in Hz."""
@@ -99,7 +101,7 @@ def rounded(value: Any, digits: int = FILE_DIGITS) -> Any:
 def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapping[str, float]]:
     """Return the factors on N and K for each sensor: sensor -> 'N' or 'K' -> factor.
 
-    With ``options.motion`` they are the factors in motion, and at least 1.
+    With ``options.motion``, these are the factors in motion; a factor below 1 is taken as 1.
 
     Raises
     ------
@@ -123,8 +125,9 @@ def noise_factors(results: Results, options: ExportOptions) -> Mapping[str, Mapp
 class FilterNoise:
     """The noise of one IMU in the convention of one target, with one set of options.
 
-    The constructor raises AllanError if the units of the samples are probably wrong. Every method
-    raises it if a sensor is absent, or an axis has neither a value nor a limit.
+    The constructor raises AllanError if the samples are probably not in SI units, or the results
+    have no sample rate. The methods raise AllanError if a sensor that they need is absent, or an
+    axis has neither a value nor a limit.
 
     Attributes
     ----------
@@ -133,7 +136,7 @@ class FilterNoise:
     horizon : float
         Longest integration time in s over which N and K describe the error growth.
     bias : mapping of axis name to float
-        Bias at rest in SI, of axes of which it is known.
+        Bias at rest in SI of each axis whose bias is known.
     factors : mapping of sensor to mapping of term to float
         Factors on N and on the drift (K, R and processes) of 'gyro' and 'accel'.
     used : dict of axis name to Reduction
@@ -198,7 +201,7 @@ class FilterNoise:
         return self._process_row(path, key)
 
     def level_row(self, path: tuple[str, ...], sensor: str, term: str, notation: Notation) -> Row:
-        """Return the row of N, K or R of a sensor: of the worst axis, or of x, y and z."""
+        """Return the row of N, K or R of a sensor: the largest of the axes, or x, y and z."""
         units, factor = SI_UNITS[sensor], self.factors[sensor]['N' if term == 'N' else 'K']
         levels = [self.level(axis, term) for axis in self.axes_of(sensor)]
         if not self.target.three:
@@ -230,7 +233,8 @@ class FilterNoise:
     def _process_row(self, path: tuple[str, ...], key: Key) -> Row:
         """Return the row of sigma, tau or the driving density of the Gauss-Markov bias of x, y, z.
 
-        It is the process whose growth is closest to the growth of the drift of each axis.
+        The process of an axis is the one whose error growth is closest to that caused by the drift
+        of the axis.
         """
         axes = self.axes_of(key.sensor)
         common = any(each.what == 'common_tau' for each in self.target.keys)
@@ -311,7 +315,7 @@ class FilterNoise:
 
 
 def has_time(part: Part) -> bool:
-    """Return whether a part is a drift with a correlation time, which N and K cannot describe."""
+    """Return whether a part is drift with a correlation time, which N and K cannot describe."""
     return bool(part.process.parameters) and part.process.is_drift and not part.process.is_line
 
 

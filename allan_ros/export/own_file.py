@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The drift that a state estimator expects with the numbers in the user's own file."""
+"""Compares the drift that a filter expects with the user's own file with the measured drift."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SHOWN_DIGITS = 2
 """Significant digits of a drift."""
 
 ROUNDING_TOLERANCE = 0.01
-"""Relative difference that is due to the rounding of the numbers in a file."""
+"""Largest relative difference that the rounding of the numbers in a file explains."""
 
 SMALLEST_STD, LARGEST_STD = 1e-30, 1e15
 """Range of plausible numbers in a file, in any unit; their squares are finite."""
@@ -48,18 +48,21 @@ class Drift(NamedTuple):
 
     axis: str
     after: float  # s
-    file: float  # with the numbers of the user's file
+    file: float  # drift that a filter expects with the numbers of the user's file
     measured: float
     ci95: tuple[float, float] | None  # of ``measured``; None if unknown
 
     @property
     def ratio(self) -> float:
-        """Measured drift / drift in the file; above 1, the filter is overconfident."""
+        """Measured drift / drift that the file expects; infinite if the file expects none."""
         return self.measured / self.file if self.file else math.inf
 
     @property
     def overconfident(self) -> bool:
-        """Whether the file expects less than the interval of the measured drift."""
+        """Whether the file expects a drift below the 95 % interval of the measured drift.
+
+        Without an interval, whether the file expects a drift below the measured drift.
+        """
         return self.file < (self.ci95[0] if self.ci95 else self.measured)
 
     def __str__(self) -> str:
@@ -88,8 +91,8 @@ def against(
         Text of the user's file, in the format and with the keys that `make_export` writes; other
         keys are ignored.
     options : ExportOptions
-        The rate of the filter and the horizon, which is also the time over which the bias is
-        averaged before.
+        The rate of the filter and the horizon. The bias is assumed to be averaged over the horizon
+        before the last correction.
 
     Raises
     ------
@@ -112,7 +115,7 @@ def against(
 
 
 def verdicts(drifts: tuple[Drift, ...]) -> list[str]:
-    """Return a sentence for each sensor on its worst axis and time."""
+    """Return a sentence for each sensor about the axis and time with the largest ratio."""
     lines = []
     for sensor in dict.fromkeys(sensor_of(one.axis) for one in drifts):
         worst = max((d for d in drifts if sensor_of(d.axis) == sensor), key=lambda d: d.ratio)
@@ -121,13 +124,17 @@ def verdicts(drifts: tuple[Drift, ...]) -> list[str]:
         if worst.ratio > 1.0 + ROUNDING_TOLERANCE:
             said = f'a filter with your file is overconfident by {factor}'
             if not worst.overconfident:
-                said += ', within the interval of the measured drift'
+                said = f'your file expects {factor} times less than the measured drift, but lies '
+                said += 'within its interval'
         lines.append(f'{sensor}: {said} ({worst.axis} after {worst.after:g} s)')
     return lines
 
 
 def file_models(target: Target, text: str, rate: float) -> Mapping[str, Model]:
-    """Return axis -> noise that a filter assumes with the numbers in the text of its file."""
+    """Return axis -> noise model that a filter assumes with the numbers in the text of its file.
+
+    ``rate`` is the rate of the filter in Hz. Raises AllanError as `against` does.
+    """
     whats = {key.what for key in target.keys}
     if not whats & {'K', 'sigma'}:
         raise AllanError(

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Types of an export: the keys, rows and conventions of a file, and the options of the user."""
+"""Types of an export: keys, rows and conventions of a file, and the options of the user."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ..core.imu import SENSORS
 from ..core.settings import CheckedSettings, check_range, parameter
 
 VIO_HORIZON_S = 30.0
-"""Longest integration in s between corrections by a camera or lidar."""
+"""Longest time in s for which a filter integrates between corrections by a camera or lidar."""
 
 INS_HORIZON_S = 100.0
-"""Longest integration in s between corrections by GNSS, including outages."""
+"""Longest time in s for which a filter integrates between corrections by GNSS, with outages."""
 
 SIMULATOR_HORIZON_S = 1000.0
 """Time in s up to which a simulated sensor should drift like the real one."""
@@ -123,7 +123,7 @@ class Key(NamedTuple):
     # 'N' or 'K'; 'sigma', 'tau' or 'driving' (density sigma sqrt(2/tau)) of the Gauss-Markov bias;
     # 'common_tau': correlation time of all axes, in h; 'rate'; 'topic'
     what: str
-    unit: str = ''  # one of `model.NOTATIONS`, or a unit
+    unit: str = ''  # one of `filter_noise.NOTATIONS`, or a unit
     limits: tuple[float, float] | None = None  # range that the filter accepts
 
 
@@ -136,9 +136,9 @@ class Row:
     words: str = ''  # formula, axis and interval of the number as text; '' if it is not measured
     unit: str = ''  # '' if it is not measured
     # 95 % interval of the number in the unit of the file: (0, number) for an upper limit, (0, inf)
-    # if it is unknown; of three numbers the widest
+    # if the interval is unknown, and the widest of the intervals of three numbers
     interval: tuple[float, float] = (0.0, math.inf)
-    levels: tuple[FilterLevel, ...] = ()  # the measured noise levels from which it is computed
+    levels: tuple[FilterLevel, ...] = ()  # measured noise levels that the number is computed from
     findings: tuple[Finding, ...] = ()  # information for the user of the file
 
     @property
@@ -199,7 +199,7 @@ RAISED = 'Raised numbers cover B and correlated noise, for which such a filter h
 
 
 def origin_text(level: FilterLevel) -> str:
-    """Return how a number for a filter differs from the coefficient as measured."""
+    """Return in words how a number for a filter differs from the coefficient as measured."""
     name = f'{level.estimate.name} of {level.estimate.axis.replace("_", " ")}'
     if level.raised_from == 0.0:
         return f'{name} is not resolved: set to cover the error growth'
@@ -226,14 +226,15 @@ class Target:
     parent: tuple[str, ...] = ()  # the mappings that contain the keys
     fixed: Mapping[str, Value] = field(default_factory=dict)  # required, but not measured
     notes: tuple[str, ...] = ()  # further information for the user of this file
-    # yields the rows of a file that is too complex for a table, from a `model.FilterNoise`
+    # yields the rows of a file that is too complex for a table, given a `FilterNoise`
     rows: Callable[[Any], Iterable[Row]] | None = None
-    three: bool = False  # whether the file takes x, y and z of a sensor; else the largest
+    three: bool = False  # whether the file has numbers for x, y and z; else it has the largest
     rate_hz: float | None = None  # the filter's own rate; None if it steps with the samples
     horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
-    # whether the target models the bias as a random walk; then N and K are adjusted together
+    # whether the target models the bias as a random walk; N and K are then adjusted together
     walk: bool = True
-    # whether the numbers bound the error growth, as a filter needs; else they approximate it
+    # whether the numbers bound the error growth from above, as a filter needs; else they
+    # approximate the error growth
     bound: bool = True
 
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """All export targets: title, keys, convention and format of each file.
 
-Each convention was verified in the source file that it names. In formulas, N and K are the
-continuous densities, f is the rate in Hz.
+Each convention was verified in the source file that it names. In formulas, N and K are continuous
+densities, and f is the rate in Hz.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def set_noise(params):
         params.setBiasAccCovariance(np.diag(biasAccCovariance))
         params.setBiasOmegaCovariance(np.diag(biasOmegaCovariance))
     if hasattr(params, 'setBiasAccOmegaInit'):
-        # Up to GTSAM 4.2 the default is the identity, which exceeds the IMU by far. The uncertainty
+        # Up to GTSAM 4.2 the default is the identity, far above any bias of an IMU. The uncertainty
         # of the initial bias belongs into the prior factor of the bias.
         params.setBiasAccOmegaInit(np.zeros((6, 6)))
     return params
@@ -186,8 +186,9 @@ TARGETS = {
     'point_lio': Target(
         'Point-LIO parameters: variances N^2 f and K^2 f',
         'point_lio_imu.yaml',
-        'variance per sample: imu_meas_*_cov is R of the IMU as a measurement; Q dt^2 has *_input '
-        'and b_*_cov (src/Estimator.cpp, include/IKFoM/IKFoM_toolkit/esekfom/esekfom.hpp)',
+        'variance per sample: imu_meas_*_cov is R of the IMU as a measurement; *_input and b_*_cov '
+        'are Q, multiplied by dt^2 (src/Estimator.cpp, '
+        'include/IKFoM/IKFoM_toolkit/esekfom/esekfom.hpp)',
         yaml_form,
         (
             *keys_of("""
@@ -273,9 +274,8 @@ TARGETS = {
             'load it in the node: <rosparam command="load" file="..."/>, after its other noise',
         ),
     ),
-    # EKF2 and EK3 add (dt noise)^2 to the variance of angle and velocity and (dt bias_noise)^2 to
-    # the variance of the bias, where dt is the step of the filter; samples are averaged to this
-    # step before.
+    # EKF2 and EK3 add (dt noise)^2 to the variance of angle and velocity, and (dt bias_noise)^2 to
+    # the variance of the bias. dt is the step of the filter, to which the samples are averaged.
     'px4': Target(
         'PX4 EKF2 parameters: std per EKF step, within their ranges',
         'px4_imu.params',

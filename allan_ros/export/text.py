@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The text of a file: its header comment and its format."""
+"""Writes the header comment of a file, and the file in its format."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def header_lines(
 ) -> list[str]:
     """Return the lines of the header comment, without comment marks.
 
-    They state source, date, convention, units, rate, axes, intervals and warnings. ``name`` is the
-    target, ``rows`` are the keys of the file; ``words`` returns the text of a finding.
+    The lines state source, date, convention, units, rate, axes, intervals and warnings. ``name`` is
+    the name of the target, and ``words`` returns the text of a finding.
     """
     results, target = noise.results, noise.target
     limits = dict.fromkeys(row.key for row in rows if row.is_limit)
@@ -60,13 +60,13 @@ def header_lines(
             f'measured (allan_ros {__version__})',
             *(f'source: {source.path}' for source in results.provenance.sources),
         ]
-    rule = 'each (x, y, z)' if target.three else 'worst (the largest of x, y, z)'
+    axes = 'one number for each of x, y, z' if target.three else 'the largest number of x, y, z'
     lines = [
         *(f'warning: {words(note)}' for note in results.findings if note.id in first),
         *title,
         f'convention: {target.convention}',
         f'rate: f = {noise.rate:g} Hz, {noise.rate_words}',
-        f'axis rule: {rule}; inflation: {_inflation(noise)}',
+        f'axes: {axes}; inflation: {_inflation(noise)}',
     ]
     if noise.options.fidelity == 'coefficients':
         lines.append('fidelity: N and K as measured; they underestimate flicker and drift')
@@ -100,7 +100,7 @@ def header_lines(
 
 def _inflation(noise: FilterNoise) -> str:
     """Return the factors on the noise levels as text."""
-    without, motion = 'the levels below are without it', noise.results.motion
+    without, motion = 'the levels below are without these factors', noise.results.motion
     if noise.options.motion and motion is not None:
         shown = ', '.join(f'{name} {_raised(one)}' for name, one in motion.sensors.items())
         return f'in motion, {shown}, from {len(motion.drives)} drives; {without}'
@@ -156,8 +156,8 @@ def nested(rows: Sequence[Row]) -> dict[str, Value]:
 
 
 def json_form(rows: Sequence[Row], header: Sequence[str]) -> str:
-    """Return a JSON file; it has no comments, so the header is the value of a key."""
-    # last, because a reader may expect one of its keys first
+    """Return a JSON file. JSON has no comments, so the header is the value of the key allan_ros."""
+    # the header is last, because a reader may expect one of its own keys first
     document = {**nested(rows), 'allan_ros': list(header)}
     text = json.dumps(document, indent=INDENT, ensure_ascii=False, allow_nan=False)
     return INNERMOST_LIST.sub(lambda found: f'[{" ".join(found[1].split())}]', text) + '\n'

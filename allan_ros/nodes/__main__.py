@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The executables; not installed: ``python -m allan_ros.nodes monitor --ros-args ...``."""
+"""Entry points of the executables.
+
+Without installation: ``python -m allan_ros.nodes monitor --ros-args ...``.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ EXECUTABLES = ('accumulator', 'estimator', 'monitor', 'relay', 'watch')
 
 
 def ros_is_missing(program: str) -> bool:
-    """Return whether rclpy cannot be imported; then print one line with the reason."""
+    """Return whether rclpy cannot be imported. If it cannot, print the reason in one line."""
     try:
         import_module('rclpy')
     except ImportError as error:

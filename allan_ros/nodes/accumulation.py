@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Accumulates the Imu messages of one topic: running sums, checkpoint and input status."""
+"""Adds the Imu messages of one topic to Allan sums, which a checkpoint preserves over restarts."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from .node_settings import CheckpointSettings, InputSettings, WatchedImu, home_o
 from .sums_output import SumsOutput
 
 UPDATE_S = 0.5
-"""Period in s at which fetched messages are decoded and accumulated."""
+"""Period in s at which fetched messages are decoded and added to the Allan sums."""
 
 
 class ImuWatch(NodePart):
-    """Accumulates the sums of one IMU, and continues them from its checkpoint after a restart.
+    """Accumulates the Allan sums of one IMU; a restart continues the sums in the checkpoint.
 
-    ``output`` publishes the sums: periodically, for a new subscriber, and when sums are reset or
-    replaced. ``sensor`` is the only sensor that is used, '' for both. ``accel`` receives the
-    accelerometer on its own topic; then each output of either contains both, and the services apply
-    to both.
+    ``output`` publishes the sums periodically, for a new subscriber, and when sums are reset or
+    replaced. ``sensor`` is the only sensor that is used, or '' for both. ``accel`` is the watch of
+    an accelerometer with its own topic. If it is given, ``output`` publishes the sums of both
+    sensors whenever the sums of one are due, and the services apply to both.
     """
 
     def __init__(
@@ -98,10 +98,10 @@ class ImuWatch(NodePart):
         has_new_subscriber = self.output.has_new_subscriber()
         if self._sums_due.due(now) and self._sensor != 'accel':
             self._update()
-            last = self._accel or self  # which publishes the sums of both
+            last = self._accel or self  # when the accelerometer publishes, both are published
             last._update()
             last._publish(last._total())
-        elif has_new_subscriber:  # it does not wait for the period
+        elif has_new_subscriber:  # a new subscriber does not wait for the period
             self._publish(self._total())
         if self._save_due.due(now):
             self._update()
@@ -167,9 +167,9 @@ class ImuWatch(NodePart):
         return [status]
 
     def _is_paused(self) -> bool:
-        """Return whether the node uses simulated time, and this has not moved since the last call.
+        """Return whether simulated time has not moved since the last call; False with real time.
 
-        A message after that call shows that time has moved.
+        A message that arrived since that call shows that simulated time has moved.
         """
         now_ns, former_ns = self._node.get_clock().now().nanoseconds, self._clock_ns
         self._clock_ns = now_ns
@@ -187,15 +187,17 @@ class ImuWatch(NodePart):
     def _health_and_findings(self) -> tuple[StreamHealth, tuple[Finding, ...]]:
         """Return the health and the findings of the stream.
 
-        Computing the sums takes tens of milliseconds. So while messages arrive, they are only
-        computed if one of `_events` changed, such as the start of a motion. If they lack more than
-        `REPLACED_SHARE` of the published samples, they are published at once.
+        Computing the sums takes tens of milliseconds. While messages arrive, the sums are therefore
+        computed only if one of `_events` has changed, such as the start of a motion. If more than
+        `REPLACED_SHARE` of the published samples are missing in the new sums, the new sums are
+        published at once.
         """
-        quiet, self._received = self._input.received == self._received, self._input.received
+        has_new = self._input.received != self._received
+        self._received = self._input.received
         if self._outdated:
             health, findings = self._stream.present_health(self._result.sums)
             before, self._events = self._events, _events(health)
-            if not quiet and self._events == before:
+            if has_new and self._events == before:
                 return health, findings
             total = self._total()
             if replaced_share(self.output.sums, total[0]) > REPLACED_SHARE:
@@ -205,11 +207,11 @@ class ImuWatch(NodePart):
     # --- samples in -------------------------------------------------------------------------------
 
     def _begin(self, covered: Sequence[tuple[int, int]] = ()) -> None:
-        """Start new sums; ``covered`` is the time whose samples are in the checkpoint.
+        """Start new sums; ``covered`` are the stretches of time in the checkpoint, in ns.
 
-        With simulated time, a recording may be played again, which contains no new data: each time
-        is counted once. With real time, stamps that go back mean that the clock was set, which
-        only splits the data.
+        With simulated time, a recording may be played again, which contains no new data. The
+        samples of each time are therefore counted once. With real time, stamps that go back mean
+        that the clock was set, which only splits the data.
         """
         is_simulated = bool(self._node.get_parameter('use_sim_time').value)
         self._stream = ImuStream(
@@ -261,7 +263,7 @@ class ImuWatch(NodePart):
         return total
 
     def _state(self) -> object:
-        """Return what the estimator must know at once when it changes."""
+        """Return a value that changes when the estimator must receive the sums at once."""
         means = any(len(each.end_ns) for each in self._stream.means())
         return self.frame_id, self._axes, means, kinds_of(self._faults)
 
@@ -337,7 +339,7 @@ def watched_imus(node: AllanNode) -> list[WatchedImu]:
 
 
 def _events(health: StreamHealth) -> tuple[object, ...]:
-    """Return what changes at an event (a motion, a gap, another frame_id), but not at rest."""
+    """Return values that change with a motion, a gap or another frame_id, but not at rest."""
     c = health.counts
     started, splits = c.used > 0, sum(c.splits.values())
     return health.state, health.discarded, health.frame_id, health.frame_changes, splits, started

@@ -38,11 +38,12 @@ LEVELS: Mapping[str, bytes] = {
 """Severity of a finding -> level of a status, which is `bytes` in Python."""
 
 NUMBER_TEXT = r'[-+]?\d+(\.\d*)?(e[-+]?\d+)?'
-"""Pattern of the values of a status that are written as metrics."""
+"""Pattern of a number. Only values of a status that match it are written as metrics."""
 
 FINDING = 'finding'
-"""Key of a status with the id of the finding in its message. ``finding: <id>`` has the text, which
-begins with 'now' or 'earlier', or states when the event was."""
+"""Key of a status under which the id of the finding in the message stands. The text of each finding
+stands under the key ``finding: <id>``. It begins with 'now' or 'earlier', or states when the event
+was."""
 
 
 def status_name(node: Node, *words: str) -> str:
@@ -79,15 +80,15 @@ PARAMETERS = {
     '--accel-topic': 'parameter input.accel_topics:=',
     '--motion': 'parameter relay.motion:=true',
 }
-"""Option of the command line -> what to do in a node. With ``:=``, the value follows."""
+"""Option of the command line -> what to do in a node. After ``:=``, the text names the value."""
 
 
 VALUELESS = re.compile(r':=(?=\W|$)(?!\{)')
-"""The assignment of a parameter that no value follows."""
+"""The sign ``:=`` of a parameter, if no value follows the sign."""
 
 
 def node_text(found: Finding) -> str:
-    """Return the text of a finding for the operator of a node: parameters instead of options.
+    """Return the text of a finding with ROS parameters instead of command line options.
 
     Examples
     --------
@@ -118,7 +119,7 @@ def status_of(
     values are the id of the finding in the message, ``pairs`` and all findings, with the word 'now'
     or 'earlier'. Findings in ``noted`` are past and change neither level nor message.
     """
-    # the text of an event states when it was
+    # the text of an event states when it happened
     shown = [(f, '' if f.values.get('when') else 'now: ') for f in findings]
     shown += [(f, 'earlier: ') for f in noted]
     severe = [f for f in findings if f.severity != 'info']
@@ -153,9 +154,9 @@ def input_status(
 ) -> DiagnosticStatus:
     """Return the status of one input.
 
-    ``static_s`` is the time at rest in the sums, in s. ``streams`` is the number of different
-    sample rates of the sensors. ``noted`` are findings that do not change the level, ``others``
-    more values.
+    ``static_s`` is the duration of the data at rest in the sums, in s. ``streams`` is the number of
+    different sample rates of the sensors. ``noted`` are findings that do not change the level, and
+    ``others`` are further keys with values.
     """
     c, r = health.counts, statistics
     excluded = {
@@ -170,7 +171,7 @@ def input_status(
         'skipped': c.skipped,
         'of another frame_id': c.other_frame,
     }
-    # with several rates, most counts are sums of the sensors
+    # with several rates, most counts are added up over the sensors
     undecided = c.received + c.interpolated - c.used - sum(excluded.values())
     pairs: list[tuple[str, object]] = [
         ('state', health.state),
@@ -218,10 +219,10 @@ class AxisView:
     """Content of the status of one axis.
 
     ``sums`` is None before there are sums; ``result`` and ``fit_age_s`` are None before the first
-    fit. ``problems`` report a failed fit or an invalidated model. ``comparisons`` are with
-    the datasheet and earlier results; ``margin`` is the tolerated excess, as a fraction of the
-    limit. ``step`` is the latest step of the noise level, if it lies in the recent window.
-    ``noted`` are findings of the fit that do not change the level.
+    fit. ``problems`` are faults of the input, a failed fit or an invalidated model.
+    ``comparisons`` are checks against the datasheet and earlier results, and ``margin`` is the
+    tolerated excess as a fraction of the limit. ``step`` is the latest step of the noise level, if
+    it lies in the recent window. ``noted`` are findings of the fit that do not change the level.
     """
 
     axis: str
@@ -338,7 +339,7 @@ def _summary(view: AxisView, static_s: float, next_term: str) -> str:
 def _next_term(view: AxisView) -> str:
     """Return text such as 'B and K need 2 h at rest'; '' if all relevant terms are resolved."""
     if view.result is None or view.method != 'likelihood':
-        return ''  # the prediction is valid only for that fit
+        return ''  # the prediction is valid only for this method
     limits = {c.quantity: c.limit for c in view.comparisons if c.tau is None}
     recordings = view.sums.recordings if view.sums else ()
     longest = max((m.samples for r in recordings for m in r.means), default=0) * view.result.tau0

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fits the sums of one IMU, and publishes or invalidates the noise model."""
+"""Fits a noise model to the Allan sums of one IMU, and publishes or invalidates the model."""
 
 from __future__ import annotations
 
@@ -73,10 +73,11 @@ ALONE_S = 5.0
 class ImuEstimate(NodePart):
     """Fits the sums of one IMU when they have grown enough, and publishes the noise model.
 
-    If samples are removed from the sums, the model is invalidated: a noise model without axes is
-    published, a warning replaces the coefficients, and the sums are fitted again. ``listeners`` are
-    called with every published noise model, and with every new bias at rest. Raises AllanError if
-    the datasheet or the baseline of the parameters cannot be read.
+    If more than `REPLACED_SHARE` of the samples are removed from the sums, the model is
+    invalidated: a noise model without axes is published, a warning replaces the coefficients, and
+    the sums are fitted again. ``listeners`` are called with every published noise model, and again
+    with the present bias at rest when new sums arrive. Raises AllanError if the file in the
+    parameter ``estimator.sensor`` or ``estimator.baseline`` cannot be read.
     """
 
     def __init__(
@@ -111,12 +112,12 @@ class ImuEstimate(NodePart):
         node.create_service(Trigger, f'{home}fit', self._on_fit)
 
     def process(self, snapshot: Snapshot) -> None:
-        """Process new sums, and fit them if they have grown enough or were replaced."""
+        """Process a new snapshot; fit its sums if they have grown enough or were replaced."""
         self._snapshot = snapshot
         former, self._faults = self._faults, snapshot.faults
         lost = replaced_share(self._fitted, snapshot.sums)
         if lost > REPLACED_SHARE:
-            self._withdraw(lost, replaced_because(self._fitted, snapshot))
+            self._invalidate(lost, replaced_because(self._fitted, snapshot))
         window = self._settings.value.recent_window
         self._steps = {a: one for s in snapshot.sums for a, one in noise_steps(s, window).items()}
         self._bias.update(snapshot)
@@ -128,7 +129,7 @@ class ImuEstimate(NodePart):
         self._fit_if_due()
 
     def tick(self, now: float) -> None:
-        """Publish the result of a fit that has ended."""
+        """Publish the result of a fit that has ended, or fit again if its sums were replaced."""
         if self._fitting is None or not self._fitting.done():
             return
         fitting, self._fitting = self._fitting, None
@@ -149,7 +150,10 @@ class ImuEstimate(NodePart):
         self._publish(fitted.results)
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
-        """Return one status per axis; no status before the first message."""
+        """Return a status for each axis, and one for the errors in motion after the first drive.
+
+        There is no status before the first snapshot.
+        """
         if self._snapshot is None:
             return []
         latest = self._snapshot
@@ -165,7 +169,7 @@ class ImuEstimate(NodePart):
         return statuses
 
     def _comparisons(self, margin: float) -> tuple[Check, ...]:
-        """Return the comparisons with the references, computed once per fit and margin."""
+        """Return the checks against datasheet and baseline, computed once per fit and margin."""
         results = self._results
         if results is None:
             return ()
@@ -226,7 +230,7 @@ class ImuEstimate(NodePart):
         return samples > 0 and (grown or samples < fitted)
 
     def _are_new(self, drives: Drives) -> bool:
-        """Return whether there are other drives than those of the present factors in motion."""
+        """Return whether the drives differ from the drives of the present factors in motion."""
         latest, before = (
             [each.start for each in errors] for errors in (drives.errors, self._driven)
         )
@@ -244,7 +248,7 @@ class ImuEstimate(NodePart):
         self._failed = finding('fit_failed', reason=reason.rstrip('.'))
         self._node.get_logger().error(str(self._failed), throttle_duration_sec=60.0)
 
-    def _withdraw(self, lost: float, cause: str) -> None:
+    def _invalidate(self, lost: float, cause: str) -> None:
         """Invalidate the model because the share ``lost`` of its samples was removed."""
         self._outdated = self._fitting is not None
         self._fitted, self._failed, self._next_fit = (), None, 0.0
@@ -332,7 +336,7 @@ class Fitted(NamedTuple):
 
     results: Results
     took: float  # CPU time in s
-    sums_were_fitted: bool  # or only the factors in motion were computed anew
+    sums_were_fitted: bool  # False if only the factors in motion were computed again
 
 
 def _fit(total: Total, method: str, drives: Drives) -> Fitted:

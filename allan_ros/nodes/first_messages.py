@@ -14,15 +14,16 @@ from ..readers.cdr import MalformedMessage, decode_imus
 
 FIRST_RATE_HZ, RATE_S = 1000.0, 1.0
 """Sample rate for which a datasheet gives the covariances of the first messages, and time in s from
-which the rate is measured. Few IMUs are faster, so the first covariances are rather too large."""
+which the rate is measured. Few IMUs are faster, so the first covariances are usually too large."""
 
 
 class FirstMessages:
-    """The sample rate and the mean angular rate of messages, from some of them.
+    """Measures the sample rate and the mean angular rate from some of the messages.
 
-    ``rate_hz`` is the largest rate by the stamps over `RATE_S`. ``bias`` is the mean of each axis
-    of the gyro with its standard error, updated every `RATE_S`. It is the bias of the gyro if the
-    IMU is at rest; a covariance that covers it is too large if the IMU turns.
+    ``rate_hz`` is the largest sample rate in Hz, according to the stamps, in any period of
+    `RATE_S`; before the end of the first period it is `FIRST_RATE_HZ`. ``bias`` is gyro axis ->
+    mean angular rate in rad/s with its standard error, updated every `RATE_S`. The mean is the bias
+    if the IMU is at rest. If the IMU turns, a covariance that covers the mean is too large.
     """
 
     def __init__(self) -> None:
@@ -30,8 +31,8 @@ class FirstMessages:
         self.bias: dict[str, Estimate] = {}
         self._window: tuple[int, int] | None = None  # number of messages, and stamp in ns
         self._known = False
-        self._count = 0  # of messages at the last call
-        # of samples, their sum, and the sum of their squares
+        self._count = 0  # number of messages at the last call
+        # number of samples, their sum, and the sum of their squares
         self._number, self._total, self._squares = 0, np.zeros(3), np.zeros(3)
 
     def update(self, count: int, latest: bytes | None) -> None:

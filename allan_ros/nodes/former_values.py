@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A file with the former values of parameters that were set, from which a restart restores them."""
+"""File of the values that parameters had before they were set; a restart restores these values."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def former_values_file(node: str) -> Path:
 class FormerValues:
     """The former values of the parameters of one node, by parameter.
 
-    They are on the disk before a parameter is set, so that they survive a kill. While the file is
-    open it is locked: two programs that set parameters of one node would each take the value of the
-    other as the value of the operator.
+    A former value is written to the disk before its parameter is set. It is then not lost if this
+    process is killed. The file is locked while it is open: two programs that set parameters of the
+    same node would each mistake the value set by the other program for the value of the operator.
     """
 
     def __init__(self, node: str) -> None:
@@ -55,7 +55,7 @@ class FormerValues:
         self._stored: Mapping[str, Former] = {}
 
     def open(self) -> Mapping[str, Former]:
-        """Lock the file, and return the values in it: those that a killed program has left.
+        """Lock the file, and return its values, which a killed program has left.
 
         Raises AllanError if another program has locked the file, or if it cannot be read.
         """
@@ -90,7 +90,7 @@ class FormerValues:
         self._stored = dict(values)
 
     def close(self) -> None:
-        """Unlock the file; it stays if it has values."""
+        """Unlock the file. A file with values is kept."""
         self._lock.release()
 
     def _read(self) -> dict[str, Former]:

@@ -1,11 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Receives Imu messages without a callback per message: a thread empties the queue.
+"""Receives Imu messages without a callback for each message.
 
-One Python callback per message costs more than all other processing. Therefore the executor does
-not wait for the subscription, and a thread empties its queue several times a second with
-``take_message``, an undocumented method that the executors of rclpy call. If a version of rclpy
-does not have it, a callback receives the same bytes.
+A Python callback for each message costs more than all other processing. A thread therefore fetches
+the queued messages several times a second with ``take_message``, an undocumented method of rclpy.
+If a version of rclpy does not have this method, a callback receives the same bytes.
 """
 
 from __future__ import annotations
@@ -54,22 +53,23 @@ except ImportError:  # Humble
 
 
 QUEUE_DEPTH = 5000
-"""Queue depth of the subscription in messages, which ``qos_overrides`` change. Fast DDS keeps no
-more in a queue: 0.25 s at 20 kHz, about 2.5 MB."""
+"""Depth of the subscription's queue in messages; ``qos_overrides`` can change it. Fast DDS keeps at
+most so many: 0.25 s of messages at 20 kHz, about 2.5 MB."""
 
 FETCH_S, FETCH_SHARE = 0.1, 0.25
-"""Longest time in s between two fetches, and share of the queue that may fill in between."""
+"""Longest time in s between two fetches, and largest share of the queue that fills in between."""
 
 BUFFER_BYTES, MESSAGE_BYTES = 2**26, 120
-"""Largest memory for fetched messages that are not decoded yet, and what Python adds to the payload
-of each. This is 7 s of messages at 20 kHz, and 12 min at 200 Hz. If the node computes for longer,
-messages stay in the queue, where they are lost and counted."""
+"""Largest size in bytes of fetched messages that are not decoded yet, and bytes that Python adds to
+each payload. The size suffices for 7 s of messages at 20 kHz, or 12 min at 200 Hz. If the node
+computes for longer, further messages stay in the queue. Messages that no longer fit there are lost
+and counted."""
 
 NAMELESS = '_NODE_NAME_UNKNOWN_'
 """Node name that the ROS graph returns for an endpoint of an unknown node."""
 
 SUGGESTED_TOPICS = 5
-"""Number of Imu topics that are named if the given topic has another type."""
+"""Largest number of Imu topics that a message suggests if the given topic has another type."""
 
 FIRST_NUMBER = 1
 """Publication sequence number of a publisher's first message (RTPS 2.5, 8.3.5.4)."""
@@ -162,21 +162,21 @@ def subscribe_raw(
 
 @dataclass
 class _Buffer:
-    """Messages that are fetched but not decoded, and how many are missing before and among them."""
+    """Fetched messages that are not decoded yet, and numbers of messages that are missing."""
 
     payloads: list[bytes] = field(default_factory=list)
     received_ns: list[int] = field(default_factory=list)
     arrived_s: list[float] = field(default_factory=list)  # on a steady clock
     size: int = 0  # bytes
-    sent_before: int = 0
-    skipped_numbers: int = 0
+    sent_before: int = 0  # messages before the first one from each publisher
+    skipped_numbers: int = 0  # missing sequence numbers of the publishers
 
 
 class ImuInput:
-    """Subscribes to the Imu messages of one topic (which may be remapped), and decodes them.
+    """Subscribes to the Imu messages of one topic, and decodes them; the topic may be remapped.
 
-    ``polled`` is True if a thread fetches the messages until `close`, False if a callback receives
-    them.
+    ``polled`` is True if a thread fetches the messages until `close`, and False if a callback
+    receives the messages. ``constant`` finds axes whose values do not change.
     """
 
     def __init__(self, node: Node, topic: str, settings: InputSettings) -> None:
@@ -239,7 +239,7 @@ class ImuInput:
                 if message is None:
                     break
                 self._collect(*message)
-        # the system clock of the times of reception may have been set since the last call
+        # times of reception are on the system clock, which may have been set since the last call
         now_s = steady_s()
         received_s = np.array(buffer.received_ns[before:], np.int64) / NANOSECONDS
         arrived_s = np.clip(received_s - (time.time() - now_s), self._drained_s, now_s)
@@ -249,7 +249,7 @@ class ImuInput:
     def batches(self) -> Iterator[ImuBatch]:
         """Decode the messages received since the last call, in SI units, and yield them in order.
 
-        All samples of a batch have the same frame_id. Malformed messages are counted and dropped.
+        All samples of a batch have the same frame_id. Malformed messages are counted and excluded.
         If the thread that fetches messages has failed since the last call, its exception is raised.
         """
         error, self._error = self._error, None
@@ -318,7 +318,7 @@ class ImuInput:
             return self._statistics.received + len(self._buffer.payloads)
 
     def statistics(self) -> TransportStatistics:
-        """Return the counts of received, lost and malformed messages up to the last `batches`."""
+        """Return the counts of received, lost and malformed messages, up to the last `batches`."""
         if self._loss is not None:
             with self._loss:
                 data = self._loss.take_event()

@@ -29,13 +29,14 @@ RELOAD_S = 10
 """Time in s after which the browser reloads the page."""
 
 SUMS_TOPIC = '/sums', ['std_msgs/msg/String']
-"""Suffix of the names of topics with sums, and their types."""
+"""End of the name of each topic with Allan sums, and the types of the topic."""
 
 CACHED_PAGES = 8
-"""Number of rendered pages that are kept."""
+"""Number of rendered pages that are kept in memory."""
 
 MOST_REQUESTS, REQUEST_S = 16, 10.0
-"""Largest number of requests at a time, and longest time in s for one; others are closed."""
+"""Largest number of simultaneous requests, and longest time in s for which one may wait for the
+client. Further and slower requests are closed."""
 
 STALE_SUMS_S = 60.0
 """Age in s from which sums are shown as out of date; nodes publish them every 10 s."""
@@ -51,7 +52,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__(address, handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Start a thread for a request, or close it if there are too many."""
+        """Start a thread for a request, or close the connection if there are too many."""
         if self._free.acquire(blocking=False):
             super().process_request(request, client_address)
         else:

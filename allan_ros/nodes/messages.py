@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that the nodes publish for each IMU: the sums and the bias."""
+"""Messages that the nodes publish for each IMU: the Allan sums and the bias at rest."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ from ..view.finding_text import texts_of
 from .shell import LATCHED
 
 REPLACED_SHARE = 0.1
-"""Coefficients are invalidated if their sums lose a larger share of the samples. A small loss is
-normal: samples from the start of a motion are removed when the motion is detected."""
+"""Largest share of samples that Allan sums may lose before the coefficients fitted to them are
+invalidated. A small loss is normal: samples from the start of a motion are removed when the motion
+is detected."""
 
 TWIST_ROWS = {axis: (i + 3) % 6 for i, axis in enumerate(AXES)}
 """Axis -> row in the 6x6 covariance of a twist: linear x, y, z, then angular x, y, z."""
@@ -50,14 +51,14 @@ NO_VARIANCE = -1.0
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The sums at one time, and the IMU that is connected at that time.
+    """The Allan sums at one time, and the IMU that is connected at that time.
 
     ``total`` contains the sums and their provenance. ``frame_id``, ``hardware_id`` and ``axes``
     describe the messages that are received, which may come from another IMU than the sums. ``axes``
-    are known before there are sums. ``means`` are means over 1 s of the latest samples at rest;
-    each `Means` contains the axes of one sample rate. ``faults`` are the findings because of which
-    the present samples must not be used. ``drives`` are the latest drives between two rests; they
-    are not part of the document.
+    are known before there are sums. ``means`` are means over 1 s of the latest samples at rest, in
+    SI; each `Means` contains the axes of one sample rate. ``faults`` are the findings because of
+    which the present samples must not be used. ``drives`` are the latest drives between two rests;
+    the document of a snapshot does not contain them.
     """
 
     total: Total
@@ -74,7 +75,7 @@ class Snapshot:
         return self.total[0]
 
     def with_accel(self, accel: Snapshot) -> Snapshot:
-        """Return a snapshot with the accelerometer of another topic."""
+        """Return this snapshot with the axes of an accelerometer from another topic added."""
         sums, provenance = self.total
         identity = sums[0].identity if sums else ImuIdentity(self.frame_id, self.hardware_id)
         return replace(
@@ -89,7 +90,7 @@ class Snapshot:
         )
 
     def to_document(self) -> dict[str, Any]:
-        """Return the document of ``~/sums``: a sums file with the connected IMU and the means."""
+        """Return the document of ``~/sums``: a sums file with connected IMU, means and faults."""
         imu = {'frame_id': self.frame_id, 'hardware_id': self.hardware_id, 'axes': [*self.axes]}
         means = [
             {
@@ -144,7 +145,7 @@ def replaced_share(before: Sequence[AllanSums], after: Sequence[AllanSums]) -> f
     """Return the largest share of samples of the earlier sums that are missing in the later sums.
 
     The share is 0 while sums only grow, and 1 if the sums of an IMU are missing. It is computed
-    from the start and length of the segments. Sums list only their 32 longest segments.
+    from the start and length of the segments, of which sums list the `KEPT_SEGMENTS` longest.
     """
     shares = [0.0]
     for old in before:
@@ -196,17 +197,17 @@ def _samples_by_start(sums: AllanSums) -> Counter[int]:
 
 
 def kinds_of(faults: Iterable[Finding]) -> frozenset[tuple[str, tuple[str, ...], int]]:
-    """Return what must be published at once when it changes: the kinds of present findings.
+    """Return the kinds of present findings; when they change, the sums are published at once.
 
-    A ratio of the noise is another kind if it changes by about a fifth.
+    A kind consists of the id, the axes and the ratio of the noise, in steps of a factor of 1.19.
     """
     ratios = ((f, float(f.values.get('ratio') or 1.0)) for f in faults)
     return frozenset((f.id, f.axes, round(4.0 * math.log2(ratio))) for f, ratio in ratios)
 
 
 ModelListener = Callable[[Results, Mapping[str, Estimate]], None]
-"""Receives each noise model, and the known bias at rest by axis. Without axes, the model is
-invalidated."""
+"""Function that receives each noise model, and axis -> known bias at rest in SI. Results without
+axes mean that the model is invalidated."""
 
 
 class BiasPublisher:
@@ -222,7 +223,7 @@ class BiasPublisher:
         self._turn_on: dict[str, TurnOnBias] = {}
 
     def update(self, snapshot: Snapshot) -> None:
-        """Update the bias with new means of samples at rest, and publish it if there are any."""
+        """Update the bias with the means in a snapshot, and publish the bias if a mean is new."""
         for means in snapshot.means:
             for i, axis in enumerate(means.axes):
                 self._tracker.add_means(axis, means.end_ns.tolist(), means.values[:, i].tolist())
@@ -232,7 +233,7 @@ class BiasPublisher:
             self._publisher.publish(bias_message(known, latest, snapshot.frame_id))
 
     def set_results(self, results: Results | None) -> None:
-        """Estimate the bias with the noise models of these results; None removes the models."""
+        """Use the noise models of these results for the bias; None removes the models."""
         axes = results.axes if results is not None else {}
         self._turn_on = {axis: r.turn_on for axis, r in axes.items() if r.turn_on is not None}
         self._tracker.set_models({axis: BiasModel.of_fit(r.fit) for axis, r in axes.items()})
@@ -262,9 +263,10 @@ class BiasPublisher:
 def bias_message(
     known: Mapping[str, Estimate], end_ns: int, frame_id: str
 ) -> TwistWithCovarianceStamped:
-    """Return the biases as a twist: gyro in the angular, accelerometer in the linear part.
+    """Return the biases in SI as a twist: gyro in the angular, accelerometer in the linear part.
 
-    ``end_ns`` is the end time of the latest data in ns.
+    ``known`` is axis -> bias; other axes have the variance `NO_VARIANCE`. ``end_ns`` is the end
+    time of the latest data in ns.
     """
     message = TwistWithCovarianceStamped()
     message.header.frame_id = frame_id
@@ -282,7 +284,7 @@ def bias_message(
 
 
 def bias_of(message: TwistWithCovarianceStamped) -> dict[str, Estimate]:
-    """Return the biases in a message of `bias_message`, by axis."""
+    """Return axis -> bias in SI from a message of `bias_message`."""
     twist, known = message.twist.twist, {}
     for axis, row in TWIST_ROWS.items():
         sensor, letter = axis.split('_')

@@ -75,13 +75,13 @@ class Monitor(AllanNode):
             )
         if relayed and (settings.gyro_unit, settings.accel_unit) != ('rad/s', 'm/s^2'):
             raise AllanError(
-                'relay.enabled excludes input.gyro_unit and input.accel_unit, because filters '
-                'expect rad/s and m/s^2: convert the units in the driver'
+                'relay.enabled excludes input.gyro_unit and input.accel_unit, because state '
+                'estimators expect rad/s and m/s^2: convert the units in the driver'
             )
         if relayed and any(settings.accel_topics):
             raise AllanError(
-                'relay.enabled excludes input.accel_topics, because filters expect both sensors in '
-                'each message: unite them in the driver'
+                'relay.enabled excludes input.accel_topics, because state estimators expect both '
+                'sensors in each message: unite them in the driver'
             )
         parts: list[NodePart] = []
         described: list[str] = []
@@ -102,7 +102,7 @@ NODES: dict[str, tuple[Callable[[], AllanNode], str]] = {
     'relay': (Relay, 'allan_imu_relay'),
     'monitor': (Monitor, 'allan_monitor'),
 }
-"""Command line argument -> class and name of a node that only ROS arguments configure."""
+"""Name of a node on the command line -> its class, and its name in ROS."""
 
 
 def main(node: str, args: Sequence[str] | None = None) -> int:

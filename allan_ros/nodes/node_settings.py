@@ -18,8 +18,9 @@ from ..core.imu import SAMPLE_UNITS
 from ..core.settings import CheckedSettings, SegmenterSettings, fixed_parameter, parameter
 
 SETTLED_RATIO = 1.5
-"""Numbers are given to a filter once the upper end of their 95 % interval is at most this many
-times the lower end. (Values from a short record are limits that fall by orders of magnitude.)"""
+"""Largest ratio of the upper to the lower end of the 95 % interval of a number that is given to a
+state estimator. Numbers from a short record are upper limits, which later fall by orders of
+magnitude."""
 
 
 def home_of(label: str) -> str:
@@ -28,8 +29,9 @@ def home_of(label: str) -> str:
 
 
 class WatchedImu(NamedTuple):
-    """One IMU of a node. ``label`` is '' for a single IMU; ``checkpoint`` is a path, or ''.
+    """One IMU of a node.
 
+    ``label`` is '' for a single IMU. ``checkpoint`` is a path, or '' without a checkpoint.
     ``accel_topic`` is '' unless the accelerometer has its own topic.
     """
 
@@ -126,8 +128,7 @@ class PublishSettings(CheckedSettings):
 
     sums_period: float = parameter(
         10.0,
-        'Period at which Allan variance sums are published, and fitted if they contain enough new '
-        'samples.',
+        'Period at which Allan sums are published, and fitted if they contain enough new samples.',
         's',
         0.1,
         3600.0,
@@ -139,7 +140,7 @@ class PublishSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class CheckpointSettings(CheckedSettings):
-    """Where and how often the Allan variance sums are saved (group ``checkpoint``)."""
+    """Where and how often the Allan sums are saved (group ``checkpoint``)."""
 
     path: str = fixed_parameter(
         '',
@@ -151,7 +152,7 @@ class CheckpointSettings(CheckedSettings):
 
 @dataclass(frozen=True)
 class EstimatorSettings(CheckedSettings):
-    """How Allan variance sums are fitted and results are compared (group ``estimator``)."""
+    """How Allan sums are fitted and results are compared (group ``estimator``)."""
 
     method: str = parameter(
         'likelihood',
@@ -198,15 +199,16 @@ class RelaySettings(CheckedSettings):
     )
     horizon: float = parameter(
         0.0,
-        'For filters without a bias state: the variance is raised until it covers all drift '
-        'over this time; 0: white noise alone.',
+        'For state estimators without a bias state: the variance is raised until it covers all '
+        'drift over this time; 0: white noise alone.',
         unit='s',
         low=0.0,
         high=1e6,
     )
     debiased: bool = parameter(
         False,
-        'The driver removes the gyro bias or the filter estimates it, so no variance covers it.',
+        'The driver removes the gyro bias or the state estimator estimates it, so the variance '
+        'does not cover the bias.',
     )
     inflate: float = parameter(1.0, 'Factor on the standard deviation.', '', 1.0, 1000.0)
     motion: bool = parameter(
@@ -231,13 +233,13 @@ class PushSettings(CheckedSettings):
     )
     max_factor: float = parameter(
         10.0,
-        'A value that differs by more than this factor from the one that was found in the node is '
-        'not set.',
+        'A value that differs by more than this factor from the value that was found in the node '
+        'is not set.',
         low=1.0,
         high=1e6,
     )
     debiased: bool = parameter(
-        False, 'The driver removes the gyro bias, so a gain does not cover it.'
+        False, 'The driver removes the gyro bias, so a gain does not cover the bias.'
     )
     period: float = parameter(300.0, 'Shortest time between two changes.', 's', 0.1, 604800.0)
 
@@ -245,8 +247,8 @@ class PushSettings(CheckedSettings):
         super().__post_init__()
         if self.node and not (self.node.startswith('/') and self.filter):
             raise AllanError(
-                f'push.node is {self.node!r}, push.filter {self.filter!r}: give a full name such '
-                'as /imu_filter_madgwick, and a filter'
+                f'push.node is {self.node!r}, push.filter is {self.filter!r}: give a full name '
+                'such as /imu_filter_madgwick, and a filter such as imu_filter_madgwick'
             )
 
 

@@ -1,22 +1,29 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sets parameters of another node, such as a filter, from the noise model.
+"""Sets parameters of another node, such as a state estimator, from the noise model.
 
-The values are rows of an export target. A wrong value can make a filter diverge and a robot fall,
-so a value is set only if
+The values are rows of an export target. A wrong value can make a state estimator diverge and a
+robot fall. A value is therefore set only under the conditions below.
 
-- its target is in `TARGETS`: the convention of its rows was verified in the code of a filter;
-- it is a noise density of a filter that estimates the bias, or a gain that is too small for the
-  errors in motion, which were measured in drives of this robot (see `GAINS`);
-- the input has no fault;
-- its 95 % interval is narrow (`SETTLED_RATIO`);
-- it differs from the value that was found by at most ``push.max_factor``;
-- the value that was found is on the disk (`FormerValues`).
+Conditions
+----------
+- The export target is in `PUSHED_TARGETS`: its convention was verified in the code of a state
+  estimator.
+- The value is a noise density for a state estimator that estimates the bias, or a gain that is too
+  small for the errors in motion, which were measured in drives of this robot (`GAINS`).
+- The input has no fault.
+- The 95 % interval of the value is narrow (`SETTLED_RATIO`).
+- The value differs from the found value by at most the factor ``push.max_factor``. The found value
+  is the value that the parameter had before this node set it.
+- The found value is on the disk (`FormerValues`).
 
-When the noise model is invalidated, the input has a fault, ``push.enabled`` becomes false, this
-node ends, or it starts after it was killed, the values that were found are set again. The present
-values are read before each change, so that a parameter that an operator or another node has changed
-is left as it is. A value that the node refuses is not sent again.
+Restoring
+---------
+The found values are set again when the noise model is invalidated, the input has a fault,
+``push.enabled`` becomes false, this node ends, or this node starts after it was killed.
+
+The present value of a parameter is read before each change. A parameter that an operator or another
+node has changed is not changed any more. A value that the node refuses is not sent again.
 """
 
 from __future__ import annotations
@@ -49,7 +56,7 @@ from .node_settings import SETTLED_RATIO, PushSettings
 from .push_plan import GAINS_WAIT, Numbers, Proposal, PushPlan, load_plan, text_of
 
 ANSWER_S = 5.0
-"""Time in s to wait for an answer of the node; without one, the next update tries again."""
+"""Time in s to wait for an answer of the node. Without an answer, the next update tries again."""
 
 RETRY_S = 1.0
 """Period in s at which an update is retried until values and node are available."""
@@ -61,7 +68,7 @@ LONGEST_REASON = 200
 """Number of characters after which the reason of another node is cut."""
 
 KILLED = 'the program that had set it was killed'
-"""Reason to restore the values that `FormerValues` has at the start."""
+"""Why values that are in the file of `FormerValues` at the start are restored."""
 
 Requests = Generator[list[Any], list[Any], None]
 """Yields the futures of requests to the node; it is resumed with all their answers."""
@@ -69,21 +76,21 @@ Requests = Generator[list[Any], list[Any], None]
 
 @dataclass
 class Held:
-    """What is known of one parameter of the node; a value is empty if there is none."""
+    """What is known about one parameter of the node; () stands for no value."""
 
-    now: Numbers  # when it was last read or set
-    found: Numbers = ()  # before this node set it
+    now: Numbers  # value when the parameter was last read or set
+    found: Numbers = ()  # value before this node set the parameter
     sent: tuple[Numbers, ...] = ()  # values of this node that may be in the other node
-    refused: Numbers = ()  # refused last by the node
+    refused: Numbers = ()  # value that the node refused last
     origin: str = ''  # how the present value was computed
-    left: bool = False  # whether someone else has changed it
+    changed_by_others: bool = False  # and therefore not set any more
 
 
 class ParameterPush(NodePart):
     """Sets parameters of the node ``push.node`` whenever the noise model has changed enough.
 
-    It declares the parameters ``push.*`` of its ``owner``. Without ``push.node``, nothing is set.
-    Raises AllanError if the plan cannot be read.
+    The parameters ``push.*`` are declared in the node ``owner``. Without ``push.node``, nothing is
+    set. Raises AllanError if the file of ``push.filter`` cannot be read.
     """
 
     def __init__(self, owner: AllanNode) -> None:
@@ -93,12 +100,12 @@ class ParameterPush(NodePart):
         self._plan = load_plan(self._settings.value.filter) if target else None
         self._results: Results | None = None
         self._bias: Mapping[str, Estimate] = {}
-        self._gains: tuple[Row, ...] = ()  # that are shown, but not set
+        self._gains: tuple[Row, ...] = ()  # gains that are shown, but not set
         self._invalid = 'there is no noise model'  # why no value may be set, or ''
-        self._reason = ''  # the same at the last update
+        self._reason = ''  # value of `_refusal` at the last update
         self._held: dict[str, Held] = {}
-        self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> warning, text
-        self._requests: Requests | None = None  # that wait for `_answers`
+        self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> is a warning, text
+        self._requests: Requests | None = None  # the generator that waits for `_answers`
         self._answers: list[Any] = []  # futures
         self._asked_at = self._due_at = 0.0
         self._former: FormerValues | None = None  # the file, once it is open
@@ -113,7 +120,7 @@ class ParameterPush(NodePart):
 
         Results without axes mean that the model is invalidated.
         """
-        # without data, the model is still valid
+        # a fault without axes is missing data, after which the model is still valid
         faults = [fault for fault in faults_of(results.findings) if fault.axes]
         self._results, self._bias = results, bias
         self._invalid = '' if results.axes else 'the noise model was invalidated'
@@ -122,7 +129,7 @@ class ParameterPush(NodePart):
 
     @property
     def _refusal(self) -> str:
-        """Why no value may be set, and values that were set are restored; '' if they may."""
+        """Why no value may be set and the found values are restored; '' if values may be set."""
         if self._was_killed:
             return KILLED
         return self._invalid if self._settings.value.enabled else 'push.enabled is false'
@@ -158,7 +165,7 @@ class ParameterPush(NodePart):
         if self._plan is None:
             return []
         enabled = self._settings.value.enabled
-        # what was said of a parameter does not hold while none is set
+        # while nothing is set, notes about single parameters do not apply
         notes = {n: note for n, (_, note) in self._notes.items() if enabled or not n}
         problems = [f'{name}: {note}' if name else note for name, note in notes.items()]
         done, pairs = [], {}
@@ -183,10 +190,10 @@ class ParameterPush(NodePart):
         return [status]
 
     def close(self) -> None:
-        """Restore the values that were found: nothing would undo the others after this node.
+        """Restore the found values, because no program would restore them after this node ends.
 
-        If the other node does not answer, the values are sent without reading the present ones, and
-        the next start restores them if they have not arrived.
+        If the other node does not answer, the found values are sent without reading the present
+        values first. If they do not arrive, the next start of this node restores them.
         """
         self._cancel()
         self._plan = None
@@ -216,7 +223,7 @@ class ParameterPush(NodePart):
     # --- requests ---------------------------------------------------------------------------------
 
     def _resume(self, requests: Requests, answers: list[Any] | None = None) -> None:
-        """Continue the requests with the answers, up to the next ones or the end."""
+        """Continue with the answers, up to the next requests or the end."""
         self._requests, self._answers = None, []  # also if an exception ends them
         with suppress(StopIteration):
             self._answers = next(requests) if answers is None else requests.send(answers)
@@ -255,8 +262,8 @@ class ParameterPush(NodePart):
     def _rows(self, plan: PushPlan, results: Results) -> tuple[Row, ...]:
         """Return the rows of the target, with the factors in motion if these are known.
 
-        A gain covers the bias at rest, too, unless the driver removes it. Raises AllanError if the
-        noise model or the bias is not complete.
+        A gain also covers the bias at rest, unless the driver removes the bias. Raises AllanError
+        if the noise model or the bias is not complete.
         """
         options = replace(plan.options, motion=results.motion is not None)
         bias: dict[str, float] = {}
@@ -294,7 +301,7 @@ class ParameterPush(NodePart):
             elif name:
                 proposal = Proposal(name, row.values, row.interval, row.words, plan.has_gains)
                 held = self._held.get(name)
-                if held is None or (not held.left and proposal.differs(held.refused)):
+                if held is None or (not held.changed_by_others and proposal.differs(held.refused)):
                     ready.append(proposal)
         return ready
 
@@ -349,7 +356,7 @@ class ParameterPush(NodePart):
         self._store()
 
     def _numbers_of(self, name: str, values: Sequence[ParameterValue]) -> Numbers | None:
-        """Return the value in an answer; None, with a note, if it is no double and no array."""
+        """Return the value in an answer; None, with a note, if it is not a double or doubles."""
         value = values[0] if values else ParameterValue()
         if value.type == ParameterType.PARAMETER_DOUBLE:
             return (value.double_value,)
@@ -383,7 +390,7 @@ class ParameterPush(NodePart):
         self._was_killed = bool(self._held)
 
     def _store(self) -> bool:
-        """Write the values that were found to the file; return whether this was possible."""
+        """Write the found values to the file; return whether this was possible."""
         values = {n: Former(h.found, h.sent) for n, h in self._held.items() if h.found}
         try:
             if self._former is not None:
@@ -394,17 +401,17 @@ class ParameterPush(NodePart):
         return True
 
     def _forget_unsent(self) -> None:
-        """Forget the former value of each parameter that still has it."""
+        """Forget the found value of each parameter that still has this value."""
         for held in self._held.values():
             if held.now == held.found:
                 held.found = ()
 
     def _found(self) -> dict[str, Numbers]:
-        """Return the value that was found of each parameter that has been set."""
+        """Return parameter -> found value for each parameter that has been set."""
         return {name: held.found for name, held in self._held.items() if held.found}
 
     def _restoring(self, reason: str) -> Requests:
-        """Set the values that were found, except where someone else has changed them since."""
+        """Set the found values, except of parameters that someone else has changed since."""
         found, back = self._found(), {}
         answers = yield self._read([*found])
         for name, answer in zip(found, answers):
@@ -412,7 +419,7 @@ class ParameterPush(NodePart):
             held = self._held[name]
             if values in held.sent:
                 back[name] = found[name]
-            elif values in (None, held.found) or self._was_killed:  # it has been started again
+            elif values in (None, held.found) or self._was_killed:  # the node was restarted
                 del self._held[name]
             else:
                 self._leave(name, values)
@@ -435,7 +442,7 @@ class ParameterPush(NodePart):
 
     def _leave(self, name: str, values: Numbers) -> None:
         """Note that someone else has changed a parameter, which is not set any more."""
-        self._held[name] = Held(values, left=True)
+        self._held[name] = Held(values, changed_by_others=True)
         self._note(name, f'was changed to {text_of(values)}, and is left so')
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which parameters of another node are set to which numbers of an export target, and the limits."""
+"""Plan of which parameters of another node are set to which numbers, and the limits of a number."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from ..readers.files import config_file, read_yaml
 SCHEMA = 'allan_ros/push/1'
 
 GAINS = {'imu_filter_madgwick': ('gain',)}  # in rad/s; zeta only matters with a magnetometer
-"""Export target -> its rows that are gains of a filter without a state for the bias. A gain has to
-cover the errors of the gyro in motion: without a factor in motion, it is shown in the status, but
-not set."""
+"""Export target -> its rows that are gains of a state estimator without a bias state. A gain has to
+cover the errors of the gyro in motion. Without a factor in motion, the gain is shown in the status,
+but not set."""
 
 RAISED = 2.0
-"""A gain is only raised, and only if it is smaller by more than this factor than what covers the
-errors of the gyro in motion: then the filter does not follow them. A larger gain may be needed for
-other reasons, such as a short convergence, and lowering it makes the tilt worse at rest."""
+"""A gain is raised if the gain that covers the errors of the gyro in motion is larger by more than
+this factor. A gain is never lowered, because a large gain may be needed for other reasons, such as
+fast convergence, and a lower gain makes the tilt worse at rest."""
 
 PUSHED_TARGETS = (*GAINS, 'kalibr', 'fast_lio')
 """Export targets that ``push.filter`` may name: gains, densities N and K (kalibr), and N^2 f and
@@ -39,7 +39,7 @@ GAINS_WAIT = (
 """Message of the status for a plan of `GAINS`: what is missing, and what to do."""
 
 CHANGE = 0.1
-"""A value is set again when it has changed by more than this fraction."""
+"""Fraction by which a value must have changed before it is set again."""
 
 Numbers = tuple[float, ...]
 """Value of a parameter: one number for a double, several for an array of doubles."""
@@ -91,7 +91,10 @@ def load_plan(name: str) -> PushPlan:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed value of a parameter: one number, or three."""
+    """A proposed value of a parameter: one number, or three.
+
+    ``interval`` is the 95 % interval of the value, and ``origin`` tells how the value was computed.
+    """
 
     name: str
     values: Numbers
@@ -100,13 +103,13 @@ class Proposal:
     is_gain: bool = False
 
     def differs(self, other: Numbers) -> bool:
-        """Return whether any number differs from the other one by more than `CHANGE`."""
+        """Return whether a number differs by more than `CHANGE` from the one in ``other``."""
         if len(other) != len(self.values):
             return True
         return not all(abs(v - c) <= CHANGE * abs(c) for v, c in zip(self.values, other))
 
     def keeps(self, found: Numbers) -> str:
-        """Return why the value that was found is as good; '' if it is to be replaced."""
+        """Return why the found value is kept; '' if this value is to replace it."""
         if not self.is_gain or len(found) != 1 or not self.values[0] <= RAISED * found[0]:
             return ''
         return (
@@ -115,7 +118,7 @@ class Proposal:
         )
 
     def refusal(self, found: Numbers, factor: float) -> str:
-        """Return why the value must not replace the one that was found; '' if it may."""
+        """Return why this value must not replace the found value; '' if it may."""
         if len(found) != len(self.values):
             return f'has {len(found)} numbers in the node, the model gives {len(self.values)}'
         for value, before in zip(self.values, found):

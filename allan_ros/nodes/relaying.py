@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Republishes one Imu topic with covariances filled in, as raw bytes.
 
-A separate thread waits for messages and republishes each at once. It needs half the CPU time of an
-executor's callback, and no other task of the node delays a message. It uses a wait set, as
-`wait_for_message` of rclpy does. If this version of rclpy has no wait set, a callback is used.
+A separate thread waits for messages and republishes each at once. The thread needs half the CPU
+time of an executor's callback, and no other task of the node delays a message. If this version of
+rclpy has no wait set, a callback republishes the messages.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ DISCOVERY_S = 5.0
 """Time in s after the start from which a missing publisher of the noise model is a warning."""
 
 PROBES = {sensor: CovariancePatch({sensor: (1.0, 1.0, 1.0)}) for sensor in SENSORS}
-"""Sensor -> a patch that changes its covariance only if it is zero."""
+"""Sensor -> a patch that changes a message only if the covariance of the sensor is zero."""
 
 VARIANCE_UNITS = {'gyro': '(rad/s)^2', 'accel': '(m/s^2)^2'}
 
@@ -90,11 +90,11 @@ def relay_variances(results: Results, settings: RelaySettings, rate: float) -> d
 def cover_bias(
     variances: dict[str, Variances], bias: Mapping[str, Estimate], messages: float
 ) -> dict[str, Variances]:
-    """Return the variances of a gyro whose bias is not removed.
+    """Return the variances; each variance of the gyro is raised to cover the bias, too.
 
-    The integral over this number of ``messages`` then has the variance of noise and bias together.
-    ``bias`` is the known bias of axes; it is 0 for others. The bias of an accelerometer at rest is
-    unknown, because it cannot be told from gravity.
+    The integral of the samples over a number of ``messages`` then has the variance of noise and
+    bias together. ``bias`` is axis -> known bias at rest in SI; an unknown bias is taken as 0. The
+    bias of an accelerometer is unknown, because it cannot be distinguished from gravity.
     """
     if 'gyro' not in variances:
         return variances
@@ -108,18 +108,20 @@ def cover_bias(
 def in_motion(variances: dict[str, Variances], results: Results) -> dict[str, Variances]:
     """Return the variances multiplied by the squares of the factors in motion of both sensors.
 
-    Nothing changes without these factors, or if the IMU does not move at present. A factor below 1
-    lowers nothing.
+    Without factors in motion, or while the IMU is at rest, the variances are returned unchanged. A
+    factor below 1 is taken as 1.
     """
     motion = results.motion
     if motion is None or not any(f.id == 'moving_now' for f in results.findings):
         return variances
     factors = {sensor: max(one.factor.value or 1.0, 1.0) for sensor, one in motion.sensors.items()}
-    return louder(variances, {axis: factors[sensor_of(axis)] for axis in AXES})
+    return scaled_variances(variances, {axis: factors[sensor_of(axis)] for axis in AXES})
 
 
-def louder(variances: dict[str, Variances], ratios: Mapping[str, float]) -> dict[str, Variances]:
-    """Return the variances multiplied by the squares of ratios of axes."""
+def scaled_variances(
+    variances: dict[str, Variances], ratios: Mapping[str, float]
+) -> dict[str, Variances]:
+    """Return each variance multiplied by the square of the ratio of its axis, by default 1."""
     out = dict(variances)
     for sensor, values in variances.items():
         x, y, z = (
@@ -130,9 +132,9 @@ def louder(variances: dict[str, Variances], ratios: Mapping[str, float]) -> dict
 
 
 def bias_in_model(results: Results) -> dict[str, Estimate]:
-    """Return the mean of each axis in the data of the model, with its scatter between recordings.
+    """Return axis -> mean of the samples at rest in SI, with its scatter between recordings.
 
-    It is used until the bias of the present run is known.
+    This bias is used until the bias since the start of the node is known.
     """
     return {
         name: Estimate.normal(
@@ -144,9 +146,10 @@ def bias_in_model(results: Results) -> dict[str, Estimate]:
 
 
 class ModelInput:
-    """Passes the topics ``noise_model`` and ``bias`` of an estimator in another process on.
+    """Receives the topics ``noise_model`` and ``bias`` of an estimator in another process.
 
-    ``listener`` is called with each of their messages.
+    Once there is a noise model, ``listener`` is called with the latest noise model and bias after
+    each message.
     """
 
     def __init__(self, node: AllanNode) -> None:
@@ -192,11 +195,11 @@ class ModelInput:
 class ImuRelay(NodePart):
     """Republishes the messages of one IMU on ``<topic>_with_covariance``, with covariances.
 
-    They are from the noise model that `offer` receives, and for a sensor without one from the
-    datasheet ``estimator.sensor``. With a datasheet, they cover the mean angular rate so far until
-    the bias is known. ``input_findings`` returns the findings about the input of the model, whose
-    topic is ``model_topic``. Raises AllanError if both topics have the same name after remapping,
-    or the datasheet cannot be read.
+    The covariances are computed from the noise model that `offer` receives. For a sensor that the
+    model does not contain, they are computed from the datasheet ``estimator.sensor``, and cover the
+    mean angular rate so far until the bias is known. ``model_topic`` is the topic of the noise
+    model, and ``input_findings`` returns the findings about its messages. Raises AllanError if
+    input and output have the same name after remapping, or the datasheet cannot be read.
     """
 
     def __init__(
@@ -217,15 +220,15 @@ class ImuRelay(NodePart):
         self._other_frame = 0
         self._results: Results | None = None
         self._bias: Mapping[str, Estimate] = {}
-        self._variances: dict[str, Variances] = {}  # that are filled in
-        self._from_datasheet: tuple[str, ...] = ()  # sensors
+        self._variances: dict[str, Variances] = {}  # variances that are filled in
+        self._from_datasheet: tuple[str, ...] = ()  # sensors with variances of the datasheet
         self._first = FirstMessages()
         self._latest: bytes | None = None  # message
         self._patch = CovariancePatch({})
         self._made_of: tuple[object, ...] = ()
         self._measured: dict[str, Variances] = {}  # without the bias
         self._measured_of: tuple[object, ...] = None, None
-        self._ratio = 1.0  # of the interval of these variances with a horizon
+        self._ratio = 1.0  # upper to lower end of the interval of N; 1 without a horizon
         self._last_malformed = self._last_frame = ''
         overriding = QoSOverridingOptions.with_default_policies()
         self._publisher = node.create_publisher(
@@ -290,7 +293,7 @@ class ImuRelay(NodePart):
             noise = {s: v for s, v in {**noise, **measured}.items() if s not in faulty}
             stated = noise.keys() - measured.keys()
             bias = {**bias_in_model(results), **bias}
-            noise = louder(noise, noise_ratios(results.findings))
+            noise = scaled_variances(noise, noise_ratios(results.findings))
             if settings.motion:
                 noise = in_motion(noise, results)
         if not settings.debiased:
@@ -427,7 +430,7 @@ class ImuRelay(NodePart):
             return []
 
     def _findings(self, now: float) -> list[Finding]:
-        """Return the present problems; the cause comes before its effects."""
+        """Return the present problems; a cause comes before its effects."""
         counts, results, found = self._counts, self._results, self._input_findings(now)
 
         def add(id: str, count: int, **values: Any) -> None:

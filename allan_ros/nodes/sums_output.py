@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sums of one input on its topic, and what was published last."""
+"""Publishes the Allan sums of one input."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class SumsOutput:
     latest : Snapshot or None
         The latest snapshot of this input alone.
     state : object
-        What the estimator must know at once when it changes, as of the latest snapshot.
+        The state of the input at the latest snapshot. If the present state of the input differs,
+        the estimator must receive a new snapshot at once.
     """
 
     def __init__(self, node: Node, home: str) -> None:
@@ -55,7 +56,7 @@ class SumsOutput:
     def put(self, snapshot: Snapshot, state: object, accel: Snapshot | None) -> None:
         """Publish a snapshot, united with the accelerometer of another topic if there is one.
 
-        It is written as JSON only if there is a subscriber.
+        A JSON document is written only if there is a subscriber.
         """
         self.latest, self.state = snapshot, state
         united = snapshot if accel is None else snapshot.with_accel(accel)

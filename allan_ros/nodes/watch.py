@@ -39,15 +39,16 @@ REFRESH_S = 0.5
 """Period in s at which the table is redrawn."""
 
 SETTLE_S, DISCOVERY_WAIT_S = 1.5, 3.5
-"""Time in s from the first status until every node that is discovered has published once, and time
-from the start until every node is discovered: Fast DDS announces a process every 3 s."""
+"""Time in s from the first status until every discovered node has published once, and time from the
+start until every node is discovered. Fast DDS announces a process every 3 s."""
 
 OWN_TOPICS = ('sums', 'noise_model')
-"""Topics below the name of a node that show that it is an allan_ros node."""
+"""Topics below the name of a node. A node with one of these topics is an allan_ros node."""
 
 PATIENCE_S, NOBODY_S = 10.0, 6.5
 """Time in s for which ``--once`` waits for the first status: if a node publishes on `TOPIC`, and if
-none has been discovered. Fast DDS announces a process every 3 s; a busy computer can miss one."""
+no such node was discovered. Fast DDS announces a process every 3 s, and a busy computer may lose
+one announcement."""
 
 HINT_S = 8.0
 """Time in s without a status after which the hint is shown. Nodes need some seconds to start."""
@@ -185,7 +186,11 @@ class Watch(Node):
         self.create_timer(REFRESH_S, self._refresh, clock=STEADY_CLOCK)
 
     def exit_code(self) -> int:
-        """Return the exit code after `close`; ``--check``: by the most severe level."""
+        """Return the exit code; it is known after `close`.
+
+        It is `EXIT_NO_STATUS` without a status. With ``--check`` it follows from the most severe
+        level (`EXIT_LEVEL`), else it is 0.
+        """
         rows = self._final
         if not rows:
             return EXIT_NO_STATUS
@@ -212,12 +217,12 @@ class Watch(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for status in message.status:
-            # a renamed node also has statuses of axes and inputs
-            known = {'static data [s]', 'segments'} <= {v.key for v in status.values}
+            # the keys show a status of an allan_ros node that was renamed
+            has_own_keys = {'static data [s]', 'segments'} <= {v.key for v in status.values}
             node = f'/{status.name.partition(":")[0].strip("/")}/'
             if self._wanted and not node.startswith(self._wanted):
                 continue
-            if 'allan' in status.name or known:
+            if 'allan' in status.name or has_own_keys:
                 self._latest[status.name] = now, status
                 self._first = self._first or now
 
@@ -239,7 +244,7 @@ class Watch(Node):
             self._stop.set()
 
     def _show(self, hint: str) -> None:
-        """Draw the table, or print new statuses and changed levels; without any, the hint."""
+        """Draw the table, or print new statuses and changed levels; without a status, the hint."""
         rows = self._rows()
         if self._live:
             self._live.update(picture(rows) if rows else hint or 'listening ...', refresh=True)
@@ -262,7 +267,7 @@ class Watch(Node):
         return most_severe_first(rows)
 
     def _missing(self) -> list[str]:
-        """Return the full names of allan_ros nodes that publish statuses, but no status came."""
+        """Return the full names of allan_ros nodes on `TOPIC` from which no status was received."""
         heard = {name.partition(':')[0].strip('/') for name in self._latest}
         topics = [name for name, _ in self.get_topic_names_and_types()]
         missing = []

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The summary of several units: ``summary.csv`` for programs and ``index.html`` for readers."""
+"""The summary of several IMUs: ``summary.csv`` for programs and ``index.html`` for readers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..version import __version__
 from .table import Cell, Heading, Record, Table, csv_text, html_table
 
 SUMMARY, INDEX = 'summary.csv', 'index.html'
-"""Files of the summary, next to the folders of the units."""
+"""Files of the summary, next to the folders of the IMUs."""
 
 SUMMARY_TERMS = ('N', 'B', 'K')
 """Coefficients of each axis in the summary, also without limits."""
@@ -33,24 +33,24 @@ SUMMARY_TERMS = ('N', 'B', 'K')
 
 @dataclass(frozen=True)
 class UnitRow:
-    """What the summary states about one unit.
+    """What the summary states about one IMU.
 
     Attributes
     ----------
     name, serial : str
-        Name of the unit in the batch, and its serial number; '' if unknown.
+        Name of the IMU in the batch, and its serial number; '' if unknown.
     word : str
         The decision or verdict, such as 'healthy'.
     reason : str
-        One line.
+        Reason for the decision, in one line.
     results : Results or None
-        None if the unit could not be read.
+        None if the recording could not be read.
     check : UnitCheck or None
-        None if the unit could not be read.
+        None if the recording could not be read.
     report : str
         Path of the report, relative to the summary; '' if there is none.
     exit_code : int
-        Exit code of the unit.
+        Exit code of the decision about this IMU.
     """
 
     name: str
@@ -64,12 +64,12 @@ class UnitRow:
 
 
 def summary_csv(rows: Sequence[UnitRow], units: str) -> str:
-    """Return a CSV table with one row for each unit.
+    """Return a CSV table with one row for each IMU.
 
     Each quantity has columns for its value, its interval and its limits, such as
     ``gyro_x N [deg/sqrt(h)]``, ``gyro_x N upper limit [deg/sqrt(h)]``. Columns that are empty for
-    all units are omitted. ``units`` is 'deg/h' or 'SI'; quantities with limits have the units
-    of the plan.
+    all IMUs are omitted. ``units`` is 'deg/h' or 'SI'. Quantities with limits have the units of
+    measurement of the plan.
     """
     found = [_record(row, units) for row in rows]
     names = dict.fromkeys(name for record in found for name in record)
@@ -108,7 +108,7 @@ def _record(row: UnitRow, units: str) -> Record:
 
 
 def _columns(name: str, measured: Estimate, limits: Limits) -> Iterator[tuple[str, float | None]]:
-    """Yield the columns of one quantity in the unit of its limits."""
+    """Yield name -> number of the columns of a quantity, in the unit of its limits."""
     unit = f' [{limits.unit}]' if limits.unit else ''
     value = measured.value if measured.resolved else None
     low, high = (measured.resolved and measured.ci95) or (None, measured.upper95)
@@ -183,11 +183,11 @@ CLASSES = {
 
 
 def index_html(rows: Sequence[UnitRow], plan: str = '') -> str:
-    """Return a page with a sortable table of the units, small curves, and links to the reports.
+    """Return a page with a sortable table of the IMUs, small curves, and links to the reports.
 
-    The curves are the Allan deviations of the axes of a sensor over the averaging time, both on
-    logarithmic scales, which are equal for all units. A band shows the limits of N. ``plan`` is the
-    name of the plan, '' for none.
+    The curves are the Allan deviations of the axes of a sensor over the averaging time. Both scales
+    are logarithmic, and equal for all IMUs. A band shows the limits of N. ``plan`` is the name of
+    the plan, or '' without a plan.
     """
     sensors = [s for s in SENSORS if any(_curves(row, s) for row in rows)]
     columns = [Heading('verdict'), Heading('serial'), Heading('reason'), Heading('h at rest')]
@@ -242,7 +242,7 @@ def _curves(row: UnitRow, sensor: str) -> dict[str, AxisCurve]:
 
 @dataclass(frozen=True)
 class _Frame:
-    """Ranges of log10 of averaging time and deviation that the curves of a sensor share."""
+    """Ranges of log10 of averaging time (s) and deviation (SI) for all curves of a sensor."""
 
     left: float
     right: float
@@ -264,7 +264,7 @@ def _frame(rows: Sequence[UnitRow], sensor: str) -> _Frame:
     if not some.any():
         return _Frame(0.0, 1.0, 0.0, 1.0)
     x, y = np.log10(tau[some]), np.log10(adev[some])
-    # a unit with a wrong unit of measurement would make all other curves flat
+    # an IMU with a wrong unit of measurement would make the curves of all others flat
     bottom, top = np.percentile(y, [1.0, 99.0])
     return _Frame(float(x.min()), float(x.max()), float(bottom) - 0.1, float(top) + 0.1)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Coefficients as tables: of one sensor for readers, and a list of all for programs."""
+"""Coefficients as tables: one table for each sensor for readers, and one list for programs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WALKS = {'gyro': ('angle', 'rate'), 'accel': ('velocity', 'acceleration')}
 
 
 def coefficient_cell(coefficient: Estimate, unit: ShownUnit) -> Cell:
-    """Return the value of a coefficient, or its limit, with its interval as the detail."""
+    """Return a cell with the value or the limit of a coefficient; the detail is the interval."""
     value, *_ = known_numbers(coefficient, unit)
     text, interval = value_text(coefficient, unit), interval_text(coefficient, unit)
     return Cell(text, interval, value, coefficient.status)
@@ -40,7 +40,7 @@ def coefficient_table(
     units : 'deg/h' or 'SI'
     terms : sequence of str
     prefixes : bool
-        Whether the unit of a row has the prefix that suits its largest value.
+        Whether the unit of a row gets an SI prefix that suits the largest value of the row.
     """
     sensor = sensor_of(next(iter(axes)))
     rows = []
@@ -55,7 +55,7 @@ def coefficient_table(
 
 
 def axis_table(axes: Coefficients, units: str, terms: Sequence[str] = TERMS) -> Table:
-    """Return the coefficients of all axes with their units: a row for each axis.
+    """Return the coefficients of all axes with units: a row for each axis, a column for each term.
 
     The arguments are the same as in `coefficient_table`.
     """
@@ -100,7 +100,7 @@ NUMBERS = ('value', 'ci95_low', 'ci95_high', 'upper95')
 def coefficient_list(axes: Coefficients, units: str) -> Table:
     """Return all coefficients for programs, with one row for each axis and term.
 
-    The columns are axis, term, `NUMBERS` and unit; only the cells have values.
+    The columns are axis, term, `NUMBERS` and unit. The cells have values, but no texts.
     """
     rows = []
     for axis, noise in axes.items():

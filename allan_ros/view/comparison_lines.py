@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons of two or more recordings as lines of text: tables with their titles and notes."""
+"""Comparisons of two or more recordings as lines of text: tables with titles and notes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .table import WIDE, terminal_lines
 
 
 def inflation_lines(inflation: Inflation, columns: int = WIDE) -> Iterator[str]:
-    """Yield N and K for a filter with motors on, the ratios of deviations, and the option.
+    """Yield N and K with motors on, the ratios of the Allan deviations, and the export option.
 
-    ``columns`` is the width of the text.
+    ``columns`` is the width of the text in characters.
     """
     yield f'N and K for a filter, over {horizon_text(inflation.horizon)}'
     yield from terminal_lines(inflation_table(inflation), columns)
@@ -29,7 +29,7 @@ def inflation_lines(inflation: Inflation, columns: int = WIDE) -> Iterator[str]:
 def common_lines(common: CommonResult, units: str = 'deg/h', columns: int = WIDE) -> Iterator[str]:
     """Yield the noise that IMUs have in common, and the warnings about their recordings.
 
-    ``units`` is 'deg/h' or 'SI', and ``columns`` the width of the text.
+    ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text in characters.
     """
     yield from terminal_lines(common_table(common, units), columns)
     for label, found in common.findings.items():

@@ -32,12 +32,12 @@ from .table import Cell, Heading, Table
 def limit_table(
     axes: Coefficients, comparisons: Sequence[Check], units: str, stated: Mapping[str, str]
 ) -> Table:
-    """Return the coefficients of one sensor, each with its part of a limit and the verdict.
+    """Return the coefficients of one sensor, each with its share of the limit and the verdict.
 
     ``stated`` maps a term to its limits as text. A term without a limit has no row.
     """
 
-    def part(check: Check) -> str:
+    def share_of_limit(check: Check) -> str:
         coefficient = axes[check.axis][check.quantity]
         resolved = coefficient.resolved
         size = coefficient.magnitude.value if resolved else coefficient.upper95
@@ -45,13 +45,13 @@ def limit_table(
         return share if resolved or not share else f'< {share}'
 
     notes = {term: f'stated {text}' for term, text in stated.items()}
-    return _checks_table(axes, comparisons, units, notes, part)
+    return _checks_table(axes, comparisons, units, notes, share_of_limit)
 
 
 def baseline_table(
     axes: Coefficients, comparisons: Sequence[Check], units: str, before: Results
 ) -> Table:
-    """Return the coefficients of one sensor, each with its former value and the verdict."""
+    """Return the coefficients of one sensor, each with its value in ``before`` and the verdict."""
 
     def former(check: Check) -> str:
         unit = shown_unit(check.axis, check.quantity, units)
@@ -96,8 +96,9 @@ def _checks_table(
 def runs_table(comparison: RunComparison, axes: Sequence[str], units: str) -> Table:
     """Return the coefficients of several recordings for the axes of one sensor.
 
-    Each term has a row for each recording and the ratios to the first one; terms that no recording
-    measures are left out. The last rows count the deviations of the curve that differ.
+    Each term has a row for each recording, and rows with the ratios to the first recording. Terms
+    that no recording measures are omitted. The last rows count the averaging times at which the
+    Allan deviation differs from the first recording.
     """
     sensor = sensor_of(axes[0])
     rows: list[tuple[Heading, list[Cell]]] = []
@@ -133,7 +134,7 @@ def _of_axes(results: Results, axes: Sequence[str], term: str) -> list[Estimate]
 
 
 def stated_limits(texts: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return term -> its limits as one text, such as '0.3 °/√h / 0.4 °/√h', without repetition."""
+    """Return term -> its different limits as one text, such as '0.3 °/√h / 0.4 °/√h'."""
     return {
         term: ' / '.join(dict.fromkeys(pretty_unit(text) for text in each)).replace(' ', NO_BREAK)
         for term, each in texts.items()
@@ -144,13 +145,13 @@ SHOWN_TAU_S = (0.01, 0.1, 1.0, 10.0, 100.0)
 """Averaging times in s at which a ratio or a coherence is shown."""
 
 NEAR = 1.5
-"""Largest ratio of an averaging time to the one that is shown for it."""
+"""Largest ratio between a measured averaging time and the rounded one in the heading."""
 
 
 def inflation_table(inflation: Inflation) -> Table:
-    """Return N and K for a filter of a robot with motors on, in SI: a row for each axis.
+    """Return N and K with motors on, in SI, for a state estimator: a row for each axis.
 
-    Columns beside them have their ratios to N and K with motors off.
+    The columns beside N and K have the ratios to N and K with motors off.
     """
     rows = []
     for axis, terms in inflation.axes.items():
@@ -189,7 +190,7 @@ def _ratio_cell(check: Check | None) -> Cell:
 
 
 def _share_cell(value: float, low: float, high: float) -> Cell:
-    # 0.0 is added to write -0.00 as 0.00
+    # adding 0.0 turns -0.0 into 0.0, so that no minus sign is written
     value, low, high = (round(number, 2) + 0.0 for number in (value, low, high))
     return Cell(f'{value:.2f}', f'{low:.2f}..{high:.2f}', value)
 

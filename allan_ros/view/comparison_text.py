@@ -100,9 +100,11 @@ def _datasheet_sentence(label: str, results: Results) -> str:
 
 
 def sentences(comparison: RunComparison) -> Iterator[str]:
-    """Yield a sentence for each recording but the first, and for each one and datasheet.
+    """Yield the results of a comparison as sentences.
 
-    With a fraction for tests of equivalence, these follow for each recording but the first.
+    There is a sentence for each recording but the first, which compares the two, and for each
+    recording with a datasheet. With ``comparison.within``, there are also sentences on the tests of
+    equivalence with the first recording.
     """
     for each in comparison.differences.items():
         yield _sentence(comparison, *each)

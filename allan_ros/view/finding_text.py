@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The texts of findings: the message states the cause with its numbers, the remedy the next step.
+"""The texts of findings, from the templates in ``findings.md``.
 
-The texts are in ``findings.md``, below the ids of the findings.
+The message of a finding states the cause with its numbers, and the remedy states the next step.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from ..core.imu import shown_unit
 from ..core.number_text import duration_text, prefixed, significant
 
 FIELD = re.compile(r'\{(\w+)(?::([^{}]*))?\}')
-"""A template field ``{name}`` or ``{name:format}``. The format is one of Python, ``duration`` for a
-time in s, one of `QUANTITIES` with the number of digits (3 by default), or ``singular|plural``: the
-first text if the value is 1."""
+"""A template field ``{name}`` or ``{name:format}``. The format is a format of Python, ``duration``
+for a time in s, one of `QUANTITIES` with the number of digits (3 by default), or
+``singular|plural``. The singular is used if the value is 1."""
 
 OPTIONAL = re.compile(r'\[\[(.*?)\]\]')
 """A part of a template that is omitted if one of its values is missing."""
 
 
 class Words(NamedTuple):
-    """The templates of one finding, and what the documentation explains beyond them."""
+    """The templates of one finding, and its further explanation in the documentation."""
 
     section: str
     message: str
@@ -46,7 +46,7 @@ class Texts(NamedTuple):
 
 @cache
 def words() -> dict[str, Words]:
-    """Return the words of each finding of ``findings.md`` by id, in the order of the file."""
+    """Return id -> words of each finding in ``findings.md``, in the order of the file."""
     text = (get_data(__package__, 'findings.md') or b'').decode()
     return dict(_entries(re.sub(r'(?s)<!--.*?-->', '', text)))
 
@@ -66,7 +66,7 @@ def _entries(text: str) -> Iterator[tuple[str, Words]]:
 def texts_of(finding: Finding, units: str = 'deg/h', spelled: Callable[[str], str] = str) -> Texts:
     """Return message and remedy of a finding in 'deg/h' or 'SI'.
 
-    ``spelled`` returns the spelling of a unit.
+    ``spelled`` returns the spelling of a unit of measurement, such as `pretty_unit`.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def finding_document(finding: Finding, units: str = 'deg/h') -> dict[str, Any]:
 
 
 def explained(error: AllanError) -> AllanError:
-    """Return an error with the texts of the findings that explain it."""
+    """Return an error with the texts of its findings appended to its message."""
     if not error.findings:
         return error
     return AllanError(' '.join([str(error), *map(finding_line, error.findings)]))
@@ -178,8 +178,9 @@ def _quantities_text(
 
 
 MOST_VALUES, APART = 3, 1.1
-"""Up to this many numbers of several axes are listed if the largest one is larger than the smallest
-one by this ratio: their range could be read as a band of frequencies. Others are a range."""
+"""Largest count of numbers that are listed one by one, and least ratio of the largest to the
+smallest of them. Other numbers are written as a range. A range of few numbers that are far apart
+could be misread, for example as a band of frequencies."""
 
 FAST_DEG_H = 36.0
 """Angular rate in deg/h from which a signal is printed in deg/s."""

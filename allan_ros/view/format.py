@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers, units and curves as they are shown, in texts and in figures of any kind."""
+"""How numbers, units of measurement and curves are shown in texts and figures."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ READ_AT = {'Q': math.sqrt(3.0), 'N': 1.0, 'K': 3.0, 'R': math.sqrt(2.0)}
 """Term -> averaging time in s at which its deviation equals its coefficient (IEEE Std 952)."""
 
 RESOLVED_HALF_WIDTHS = 2.58 / 1.96
-"""Least size of a hysteresis in half widths of its interval to be stated: two-sided 1 %."""
+"""Least hysteresis that is stated, in half widths of its 95 % interval: the two-sided 1 % level."""
 
 
 def pretty_unit(name: str) -> str:
@@ -81,7 +81,8 @@ def deviation_text(deviation: Deviation | None) -> str:
 def temperature_text(models: Mapping[str, TemperatureModel], units: str) -> str:
     """Return the bias over temperature of the axes of one sensor as text, with 95 % intervals.
 
-    These are the slopes, the hysteresis if it is resolved, and K with and without the temperature.
+    The text states the slopes, the hysteresis if it is resolved, and K before and after the bias
+    over temperature is subtracted.
     """
     names, known = list(models), list(models.values())
     bias, walk = (
@@ -143,7 +144,8 @@ readers, the dashes without colors."""
 class DrawnCurve(NamedTuple):
     """The curve and the model of one axis as they are drawn.
 
-    Each array has a value for each averaging time, NaN where nothing is drawn.
+    Each array, (factors,), has a value for each averaging time; it is NaN where nothing is drawn.
+    The deviations are in the unit to which `drawn_curve` converts.
     """
 
     tau: Floats  # averaging times in s
@@ -159,12 +161,15 @@ class DrawnCurve(NamedTuple):
 
     @property
     def any(self) -> bool:
-        """Whether any point is positive, so that it can be drawn on a logarithmic axis."""
+        """Whether any deviation is positive, so that it can be drawn on a logarithmic scale."""
         return bool(np.isfinite(self.adev).any())
 
 
 def drawn_curve(axis: AxisResult, factor: float = 1.0) -> DrawnCurve | None:
-    """Return the curve and the model of an axis, times ``factor``; None if it has no curve."""
+    """Return the curve and the model of an axis, times ``factor``; None without a curve.
+
+    ``factor`` converts SI to the unit of the drawing.
+    """
     curve = axis.curve
     if curve is None:
         return None

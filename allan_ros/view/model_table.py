@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What follows from the fitted models of a sensor, as tables: filter numbers, parts, growth."""
+"""Tables made from the fitted models of a sensor: numbers for a filter, parts, error growth."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PLAIN = 'plain'
 
 
 def filter_table(results: Results) -> Table:
-    """Return the numbers of imu.yaml in SI: a row for each key, with the origin as the detail.
+    """Return the numbers of imu.yaml in SI: a row for each key; the detail is the origin.
 
     Raises AllanError if a key needs an axis that was not measured.
     """
@@ -60,8 +60,8 @@ def filter_table(results: Results) -> Table:
 def parts_table(axes: Axes) -> Table:
     """Return what the models of a sensor contain: a column for each axis.
 
-    The rows are the largest deviation of the curve, the dominant noise, and the parts that are not
-    terms; a row without content is left out.
+    The rows are the largest deviation of the curve from the model, the dominant noise, and the
+    parts that are not terms. A row without content is omitted.
     """
 
     def lines(parts: list[str]) -> Cell:
@@ -98,7 +98,8 @@ def parts_table(axes: Axes) -> Table:
 def growth_table(axes: Axes, units: str) -> Table:
     """Return the predicted angle or velocity error of one sensor without a correction.
 
-    One standard deviation with its 95 % interval: a row for each duration, a column for each axis.
+    The cells contain one standard deviation with its 95 % interval. There is a row for each
+    duration and a column for each axis.
     """
     sensor = sensor_of(next(iter(axes)))
     unit = ERROR_UNITS[sensor][units]
@@ -115,7 +116,7 @@ def growth_table(axes: Axes, units: str) -> Table:
 def size_cell(known: Estimate, factor: float) -> Cell:
     """Return a standard deviation (SI) with its 95 % interval, times ``factor``.
 
-    If the interval begins at 0, no term is resolved, and only its upper end is stated.
+    If the interval begins at 0, no term is resolved, and only the upper end is stated.
     """
     size = known.value or 0.0
     low, high = known.ci95 or (size, size)

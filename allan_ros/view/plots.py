@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of one sensor, drawn with matplotlib: its Allan deviation."""
+"""Figures of Allan deviations and coherences, drawn with matplotlib."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def sensor_figure(results: Results, sensor: str, units: str = 'deg/h') -> Figure
 
 
 def common_figure(common: CommonResult) -> Figure:
-    """Return the coherence of each axis with 95 % limits, in a panel for each axis."""
+    """Return the coherence of IMUs with 95 % limits, in a panel for each axis."""
     names = list(dict.fromkeys(row.axis for row in common.rows))
     with rc_context(RC):
         title = 'coherence: 0 for independent, 1 for common noise'
@@ -176,7 +176,7 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
     )
     panel.plot(curve.tau, curve.model, 'k-', lw=0.9, label='model')
     for part, adev in (*curve.parts.items(), *curve.limits.items()):
-        color, dashes = TERM_STYLES.get(part, ('0.5', (0, (2, 1))))  # or a process, or a sinusoid
+        color, dashes = TERM_STYLES.get(part, ('0.5', (0, (2, 1))))  # gray: another process
         dashes = dashes if part in curve.parts else (0, (1, 3))
         text = _part_text(part, name, axis, units)
         panel.plot(curve.tau, adev, color=color, ls=dashes, lw=1.1, label=text)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The document of results with the texts that readers of results.json see."""
+"""The document results.json: the results with the texts of findings and verdict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def result_document(results: Results, units: str = 'deg/h', curves: bool = True)
     """Return the results as the document ``allan_ros/results/3`` (results.json).
 
     Numbers are in SI; ``units`` ('deg/h' or 'SI') are the units in the texts of the findings and of
-    the verdict. Without ``curves``, the curves and the verdict are left out.
+    the verdict. Without ``curves``, the curves and the verdict are omitted.
     """
     judged = {'verdict': plain(verdict_of(results, units))} if curves else {}
     found = [finding_document(each, units) for each in results.findings]

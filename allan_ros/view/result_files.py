@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from ..results.results import Results
 
 SIGNAL_BINS = 1000
-"""Number of bins of the raw signal in plots, about the width of a plot in pixels."""
+"""Number of time intervals of the raw signal in plots, about the width of a plot in pixels."""
 
 REPORT = 'report.html'
 
 LOCK_WAIT_S = 60.0
-"""Longest time in s to wait for another process that writes into the same folder."""
+"""Longest time in s to wait while another process writes into the same folder."""
 
 
 def write_result_files(
@@ -52,17 +52,19 @@ def write_result_files(
     plots: Sequence[str] = (),
     overwrite: bool = False,
 ) -> tuple[Results, list[Path]]:
-    """Write the files of `Results.save`; return the results, with a finding for each filter file
-    that cannot be written, and the paths.
+    """Write the files of `Results.save`, and return the results and the paths of the files.
 
-    ``command`` repeats the analysis; it is printed in the report. Raises AllanError when the
-    results have no sums, the folder has results of another recording, or a file cannot be written.
+    The returned results have a finding for each file of a target that cannot be written.
+    ``command`` is the command that repeats the analysis; the report shows it.
+
+    Raises AllanError when the results have no sums, the folder has results of another recording, or
+    a file cannot be written.
     """
     recorded = results.recorded
     if recorded is None:
         raise AllanError('these results were read from a file without their sums: analyze again')
     folder = Path(folder)
-    _files_in(folder, results, overwrite)  # refused before the report is made
+    _files_in(folder, results, overwrite)  # may refuse, before the report is made
     filters, results = _filter_files(results, targets)
     known = results.provenance
     summary = summarize_signal(
@@ -87,8 +89,8 @@ def write_result_files(
         'fingerprint': digest,
     }
     with _folder_locked(made_folder(folder)):
-        # All other files are removed first and written last, so none of an earlier analysis
-        # remains. The fingerprint connects the remaining two.
+        # All files but sums and results are removed first and written last, so that no file of an
+        # earlier analysis remains. The same fingerprint is in sums and results.
         former = _files_in(folder, results, overwrite)
         both = {SUMS: to_json(sums_document), RESULTS: to_json(document)}
         write_together(folder, {**both, **contents}, former.union(contents))
@@ -97,7 +99,7 @@ def write_result_files(
 
 @contextmanager
 def _folder_locked(folder: Path) -> Iterator[None]:
-    """Lock the folder; raise AllanError if another process writes into it for a minute."""
+    """Lock the folder; raise AllanError if another process keeps it locked for `LOCK_WAIT_S`."""
     lock, deadline = PathLock(folder / RESULTS), time.monotonic() + LOCK_WAIT_S
     while owner := lock.acquire():
         if time.monotonic() > deadline:
@@ -112,9 +114,9 @@ def _folder_locked(folder: Path) -> Iterator[None]:
 
 
 def _files_in(folder: Path, results: Results, overwrite: bool) -> set[str]:
-    """Return the names of the files that an earlier analysis wrote, except its documents.
+    """Return the names of the files that an earlier analysis wrote, without sums and results.
 
-    Raises AllanError if it was of another recording, unless ``overwrite`` is set.
+    Raises AllanError if the folder has results of another recording, unless ``overwrite`` is set.
     """
     try:
         document = read_json(folder / RESULTS)

@@ -52,8 +52,8 @@ class ResultSettings(CheckedSettings):
     )
     margin: float = parameter(
         MARGIN,
-        'A coefficient exceeds the datasheet or the earlier run if its complete interval lies '
-        'above it by this fraction.',
+        'A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval lies '
+        'above the limit by more than this fraction.',
         low=0.0,
         high=1.0,
         percent=True,

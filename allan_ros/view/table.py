@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One `Table` of cells for all outputs: terminal text, HTML, CSV, and records for JSON.
 
-A table says what is shown; each function below renders it for one output. A cell has a text for
-readers and a value for programs.
+A table states what is shown, and each function renders the table for one output. A cell has a text
+for readers and a value for programs.
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ DASH = '–'
 """What HTML shows for `NOTHING_KNOWN`."""
 
 MARKS = {'within': '✓', 'undecided': '≈', 'exceeds': '✕'}
-"""Status of a cell that is compared with a limit -> symbol beside the status in HTML."""
+"""Status of a quantity that was compared with a limit -> symbol beside the status in HTML."""
 
 GAP, HEADINGS = 2, 14
-"""Space between two columns of terminal text, and least width of the headings of the rows, by which
-the tables of several sensors are aligned; in characters."""
-
+"""Space between two columns of terminal text, and least width of the row headings, in characters.
+The least width aligns the tables of several sensors."""
 
 WIDE = 1000
 """Width in characters of text that is not for a terminal."""
@@ -41,9 +40,9 @@ WIDE = 1000
 class Heading(NamedTuple):
     """Heading of a column or of a row: name, unit of its cells, and an explanation.
 
-    The rest is for terminal text: ``align`` is the alignment of a column. A column that ``wraps``
-    is as wide as the terminal allows; the other columns are as wide as their content. A column that
-    ``repeats`` is part of each table into which a table that is too wide is split.
+    The other fields are for terminal text. ``align`` is the alignment of a column. A column that
+    ``wraps`` is as wide as the terminal allows; other columns are as wide as their content. If a
+    table is too wide and is split, a column that ``repeats`` is in each of the parts.
     """
 
     name: str
@@ -120,9 +119,9 @@ class Table:
 def terminal_lines(table: Table, width: int) -> Iterator[str]:
     """Yield the lines of a table and of its note with at most ``width`` characters.
 
-    If the table is too wide, details are printed below the texts; if it is still too wide, it is
-    split into several tables with fewer columns, which are separated by empty lines. The texts of a
-    single column that is too wide have several lines.
+    If the table is too wide, details are printed below the texts. If it is still too wide, it is
+    split into several tables with fewer columns, which are separated by empty lines. The texts in a
+    single column that is too wide are broken into several lines.
 
     Examples
     --------

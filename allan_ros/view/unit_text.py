@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sentences about a unit of a production test: limits that are not met, findings, decision."""
+"""Sentences about an IMU in a production test: limits that are not met, findings, decision."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .finding_text import texts_of
 from .verdict_text import finding_text, verdict_of
 
 SHOWN_CHECKS, SHOWN_FINDINGS = 4, 2
-"""Largest numbers of quantities and of findings that the line of a unit names."""
+"""Largest numbers of quantities and of findings that the line of an IMU names."""
 
 
 def limits_text(limits: Limits) -> str:
-    """Return limits in the unit of the plan.
+    """Return limits as text, in the unit of measurement of the plan.
 
     >>> limits_text(Limits(0.0, 1e-2, '%', 1e-2)), limits_text(Limits(9.5, None, 'm/s^2'))
     ('0 to 1 %', 'at least 9.5 m/s^2')
@@ -37,7 +37,7 @@ def limits_text(limits: Limits) -> str:
 
 
 def measured_text(measured: Estimate, limits: Limits) -> str:
-    """Return a measured quantity in the unit of the plan, such as '< 3.2 deg/h' or '-'."""
+    """Return a measured quantity as text, in the unit of the plan, such as '< 3.2 deg/h' or '-'."""
     sign, value = '', measured.value if measured.resolved else None
     if value is None:
         sign, value = '< ', measured.upper95
@@ -48,7 +48,7 @@ def measured_text(measured: Estimate, limits: Limits) -> str:
 
 
 def name_of(checks: Sequence[Check]) -> str:
-    """Return the name of a quantity of one or more axes: 'gyro x, y N', 'gyro N', 'rate'."""
+    """Return the name of a quantity with its axes: 'gyro x, y N', 'gyro N' for all, or 'rate'."""
     axes = [check.axis for check in checks if check.axis]
     quantity = checks[0].quantity.replace('_', ' ')
     if not axes:
@@ -59,7 +59,7 @@ def name_of(checks: Sequence[Check]) -> str:
 
 
 def checks_text(checks: Sequence[Check], plan: Plan) -> str:
-    """Return what was measured of some quantities and what the plan demands.
+    """Return the measured values of some quantities, each with the limits of the plan, as text.
 
     Axes of one sensor with the same limits are named together.
     """
@@ -81,12 +81,12 @@ def checks_text(checks: Sequence[Check], plan: Plan) -> str:
 
 
 def unit_sentences(check: UnitCheck, results: Results, units: str) -> list[str]:
-    """Return the reasons for the decision about a unit, the most important first.
+    """Return the reasons for the decision about an IMU, the most important first.
 
     ``units`` is 'deg/h' or 'SI'.
     """
     suspect = [each for each in grouped(check.suspect) if each.id != 'exceeds_limit']
-    # a wrong unit of measurement explains the numbers, and so does a broken axis
+    # a wrong unit of measurement or a broken axis explains the numbers, so it comes first
     causes = [each for each in suspect if each.id in (*BROKEN, *WRONG_UNITS, 'accel_scale')]
     said = [finding_text(each, results, units) for each in causes[:1]]
     plan = check.plan

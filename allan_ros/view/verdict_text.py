@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict on an IMU in sentences, and the summary of results as text."""
+"""The verdict on an IMU in sentences, and a summary of results as text."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ VERDICT_WORDS: dict[Level, str] = {
 """Level of a verdict -> its text."""
 
 NO_STEP = ('file_left_out', 'held', 'short', 'record_longer', 'record_too_short')
-"""Ids of findings whose remedy is not a next step: they need no action, or only a longer recording,
-which is a separate step."""
+"""Ids of findings whose remedy is not a next step, because no action is needed, or because a longer
+recording is a next step of its own."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,8 @@ def _summary(results: Results, comparisons: Sequence[Check], units: str) -> str:
 def quality(results: Results) -> str:
     """Return a sentence on the precision of N, B and K: 'N to 0.4 %, B to 8 %, K needs 3 h.'
 
-    The percentage is half the width of the 95 % interval, on the axis where it is largest.
+    The percentage is half the width of the 95 % interval relative to the value, on the axis where
+    this ratio is largest.
     """
     if not any(c.ci95 or c.upper95 for a in results.axes.values() for c in a.fit.noise.values()):
         return f'Method {results.method} gives no intervals.'
@@ -230,13 +231,13 @@ def _joined(words: Sequence[str]) -> str:
 
 
 REPORTED_LEFT_OUT = 0.01
-"""Fraction of unused samples above which the number of received samples is shown."""
+"""Fraction of unused samples above which the number of received samples is also shown."""
 
 
 def used_samples(results: Results) -> str:
-    """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part is left out."""
+    """Return '60,000 samples', or '737,856 of 1,000,000 samples' if a part was not used."""
     used, counts = results.samples, results.provenance.counts
-    # the counts of two topics are sums, and `used` is the number of samples of one
+    # with two topics, the counts are added up, but `used` is the number of samples of one topic
     two_topics = used < (1.0 - REPORTED_LEFT_OUT) * counts.used
     reported = not two_topics and used < (1.0 - REPORTED_LEFT_OUT) * counts.received
     total = f' of {counts.received:,}' if reported else ''

@@ -180,7 +180,7 @@ def test_the_factors_in_motion_raise_the_noise_that_grew(
     (line,) = (line for line in text.splitlines() if 'inflation:' in line)
     assert line.endswith(
         f'inflation: in motion, gyro {said}, accel N and K not raised, x0.800 (0.640 to 0.960), '
-        'from 24 drives; the levels below are without it'
+        'from 24 drives; the levels below are without these factors'
     )
 
 

@@ -55,8 +55,7 @@ def test_an_estimator_without_sums_reports_it(graph):
     graph.run('estimator', **{'publish.sums_period': 0.1})
     status = graph.until(lambda: (s := graph.status('sums')) and s.level == ERROR and s)
     assert (
-        'No Allan variance sums on /sums' in status.message
-        and 'Start allan_accumulator' in status.message
+        'No Allan sums on /sums' in status.message and 'Start allan_accumulator' in status.message
     )
 
 

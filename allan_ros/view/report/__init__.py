@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The HTML report of an analysis in one file: verdict, findings, interactive charts and tables.
 
-The page makes no network requests: its Content-Security-Policy forbids them. The policy permits
-only scripts with the listed hashes, so text of a recording cannot run as a script, and images that
-the page contains, which is how a chart is saved as PNG.
+The Content-Security-Policy of the page forbids network requests. It permits only scripts with the
+listed hashes, so that text of a recording cannot run as a script, and images in the page, which are
+needed to save a chart as PNG.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from ...results.results import Results
 
 SCRIPTS = ('chart.js', 'charts.js', 'page.js')
-"""Script files in the order in which they run."""
+"""Names of the script files, in the order in which they run."""
 
 ICONS = {
     'healthy': '<path d="M7 12.5l3.5 3.5L17 9"/>',
@@ -79,8 +79,8 @@ def render_report(
     """Return the HTML of the report.
 
     ``units`` selects the units that are shown at first, 'deg/h' or 'SI'; a switch in the page
-    changes them. Charts that need the ``signal`` are omitted without it. ``method`` has further
-    rows of the table of the method, and ``files`` the names of the files in the same folder.
+    changes them. Without ``signal``, the charts of the raw signal are omitted. ``method`` contains
+    further rows for the table of the method, and ``files`` the names of files in the same folder.
     """
     name = results.identity.label or 'IMU'
     sensors = {
@@ -152,7 +152,7 @@ def _hosts(charts: Sequence[Mapping[str, Any]], kind: str) -> list[str]:
 
 
 def _pair(sensors: Iterable[str], parts: Iterable[Sequence[str]]) -> list[str]:
-    """Return HTML of each sensor in two columns; nothing if there is none."""
+    """Return the HTML parts of the sensors in two columns; nothing without parts."""
     content = [
         f'<div><h3>{SENSOR_NAMES[sensor]}</h3>{"".join(part)}</div>'
         for sensor, part in zip(sensors, parts)
@@ -295,7 +295,7 @@ def _motion(results: Results) -> Iterator[str]:
             '<p class="note">Each point is one drive between two rests. 1 (dashed): the error that '
             'the noise at rest predicts, with the rotation of the Earth, whose direction is '
             'unknown. If the noise itself is larger in motion, all drives have large ratios; scale '
-            'factors and misalignments enlarge those of drives with much rotation.</p>'
+            'factors and misalignments enlarge the ratios of drives with much rotation.</p>'
         )
 
 

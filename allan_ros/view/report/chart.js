@@ -16,7 +16,7 @@ const Chart = (() => {
   const clean = (value) => Number(value.toPrecision(12));
   const px = (v) => String(Math.round(v * 10) / 10);
 
-  // Four significant digits, with a power of ten where zeros would hide them.
+  // A number with four significant digits; with a power of ten if it would begin or end in many zeros.
   function number(value, digits = 4) {
     if (value === null || value === undefined || !Number.isFinite(value)) return '–';
     if (value === 0) return '0';
@@ -81,7 +81,7 @@ const Chart = (() => {
     return light;
   }
 
-  // What the drawing function of a chart uses. Values outside the plot are clipped.
+  // The pen: functions that draw into a chart. Values outside the plot are clipped.
   class Pen {
     constructor(box, x, y, id) {
       Object.assign(this, { box, x, y, id, parts: [], occupied: [] });

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Data of the charts of the report as plain values in SI, with factors to the other units."""
+"""Data of the charts in the report as plain values in SI, with factors to datasheet units."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 MEANS = 128
-"""Largest number of points in the charts of the bias and of the noise over time."""
+"""Largest number of points in a chart of the bias or the noise over time."""
 
 LEAST_TREND_POINTS = 4
 """Smallest number of points of a chart over time."""
@@ -38,8 +38,8 @@ LEAST_TREND_POINTS = 4
 def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) -> dict[str, Any]:
     """Return the data of all charts of one sensor ('gyro' or 'accel') as a JSON object.
 
-    Without sums in the results, or without the ``summary`` of the raw signal, the charts that need
-    them are omitted.
+    Charts that need the sums are omitted if the results have none. Charts of the raw signal are
+    omitted without ``summary``.
     """
     axes = {name: results.axes[name] for name in AXES[SENSORS[sensor]] if name in results.axes}
     tau = sorted({float(t) for a in axes.values() if a.curve is not None for t in a.curve.tau})
@@ -57,9 +57,9 @@ def sensor_charts(results: Results, sensor: str, summary: SignalSummary | None) 
 
 
 def rounded(values: ArrayLike, digits: int = 5) -> list[float | None]:
-    """Return the values rounded to ``digits`` significant digits, None for NaN and infinity.
+    """Return values of any unit, (n,), rounded to ``digits`` significant digits.
 
-    Five digits are better than a tenth of a pixel on any screen.
+    NaN and infinity become None. Five digits are finer than a tenth of a pixel on any screen.
     """
     numbers = np.asarray(values, float).tolist()
     return [float(f'{v:.{digits}g}') if math.isfinite(v) else None for v in numbers]
@@ -205,7 +205,7 @@ def temperature_chart(summary: SignalSummary | None) -> dict[str, Any] | None:
 
 
 def motion_chart(results: Results) -> dict[str, Any] | None:
-    """Return the error of each drive over its prediction; None if it was not measured.
+    """Return the ratio of error to prediction for each drive; None if it was not measured.
 
     Durations are in s and angles in deg.
     """
@@ -222,11 +222,11 @@ def motion_chart(results: Results) -> dict[str, Any] | None:
 
 
 def model_density(axis: AxisResult, spectrum: Spectrum) -> Floats:
-    """Return the one-sided power spectral density of the model, SI unit^2/Hz, (points,).
+    """Return the one-sided power spectral density of the model, (points,), in SI unit^2/Hz.
 
-    It is the expectation of the measured spectrum, in the same blocks and with the same tapers: a
-    sinusoid is a peak of the same height, and slow processes have the same leakage. The tapers
-    remove a ramp. The density is NaN above the pass band of a filter.
+    The density is the expectation of the measured spectrum for the same blocks and tapers. A
+    sinusoid therefore is a peak of the same height, and slow processes have the same leakage. The
+    tapers remove a ramp. The density is NaN above the pass band of a low-pass filter.
     """
     tau0, power = axis.tau0, np.zeros(len(spectrum.frequency))
     for process, value, *_ in axis.fit.model.parts:

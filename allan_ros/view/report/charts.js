@@ -1,8 +1,8 @@
 // Copyright 2026 the allan_ros authors
 // SPDX-License-Identifier: Apache-2.0
 // The charts of one sensor: Allan deviation, noise density, bias and noise over time, raw signal.
-// Color is the axis, dashes and a letter are the term. Each function draws into a host and returns
-// its charts.
+// The color shows the axis; dashes and a letter show the term. Each function draws into a host element
+// and returns the charts.
 'use strict';
 
 const Charts = (() => {
@@ -45,7 +45,7 @@ const Charts = (() => {
       const some = visible().length ? visible() : axes;
       const factor = unit()[1];
       const values = positive(some.map((a) => times(a.adev, factor)));
-      // a point far below the model, from two or three differences, does not set the scale
+      // a point that is far below the model, because it is from two or three differences, does not set the scale
       const low = Math.min(...positive(some.map((a) => a.adev.map((v, i) => (v > 0 ? factor * Math.max(v, 0.1 * a.fit[i]) : 0)))));
       const marks = some.flatMap((a) => Object.values(a.read).map(([, v]) => v * factor)).filter((v) => v > 0.2 * low);
       return [Math.min(0.45 * low, ...marks.map((v) => 0.75 * v)), 1.7 * Math.max(...values)];

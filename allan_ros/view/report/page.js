@@ -19,7 +19,7 @@
     input.addEventListener('change', () => Chart.all.forEach((chart) => { if (chart.note) chart.note(); chart.render(); }));
   }
 
-  // In print, all parts are open, and charts are drawn anew for the width of the paper.
+  // For printing, all parts are opened, and charts are drawn again for the width of the paper.
   const closed = [];
   addEventListener('beforeprint', () => {
     document.documentElement.classList.add('printing');

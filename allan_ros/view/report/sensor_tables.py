@@ -39,7 +39,7 @@ def headline_html(axes: Axes) -> str:
 def model_html(axes: Axes) -> Iterator[str]:
     """Yield an HTML table of the other terms and of what the model contains.
 
-    If there is neither a value nor a limit of any term, only a note says so.
+    If no term has a value or a limit, only a note states this.
     """
     noise = [c for axis in axes.values() for c in axis.fit.noise.values()]
     if all(c.value is None and c.upper95 is None for c in noise):
@@ -55,7 +55,7 @@ def model_html(axes: Axes) -> Iterator[str]:
 def filter_html(results: Results) -> str:
     """Return an HTML table of the numbers in imu.yaml: key, value, and their origin.
 
-    If a key needs an axis that was not measured, a note says so instead.
+    If a key needs an axis that was not measured, a note states this instead.
     """
     try:
         table = filter_table(results)
@@ -70,7 +70,7 @@ def filter_html(results: Results) -> str:
 def growth_html(axes: Axes) -> Iterator[str]:
     """Yield an HTML table of the predicted angle or velocity error without correction.
 
-    The scatter of the bias between recordings follows if it is known.
+    If it is known, the scatter of the bias between recordings follows.
     """
     if all(axis.growth for axis in axes.values()):
         yield _scrolled('comparison', partial(growth_table, axes))
@@ -98,7 +98,7 @@ def _scatter(name: str, axis: AxisResult, units: str) -> str:
 
 
 def datasheet_html(axes: Axes, sheet: Datasheet, comparisons: Sequence[Check]) -> Iterator[str]:
-    """Yield an HTML table of the limits of a datasheet; nothing if it has none for this sensor."""
+    """Yield an HTML table of the limits in a datasheet; nothing without limits for this sensor."""
     stated: dict[str, list[str]] = {}
     notes = []
     for term in TERMS:
