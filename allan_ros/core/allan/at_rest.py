@@ -1,7 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the samples of an axis at rest show beside their noise: mean, drift and bandwidth, and the
-repeatability of the mean between recordings.
+"""Mean, drift, slope over temperature and bandwidth of the samples of an axis at rest.
+
+`turn_on_bias` computes the repeatability of the mean from one recording to the next.
 """
 
 from __future__ import annotations
@@ -22,17 +23,18 @@ from .sums import AllanSums
 Floats = NDArray[np.float64]
 
 DRIFT_BLOCKS = 16
-"""Number of means of equal length, over all recordings, from which the drift is computed."""
+"""Largest number of means of equal length, over all recordings, from which the drift is
+computed."""
 
 LEAST_SLOPE_RANGE_K = 3.0
 """Range of the temperature in K below which no slope over temperature is computed."""
 
 HALF_POWER = 0.5
-"""Power relative to the white noise at the end of the bandwidth (-3 dB)."""
+"""Power at the upper end of the bandwidth, relative to the power of the white noise (-3 dB)."""
 
 SMOOTHED_BINS, LEAST_DOF = 5, 40.0
-"""Number of neighboring bins of which the median is taken, and fewest degrees of freedom of a bin.
-The median of white noise is then below `HALF_POWER` with a probability of 1e-6."""
+"""Number of neighboring bins of which the median is taken, and fewest degrees of freedom of such a
+bin. The median of white noise is then below `HALF_POWER` with a probability of 1e-6."""
 
 
 @dataclass(frozen=True)
@@ -42,18 +44,20 @@ class AtRest:
     Attributes
     ----------
     mean : float
-        Mean of all used samples: the bias, with gravity for an accelerometer.
+        Mean of all used samples: the bias, plus gravity for an accelerometer.
     drift : float or None
-        Difference between the largest and the smallest of up to 16 means of equal length. It
-        includes the noise of the means. None for less than two blocks.
+        Difference between the largest and the smallest of up to 16 means of equal length. The
+        difference includes the noise of the means. None if there are fewer than two means.
     temperature : float or None
         Mean temperature in degC; None if it was not recorded.
     slope : Estimate or None
-        Change of the means per K, by least squares. A drift with time is included. None if the
-        temperature was not recorded or varied by less than 3 K.
+        Change of the means per K, by least squares. A drift with time is not separated from the
+        effect of the temperature. None if the temperature varied by less than 3 K, or is known for
+        fewer than four means.
     bandwidth : float or None
-        Frequency in Hz up to which the noise density is at least 0.71 N: half of the sample rate
-        without a low-pass filter. None if N or the spectrum is unknown.
+        Frequency in Hz up to which the noise density is at least 0.71 N; half of the sample rate if
+        there is no low-pass filter. None if N or the spectrum is unknown, or if the density is
+        below 0.71 N already at the lowest frequencies.
     """
 
     mean: Signed
@@ -66,16 +70,22 @@ class AtRest:
 def at_rest(
     sums: AllanSums, time_ns: NDArray[np.int64], celsius: Floats, white: Mapping[str, float | None]
 ) -> dict[str, AtRest]:
-    """Return axis -> mean, drift and bandwidth of its samples.
+    """Return axis -> mean, drift, slope over temperature and bandwidth of the samples.
 
     Parameters
     ----------
     sums : AllanSums
-        Sums with at least one recording.
-    time_ns, celsius : (readings,) arrays
-        Times of temperature readings on the clock of the sums, ascending, and degC; may be empty.
+        Allan sums with at least one recording.
+    time_ns : (readings,) int64 array
+        Times of the temperature readings in ns on the clock of the sums, ascending; may be empty.
+    celsius : (readings,) array
+        Temperatures in degC.
     white : mapping of axis to float or None
-        Estimate N of each axis in SI.
+        Estimate of N of each axis in SI; None if it is unknown.
+
+    Returns
+    -------
+    dict of axis to AtRest
     """
     weights = np.array([one.samples for one in sums.recordings], float)
     mean = weights @ np.array([one.mean for one in sums.recordings]) / weights.sum()
@@ -107,9 +117,10 @@ class TurnOnBias:
         Mean of the biases of the recordings (the means of their samples), in the unit of the
         samples.
     scatter : Estimate
-        Standard deviation of the biases, with the noise subtracted. It is not resolved if the noise
-        alone may explain the scatter; then its limit is None if the scatter is improbably small
-        for the noise alone. The interval is for normally distributed biases.
+        Standard deviation of the biases, after the variance of the noise was subtracted. It is not
+        resolved if the noise alone may explain the scatter. It then has an upper limit, except if
+        the scatter is improbably small even for the noise alone. The interval assumes normally
+        distributed biases.
     """
 
     recordings: int
@@ -118,13 +129,21 @@ class TurnOnBias:
 
 
 def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
-    """Return the repeatability of the bias from the mean of each recording, (recordings,).
+    """Return the repeatability of the bias from one recording to the next.
 
-    ``variance`` is the variance of the means without a turn-on bias: the Allan variance at the
-    length of the recordings, which is half of the mean squared difference of the means of two
-    recordings without a break between them (for white noise, the variance of each mean).
+    Parameters
+    ----------
+    means : (recordings,) array
+        Mean of each recording.
+    variance : float
+        Variance of the means due to noise: the Allan variance at the length of the recordings. It
+        is half of the mean squared difference of the means of two recordings that follow each
+        other without a break. For white noise, this is the variance of each mean.
 
-    The result is None for fewer than two recordings.
+    Returns
+    -------
+    TurnOnBias or None
+        None for fewer than two recordings.
     """
     from scipy.special import chdtrc, chdtri
 
@@ -142,7 +161,7 @@ def turn_on_bias(means: Floats, variance: float = 0.0) -> TurnOnBias | None:
 
 
 def _block_means(sums: AllanSums) -> tuple[Floats, float, Floats]:
-    """Return the beginnings of blocks in ns, their length in ns, and their means, (blocks, axes).
+    """Return the begin of each block in ns, the length of a block in ns, and (blocks, axes) means.
 
     The length is a power of two times the sample period, and gives at most `DRIFT_BLOCKS` blocks.
     """
@@ -161,10 +180,10 @@ def _block_means(sums: AllanSums) -> tuple[Floats, float, Floats]:
 
 
 def _slope(heat: Floats, values: Floats) -> Estimate | None:
-    """Return the change of the values per K, by least squares; None if it is unknown.
+    """Return the change of the ``values`` per K, by least squares; None if it is unknown.
 
-    The scatter about the line is correlated in time; the interval assumes a first-order
-    autoregressive process with the correlation of neighboring residuals.
+    ``heat`` are the temperatures. The residuals are correlated in time: the interval assumes a
+    first-order autoregressive process with the correlation of neighboring residuals.
     """
     n = len(heat)
     if n < 4 or float(np.ptp(heat)) < LEAST_SLOPE_RANGE_K:
@@ -173,13 +192,13 @@ def _slope(heat: Floats, values: Floats) -> Estimate | None:
     slope = float(x @ y / (x @ x))
     rest = y - slope * x
     power = float(rest @ rest)
-    alike = min(max(float(rest[1:] @ rest[:-1]) / power, 0.0), 0.9) if power else 0.0
-    error = math.sqrt(power / (n - 2) / float(x @ x) * (1.0 + alike) / (1.0 - alike))
+    lag_one = min(max(float(rest[1:] @ rest[:-1]) / power, 0.0), 0.9) if power else 0.0
+    error = math.sqrt(power / (n - 2) / float(x @ x) * (1.0 + lag_one) / (1.0 - lag_one))
     return Estimate.normal(slope, error)
 
 
 def _bandwidth(spectra: Spectra, i: int, white: float | None, tau0: float | None) -> float | None:
-    """Return the frequency in Hz up to which the power is at least half of that of white noise."""
+    """Return the frequency in Hz up to which the power is at least half of the white noise."""
     if not white or not tau0:
         return None
     steps = np.array([octave(o).step for o in range(spectra.octaves)], float)

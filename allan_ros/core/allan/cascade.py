@@ -1,12 +1,18 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cascade of sums of one segment: second differences of its phase, and octave spectra.
+"""Cascade of sums of one segment: second differences of the phase, and octave spectra.
 
-A point of level j is the sum of 2^j samples. When a block of some thousand points is full, the
-second differences that end in it are squared and summed at the averaging factors of the level, the
-power of the spectral blocks that end in it is added, and the sums of two points are passed to level
-j + 1. Blocks are counted from the start of the segment, so the sums are the same, bit for bit, for
-any chunking.
+Algorithm
+---------
+A point of level j is the sum of 2^j samples. When a block of some thousand points is full:
+
+- the second differences that end in the block are squared and summed, at the averaging factors of
+  the level,
+- the power of the spectral blocks that end in the block is added,
+- the sums of each two points are passed to level j + 1.
+
+Blocks are counted from the start of the segment, so the sums are the same, bit for bit, for any
+chunking of the samples.
 
 A second difference of the phase (the cumulative sum of the samples) is the difference of the sums
 over neighboring points. Source: IEEE Std 952-1997 annex C; NIST SP 1065 eq. 11 (overlapping Allan
@@ -33,17 +39,18 @@ Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 FIRST_BLOCK, BLOCK = 512, 4096
-"""Points of the first and of later blocks of level 0: 512, 512, 1024, 2048, 4096, 4096 ...
-Long blocks amortize the overhead of numpy calls, and still fit into the cache. Those of higher
-levels have at most half as many, which locates their sums more accurately in time."""
+"""Smallest and largest number of points of a block of level 0. The blocks of a segment have 512,
+512, 1024, 2048, 4096, 4096 ... points. Long blocks reduce the share of the overhead of numpy calls,
+and 4096 points still fit into the cache. Blocks of higher levels have at most half as many points,
+because their sums are then located more accurately in time."""
 
 MAX_INTERPOLATED = 0.75
-"""A spectral block is excluded if more than this share of its samples is interpolated on any axis:
-shocks. The fit knows the effect of short gaps."""
+"""Largest share of interpolated samples in a spectral block; a block with a larger share, as during
+a shock, is excluded. The fit takes the effect of shorter gaps into account."""
 
 _KEPT = 32
 """Number of points of the previous blocks that a level keeps. The longest second difference needs
-2 * `LEVEL_FACTORS`[-1] - 1 of them; a multiple of 8 aligns the points of all axes in memory."""
+2 * `LEVEL_FACTORS`[-1] - 1 = 27 earlier points; a multiple of 8 aligns all axes in memory."""
 
 _work, _samples = WorkMemory(), WorkMemory()
 
@@ -75,21 +82,19 @@ def level_of(j: int) -> CascadeLevel:
 
 @dataclass(frozen=True)
 class LevelSums:
-    """Sums of one level over some of its blocks; they can be added.
-
-    ``values`` contains, for each axis, the sums of squares at the factors of the level, the same
-    for non-overlapping differences, and the power of the bins. ``counts`` contains the numbers of
-    differences, of non-overlapping differences, of spectral blocks of each octave, and of pairs of
-    overlapping ones.
-    """
+    """Sums of one level of the cascade over some blocks; ``+`` adds the sums over other blocks."""
 
     level: int
-    values: Floats  # (2 factors + bins, axes)
-    counts: Ints  # (2 factors + 2 octaves,)
+    # (2 factors + bins, axes): sums of squares of the second differences, sums of squares of the
+    # non-overlapping differences, and power of the bins
+    values: Floats
+    # (2 factors + 2 octaves,): numbers of second differences, of non-overlapping differences, of
+    # spectral blocks in each octave, and of pairs of overlapping spectral blocks in each octave
+    counts: Ints
 
     @classmethod
     def zero(cls, j: int, axes: int) -> LevelSums:
-        """Return the sums over no block of level j."""
+        """Return the sums over zero blocks of level j."""
         level = level_of(j)
         factors, bins = len(level.factors), sum(len(octave(o).bins) for o in level.octaves)
         counts = np.zeros(2 * (factors + len(level.octaves)), np.int64)
@@ -100,7 +105,11 @@ class LevelSums:
 
     @property
     def arrays(self) -> tuple[Ints, Floats, Ints, Floats, Ints, Ints, Floats]:
-        """The counts and values apart: differences, non-overlapping ones, blocks, pairs, power."""
+        """Separate arrays of counts and values.
+
+        They are number and sum of squares of the differences, number and sum of squares of the
+        non-overlapping differences, number of spectral blocks, number of pairs, and power.
+        """
         n = len(level_of(self.level).factors)
         m = (len(self.counts) - 2 * n) // 2
         count, group_count, blocks, pairs = np.split(self.counts, [n, 2 * n, 2 * n + m])
@@ -110,21 +119,22 @@ class LevelSums:
 
 @dataclass(frozen=True)
 class Block:
-    """Sums of a block of one level, full or at the end of the segment."""
+    """Sums over a block of one level, which is full or at the end of the segment."""
 
-    begin: int  # index of its first sample in the segment
+    begin: int  # index of the first sample of the block in the segment
     sums: LevelSums
-    # level 0: (axes + 1, n) its samples minus the reference; the last row is 1 for interpolated
-    # ones, else 0. Empty at higher levels
+    # level 0: samples of the block minus the reference, (axes + 1, n); the last row is 1 for
+    # interpolated samples, else 0. Empty at higher levels
     samples: Floats
 
 
 @lru_cache
 def _half_tapers(o: int, kind: str) -> Floating:
-    """Return the tapers of the first and of the second half of a block, (half a block, 4 bins).
+    """Return the tapers of both halves of a block, (half a block, 4 bins).
 
-    The columns of each are its real, then its imaginary parts. They are divided by the number of
-    samples per mean, because they are multiplied by sums.
+    The columns are the real parts, then the imaginary parts of the first half, then the same for
+    the second half. All are divided by the number of samples per mean, because they are multiplied
+    by sums instead of means.
     """
     step, size, bins = octave(o)
     halves = np.split(tapers(size, bins).T / step, 2)
@@ -133,12 +143,12 @@ def _half_tapers(o: int, kind: str) -> Floating:
 
 @dataclass(frozen=True)
 class _HalfBlocks:
-    """Last half block of each octave of a group. It is also the first half of the next block."""
+    """Last half block of each octave of a group, which is also the first half of the next block."""
 
     early: Floating  # (octaves, axes, 2 bins) products with the tapers of the first half
-    # (octaves,) number of its samples that are interpolated; infinite before the first sample
+    # (octaves,) number of interpolated samples in the half block; infinite before the first sample
     interpolated: Floats
-    used: Flags  # (octaves,) whether the block that ends with it is not excluded
+    used: Flags  # (octaves,) whether the block that ends with the half block is not excluded
 
     @classmethod
     def none(cls, octaves: range, axes: int, kind: str) -> _HalfBlocks:
@@ -152,7 +162,7 @@ class _HalfBlocks:
 
 
 class _Rows(NamedTuple):
-    """Rows of the half blocks of an octave; those of an axis follow each other."""
+    """Rows of the half blocks of an octave, sorted by axis, then by time."""
 
     octave: int
     half: int  # samples per half block
@@ -164,14 +174,14 @@ class _Rows(NamedTuple):
 class _Layout(NamedTuple):
     """Rows of the half blocks of a group of octaves in n samples or sums."""
 
-    octaves: list[_Rows]  # without those whose half blocks are longer than n
+    octaves: list[_Rows]  # without the octaves whose half blocks are longer than n
     firsts: Ints  # (octaves * axes,) row of the first half block
     lasts: Ints  # (octaves * axes,)
 
 
 @lru_cache(256)
 def _layout(octaves: range, axes: int, n: int) -> _Layout:
-    """Return the rows of each octave."""
+    """Return the rows of each octave in n samples or sums."""
     rows: list[_Rows] = []
     for o in octaves:
         half, begin = octave(o).size // 2, rows[-1].end if rows else 0
@@ -183,19 +193,19 @@ def _layout(octaves: range, axes: int, n: int) -> _Layout:
 
 
 class _GroupSums(NamedTuple):
-    """Power of the blocks of a group of octaves that end in some samples, and the last halves."""
+    """Power of the blocks of a group of octaves that end in some samples."""
 
     power: Floats  # (bins of all octaves, axes)
-    blocks: list[int]  # of each octave
-    pairs: list[int]  # of overlapping blocks
+    blocks: list[int]  # number of blocks of each octave
+    pairs: list[int]  # number of pairs of overlapping blocks of each octave
     last: _HalfBlocks
 
 
 class _RunningLevel:
-    """Points of one level of the open segment that are not summed yet.
+    """Points of one level of the current segment that are not in a sum yet.
 
-    ``points`` contains the last `_KEPT` summed points, then the first ``fill`` points of the
-    current block. The last row is the number of interpolated samples.
+    ``points`` contains the last `_KEPT` points of earlier blocks, then the first ``fill`` points of
+    the current block. The rows are the axes; the last row is the number of interpolated samples.
     """
 
     def __init__(self, level: int, rows: int) -> None:
@@ -204,8 +214,8 @@ class _RunningLevel:
         self.points[:] = 0.0
         self.fill = 0
         self.summed = 0  # number of summed points
-        # the rounding errors of float32 are much smaller than the noise of single samples, but
-        # not than the noise of long means
+        # float32 is precise enough for single samples: its rounding errors are much smaller than
+        # their noise. This does not hold for sums over many samples
         self.kind = 'f8' if level else 'f4'
         self.halves = [
             _HalfBlocks.none(group, rows - 1, self.kind) for group in level_of(level).groups
@@ -213,7 +223,7 @@ class _RunningLevel:
 
     @property
     def size(self) -> int:
-        """Number of points of the current block when it is full."""
+        """Number of points at which the current block is full."""
         return min(max(self.summed, FIRST_BLOCK), level_of(self.level).block)
 
     @property
@@ -222,13 +232,13 @@ class _RunningLevel:
         return self.points[:, _KEPT : _KEPT + self.fill]
 
     def extend(self, number: int) -> Floats:
-        """Return the place of further points of the current block, (rows, number): a view."""
+        """Extend the current block; return a view of the new points to fill, (rows, number)."""
         begin = _KEPT + self.fill
         self.fill += number
         return self.points[:, begin : begin + number]
 
     def close(self) -> LevelSums:
-        """Return the sums of the full block, and begin a new one."""
+        """Return the sums over the full block, and begin a new block."""
         sums, self.halves = self.sums_of(self.points[:, : _KEPT + self.fill])
         self.points[:, :_KEPT] = self.points[:, self.fill : self.fill + _KEPT]
         self.summed += self.fill
@@ -236,7 +246,7 @@ class _RunningLevel:
         return sums
 
     def sums_of(self, points: Floats) -> tuple[LevelSums, list[_HalfBlocks]]:
-        """Return the sums of a block, and its last half blocks.
+        """Return the sums over a block, and the last half block of each octave in it.
 
         ``points`` are (rows, n): `_KEPT` earlier points, then the points of the block.
         """
@@ -245,7 +255,7 @@ class _RunningLevel:
         block = points[:, _KEPT:]
         (samples,) = _samples.arrays(self.kind, (len(block) - 1, block.shape[1]))
         with np.errstate(over='ignore', invalid='ignore'):
-            # no sensor has values above 1e38, the largest float32; the fit refuses them
+            # values above 3e38 overflow float32; no sensor has them, and the fit excludes the axis
             samples[...] = block[:-1]
             spectra = [
                 _group_sums(samples, block[-1], group, before)
@@ -261,10 +271,10 @@ class _RunningLevel:
 def _group_sums(
     samples: Floating, interpolated: Floats, octaves: range, before: _HalfBlocks
 ) -> _GroupSums:
-    """Return the power of a group of octaves in samples or sums over their step, (axes, n).
+    """Return the power of a group of octaves in a series of samples or of sums, (axes, n).
 
-    ``interpolated``, (n,), is the number of interpolated samples in each, and ``before`` are the
-    half blocks before the first one.
+    ``interpolated``, (n,), is the number of interpolated samples in each sample or sum, and
+    ``before`` are the half blocks before the first one.
     """
     octave_count, axes, columns = before.early.shape
     layout, last = _layout(octaves, *samples.shape), before.copy()
@@ -282,7 +292,7 @@ def _group_sums(
             counts = np.concatenate([before.interpolated[i : i + 1], counts])
             used = counts[:-1] + counts[1:] <= MAX_INTERPOLATED * octave(o).length
             found = found[:, used]
-            used = np.concatenate([before.used[i : i + 1], used])  # with the block before
+            used = np.concatenate([before.used[i : i + 1], used])  # with the previous block
             blocks[i] = int(np.count_nonzero(used[1:]))
             pairs[i] = int(np.count_nonzero(used[1:] & used[:-1]))
             last.interpolated[i], last.used[i] = counts[-1], used[-1]
@@ -295,7 +305,8 @@ def _amplitudes(samples: Floating, layout: _Layout, before: Floating, last: Floa
     """Return the amplitudes of the blocks that end with each half block, (rows, 2 bins).
 
     ``before``, (octaves, axes, 2 bins), is the product of the half block before the first sample
-    with the tapers of the first half; that of the last half block is written to ``last``.
+    with the tapers of the first half. The same product of the last half block is written to
+    ``last``.
     """
     if not layout.octaves:
         return np.zeros((0, before.shape[2]))
@@ -322,8 +333,8 @@ def _second_differences(
 ) -> tuple[list[Floats], list[Floats], list[int]]:
     """Return sums of squares of all and of non-overlapping differences, and the numbers of both.
 
-    ``points``, (axes, `_KEPT` + n), are earlier points, of which ``summed`` are in the segment, and
-    the points of a block. Only differences count that end in the block.
+    ``points``, (axes, `_KEPT` + n), are earlier points, of which the last ``summed`` are in the
+    segment, and the points of a block. Only differences that end in the block are counted.
     """
     axes, columns = points.shape
     x = points.reshape(-1)  # operations on one long row take less time than on short ones
@@ -348,8 +359,8 @@ def _sums_over(
 ) -> Iterator[Floats]:
     """Yield the sums over f neighboring points x, (n - f + 1,), for ascending factors f.
 
-    The factors are even, or 1 or 3. ``pairs`` and ``more``, (n,), are overwritten. A result is
-    valid until the next one.
+    The factors must be 1, 3 or even. The work arrays ``pairs`` and ``more``, (n,), are overwritten.
+    A yielded array is valid only until the next one is yielded.
     """
     sums, width = np.add(x[:-1], x[1:], out=pairs[:-1]), 2
     for f in factors:
@@ -364,12 +375,12 @@ def _sums_over(
 
 
 def _squares(d: Floats) -> Floats:
-    """Return the sum of squares of each row, (1, rows), computed by one dot product per row."""
+    """Return the sum of squares of each row, (1, rows), with one dot product for each row."""
     return np.asarray(np.matmul(d[:, None, :], d[:, :, None])[:, 0, 0])[None]
 
 
 class Cascade:
-    """The cascade of the current segment.
+    """Cascade of the current segment.
 
     Parameters
     ----------
@@ -410,8 +421,8 @@ class Cascade:
             yield Block(level.summed << j, level.close(), points[:, :0] if j else points)
 
     def open_blocks(self) -> Iterator[Block]:
-        """Yield the blocks that are not full as if the segment ended; the state is unchanged."""
-        new = self._levels[0].points[:, :0]  # points of the level below that are not summed yet
+        """Yield the blocks that are not full, as if the segment ended; the state is unchanged."""
+        new = self._levels[0].points[:, :0]  # points from the open block of the level below
         for j in itertools.count():
             if j >= len(self._levels) and not new.shape[1]:
                 return

@@ -2,11 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise that sensors at rest have in common, such as vibration, and the own noise of each sensor.
 
-The Allan covariance of two sensors a and b follows from the Allan variances V of their samples and
-of the difference of their samples, (V(a) + V(b) - V(a - b)) / 2. A signal that all sensors measure
-equally cancels in the differences; from three or more sensors, the own noise of each one follows
-("three-cornered hat": Gray & Allan, A method for estimating the frequency stability of an
-individual oscillator, 28th Symp. Frequency Control, 1974). `transfer` tests whether they do.
+Method
+------
+The Allan covariance of two sensors a and b is (V(a) + V(b) - V(a - b)) / 2, where V is the Allan
+variance of the samples of a sensor, or of the difference of the samples of both.
+
+A signal that all sensors measure equally cancels in the differences. From the differences of three
+or more sensors, the own noise of each sensor follows ("three-cornered hat": Gray & Allan, A method
+for estimating the frequency stability of an individual oscillator, 28th Symp. Frequency Control,
+1974). `transfer` tests whether all sensors measure the common signal equally.
 """
 
 from __future__ import annotations
@@ -34,49 +38,54 @@ from .transfer import transfer
 Floats = NDArray[np.float64]
 
 SAME_RATE = 0.01
-"""Largest relative difference of two sample periods that are regarded as equal."""
+"""Largest relative difference of two sample periods that count as equal."""
 
 BLOCKS, T_95 = 20, 2.093
-"""Number of blocks of the jackknife, and the 97.5 % quantile of Student's t for it."""
+"""Number of blocks of the jackknife, and 97.5 % quantile of Student's t with 19 degrees of
+freedom."""
 
 LEAST_BLOCK = 64
-"""Smallest number of samples of a block."""
+"""Smallest number of samples of a block of the jackknife."""
 
 LEAST_DEGREES = 8.0
 """Smallest number of degrees of freedom for which a coherence is computed."""
 
 
 class Coherence(NamedTuple):
-    """Coherence with its 95 % interval, from -1 to 1, at each averaging time."""
+    """Coherence, from -1 to 1, with its 95 % interval at each averaging time."""
 
-    tau: Floats  # s, (taus,)
+    tau: Floats  # averaging times in s, (taus,)
     value: Floats  # (taus,)
-    low: Floats
-    high: Floats
+    low: Floats  # lower ends of the intervals, (taus,)
+    high: Floats  # upper ends of the intervals, (taus,)
 
 
 @dataclass(frozen=True)
 class CommonNoise:
-    """The noise of one axis of an IMU, and how much of it other IMUs measure at the same time.
+    """Noise of one axis of an IMU, and how much of this noise other IMUs measure at the same time.
+
+    The same type compares two axes of one IMU.
 
     Attributes
     ----------
     axis : str
-        Name of the axis, such as 'gyro_x'; of two axes, if the axes of one IMU are compared.
+        Name of the axis, such as 'gyro_x', or names of the two axes, such as 'gyro_x gyro_y'.
     label : str
         Name of the IMU.
     coherence : Coherence
-        Correlation of the Allan differences with the mean of the other IMUs, or of two axes: 0 for
-        independent noise, 1 for common noise.
-    measured, own : Estimate or None
-        N in SI of all noise, and without the noise that all IMUs measure equally. With two IMUs,
-        ``own`` is the root mean square of both. None if two axes are compared; ``own`` also if the
-        IMUs do not measure the common noise equally.
+        Correlation of the second differences of the axis with the second differences of the mean of
+        the other IMUs, or of the other axis. It is 0 for independent noise, and 1 for common noise.
+    measured : Estimate or None
+        N of all noise of the axis in SI. None if two axes are compared.
+    own : Estimate or None
+        N in SI without the noise that all IMUs measure equally. With two IMUs, it is the root mean
+        square of both. None if two axes are compared, or if the IMUs do not measure the common
+        noise equally.
     gain : float
-        Factor with which the IMU measures the common noise, relative to the mean of all.
+        Factor with which the IMU measures the common noise; the geometric mean of all IMUs is 1.
     leak : float
-        Share of the common noise in the power of the differences of two IMUs, by which ``own``
-        would be too large.
+        Largest share of the common noise in the power of the difference of two IMUs. This share
+        would be mistaken for own noise.
     """
 
     axis: str
@@ -89,16 +98,33 @@ class CommonNoise:
 
 
 class Samples(NamedTuple):
-    """Samples of one axis."""
+    """Samples of one axis of one or several sensors."""
 
     stamps: NDArray[np.int64]  # (n,) in ns, ascending
-    values: Floats  # (n,) in SI; (sensors, n) for several
+    values: Floats  # in SI: (n,) for one sensor, (sensors, n) for several sensors
 
 
 def common_noise(axis: str, imus: Sequence[Samples], labels: Sequence[str]) -> list[CommonNoise]:
     """Return the common and the own noise of one axis of two or more IMUs at rest on one body.
 
-    Raises AllanError if the rates differ, or the common time is too short.
+    Parameters
+    ----------
+    axis : str
+        Name of the axis.
+    imus : sequence of Samples
+        Samples of this axis of each IMU.
+    labels : sequence of str
+        Names of the IMUs.
+
+    Returns
+    -------
+    list of CommonNoise
+        One for each IMU.
+
+    Raises
+    ------
+    AllanError
+        If the rates differ, or the common time is too short.
     """
     parts, number, found = aligned(imus), len(imus), []
     measures = transfer([part.values for part in parts])
@@ -120,7 +146,15 @@ def common_noise(axis: str, imus: Sequence[Samples], labels: Sequence[str]) -> l
 def common_of_axes(
     axes: Sequence[str], samples: Sequence[Samples], label: str
 ) -> list[CommonNoise]:
-    """Return the coherence of each two axes of one IMU; raise AllanError for too few samples."""
+    """Return the coherence of each pair of axes of one IMU.
+
+    ``samples`` are the samples of each of the ``axes``, and ``label`` is the name of the IMU.
+
+    Raises
+    ------
+    AllanError
+        If the rates differ, or there are too few samples.
+    """
     blocks = _sums(axes[0], aligned(samples))
     covariance, unit = _allan_covariance(blocks, len(axes)), np.eye(len(axes))
     return [
@@ -130,37 +164,43 @@ def common_of_axes(
 
 
 def aligned(sensors: Sequence[Samples]) -> list[Samples]:
-    """Return the samples nearest to the times of the first sensor, for each time without a gap.
+    """Return the samples of all sensors at the times of the first sensor, in parts without a gap.
 
-    Raises AllanError if the rates differ.
+    For each stamp of the first sensor, the sample of another sensor with the nearest stamp is used,
+    if it is at most one sample period away. The values of each part are (sensors, n).
+
+    Raises
+    ------
+    AllanError
+        If the rates differ.
     """
     periods = [float(np.median(np.diff(sensor.stamps))) for sensor in sensors]
     if max(periods) > (1.0 + SAME_RATE) * min(periods):
         rates = ', '.join(f'{1e9 / period:.6g}' for period in periods)
         raise AllanError(f'the rates differ ({rates} Hz): record all IMUs at the same rate')
     times = sensors[0].stamps
-    near, rows = np.ones(len(times), bool), []
+    has_all, rows = np.ones(len(times), bool), []
     for stamps, values in sensors:
         right = np.searchsorted(stamps, times).clip(1, len(stamps) - 1)
         nearest = right - (times - stamps[right - 1] < stamps[right] - times)
-        near &= np.abs(stamps[nearest] - times) <= periods[0]
+        has_all &= np.abs(stamps[nearest] - times) <= periods[0]
         rows.append(values[nearest])
-    used = np.flatnonzero(near)
+    used = np.flatnonzero(has_all)
     parts = np.split(used, np.flatnonzero(np.diff(times[used]) > 1.5 * periods[0]) + 1)
     return [Samples(times[part], np.array(rows)[:, part]) for part in parts if len(part)]
 
 
 def _pairs(number: int) -> Floats:
-    """Return the weights of the sensors in the difference of each two, (pairs, sensors)."""
+    """Return the weights of the sensors in the difference of each pair, (pairs, sensors)."""
     one = np.eye(number)
     return np.array([one[i] - one[j] for i, j in combinations(range(number), 2)])
 
 
 def _sums(axis: str, parts: Sequence[Samples]) -> list[AllanSums]:
-    """Return the sums of each sensor, then of the difference of each two, in `BLOCKS` blocks.
+    """Return the Allan sums of each sensor, then of the difference of each pair, for each block.
 
-    ``parts`` are from `aligned`. The blocks have equal numbers of samples. Raises AllanError if
-    they are too short.
+    ``parts`` are from `aligned`. The `BLOCKS` blocks have equal numbers of samples. Raises
+    AllanError if the blocks are too short.
     """
     number = len(parts[0].values) if parts else 0
     pairs = _pairs(number) if number else np.zeros((0, 0))
@@ -185,7 +225,7 @@ def _sums(axis: str, parts: Sequence[Samples]) -> list[AllanSums]:
 def _allan_covariance(blocks: Sequence[AllanSums], number: int) -> tuple[Floats, Floats, Floats]:
     """Return averaging times, Allan covariances (taus, sensors, sensors) and degrees of freedom."""
     curve = allan_curve(reduce(add, blocks))
-    # of the product of two independent sensors: at least the geometric mean of both
+    # the product of two independent sensors has at least the geometric mean of their degrees
     degrees = np.exp(np.log(curve.edf[:, :number]).mean(axis=1))
     some = degrees >= LEAST_DEGREES
     avar = curve.adev[some] ** 2
@@ -208,29 +248,35 @@ def _coherence(tau: Floats, covariance: Floats, degrees: Floats, a: Floats, b: F
 def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | None]:
     """Return N of each sensor, then the own N of each one, in SI with 95 % intervals.
 
-    N is fitted together with Q, B and K to the Allan variances by weighted least squares; the
-    interval is from a jackknife over the blocks. N is None if the samples are constant. The own
-    N of two sensors is the root mean square of both.
+    N is fitted together with Q, B and K to the Allan variances by weighted least squares. The
+    interval is from a jackknife over the blocks. N is None if the samples are constant. With two
+    sensors, the own N is the root mean square of both.
+
+    ``blocks`` are from `_sums`, and ``number`` is the number of sensors.
     """
     factors, curve = min(len(block.count) for block in blocks), allan_curve(reduce(add, blocks))
     m, tau = curve.m[:factors], curve.tau[:factors]
     count = np.array([block.count[:factors] for block in blocks])
     squares = np.array([block.sum_sq[:factors] for block in blocks])
-    differences = np.abs(_pairs(number).T)  # whether a sensor is in a difference
-    away = -1.0 / ((number - 1) * max(number - 2, 1))
-    own = np.where(differences, 1.0 / max(number - 1, 2), away)
-    weights = np.block([[np.eye(number), 0.0 * differences], [np.zeros((number, number)), own]])
+    is_in_difference = np.abs(_pairs(number).T)  # 1 if a sensor is in a difference, else 0
+    of_others = -1.0 / ((number - 1) * max(number - 2, 1))
+    own = np.where(is_in_difference, 1.0 / max(number - 1, 2), of_others)
+    weights = np.block(
+        [[np.eye(number), 0.0 * is_in_difference], [np.zeros((number, number)), own]]
+    )
 
     def curves(sums: Floats, differences: NDArray[np.int64]) -> Floats:
         return np.asarray(allan_variance(sums, m, differences) @ weights.T)
 
-    scatter = (curve.adev**4 / curve.edf)[:factors] @ weights.T**2  # as if all were independent
+    # variances of the curves, if the errors of all sensors and differences were independent
+    scatter = (curve.adev**4 / curve.edf)[:factors] @ weights.T**2
     whole = curves(squares.sum(axis=0), count.sum(axis=0))
     without = [
         curves(squares.sum(axis=0) - s, count.sum(axis=0) - c) for s, c in zip(squares, count)
     ]
     white, quantization = 1.0 / tau, 3.0 / tau**2
-    # N^2 and Q^2 can be negative, Q^2 because the stamps differ: their terms occur with both signs
+    # N^2 and Q^2 may be negative (Q^2 because the stamps of the sensors differ). Their terms occur
+    # with both signs, because the coefficients of the fit are not negative
     signed = white, -white, quantization, -quantization
     terms = np.stack([*signed, np.ones(factors), tau / 3.0], axis=1)
     found: list[Estimate | None] = []
@@ -250,7 +296,7 @@ def white_noise(blocks: Sequence[AllanSums], number: int) -> list[Estimate | Non
 
 
 def _level(terms: Floats, curve: Floats, error: Floats) -> float:
-    """Return the difference of the first two coefficients in a fit without negative ones."""
+    """Return the difference of the first two coefficients in a nonnegative least-squares fit."""
     matrix = terms / error[:, None]
     scale = np.linalg.norm(matrix, axis=0)
     found = nonnegative_least_squares(matrix / scale, curve / error) / scale

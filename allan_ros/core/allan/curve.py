@@ -2,12 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Allan deviation curves and spectra, with chi-squared limits and degrees of freedom.
 
-The estimate V of a variance from M second differences d has edf = 2 V^2 / Var V equivalent degrees
-of freedom. For Gaussian noise, Var V = (2 V^2 / M^2) sum of rho^2 over all pairs of differences,
-where rho is the correlation of the pair (Greenhall & Riley, Uncertainty of stability variances
-based on finite differences, 35th PTTI, 2003, eq. 10; NIST SP 1065 section 5.4.1). Pooled segments
-are independent, so their variances add. The sum is computed directly, over all lags at which rho is
-not negligible, instead of with the approximations of the source.
+Degrees of freedom
+------------------
+The estimate V of a variance from M second differences has edf = 2 V^2 / Var V equivalent degrees of
+freedom. For Gaussian noise, Var V = (2 V^2 / M^2) sum of rho^2 over all pairs of differences, where
+rho is the correlation of a pair (Greenhall & Riley, Uncertainty of stability variances based on
+finite differences, 35th PTTI, 2003, eq. 10; NIST SP 1065 section 5.4.1). Segments are independent,
+so the sums of the segments add up.
+
+The sum is computed directly over all lags at which rho is not negligible. The approximations of the
+source are not used.
 """
 
 from __future__ import annotations
@@ -26,47 +30,73 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 CI_LEVEL = 0.683
-"""Confidence level of the limits of a curve: one sigma, as in NIST SP 1065 and Stable32."""
+"""Confidence level of the limits of a curve: one standard deviation, as in NIST SP 1065 and
+Stable32."""
 
 WHITE_PHASE, WHITE, FLICKER, RANDOM_WALK = 2, 0, -1, -2
 """Noise types: exponents alpha of the power spectral density ~ f^alpha of the samples (NIST SP 1065
-table 2). Flicker phase noise, 1, has the slope of white phase noise and counts as such."""
+table 2). Flicker phase noise (1) counts as white phase noise, whose curve has the same slope."""
 
 LONGEST_LAG = 6
-"""Largest lag of the sum of rho^2, in units of m. For flicker noise, larger lags add less than
-1e-4."""
+"""Largest lag in the sum of rho^2, in units of m. For flicker noise, larger lags would change the
+sum by less than 1e-4."""
 
 
 def edf(noise_type: int, m: int, stride: int, counts: ArrayLike, number: ArrayLike = 1) -> float:
-    """Return the equivalent degrees of freedom of an Allan variance pooled over segments.
+    """Return the equivalent degrees of freedom of an Allan variance over one or more segments.
 
-    ``noise_type`` is the exponent alpha of the spectrum ~ f^alpha: 2, 0, -1 or -2. ``m`` is the
-    averaging factor, and ``stride`` the number of samples between the starts of two second
-    differences. ``number`` segments have ``counts`` differences each; both may be arrays. The
-    result is NaN if all counts are 0.
+    Parameters
+    ----------
+    noise_type : int
+        Exponent alpha of the spectrum ~ f^alpha: 2, 0, -1 or -2.
+    m : int
+        Averaging factor.
+    stride : int
+        Samples from the start of one second difference to the next.
+    counts : int or array
+        Number of second differences in a segment, for each kind of segment.
+    number : int or array
+        Number of segments of each kind; broadcasts with ``counts``.
+
+    Returns
+    -------
+    float
+        NaN if all counts are 0.
     """
     counts = np.atleast_1d(np.asarray(counts, np.int64))
     number = np.broadcast_to(np.asarray(number), counts.shape)
     number, counts = number[counts > 0], counts[counts > 0]
     if not len(counts):
         return float('nan')
-    # a pair of differences at lag j occurs M - |j| times: sums of rho^2 and of |j| rho^2
+    # a pair of differences at lag j occurs M - |j| times, so sums of rho^2 and |j| rho^2 are needed
     lags = np.arange(1, min(int(counts.max()), LONGEST_LAG * m // stride + 1))
     squares = correlation(noise_type, m, stride * lags) ** 2
-    pairs = np.concatenate([[1.0], 1.0 + 2.0 * np.cumsum(squares)])
-    missing = np.concatenate([[0.0], 2.0 * np.cumsum(lags * squares)])
-    last = np.minimum(counts, len(pairs)) - 1
-    variance = np.sum(number * (counts * pairs[last] - missing[last]))
-    # the square of a count above 3e9 overflows int64
+    sum_squares = np.concatenate([[1.0], 1.0 + 2.0 * np.cumsum(squares)])
+    sum_lag_squares = np.concatenate([[0.0], 2.0 * np.cumsum(lags * squares)])
+    last = np.minimum(counts, len(sum_squares)) - 1
+    variance = np.sum(number * (counts * sum_squares[last] - sum_lag_squares[last]))
+    # float, because the square of a count above 3e9 overflows int64
     return float(np.sum(number * counts)) ** 2 / float(variance)
 
 
 def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
     """Return the correlation of two second differences at the averaging factor m, (lags,).
 
-    ``noise_type`` is the exponent alpha of the spectrum ~ f^alpha of the samples, and ``lags`` are
-    the distances of the starts of the differences in samples. The covariance is the fourth
-    difference, with step m, of the generalized autocovariance of the phase.
+    The covariance is the fourth difference, with step m, of the generalized autocovariance of the
+    phase.
+
+    Parameters
+    ----------
+    noise_type : int
+        Exponent alpha of the spectrum ~ f^alpha of the samples: 2, 0, -1 or -2.
+    m : int
+        Averaging factor.
+    lags : (lags,) array of int
+        Distances of the starts of the two differences in samples.
+
+    Returns
+    -------
+    (lags,) float64 array
     """
     steps = np.arange(-2, 3) * m
     weights = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
@@ -79,10 +109,10 @@ def correlation(noise_type: int, m: int, lags: ArrayLike) -> Floats:
 def _phase_autocovariance(noise_type: int, m: int, t: Ints) -> Floats:
     """Return the generalized autocovariance of the phase at lags of t samples, up to a factor.
 
-    For sampled noise: delta(t) for white phase, -|t| for white, t^2 ln|t| for flicker and
-    |t|^3 - |t| for a random walk of the samples (Greenhall & Riley eq. 7, in discrete time).
-    Except for phase noise, lags are divided by m; for flicker, this adds a multiple of t^2, whose
-    fourth difference is 0.
+    It is delta(t) for white phase noise, -|t| for white noise, t^2 ln|t| for flicker noise and
+    |t|^3 - |t| for a random walk of the samples (Greenhall & Riley eq. 7, for discrete time).
+    Except for phase noise, lags are divided by m. For flicker noise, this adds a multiple of t^2,
+    whose fourth difference is 0.
     """
     if noise_type == WHITE_PHASE:
         return np.asarray(t == 0, float)
@@ -97,8 +127,9 @@ def _phase_autocovariance(noise_type: int, m: int, t: Ints) -> Floats:
 def chi_squared_limits(avar: ArrayLike, degrees: ArrayLike) -> tuple[Floats, Floats]:
     """Return the lower and upper limits of the deviation sqrt(avar) at the level `CI_LEVEL`.
 
-    ``degrees`` are the equivalent degrees of freedom of ``avar`` (NaN gives NaN). The limits are
-    sqrt(avar degrees / chi^2) at two quantiles of chi^2, NIST SP 1065 section 5.3.1.
+    ``degrees`` are the equivalent degrees of freedom of ``avar``, in an array of the same shape;
+    NaN gives NaN limits. The limits are sqrt(avar degrees / chi^2) at two quantiles of chi^2 (NIST
+    SP 1065 section 5.3.1), in the unit of sqrt(avar).
     """
     from scipy import special
 
@@ -109,13 +140,13 @@ def chi_squared_limits(avar: ArrayLike, degrees: ArrayLike) -> tuple[Floats, Flo
 
 
 SLOPE_RANGE = 4.0
-"""The slope at m is fitted to the points from m/4 to 4 m, two octaves to each side."""
+"""Range of the points to which the slope at the factor m is fitted: from m/4 to 4 m."""
 
 MIN_AVERAGES = 16
-"""Shortest record, in averaging times, for which the slope of the curve is reliable."""
+"""Shortest recording, in averaging times, for which the slope of the curve is reliable."""
 
 QUANTIZATION_SLOPE = -1.5
-"""Slopes of the Allan variance below this are classified as white phase noise."""
+"""Slope of log avar over log tau below which the noise type is white phase noise."""
 
 
 def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
@@ -123,11 +154,21 @@ def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
 
     The type is the exponent alpha = -1 - mu of the spectrum, where mu is the slope of log avar over
     log tau (NIST SP 1065 table 4). A slope of -2 is classified as white phase noise, which in an
-    IMU is quantization. If the slope is unknown, or the record is shorter than 16 averaging times,
-    the type of the previous factor is used, or white noise (0) if there is none.
+    IMU is quantization. If the slope is unknown, or the recording is shorter than 16 averaging
+    times, the type at the previous factor is used, and white noise (0) at the first factor.
 
-    The averaging factors ``m`` are ascending. ``avar`` and the result are (factors, axes); ``avar``
-    is NaN or 0 without data. ``samples`` is the number of samples in the record.
+    Parameters
+    ----------
+    m : (factors,) int64 array
+        Averaging factors, ascending.
+    avar : (factors, axes) array
+        Allan variances; NaN or 0 without data.
+    samples : int
+        Number of samples in the recording.
+
+    Returns
+    -------
+    (factors, axes) int64 array
     """
     slopes = _local_slopes(m, avar, np.where(MIN_AVERAGES * m <= samples, samples / m, 0.0))
     out = np.empty(avar.shape, np.int64)
@@ -135,8 +176,8 @@ def noise_types_of_avar(m: Ints, avar: Floats, samples: int) -> Ints:
         last = WHITE
         for i, slope in enumerate(slopes[:, axis]):
             if MIN_AVERAGES * m[i] <= samples and np.isfinite(slope):
-                steep = slope < QUANTIZATION_SLOPE
-                last = WHITE_PHASE if steep else max(round(-1.0 - slope), RANDOM_WALK)
+                is_white_phase = slope < QUANTIZATION_SLOPE
+                last = WHITE_PHASE if is_white_phase else max(round(-1.0 - slope), RANDOM_WALK)
             out[i, axis] = last
     return out
 
@@ -147,8 +188,8 @@ def _local_slopes(m: Ints, avar: Floats, weights: Floats) -> Floats:
     distance = np.log(SLOPE_RANGE) * (1.0 + 1e-9)
     out = np.full(avar.shape, np.nan)
     for axis in range(avar.shape[1]):
-        good = (weights > 0.0) & (avar[:, axis] > 0.0)
-        xs, ws, ys = x[good], weights[good], np.log(avar[good, axis])
+        known = (weights > 0.0) & (avar[:, axis] > 0.0)
+        xs, ws, ys = x[known], weights[known], np.log(avar[known, axis])
         for i in range(len(m)):
             near = np.abs(xs - x[i]) <= distance
             if np.count_nonzero(near) < 2:
@@ -160,8 +201,9 @@ def _local_slopes(m: Ints, avar: Floats, weights: Floats) -> Floats:
 
 
 UNCERTAIN = 1.5
-"""Ratio of the upper limit to a point above which the point is not compared with a model. It has
-fewer than six degrees of freedom: its averaging time exceeds about a tenth of the record."""
+"""Largest ratio of the upper limit of a point to the point for which it is compared with a model. A
+point with a larger ratio has fewer than six degrees of freedom: its averaging time exceeds about a
+tenth of the recording."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +219,8 @@ class AxisCurve:
     n : (factors,) int64 array
         Number of second differences in each point.
     adev, ci_low, ci_high : (factors,) float64 arrays
-        Deviation and its limits in the unit of the samples; (factors, columns) for several columns.
+        Allan deviation and its limits in the unit of the samples; (factors, columns) for several
+        columns.
 
     Examples
     --------
@@ -195,7 +238,7 @@ class AxisCurve:
 
     @property
     def is_uncertain(self) -> NDArray[np.bool_]:
-        """Whether each point is too uncertain to be compared with a model (shape of ``adev``).
+        """Whether each point is too uncertain for a comparison with a model (shape of ``adev``).
 
         >>> import allan_ros as ar
         >>> ar.adev([1.0, 2.0, 1.0, 3.0, 1.0], rate=2.0).is_uncertain
@@ -249,7 +292,7 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
     m, stride, avar = sums.m[some], sums.stride[some], sums.avar[some]
     types = noise_types_of_avar(m, avar, sums.samples)
     adev, n = np.sqrt(avar), sums.count[some]
-    # a part of a recording has fewer differences than its length would give
+    # a part of a recording has fewer differences than a segment of this length
     complete = sum(k * counts(round(size), m, stride) for size, k in sums.length_histogram)
     share = np.minimum(n / np.maximum(complete, 1), 1.0)[:, None]
     degrees = share * degrees_of_freedom(sums, m, stride, types)
@@ -259,14 +302,25 @@ def allan_curve(sums: AllanSums) -> AllanCurve:
 
 
 def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> Floats:
-    """Return the equivalent degrees of freedom of the Allan variances of the sums, (factors, axes).
+    """Return the equivalent degrees of freedom of the Allan variances of the sums.
 
-    They are NaN at factors for which no segment is long enough. Segments of a length class are
-    assumed to have its mean length.
+    All segments of a length class are assumed to have the mean length of the class.
 
-    ``m`` are averaging factors, and ``stride`` are the numbers of samples between the starts of two
-    second differences (m itself for the non-overlapping Allan variance). ``types`` are the noise
-    types, (factors, axes), as from `noise_types_of_avar`.
+    Parameters
+    ----------
+    sums : AllanSums
+    m : (factors,) int64 array
+        Averaging factors.
+    stride : (factors,) int64 array
+        Samples from the start of one second difference to the next; m for the non-overlapping Allan
+        variance.
+    types : (factors, axes) int64 array
+        Noise types from `noise_types_of_avar`.
+
+    Returns
+    -------
+    (factors, axes) float64 array
+        NaN at factors for which no segment is long enough.
     """
     degrees = np.empty(types.shape)
     lengths = [round(samples) for samples, _ in sums.length_histogram]
@@ -288,17 +342,17 @@ def degrees_of_freedom(sums: AllanSums, m: Ints, stride: Ints, types: Ints) -> F
 class Spectra:
     """Mean power of the spectral blocks in all bins, from octave 0 (high frequencies) on.
 
-    The bins of an octave, and overlapping blocks, are correlated. ``dof`` is the number of degrees
-    of freedom of the mean power of a bin by itself. A sum over all bins is as accurate as if each
-    bin was independent and had ``shared_dof`` degrees of freedom.
+    The powers of the bins of an octave are correlated, and so are overlapping blocks. ``dof`` are
+    the degrees of freedom of the mean power of one bin. A sum over all bins is as accurate as if
+    each bin was independent and had ``shared_dof`` degrees of freedom.
     """
 
-    octave: Ints  # (bins,)
+    octave: Ints  # (bins,) octave of each bin
     f: Floats  # (bins,) center frequencies in cycles per sample
     power: Floats  # (bins, axes) in the squared unit of the samples
     dof: Floats  # (bins,)
     shared_dof: Floats  # (bins,)
-    clump: Floats  # (bins,) variance of a sum over bins, relative to as many independent bins
+    clump: Floats  # (bins,) sum of the squared correlations of a bin with all bins of its block
     blocks: Ints  # (octaves,) number of blocks
     pairs: Ints  # (octaves,) number of pairs of overlapping blocks
 

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of `AllanSums` to a plain document (dicts, lists, numbers, strings) and back.
+"""Conversion of `AllanSums` to a document of dicts, lists, numbers and strings, and back.
 
-The same document is used in checkpoints, in ``sums.json`` and on the topic ``~/sums``. Because it
-may be damaged, it contains a checksum, and the reader checks all lengths and bounds.
+The same document is used in checkpoints, in ``sums.json`` and on the topic ``~/sums``. Because a
+document may be damaged, it contains a checksum, and the reader checks all lengths and bounds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SUMS_SCHEMA = 'allan_ros/sums/5'
 """Name and version of the document format; the reader rejects any other."""
 
 MAX_FACTORS = len(FIRST_FACTORS) + len(LEVEL_FACTORS) * MAX_LEVELS
-"""Largest accepted number of averaging factors; more would require centuries of samples."""
+"""Largest accepted number of averaging factors. More factors would require centuries of samples."""
 
 MAX_OCTAVES = SAMPLE_OCTAVES + MAX_LEVELS
 """Largest accepted number of octaves."""
@@ -41,16 +41,17 @@ MAX_CLASSES = 500
 """Largest accepted number of length classes; class 500 has segments of 1.1^500 = 5e20 samples."""
 
 MAX_STRETCHES = 10_000
-"""Largest accepted number of different stretches of replaced samples."""
+"""Largest accepted number of rows in the table of replaced stretches."""
 
 MAX_SUM = 1e80
-"""Largest accepted sum of squares. A fit uses its fourth power, which must not overflow."""
+"""Largest accepted sum of squares. Powers of it up to the third must not overflow in a fit."""
 
 MAX_PERIOD_NS = 10**13
 """Longest accepted sample period in ns, nearly three hours."""
 
 TEXT_KEYS = ('frame_id', 'hardware_id', 'checksum')
-"""Keys that the checksum does not cover: a file name that is not UTF-8 is written with escapes."""
+"""Keys that the checksum does not cover. A name that is not UTF-8 is written with escapes, which
+would change the checksum."""
 
 
 def sums_to_document(sums: AllanSums) -> dict[str, Any]:
@@ -71,14 +72,14 @@ def sums_to_document(sums: AllanSums) -> dict[str, Any]:
 
 
 def checksum_of(document: Mapping[str, Any]) -> str:
-    """Return the checksum of the numbers in a document of `sums_to_document`."""
+    """Return the checksum of all numbers in a document of `sums_to_document`: 16 hex digits."""
     numbers = {key: value for key, value in document.items() if key not in TEXT_KEYS}
     text = json.dumps(numbers, sort_keys=True, separators=(',', ':'))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _recording_to_document(recording: RecordedPeriods, factors: int) -> dict[str, Any]:
-    """Return a recording; an array of all periods compresses better than one of each."""
+    """Return the document of a recording: one array for all periods, which compresses best."""
     periods = recording.periods
     octaves = max(len(p.blocks) for p in periods)
     rows = {'count': factors, 'sum_sq': factors, 'blocks': octaves, 'pairs': octaves}
@@ -105,7 +106,7 @@ def _recording_to_document(recording: RecordedPeriods, factors: int) -> dict[str
 
 
 def _padded(arrays: Sequence[NDArray[Any]], rows: int) -> NDArray[Any]:
-    """Return arrays of different lengths as one, (arrays, rows, ...), padded with zeros."""
+    """Return arrays of different lengths as one array, (arrays, rows, ...), padded with zeros."""
     out = np.zeros((len(arrays), rows, *arrays[0].shape[1:]), arrays[0].dtype)
     for one, array in zip(out, arrays):
         one[: len(array)] = array
@@ -115,8 +116,8 @@ def _padded(arrays: Sequence[NDArray[Any]], rows: int) -> NDArray[Any]:
 def _packed(values: NDArray[Any]) -> str:
     """Return an array of int64 or float64 as zlib-compressed bytes in base64.
 
-    First come the lowest bytes of all numbers, then the second ones, and so on. This compresses
-    better, in particular if the lowest bytes are 0 (`rounded`).
+    The lowest bytes of all numbers come first, then the second bytes of all numbers, and so on.
+    This order compresses better, in particular if the lowest bytes are 0 (`rounded`).
     """
     kind = '<f8' if values.dtype.kind == 'f' else '<i8'
     data = np.ascontiguousarray(values, kind).view(np.uint8).reshape(-1, 8)
@@ -124,9 +125,9 @@ def _packed(values: NDArray[Any]) -> str:
 
 
 def _array(fields: Fields, key: str, shape: tuple[int, ...], least: Any, most: Any) -> NDArray[Any]:
-    """Return an array of `_packed` with numbers from ``least`` to ``most``.
+    """Return an array that was written by `_packed`, with numbers from ``least`` to ``most``.
 
-    The numbers are floats if ``least`` is a float (or several floats), else whole.
+    The numbers are float64 if ``least`` is a float or an array of floats, else int64.
     """
     where, number = f'{fields.where}.{key}', math.prod(shape)
     text = fields.text(key, longest=12 * number + 100)
@@ -138,20 +139,22 @@ def _array(fields: Fields, key: str, shape: tuple[int, ...], least: Any, most: A
     if not stream.eof or len(data) != 8 * number:
         raise AllanError(f'{where} does not have the expected {number} numbers')
     kind = '<f8' if np.asarray(least).dtype.kind == 'f' else '<i8'
-    planes = np.frombuffer(data, np.uint8).reshape(8, number)
-    values = np.ascontiguousarray(planes.T).view(kind).reshape(shape)
+    bytes_by_place = np.frombuffer(data, np.uint8).reshape(8, number)
+    values = np.ascontiguousarray(bytes_by_place.T).view(kind).reshape(shape)
     if not np.all((least <= values) & (values <= most)):  # this also excludes NaN
         raise AllanError(f'{where} has numbers outside of the expected range')
     return values.astype(kind[1:])
 
 
 def sums_from_document(document: object, where: str = 'sums') -> AllanSums:
-    """Return the sums from a dict of `sums_to_document`; ``where`` is its name in error messages.
+    """Return the sums from a dict that `sums_to_document` has returned.
+
+    ``where`` is the name of the document in error messages.
 
     Raises
     ------
     AllanError
-        If the document has another version, its checksum differs, or a field is missing, has a
+        If the version or the checksum of the document differs, or if a field is missing, has a
         wrong type or shape, is not finite, or exceeds its bounds.
     """
     top = Fields(document, where)

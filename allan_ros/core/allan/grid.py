@@ -2,14 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Averaging factors of the Allan sums, and blocks and frequency bins of the octave spectra.
 
-Octave spectra are the power of short tapered blocks in a few frequency bins of each octave.
-The blocks of octave o have 64 * 2^o samples and overlap by half. Octave 0 uses bins 8 to 31 of its
-blocks (from 1/8 to nearly 1/2 cycle per sample), the others bins 8 to 15, which is one octave. From
-octave 5 on, a block consists of 1024 means over 2^(o - 4) samples. Only frequencies below 1/64 of
-the rate of the means are used, where aliases are below 0.1 % of white noise.
+Octave spectra
+--------------
+Octave spectra are the power of tapered blocks in a few frequency bins of each octave. The blocks of
+octave o have 64 * 2^o samples and overlap by half. Octave 0 uses bins 8 to 31 of its blocks, from
+1/8 to nearly 1/2 cycle per sample. Other octaves use bins 8 to 15.
 
-The powers at the same bin of two blocks, and at two bins of the same block, are correlated. Their
-covariances follow from the tapers (`overlap`).
+From octave 5 on, a block consists of 1024 means over 2^(o - 4) samples. The bins are below 1/64 of
+the rate of the means, where aliases are below 0.1 % of white noise.
+
+The powers at the same bin of two overlapping blocks, and at two bins of the same block, are
+correlated. The covariances follow from the tapers (`overlap`).
 """
 
 from __future__ import annotations
@@ -23,10 +26,10 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 FIRST_FACTORS = (1, 2, 3, 4, 6)
-"""Averaging factors of level 0 only."""
+"""Averaging factors that only level 0 of the cascade has, in samples."""
 
 LEVEL_FACTORS = (8, 10, 12, 14)
-"""Averaging factors of every level j, in units of its stride 2^j."""
+"""Averaging factors of every level j of the cascade, in units of the stride 2^j."""
 
 MAX_LEVELS = 42
 """Largest accepted number of levels: 2^41 x 14 samples are 970 years at 1 kHz. With more levels,
@@ -36,8 +39,8 @@ the lags of a covariance would not fit into 64-bit search keys."""
 def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the averaging factors m and the strides of a cascade of ``levels`` decimations.
 
-    The stride is the number of samples between the starts of two second differences. Both arrays
-    have 5 + 4 ``levels`` elements.
+    The stride is the number of samples between the starts of successive second differences. Both
+    arrays have 5 + 4 ``levels`` elements.
     """
     m = [*FIRST_FACTORS, *(f << j for j in range(levels) for f in LEVEL_FACTORS)]
     stride = [1] * len(FIRST_FACTORS) + [1 << j for j in range(levels) for _ in LEVEL_FACTORS]
@@ -45,22 +48,25 @@ def grid(levels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def counts(samples: int, m: NDArray[np.int64], stride: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the number of second differences of a segment of n ``samples`` at each factor m.
+    """Return the number of second differences of a segment at each averaging factor m, (factors,).
 
-    n samples have n + 1 phase points, so differences start at 0, stride, 2 stride ... n - 2 m.
+    A segment of n ``samples`` has n + 1 phase points. Differences start at the samples 0, stride,
+    2 stride ... up to n - 2 m; ``stride`` is (factors,).
     """
     return np.where(2 * m <= samples, (samples - 2 * m) // stride + 1, 0)
 
 
 MIN_VARIANCE = 1e-80
-"""Smaller variances are set to 0. No sensor has a resolution of 1e-40. The fit computes the cube
-and the inverse square of variances, which would be outside the range of float64."""
+"""Smallest Allan variance; smaller values are set to 0. The fit computes the cube and the inverse
+square of variances, which must be in the range of float64. No sensor has a resolution of 1e-40."""
 
 
 def allan_variance(sum_sq: Floats, m: NDArray[np.int64], count: NDArray[np.int64]) -> Floats:
-    """Return the Allan variance sum d^2 / (2 m^2 count), (factors, axes), NIST SP 1065 eq. 11.
+    """Return the Allan variance, (factors, axes), from sums of squared second differences.
 
-    It is NaN where ``count`` is 0; values below `MIN_VARIANCE` are set to 0.
+    The Allan variance is ``sum_sq`` / (2 m^2 ``count``), NIST SP 1065 eq. 11. It is NaN where
+    ``count`` is 0, and 0 where it would be below `MIN_VARIANCE`. ``sum_sq`` is (factors, axes),
+    ``m`` and ``count`` are (factors,).
     """
     number = m.astype(float) ** 2 * count  # int64 would overflow after weeks at 1 kHz
     with np.errstate(invalid='ignore', divide='ignore'):
@@ -80,7 +86,7 @@ SHORTEST_BLOCK = 64
 """Samples per block of octave 0."""
 
 LOW_BIN = 8
-"""Lowest bin of each octave: the number of periods in a block."""
+"""Lowest bin of each octave, as a number of periods in a block."""
 
 SAMPLE_OCTAVES = 5
 """Number of octaves whose blocks consist of samples; blocks of higher octaves consist of means."""
@@ -117,10 +123,11 @@ def bins_up_to(octaves: int) -> int:
 
 @lru_cache
 def tapers(size: int, bins: range) -> NDArray[np.complex128]:
-    """Return complex tapers of unit power, (bins, size); block power is |tapers @ block|^2.
+    """Return the complex taper of each bin, (bins, size); the squares of a taper sum to 1.
 
-    The window is power-complementary at an overlap of one half. Each taper is orthogonal to a
-    constant and to a line, so that an offset or a slow drift adds no power.
+    The power of a block in all bins is |tapers @ block|^2. The window is power-complementary at an
+    overlap of one half. Each taper is orthogonal to a constant and to a line, so that an offset or
+    a slow drift adds no power.
     """
     t = np.arange(size)
     window = np.sin(np.pi / 2 * np.sin(np.pi * (t + 0.5) / size) ** 2)
@@ -132,11 +139,11 @@ def tapers(size: int, bins: range) -> NDArray[np.complex128]:
 
 @lru_cache
 def overlap(o: int) -> tuple[Floats, Floats]:
-    """Return covariances of the power of a middle bin of octave o, for unit white noise.
+    """Return the covariances of the power of a middle bin of octave o, for unit white noise.
 
-    The first array contains the covariances with bins 1 to 31 of the same block; the largest is the
-    variance of the bin. The second contains the sums of the covariances with both neighboring
-    blocks.
+    The first array, (31,), contains the covariances with bins 1 to 31 of the same block; the
+    largest one is the variance of the middle bin. The second array, (31,), contains the covariances
+    with the same bins of both neighboring blocks, summed over the two blocks.
     """
     size = octave(o).size
     a = tapers(size, range(1, 4 * LOW_BIN))

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sums of a recording in periods of time, and its block means.
 
-The age of a sample is the number of samples of the recording before it; gaps do not count. Periods
-are short at the start of a recording, where it may warm up, and at its end, and long in between.
-What a block of any level of the cascade contributes belongs to the period in which it starts.
+The age of a sample is the number of samples of the recording before it. Periods are short at the
+start of a recording (warm-up) and at its end (recent changes), and long in between. A block of any
+level of the cascade belongs to the period in which the block starts.
 
-Values of periods are rounded to 21 significant bits and means to 29, which makes documents smaller.
+Sums of periods are rounded to 21 significant bits and means to 29, which makes documents smaller.
 """
 
 from __future__ import annotations
@@ -27,10 +27,12 @@ MAX_PERIODS = 24
 """Largest number of periods of all recordings of an `AllanSums`."""
 
 KEPT_SEGMENTS, MIN_MEANS, MAX_MEANS = 32, 4, 1024
-"""Block means are kept of the 32 longest segments that have at least 4, and at most 1024 in all."""
+"""Block means are kept for at most 32 segments, the longest, with at least 4 means each and at most
+1024 means in all."""
 
 SUM_BYTES, MEAN_BYTES = 4, 5
-"""Upper bytes of a float64 that are not zero: of the sums of a period, and of means."""
+"""Number of upper bytes of a float64 that are kept: for the sums of a period, and for means. The
+other bytes are 0."""
 
 
 def rounded(values: Floats, size: int) -> Floats:
@@ -45,7 +47,7 @@ class ByValue:
     """Base class of dataclasses with array fields; adds a ``==`` that compares the arrays."""
 
     def __eq__(self, other: object) -> bool:
-        """Return whether type and all fields are equal."""
+        """Return whether the types and all fields are equal."""
         if type(self) is not type(other):
             return False
         pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))  # type: ignore[arg-type]
@@ -72,14 +74,14 @@ def nonzero_length(counts: Ints) -> int:
 class Period(ByValue):
     """Sums of one period of a recording."""
 
-    begin: int  # age of its first sample
-    samples: int
-    begin_ns: int  # stamp of its first sample
+    begin: int  # age of the first sample of the period
+    samples: int  # number of samples
+    begin_ns: int  # stamp of the first sample of the period
     count: Ints  # (factors,) number of second differences
-    sum_sq: Floats  # (factors, axes) sum of their squares
+    sum_sq: Floats  # (factors, axes) sum of the squares of the second differences
     blocks: Ints  # (octaves,) number of spectral blocks
-    pairs: Ints  # (octaves,) number of pairs of overlapping ones
-    power: Floats  # (bins, axes) sum of their power in the bins of all octaves
+    pairs: Ints  # (octaves,) number of pairs of overlapping spectral blocks
+    power: Floats  # (bins, axes) sum of the power of the blocks in the bins of all octaves
     total: Floats  # (axes,) sum of the samples minus ``RecordedPeriods.reference``
     interpolated: int  # number of samples that are interpolated on some axis
 
@@ -89,7 +91,7 @@ class Period(ByValue):
         return self.begin + self.samples
 
     def __add__(self, later: Period) -> Period:
-        """Return the sums of this period and a later one."""
+        """Return the sums over this period and a later one, as one period."""
         return replace(
             self,
             samples=self.samples + later.samples,
@@ -118,16 +120,16 @@ class Period(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class BlockMeans(ByValue):
-    """Means of a segment over consecutive blocks."""
+    """Means of one segment over consecutive blocks of samples."""
 
     age: int  # age of the first sample of the segment
-    start_ns: int  # its stamp
+    start_ns: int  # stamp of the first sample of the segment
     samples: int  # number of samples of the segment
     step: int  # samples per block, a power of two
     values: Floats  # (means, axes) means minus ``RecordedPeriods.reference``
 
     def coarser(self, step: int) -> BlockMeans:
-        """Return the means over longer blocks."""
+        """Return the means over longer blocks of ``step`` samples, a power of two."""
         values, size = self.values, self.step
         while size < step:
             pairs = len(values) // 2
@@ -176,9 +178,10 @@ class RecordedPeriods(ByValue):
 def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
     """Return the smallest relative length of two neighboring periods, and the index of the first.
 
-    The length of the pair is divided by the distance of its far end to the nearer end of the
-    recording. ``begins`` are the ages at which the periods begin, and ``length`` is the length of
-    the recording. Without a pair, it is infinite.
+    ``begins`` are the ages at which the periods begin, and ``length`` is the number of samples of
+    the recording. The length of a pair of periods is divided by the smaller of two distances: from
+    the start of the recording to the end of the pair, and from the begin of the pair to the end of
+    the recording. The result is infinite for fewer than two periods.
     """
     ends = [*begins[1:], length]
     relative = [(end - begin) / min(end, length - begin) for begin, end in zip(begins, ends[1:])]
@@ -186,9 +189,9 @@ def pair_to_merge(begins: Sequence[int], length: int) -> tuple[float, int]:
 
 
 def bounded(recordings: Iterable[RecordedPeriods]) -> tuple[RecordedPeriods, ...]:
-    """Return recordings with at most `MAX_PERIODS` periods and `MAX_MEANS` means in all.
+    """Return the recordings, sorted by time, with at most 24 periods and 1024 means in all.
 
-    They are sorted by time. If there are more recordings, the oldest are joined to one.
+    Neighboring periods are merged. If there are more than 24 recordings, the oldest are joined.
     """
     kept = sorted(recordings, key=lambda r: (r.periods[0].begin_ns, r.samples))
     while sum(len(r.periods) for r in kept) > MAX_PERIODS:
@@ -220,5 +223,5 @@ def bounded_means(of_each: Sequence[Sequence[BlockMeans]]) -> list[tuple[BlockMe
 
 
 def totals(arrays: Iterable[NDArray]) -> NDArray:  # type: ignore[type-arg]
-    """Return the sum of arrays of different lengths."""
+    """Return the sum of arrays; shorter arrays are padded with zero rows."""
     return reduce(add_padded, arrays)

@@ -19,29 +19,32 @@ from .sums import AllanSums
 Floats = NDArray[np.float64]
 
 LONGEST_TAU_SHARE = 0.25
-"""Longest averaging time that is compared, as a fraction of the window."""
+"""Longest averaging time at which noise levels are compared, as a fraction of the window."""
 
 MIN_STEP_EDF = 30.0
-"""Smallest number of degrees of freedom before and after a step; the ratio of the variances is then
-accurate to 30 %."""
+"""Smallest number of degrees of freedom before a step, and after it. The standard error of the
+ratio of the variances is then at most 37 %."""
 
 LIKELIHOOD_RATIO = 30.0
-"""Smallest significant value of twice the log likelihood ratio of a step. By chance, chi-squared
-with one degree of freedom exceeds it once in 2e7, so many times and axes can be tested."""
+"""Smallest significant value of twice the log likelihood ratio of a step. Chi-squared with one
+degree of freedom exceeds it with a probability of 4e-8, so that many times and axes can be
+tested."""
 
 
 @dataclass(frozen=True)
 class NoiseStep:
-    """The latest step of the noise level of an axis.
+    """Change of the noise level of an axis in the recent window, by one or more steps.
+
+    The first step is the most significant one. Significant steps after it are found one by one.
 
     Attributes
     ----------
     tau : float
         Averaging time in s at which the first step is most significant.
     before : float
-        Allan deviation at this averaging time before the first step.
+        Allan deviation at ``tau`` before the first step, in the unit of the samples.
     ratio : float
-        Allan deviation after the last step, relative to ``before``.
+        Allan deviation at ``tau`` after the last step, divided by ``before``.
     ci95 : (low, high)
         95 % interval of the ratio.
     since_s : float
@@ -55,18 +58,19 @@ class NoiseStep:
     since_s: float
 
     def beyond(self, margin: float) -> bool:
-        """Return whether the complete interval of the ratio exceeds the fraction ``margin``.
+        """Return whether the whole interval of the ratio differs from 1 by more than ``margin``.
 
-        It lies above 1 + margin, or below 1 / (1 + margin).
+        This means that the interval lies above 1 + margin, or below 1 / (1 + margin).
         """
         low, high = self.ci95
         return low > 1.0 + margin or high < 1.0 / (1.0 + margin)
 
     def coefficient_before(self, term: str) -> float | None:
-        """Return N or Q before the first step, if this noise dominates at ``tau``; None for others.
+        """Return N or Q before the first step in SI, if only this noise was present at ``tau``.
 
         N = sigma sqrt(tau) and Q = sigma tau / sqrt(3) (IEEE Std 952-1997, C.1.1 and C.1.2). The
-        window is too short for K and R, and B has no specific averaging time.
+        result is None for other terms: the window is too short for K and R, and B has no specific
+        averaging time.
 
         Examples
         --------
@@ -78,9 +82,10 @@ class NoiseStep:
 
 
 def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
-    """Return the latest step of the noise level of each axis that has one in the recent window.
+    """Return axis -> change of the noise level, for the axes with a step in the recent window.
 
-    The window of ``window_s`` seconds ends at the end of the latest recording.
+    The window of ``window_s`` seconds ends at the end of the latest recording. The noise in this
+    window is compared with all earlier data.
 
     Raises
     ------
@@ -98,7 +103,7 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
     none = np.zeros((levels, len(sums.axes)))
     count = np.array([add_padded(none[:, 0].astype(int), p.count)[:levels] for p in sums.periods])
     sum_sq = np.array([add_padded(none, p.sum_sq)[:levels] for p in sums.periods])
-    # all data before the window are one row
+    # the first row contains all data before the window
     start = latest.samples - window_s / sums.tau0
     begins = [p.begin if r is latest else -1 for r in sums.recordings for p in r.periods]
     earlier = max(int(np.searchsorted(begins, max(start, 0))), 1)
@@ -138,11 +143,12 @@ def noise_steps(sums: AllanSums, window_s: float) -> dict[str, NoiseStep]:
 
 
 def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
-    """Locate steps of the noise level; return (row after the first, row after the last, factor).
+    """Return the first row after the first step, the first row after the last step, and a factor.
 
-    The degrees of freedom and the sums of squares are (rows, factors). The first step is the most
-    significant one of all factors; ``factor`` is the index of its factor, at which later steps are
-    searched for. The result is None without a significant step.
+    ``degrees`` are degrees of freedom and ``squares`` sums of squares, both (rows, factors). The
+    first step is the most significant step at any averaging factor. The third result is the index
+    of this factor, at which later steps are searched for. The result is None without a significant
+    step.
     """
     degrees, squares = np.cumsum(degrees, axis=0), np.cumsum(squares, axis=0)
     ratio = _step_ratios(degrees, squares)
@@ -159,9 +165,10 @@ def _steps(degrees: Floats, squares: Floats) -> tuple[int, int, int] | None:
 
 
 def _step_ratios(degrees: Floats, squares: Floats) -> Floats:
-    """Return twice the log likelihood ratio of a step after each row, or -inf with too few data.
+    """Return twice the log likelihood ratio of a step after each row, (rows, ...).
 
-    ``degrees`` and ``squares`` are cumulative sums, (rows, ...).
+    ``degrees`` and ``squares`` are cumulative sums, (rows, ...). The result is -inf for rows with
+    too few data before or after them.
     """
     nu = degrees, degrees[-1] - degrees, degrees[-1]
     sums = squares, squares[-1] - squares, squares[-1]

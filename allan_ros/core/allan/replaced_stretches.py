@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stretches of samples that were replaced by a line, counted by length.
 
-The line joins two means, of ``level`` samples before the stretch and of as many after it. A gap or
-a spike is replaced by a line between two samples (level 1), a shock by a line between the means of
-some windows. A table of stretches is an int64 array with one row per pair of length and level:
-columns length, level, and the number of such stretches on each axis.
+The line joins the mean of ``level`` samples before the stretch and the mean of ``level`` samples
+after it. The level is 1 for a gap or a spike, and the length of some windows for a shock.
+
+A table of stretches is an int64 array with one row per pair of length and level. The columns are
+length, level, and the number of such stretches on each axis.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 Ints = NDArray[np.int64]
 
 COUNTED_BITS = 7
-"""Significant bits of a counted length: lengths of 128 samples or more are rounded, so that a table
-remains small. The relative error is below 1/128."""
+"""Significant bits of a length in a table. Lengths of 128 samples or more are rounded, with a
+relative error below 1/128, so that the table remains small."""
 
 
 def no_stretches(axes: int) -> Ints:
@@ -26,7 +27,7 @@ def no_stretches(axes: int) -> Ints:
 
 
 def add_stretches(a: Ints, b: Ints) -> Ints:
-    """Return the table of the stretches in both, in the order of length and level."""
+    """Return the table of the stretches in ``a`` and ``b``, sorted by length and level."""
     rows = np.concatenate([a, b])
     keys, of_row = np.unique(rows[:, :2], axis=0, return_inverse=True)
     total = np.zeros((len(keys), rows.shape[1] - 2), np.int64)
@@ -35,13 +36,13 @@ def add_stretches(a: Ints, b: Ints) -> Ints:
 
 
 def scaled_stretches(table: Ints, share: float) -> Ints:
-    """Return the table of a share of the samples, for which no table is stored."""
+    """Return the estimated table for a ``share`` of the samples: all numbers times the share."""
     number = np.rint(table[:, 2:] * share).astype(np.int64)
     return np.asarray(np.column_stack([table[:, :2], number])[number.any(axis=1)])
 
 
 class RunningStretches:
-    """Counts the stretches of a stream, in chunks of any size."""
+    """Counts the replaced stretches of a stream; the chunks may have any size."""
 
     def __init__(self, axes: int) -> None:
         self.table = no_stretches(axes)
@@ -50,8 +51,8 @@ class RunningStretches:
     def add(self, levels: NDArray[np.int32] | None) -> None:
         """Count the stretches in the next samples.
 
-        ``levels``, (axes, n), are 0 for measured samples, else the level of their stretch. None
-        means that all samples are measured, or that the segment ended.
+        ``levels``, (axes, n), are 0 for measured samples, and the level of the stretch for replaced
+        samples. None means that all samples are measured, or that the segment ended.
         """
         axes = self._open.shape[1]
         if levels is None:

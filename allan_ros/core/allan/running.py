@@ -30,21 +30,23 @@ from .sums import AllanSums, Lengths, add_lengths
 Floats = NDArray[np.float64]
 
 SEGMENT_MEANS = 512
-"""Largest number of means of a segment. When it is exceeded, the mean of each two is kept."""
+"""Largest number of means of a segment. If a segment has more, each two means become one."""
 
 
 @dataclass(frozen=True)
 class _RunningPeriod:
-    """Exact sums of one period, which may still grow."""
+    """Sums over one period before they are rounded; the period may still grow."""
 
-    begin: int  # age of its first sample
-    start: tuple[int, int]  # stamp of the first sample of its segment, and samples since then
+    begin: int  # age of the first sample of the period
+    # stamp of the first sample of the segment in which the period begins, and number of samples
+    # from there to the period
+    start: tuple[int, int]
     samples: int
-    total: Floats  # (axes + 1,) total of the samples; the last row is the number of interpolated
+    total: Floats  # (axes + 1,) sums of the samples, then the number of interpolated samples
     levels: tuple[LevelSums, ...] = ()
 
     def plus(self, levels: Iterable[LevelSums]) -> _RunningPeriod:
-        """Return the period with more sums of some levels."""
+        """Return the period after the sums of some levels were added."""
         both = list(self.levels)
         for more in levels:
             for j in range(len(both), more.level):
@@ -56,27 +58,27 @@ class _RunningPeriod:
         return _RunningPeriod(self.begin, self.start, self.samples, self.total, tuple(both))
 
     def extended(self, later: _RunningPeriod) -> _RunningPeriod:
-        """Return one period of this and the next one."""
+        """Return this period and the next one as one period."""
         samples, total = self.samples + later.samples, self.total + later.total
         return replace(self, samples=samples, total=total).plus(later.levels)
 
 
 class _OpenSegment:
-    """Cascade of the current segment, and its sums over each ``step`` samples.
+    """Cascade of the current segment, and sums over each ``step`` samples for the block means.
 
-    The last sum may be incomplete.
+    The last of these sums may be over fewer samples.
     """
 
     def __init__(self, first: Floats, start_ns: int, age: int) -> None:
-        self.age = age  # of its first sample
+        self.age = age  # of the first sample of the segment
         self.start_ns = self.last_ns = start_ns
         self.cascade = Cascade(first)
         self.sums, self.step = np.zeros((len(first), 0)), 1
 
     def extended(self, block: Block) -> tuple[Floats, int]:
-        """Return sums and step after a block of level 0; a full segment doubles the step."""
+        """Return sums and step after a block of level 0; with too many sums, the step doubles."""
         samples, step, sums = block.samples[:-1], self.step, self.sums.copy()
-        rest = min(-block.begin % step, samples.shape[1])  # samples that belong to the last sum
+        rest = min(-block.begin % step, samples.shape[1])  # samples that complete the last sum
         if rest:
             sums[:, -1] += samples[:, :rest].sum(axis=1)
         end = samples.shape[1] - (samples.shape[1] - rest) % step
@@ -90,9 +92,9 @@ class _OpenSegment:
 
 @dataclass(frozen=True)
 class _State:
-    """Sums of a recording: of the segments that have ended, and of full blocks of the current one.
+    """Sums over the segments of a recording that have ended.
 
-    Only ``periods`` contains the blocks of the current segment.
+    ``periods`` also contains the full blocks of the current segment.
     """
 
     reference: Floats  # (axes,) first sample of the recording
@@ -103,7 +105,7 @@ class _State:
     means: tuple[BlockMeans, ...] = ()
 
     def __deepcopy__(self, memo: object) -> _State:
-        """Return the state itself: it never changes, and a copy of a stream shares it."""
+        """Return the state itself, which is immutable."""
         return self
 
     def with_block(self, segment: _OpenSegment, block: Block) -> _State:
@@ -147,8 +149,8 @@ class _State:
 class RunningSums:
     """Running sums of one stream of evenly spaced samples.
 
-    It needs O(log n) memory for n samples and O(1) time per sample. Any chunking of the same
-    samples gives the same sums, bit for bit.
+    The memory is O(log n) for n samples, and the time O(1) per sample. The sums are the same, bit
+    for bit, for any chunking of the samples.
 
     Examples
     --------
@@ -172,10 +174,16 @@ class RunningSums:
         last_ns: int,
         interpolated: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Add finite samples, (n, axes), that directly follow the previous ones.
+        """Add samples that directly follow the previous samples of the current segment.
 
-        ``first_ns`` and ``last_ns`` are the stamps of the first and the last of them, in ns.
-        ``interpolated``, (n,), marks samples that are interpolated on some axis; None if none is.
+        Parameters
+        ----------
+        samples : (n, axes) array
+            Finite values in SI.
+        first_ns, last_ns : int
+            Stamps of the first and of the last of these samples in ns.
+        interpolated : (n,) array of bool, optional
+            Whether each sample is interpolated on some axis; None if no sample is.
         """
         values = np.asarray(samples, float)
         if not len(values):
@@ -192,7 +200,7 @@ class RunningSums:
         segment.last_ns = last_ns
 
     def end_segment(self) -> None:
-        """End the current segment; the next sample starts a new one.
+        """End the current segment; the next sample starts a new segment.
 
         No second difference and no spectral block contains samples of two segments.
         """
@@ -243,7 +251,7 @@ class RunningSums:
 
 
 def _arrays(period: _RunningPeriod) -> list[NDArray]:  # type: ignore[type-arg]
-    """Return the arrays of `LevelSums.arrays` of all levels together."""
+    """Return the arrays of `LevelSums.arrays`, each joined over all levels."""
     return [np.concatenate(a) for a in zip(*(level.arrays for level in period.levels))]
 
 
@@ -253,7 +261,7 @@ def _period(
     elapsed_ns: int,
     intervals: int,
 ) -> Period:
-    """Return the final form of a period. The last two arguments determine the sample period."""
+    """Return the rounded sums of a period; the sample period is elapsed_ns / intervals."""
     count, sum_sq, _, _, blocks, pairs, power = arrays
     start_ns, since = period.start
     total, interpolated = period.total[:-1], round(float(period.total[-1]))

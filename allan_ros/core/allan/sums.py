@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`AllanSums`: the sums of an IMU's samples that the noise is computed from; they can be added.
+"""`AllanSums`: sums over the samples of an IMU, from which its noise is computed.
 
-The time unit is the sample period. The phase theta is the cumulative sum of the samples minus the
-first sample of the segment, and d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u) is the second
-difference that starts at sample u, at the averaging factor m.
+The unit of time is the sample period. The phase theta is the cumulative sum of the samples minus
+the first sample of the segment. The second difference at the averaging factor m that starts at
+sample u is d(u) = theta(u + 2m) - 2 theta(u + m) + theta(u).
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from .replaced_stretches import add_stretches, no_stretches, scaled_stretches
 Floats = NDArray[np.float64]
 
 LENGTH_CLASS_RATIO = 1.1
-"""Ratio of the longest to the shortest segment whose lengths are pooled."""
+"""Ratio of the longest to the shortest segment in a length class."""
 
 TAU0_TOLERANCE = 1e-3
-"""Sums whose sample periods differ by more than 0.1 % cannot be added."""
+"""Largest relative difference of the sample periods of two Allan sums that can be added."""
 
 Lengths = tuple[tuple[int, int], ...]
 """Total samples and number of the segments of each length class, shortest first."""
@@ -50,7 +50,7 @@ def length_class(samples: float) -> int:
 
 
 def add_lengths(a: Lengths, b: Lengths) -> Lengths:
-    """Return the lengths of the segments of both."""
+    """Return the length classes of the segments in ``a`` and ``b`` together."""
     total: dict[int, tuple[int, int]] = {}
     for samples, number in a + b:
         i = length_class(samples / number)
@@ -61,10 +61,10 @@ def add_lengths(a: Lengths, b: Lengths) -> Lengths:
 
 @dataclass(frozen=True, eq=False)
 class AllanSums(ByValue):
-    """Sums of one stream; ``+`` adds the sums of another recording of the same IMU.
+    """Sums over the samples of one stream; ``+`` adds the sums of another recording of the IMU.
 
-    The result depends on the order of additions only by rounding, at most 1e-12 of its value,
-    except for the limits of the periods.
+    The order of additions changes a sum only by rounding, by at most 1e-12 of the sum. Only the
+    limits of the periods may depend on the order.
 
     Attributes
     ----------
@@ -75,20 +75,21 @@ class AllanSums(ByValue):
     count : (factors,) int64 array
         Number of second differences at each averaging factor in ``m``.
     sum_sq : (factors, axes) float64 array
-        Sum of their squares d^2, in the squared unit of the samples.
+        Sum of the squares d^2 of the second differences, in the squared unit of the samples.
     group_count, group_sum_sq : arrays of the same shapes
-        The same for non-overlapping differences, which start at samples 0, m, 2m ...
+        Number and sum of squares of non-overlapping differences, which start at samples 0, m, 2m
+        ...
     elapsed_ns, intervals : int
         Time from the first to the last stamp of each segment in ns, and number of sample periods
-        in it, summed over the segments. Their quotient is the sample period.
+        in this time, both summed over the segments. Their quotient is the sample period.
     recordings : tuple of RecordedPeriods
-        The same sums by period of time, octave spectra and block means of each recording, in the
-        order of time.
+        Sums by period of time, octave spectra and block means of each recording, in the order of
+        time.
     lengths : tuple of pairs of int
         Total samples and number of segments in each length class, shortest first.
     replaced : (stretches, 2 + axes) int64 array
-        Stretches of samples that were replaced by a line: length, level, and their number on each
-        axis, in the order of the first two columns.
+        Stretches of samples that were replaced by a line: length, level, and number of such
+        stretches on each axis. The rows are sorted by length and level.
     """
 
     identity: ImuIdentity
@@ -107,7 +108,7 @@ class AllanSums(ByValue):
     def empty(
         cls, identity: ImuIdentity = ImuIdentity(), axes: tuple[str, ...] = AXES
     ) -> AllanSums:
-        """Return the sums of zero samples; adding them to other sums changes nothing."""
+        """Return the sums over zero samples; their addition to other sums changes nothing."""
         none, no_sums = np.zeros(0, np.int64), np.zeros((0, len(axes)))
         table = no_stretches(len(axes))
         return cls(identity, axes, none, no_sums, none, no_sums, replaced=table)
@@ -119,7 +120,7 @@ class AllanSums(ByValue):
 
     @property
     def stride(self) -> NDArray[np.int64]:
-        """Samples between the starts of two second differences at each factor, (factors,)."""
+        """Samples from the start of a second difference to the next, at each factor, (factors,)."""
         return grid(levels_of(len(self.count)))[1][: len(self.count)]
 
     @property
@@ -170,7 +171,7 @@ class AllanSums(ByValue):
         return self
 
     def __add__(self, other: AllanSums) -> AllanSums:
-        """Return the sums of both.
+        """Return the sums over the samples of both recordings.
 
         Raises
         ------
@@ -197,7 +198,7 @@ class AllanSums(ByValue):
         )
 
     def check_addable(self, other: AllanSums) -> None:
-        """Check that both have the same IMU and sample period; their axes may differ.
+        """Check that ``other`` has the same IMU and sample period; the axes may differ.
 
         Raises
         ------
@@ -220,15 +221,15 @@ class AllanSums(ByValue):
 
 
 def add_sums(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> tuple[AllanSums, ...]:
-    """Return the sums of two recordings of one IMU, where each has one or more `AllanSums`.
+    """Return the sums over two recordings of one IMU, whose sensors may have different rates.
 
-    A recording has one `AllanSums` with all axes, or one per sensor if the sensors have different
-    rates. Sums with equal axes are added. If one sequence is empty, the other is returned.
+    A recording has one `AllanSums` with all axes, or one for each sensor if their rates differ.
+    `AllanSums` with equal axes are added. If one sequence is empty, the other sequence is returned.
 
     Raises
     ------
     AllanError
-        If IMUs, rates or axes differ.
+        If the IMUs, the rates or the axes differ.
     """
     if not a or not b:
         return tuple(a or b)
@@ -259,11 +260,12 @@ def check_same_imu(a: Sequence[AllanSums], b: Sequence[AllanSums]) -> None:
 
 
 def part(sums: AllanSums, first: int) -> AllanSums:
-    """Return the sums of each recording from its period ``first`` on; it may be negative.
+    """Return the sums over the periods of each recording from the index ``first`` on.
 
-    Block means outside of these periods are removed, and the result has no non-overlapping
-    differences. A block of a high level of the cascade is long, and belongs to the period in which
-    it begins. Where the block means give more differences than the cascade, they are used.
+    A negative ``first`` counts from the last period. Block means outside of these periods are
+    removed, and the result has no non-overlapping differences. Long blocks of the cascade belong to
+    the period in which they begin, so a part may have few differences at large averaging factors.
+    Where the block means give more differences, the differences of block means are used instead.
     """
     kept = [r for r in (_excerpt(r, sums.tau0, first) for r in sums.recordings) if r.periods]
     samples, most = sum(r.samples for r in kept), len(sums.count)
@@ -293,7 +295,7 @@ def part(sums: AllanSums, first: int) -> AllanSums:
 
 
 def _excerpt(recording: RecordedPeriods, tau0: float | None, first: int) -> RecordedPeriods:
-    """Return a recording without its first periods, and the means in the others."""
+    """Return a recording without the periods before the index ``first`` and their block means."""
     periods = recording.periods[first:]
     means: tuple[BlockMeans, ...] = ()
     if periods:
@@ -303,7 +305,7 @@ def _excerpt(recording: RecordedPeriods, tau0: float | None, first: int) -> Reco
 
 
 def _clipped(means: BlockMeans, tau0: float, begin: int) -> BlockMeans:
-    """Return the means over blocks that start at the age ``begin`` or later."""
+    """Return the means over those blocks that start at the age ``begin`` or later."""
     step = means.step
     low = min(max(-((means.age - begin) // step), 0), len(means.values))
     return replace(
@@ -335,15 +337,16 @@ def _from_means(
 
 
 def _lengths(lengths: Lengths, samples: int) -> Lengths:
-    """Estimate the segment lengths of a part with ``samples`` samples, which are not stored.
+    """Return estimated segment lengths of a part with ``samples`` samples.
 
-    The classes of lengths have the same shares as in the complete data.
+    The lengths of the segments of a part are not stored. Each length class is assumed to have the
+    same share of the samples as in the complete data, whose ``lengths`` are given.
     """
     share = samples / max(sum(total for total, _ in lengths), 1)
     scaled = [(round(total * share), round(number * share)) for total, number in lengths]
     kept = [(total, number) for total, number in scaled if 0 < number <= total]
     if not kept:
         return ((samples, 1),) if samples else ()
-    _, number = kept.pop()  # the longest get the rest
+    _, number = kept.pop()  # the class of the longest segments gets the remaining samples
     rest = samples - sum(total for total, _ in kept)
     return add_lengths((), (*kept, (max(rest, number), number)))

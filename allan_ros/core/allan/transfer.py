@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether several sensors measure a common signal equally, from their cross spectra.
 
-A sensor i measures the common signal c as H_i c in addition to its own noise. If all H are equal,
-the difference d of two sensors contains their own noise only, so it is incoherent with any third
-sensor z. Otherwise d contains at least the power |S_dz|^2 / S_zz (J. S. Bendat, A. G. Piersol,
-Random Data, 2010, section 6.1), which the own noise must not be mistaken for.
+Method
+------
+A sensor i measures the common signal c as H_i c, in addition to its own noise. If all H are equal,
+the difference d of two sensors contains only the own noise of both, so d is incoherent with any
+third sensor z. Otherwise d contains at least the power |S_dz|^2 / S_zz of the common signal (J. S.
+Bendat, A. G. Piersol, Random Data, 2010, section 6.1), which would be mistaken for own noise.
 
-A factor g_i of each sensor can be corrected: the cross spectra of different sensors have the
-factors g_i g_j, without their own noise. A lever arm, a delay or a resonance cannot.
+If H_i is a factor g_i, it can be corrected: the cross spectrum of two sensors has the factor
+g_i g_j and contains no own noise. A lever arm, a delay or a resonance cannot be corrected.
 """
 
 from __future__ import annotations
@@ -24,21 +26,23 @@ Floats = NDArray[np.float64]
 Spectra = NDArray[np.complex128]
 
 BLOCK = 256
-"""Samples of a block of the spectra; neighboring ones overlap by half."""
+"""Samples of a block of the spectra; neighboring blocks overlap by half."""
 
 LEAST_BLOCKS = 40
-"""Fewest blocks of which the transfer is tested."""
+"""Fewest independent blocks for which the transfer is tested."""
 
 HIGHEST = 1.0 / 16.0
-"""Highest frequency of the test in cycles per sample. At higher ones, the clocks of two IMUs, which
-differ by up to half a sample, have an effect; the fit of N knows it as a term like Q."""
+"""Highest frequency of the test in cycles per sample. At higher frequencies, the differences
+between the stamps of two IMUs, up to half a sample, have an effect. The fit of N contains a term
+like Q for this effect."""
 
 LARGEST_LEAK = 0.1
-"""Largest share of the common signal in the power of a difference: it increases N by 5 %."""
+"""Largest share of the common signal in the power of a difference. This share increases N by 5
+%."""
 
 LEAST_CONTRAST = 0.5
-"""Least scatter of the common power over the frequencies, relative to its mean, from which two
-sensors alone determine the ratio of their factors."""
+"""Least standard deviation of the common power over the frequencies, relative to its mean, for
+which two sensors alone determine the ratio of their factors."""
 
 
 class Transfer(NamedTuple):
@@ -63,10 +67,11 @@ class Transfer(NamedTuple):
 
 
 def transfer(parts: Sequence[Floats]) -> Transfer:
-    """Return how sensors measure the signal that they have in common.
+    """Return the factors with which sensors measure a common signal, and what remains of it.
 
-    ``parts`` are samples without gaps, (sensors, n). The factors are 1 if the sensors differ by
-    less than chance or `LARGEST_LEAK`, or if there are too few samples.
+    ``parts`` are samples without gaps, each (sensors, n). The factors are 1 if the share of the
+    common signal in the differences is below `LARGEST_LEAK` without factors, if the factors do not
+    reduce this share, or if there are too few samples.
     """
     equal = np.ones(len(parts[0]) if parts else 0)
     if not len(equal):
@@ -85,8 +90,8 @@ def transfer(parts: Sequence[Floats]) -> Transfer:
 def cross_spectra(parts: Sequence[Floats]) -> tuple[Spectra, float]:
     """Return the cross spectra, (frequencies, sensors, sensors), and the number of blocks.
 
-    The number is that of independent blocks with the same errors. Frequencies are from one period
-    per block to `HIGHEST`.
+    Overlapping blocks count as the number of independent blocks with the same errors. The
+    frequencies are from two periods per block to `HIGHEST`.
     """
     window = np.hanning(BLOCK + 1)[:BLOCK]
     total, number = np.zeros((BLOCK // 2 + 1, *2 * (len(parts[0]),)), complex), 0
@@ -98,7 +103,8 @@ def cross_spectra(parts: Sequence[Floats]) -> tuple[Spectra, float]:
             f = np.fft.rfft(blocks * window, axis=2)
             total += np.einsum('akf,bkf->fab', f, f.conj())
             number += len(some)
-    used = slice(2, round(HIGHEST * BLOCK) + 1)  # the window reaches into the next frequency
+    # from bin 2 on, because the window spreads the power of bin 0 into bin 1
+    used = slice(2, round(HIGHEST * BLOCK) + 1)
     return np.asarray(total[used] / max(number, 1), np.complex128), 0.95 * number
 
 
@@ -115,7 +121,7 @@ def _leak(spectra: Spectra, blocks: float) -> float:
         cross = np.einsum('a,fab,b->f', d, spectra, z)
         if not power.all() or not of_z.all():  # a sensor without noise
             continue
-        if not others:  # the own noise of both has a part in it
+        if not others:  # z is the sum of both sensors, so the cross spectrum contains own noise
             cross = cross - _intercept(of_z, cross.real)
         leak = np.abs(cross) ** 2 / of_z - power / blocks
         found.append(float(leak.sum() / power.sum()))
@@ -123,7 +129,7 @@ def _leak(spectra: Spectra, blocks: float) -> float:
 
 
 def _intercept(x: Floats, y: Floats) -> float:
-    """Return a of y = a + b x by least squares of relative errors; b is 0 if x hardly varies."""
+    """Return a of y = a + b x by least squares with weights 1/x^2; b is 0 if x hardly varies."""
     weight = 1.0 / x**2
     mean = np.average(x, weights=weight)
     if x.std() < LEAST_CONTRAST * x.mean():
@@ -133,10 +139,11 @@ def _intercept(x: Floats, y: Floats) -> float:
 
 
 def _gains(spectra: Spectra) -> Floats:
-    """Return the factor of each sensor: of products g_i g_j for three or more (one-factor model).
+    """Return the factor g of each sensor, (sensors,), with the geometric mean 1.
 
-    Two sensors have the spectra g_i^2 S + N_i and g_i g_j S: the slope of the first over the second
-    is their ratio, if S varies with the frequency.
+    With three or more sensors, the factors follow from the products g_i g_j (one-factor model). Two
+    sensors have the spectra g_i^2 S + N_i and the cross spectrum g_i g_j S. The slope of a spectrum
+    over the cross spectrum is g_i/g_j, if S varies with the frequency.
     """
     number = spectra.shape[1]
     gains = np.ones(number)
