@@ -7,7 +7,7 @@
     python bench/bench_accuracy.py line_30 lines_30_03 low_pass_4_20 hump_10 --methods likelihood
     python bench/bench_accuracy.py real                              curve over drawn model
 
-Samples pass through the engine like those of a recording. With --keep their sums are stored and
+Samples pass through the engine as in a recording. With --keep their sums are stored and
 reused, so all methods are compared on the same records. ``real`` needs $ALLAN_ROS_SHARED.
 """
 
@@ -44,7 +44,7 @@ CONFIDENCE = 0.95
 
 
 def gyro(**datasheet: float) -> Model:
-    """Return noise terms of a gyro; Q, N, B, K, R are in urad, deg/sqrt h, deg/h, deg/h^1.5,
+    """Return noise terms of a gyro; Q, N, B, K, R are in urad, deg/sqrt(h), deg/h, deg/h^1.5,
     deg/h^2.
     """
     return Model.of(**{k: from_datasheet(k, 'gyro', v) for k, v in datasheet.items()})
@@ -68,7 +68,7 @@ class Scenario:
     lines : tuple of (amplitude, frequency)
         Additional sinusoids: amplitude relative to the white noise per sample, and Hz.
     hump : (size, correlation time)
-        Gauss-Markov noise: largest ratio of its Allan deviation to that of the truth, and s.
+        Gauss-Markov noise: largest ratio of its Allan deviation to the true one, and s.
     low_pass : (order, corner)
         A Butterworth filter of the samples, and Hz; order 0: none.
     """
@@ -380,7 +380,7 @@ def main(arguments: list[str] | None = None) -> None:
     methods = ['likelihood', 'paper']
     parser.add_argument('--methods', nargs='+', default=methods)
     parser.add_argument('--keep', type=Path, help='folder to keep the sums of the draws in')
-    parser.add_argument('--rate', type=float, help='another rate in Hz than that of the scenarios')
+    parser.add_argument('--rate', type=float, help='rate in Hz instead of the rate of the scenario')
     options = parser.parse_args(arguments)
     if options.rate:
         known = {name: replace(SCENARIOS[name], rate=options.rate) for name in options.scenarios}

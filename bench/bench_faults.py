@@ -459,7 +459,7 @@ class Outcome:
 def with_fault(whole: Messages, fault: Fault, place: slice, rng: Rng) -> Messages:
     """Return messages with a fault from one message to another, in the order in which they arrive.
 
-    The numbers of later messages follow those of a fault that changes how many are sent.
+    If a fault changes how many messages are sent, the numbers of later messages follow.
     """
     disturbed = fault.disturb(whole.part(place), rng)
     later = whole.part(slice(place.stop, None))
@@ -510,7 +510,7 @@ def _numbers(
 ) -> tuple[float | None, float | None]:
     """Return the error of N in units of its limits, and the share of the good samples used."""
     assert seen.result is not None
-    # noise that lasts longer than the time before is regarded as that of the IMU
+    # noise that lasts longer than the time before is regarded as the noise of the IMU
     if not good or (fault.noise_changes and not lasts_s):
         return None, None
     sums = seen.result.sums

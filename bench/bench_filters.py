@@ -11,7 +11,7 @@
 
 Each sensor is simulated for two hours and analyzed. A filter of attitude and bias with its exported
 numbers then runs on other records of the same sensor, with an attitude measurement of 0.1 deg per
-second. The simulators, the filter and the measures are those of `reality.py`, which shares no code
+second. The simulators, the filter and the measures are in `reality.py`, which shares no code
 with this package; it is looked for in $ALLAN_ROS_SHARED/oracle or ../shared/oracle.
 """
 

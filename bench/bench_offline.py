@@ -199,7 +199,7 @@ def show_reading(folder: Path, rounds: int) -> None:
 
 
 def show_table(folder: Path, sizes: list[int], rounds: int) -> None:
-    """Print the cost up to the Allan table, also without that of the floor."""
+    """Print the cost up to the Allan table, also without the cost of the floor."""
     print('\n| bag to Allan table | messages | CPU, s | over the floor, s | peak, MB |')
     print('|---|---|---|---|---|')
     for messages in sizes:

@@ -52,20 +52,20 @@ def table(setting: Setting) -> str:
 
 
 def sums(setting: Setting) -> str:
-    """CPU of allantools as a multiple of that of the sums."""
+    """CPU time of allantools, as a multiple of the CPU time of the sums."""
     from bench_engine import compared
 
     return f'{compared(setting.rounds).ratio:.1f}'
 
 
 def read(setting: Setting) -> str:
-    """CPU of AnyReader as a multiple of that of the readers: mcap; sqlite3."""
+    """CPU time of AnyReader, as a multiple of the time of the readers: mcap; sqlite3."""
     ratios = (offline.reading(setting.folder, n, setting.rounds).ratio for n in offline.STORAGES)
     return '; '.join(f'{ratio:.0f}' for ratio in ratios)
 
 
 def analysis(setting: Setting) -> str:
-    """CPU of an analysis with files as a multiple of that of importing numpy and scipy."""
+    """CPU time of an analysis with files, as a multiple of the time to import numpy and scipy."""
     minute = offline.bag(setting.folder, 'mcap zstd', offline.MINUTE)
     inputs = [minute]
     if (SHARED / 'adis16405').is_dir():

@@ -44,7 +44,7 @@ def main() -> int:
             return code
         print(f'({time.monotonic() - began:.1f} s)\n', flush=True)
     if find_spec('rclpy') is None:
-        print('\nno rclpy here: the nodes are left out (it is there inside ROS, or by `make venv`)')
+        print('\nno rclpy here: the nodes are omitted (ROS and `make venv` provide rclpy)')
         return 0
     return play(bag, args.folder, 'adis16475-3')
 

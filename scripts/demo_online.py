@@ -60,7 +60,7 @@ def play(bag: Path, folder: Path, sensor: str) -> int:
     online, offline = (
         json.loads(path.read_text())['sums'] for path in (checkpoint, folder / 'sums.json')
     )
-    verdict = 'identical to' if online == offline else 'NOT those of'
+    verdict = 'identical to' if online == offline else 'DIFFERENT FROM'
     print(f'\nplayed in {took:.0f} s; the sums of the monitor are {verdict} the offline analysis')
     return int(online != offline)
 

@@ -38,7 +38,7 @@ GRADES = {
         'tactical': {'N': 0.006, 'B': 4.0, 'K': 8.0},
     },
 }
-"""Sensor -> grade -> terms in datasheet units: typical values, not those of a product."""
+"""Sensor -> grade -> terms in datasheet units: typical values, not the values of a product."""
 
 MOSTLY = 0.5
 """Smallest fraction of records that resolve a term for which a number is shown."""

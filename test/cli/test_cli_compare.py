@@ -64,7 +64,7 @@ def test_a_difference_fails_only_with_the_option(analyzed: Path, tmp_path: Path,
     noise['N']['value'] *= 2
     noise['N']['ci95'] = [2 * end for end in noise['N']['ci95']]
     hidden = next(term for term in 'KBR' if noise[term]['status'] != 'estimated')
-    value = 1000 * noise[hidden]['upper95']  # its ratio has a bound; that of N is measured
+    value = 1000 * noise[hidden]['upper95']  # its ratio has a bound; the ratio of N is measured
     noise[hidden].update(value=value, ci95=[0.99 * value, 1.01 * value])
     noise[hidden].update(upper95=None, status='estimated')
     worse = tmp_path / 'worse.json'

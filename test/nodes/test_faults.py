@@ -28,7 +28,7 @@ OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 
 
 def continued(batch: ImuBatch, before: ImuBatch) -> ImuBatch:
-    """Return the batch with stamps that continue those of another one."""
+    """Return the batch with stamps that continue the stamps of another one."""
     shift = before.stamps_ns[-1] - batch.stamps_ns[0] + 5_000_000
     return replace(batch, stamps_ns=batch.stamps_ns + shift)
 
@@ -71,7 +71,7 @@ def test_wrong_units_and_silence_are_errors_of_the_axes(graph, still_imu) -> Non
 
 
 def test_the_covariance_follows_noise_that_doubles_and_a_fan(graph, still_imu) -> None:
-    """10 s of data are enough; the model is still that of the 40 s before."""
+    """10 s of data are enough; the model is still the model of the 40 s before."""
     graph.run('monitor', **{'relay.enabled': True})
     publisher = graph.publisher()
     healthy = still_imu(8000)

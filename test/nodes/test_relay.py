@@ -212,7 +212,7 @@ def test_the_first_message_has_the_covariance_of_the_datasheet(graph, still_imu,
     del received[:]
     graph.send(publisher, biased(1, 10**9 + 7))
     graph.until(lambda: received)
-    # the mean of the model is the bias until that of this run is known
+    # the mean of the model is the bias until the bias of this run is known
     assert gyro_variances(received)[0] == pytest.approx(1e-6, rel=0.1)
     model.destroy()
 

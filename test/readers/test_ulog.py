@@ -169,7 +169,7 @@ SELECTION_FORMAT = 'sensor_selection:uint64_t timestamp;uint32_t gyro_device_id;
 @pytest.mark.parametrize(
     ('selected', 'instances', 'expected'),
     [
-        (8, (7, 8), ('sensor_gyro:1', 38.0)),  # that of the gyro in use
+        (8, (7, 8), ('sensor_gyro:1', 38.0)),  # the temperature of the gyro in use
         (9, (7, 8), None),
         (None, (7, 8), None),  # one of two, unknown which
         (None, (7,), ('sensor_gyro', 37.0)),

@@ -21,7 +21,7 @@ RECORDED = Path(__file__).with_name('schemas.json')
 def structure(value: Any) -> Any:
     """Return the names of all fields and the types of their values; of a list, the first element.
 
-    The document is that of a fixed simulation, so that optional fields are always the same.
+    The document is from a fixed simulation, so that optional fields are always the same.
     """
     if isinstance(value, dict):
         return {name: structure(each) for name, each in sorted(value.items())}

@@ -142,7 +142,7 @@ def test_a_tracker_estimates_the_bias_of_an_axis_with_the_current_model() -> Non
     assert after is not None
     assert after.value == pytest.approx(direct.estimate().value)
     assert after.std == pytest.approx(direct.estimate().std)
-    tracker.add_means('gyro_x', [5 * 10**9], [1.0])  # an earlier time: the means are dropped
+    tracker.add_means('gyro_x', [5 * 10**9], [1.0])  # an earlier time: the means are removed
     restarted = tracker.bias('gyro_x')
     assert restarted is not None and restarted.value == pytest.approx(1.0, rel=1e-3)
 

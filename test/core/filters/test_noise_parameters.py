@@ -150,7 +150,7 @@ def test_white_noise_alone_can_bound_the_growth() -> None:
     (bare,) = white_variances(axes, 100.0).values()
     (wide,) = white_variances(axes, 100.0, horizon=60.0).values()
     assert bare == pytest.approx([1e-4] * 3)
-    # h = W = 60 s: the growth of flicker alone is h B sqrt(4 ln2/pi), that of N is N sqrt(2 h)
+    # h = W = 60 s: flicker alone grows as h B sqrt(4 ln2/pi), N grows as N sqrt(2 h)
     drift = 2.0 * math.log(2.0) / math.pi * 1e-8 * 60.0
     assert wide[0] == pytest.approx(100.0 * (1e-6 + drift), rel=0.02)
 

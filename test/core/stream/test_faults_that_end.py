@@ -115,7 +115,7 @@ def test_less_noise_is_named_while_it_lasts_and_becomes_normal_after_ten_minutes
         used.append(sum(each.samples for each in live.result().sums) / rate)
     assert states[6:12] == ['at_rest'] * 6 and states[14:130] == ['noise_decreased'] * 116
     assert states[140:] == ['at_rest'] * 20
-    # the sums are those of before, until the noise has been less for ten minutes
+    # the sums are the sums of before, until the noise has been less for ten minutes
     assert max(used[14:130]) <= 60.0 and used[-1] > 700.0
     result = stream(x, rate)
     assert 'relearned' in ids(result) and 'noise_decreased' not in ids(result)

@@ -36,7 +36,7 @@ def test_any_chunking_of_any_stream_gives_the_same(fault, n, chunks, seed, gated
     t, x = faulty(fault, n, seed)
     whole = accumulate(t, x, (len(t) + 1,), motion_gate=gated)
     assert_same(whole, accumulate(t, x, chunks, motion_gate=gated))
-    # samples that repeat the previous one or are those of no sensor are not counted
+    # samples that repeat the previous one or belong to no sensor are not counted
     if len(whole.sums) < 2 and not ids(whole) & {'held', 'sensor_absent'}:
         assert_accounted(whole)
     assert np.isfinite([v for s in whole.sums for v in s.sum_sq.ravel()]).all()
@@ -273,7 +273,7 @@ def test_replaced_stretches_are_counted_by_length():
         assert np.array_equal(sums.replaced, expected), chunk
     assert np.array_equal((sums + sums).replaced[:, 2:], 2 * numbers)
     (sums,) = accumulate(t[kept], moving[kept]).sums
-    assert np.array_equal(sums.replaced[:, 2], [1, 1, 1]), 'dropped samples do not count'
+    assert np.array_equal(sums.replaced[:, 2], [1, 1, 1]), 'excluded samples do not count'
 
 
 @pytest.mark.parametrize('places', [2, 8, 30])

@@ -91,7 +91,7 @@ OTHER, SHOWN = {'frames': ['other', 'imu', 1]}, {'frames': ['other', 'other', 1]
         ([{}, {'messages': 190, 'lost': 10}, {}], ['', '', 'samples_missing']),
         # of the latest samples the judgment may be taken back, as where the rate changes
         ([{}, {'lost': 90}, {'lost': -90}, {}], [''] * 4),
-        # what is dropped, or lost on the way, is missing by the stamps as well
+        # what is excluded, or lost on the way, is missing by the stamps as well
         ([{'not_finite': 200}] * 3 + [{'lost': 600}, {}], None),
         (
             [{}, {'messages': 190, 'lost': 10, 'reported_lost': 10}, {}],
