@@ -58,17 +58,18 @@ _HOME = {
 
 
 def keep_to_one_thread() -> None:
-    """Limit the linear algebra of numpy to one thread; to be called before numpy is imported.
+    """Limit the linear algebra of numpy to one thread.
 
-    The matrices of a fit have about a hundred rows. More threads do not make it faster, and their
-    busy-waiting triples the CPU time. Environment variables that are already set are not changed.
+    This function must be called before numpy is imported. The matrices of a fit have about a
+    hundred rows: more threads do not make the fit faster, and their busy-waiting triples the CPU
+    time. Environment variables that are already set are not changed.
     """
     for library in ('OPENBLAS', 'OMP', 'MKL'):
         os.environ.setdefault(f'{library}_NUM_THREADS', '1')
 
 
 def __getattr__(name: str) -> Any:
-    # Loaded at the first use: importing the package must be fast.
+    # A name is loaded when it is first used, so that importing the package is fast.
     if name not in __all__:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     value = getattr(import_module(f'.{_HOME[name]}', __name__), name)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`analyze` and `load`: from recordings, samples or files of an earlier analysis to `Results`."""
+"""`analyze` and `load` return `Results` from recordings, samples or files of earlier analyses."""
 
 from __future__ import annotations
 
@@ -41,10 +41,11 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     Parameters
     ----------
     path : path
-        The folder of an analysis, a results.json, or a sums.json or checkpoint, whose sums are
-        fitted again. Only results with sums (all but a results.json) can be added and saved.
+        The folder of an analysis, a results.json, a sums.json, or a checkpoint. The Allan sums in
+        a sums.json or checkpoint are fitted again. Results from a results.json alone have no Allan
+        sums, and therefore cannot be added or saved.
     method : str
-        Method of the fit of sums: 'likelihood' or 'paper', as in `analyze`.
+        Method of the fit of Allan sums: 'likelihood' or 'paper', as in `analyze`.
 
     Returns
     -------
@@ -53,7 +54,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     Raises
     ------
     AllanError
-        When the file is missing, or is not such a document.
+        When the file is missing or invalid.
 
     Examples
     --------
@@ -76,10 +77,22 @@ def results_of(
 ) -> PlainResults:
     """Load results from a JSON file or the folder of an analysis, or analyze a recording.
 
-    If ``path`` is already a `Results` object, it is returned unchanged. ``method`` is the method of
-    the fit of sums and recordings. A recording is processed with the settings ``segmenter``, and
-    ``observer`` receives the progress of reading. The truth file of a simulated recording gives
-    results that are known exactly. Raises AllanError when the path cannot be read.
+    Parameters
+    ----------
+    path : Results or path
+        Results are returned unchanged. The truth file of a simulated recording gives results with
+        the true noise.
+    method : str
+        Method of the fit of Allan sums and recordings.
+    observer : Observer
+        Shows the progress of reading a recording.
+    segmenter : SegmenterSettings
+        How the data at rest of a recording are selected.
+
+    Raises
+    ------
+    AllanError
+        When the path cannot be read.
     """
     expect((PlainResults, *PATH), 'results or a path', source=path)
     if isinstance(path, PlainResults):
@@ -93,14 +106,14 @@ def results_of(
 
 
 def is_document(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is a JSON file or the folder of an analysis, not a recording."""
+    """Return whether a path is a JSON file or the folder of an analysis, and not a recording."""
     place = Path(path)
     in_folder = any((place / name).is_file() for name in (RESULTS, SUMS))
     return in_folder or place.suffix.lower() == '.json'
 
 
 @public
-@one_thread()  # the sums and spectra of the samples, too
+@one_thread()  # for the Allan sums and spectra of the samples, too
 def analyze(
     source: Any,
     *,
@@ -124,19 +137,20 @@ def analyze(
     Parameters
     ----------
     source : path, Results, sequence of these, array, DataFrame, mapping of columns, or ImuBatch
-        Several paths or results must be of the same IMU and give one common result. A path can also
-        be the sums of an earlier analysis: its folder, sums.json, or a checkpoint. Sums and results
-        are not read again, but added and fitted. Arrays are (n,) or (n, axes), with one row per
-        sample.
+        Several paths or results must be of the same IMU, and give one common result. A path can
+        also contain the Allan sums of an earlier analysis: a folder, a sums.json, or a checkpoint.
+        Allan sums are added and fitted without reading the recordings again. Arrays are (n,) or
+        (n, axes), with one row per sample.
     rate : float
-        Sample rate in Hz. It is required for samples without stamps. For recordings it is only
-        compared with the stamps, and 0 disables this check.
+        Sample rate in Hz. It is required for samples without stamps. The rate of a recording is
+        only compared with this number; 0 disables this check.
     axes : str or sequence of str, optional
-        The axis of each column of an array, such as ``'gyro_z'``, ``'accel'`` or a list. By
-        default one column is ``gyro_x``, three are the gyro, six are gyro and accelerometer.
+        The axes of the columns of an array: a name such as ``'gyro_z'``, ``'gyro'`` or ``'accel'``
+        for three axes, or a list of names. By default, one column is ``gyro_x``, three columns are
+        the gyro, and six columns are gyro and accelerometer.
     gyro_unit, accel_unit : str
-        Units of the samples, such as 'deg/s' and 'g', if the source does not state them. By default
-        rad/s and m/s^2.
+        Units of the samples, such as 'deg/s' and 'g', if the source does not state them. The
+        defaults are rad/s and m/s^2.
     method : str
         Method of the fit: 'likelihood' (maximum likelihood, with confidence intervals) or 'paper'
         (plain least squares, as in Cong et al. 2019).
@@ -147,17 +161,18 @@ def analyze(
         sums.json or the folder of an analysis.
     noise : Results or path
         An earlier run of this IMU at rest, whose noise predicts the errors in motion. By default,
-        the noise of the rests of the source.
+        the noise at rest in the source predicts these errors.
     margin : float
-        A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval lies
-        above it by this fraction.
+        Fraction by which a coefficient may exceed a limit of the datasheet or the earlier run. A
+        coefficient exceeds a limit if its complete 95 % interval lies above limit * (1 + margin).
     hardware_id : str
         Serial number of the IMU; only results with equal serial numbers can be added.
     processes : int
         Number of recordings that are read at the same time, each in its own process.
     **options
-        Further options of `allan analyze`, with underscores: ``skip`` (time in s excluded at the
-        start), ``motion_gate`` (False uses all data), ``topic``, ``columns`` ...
+        Further options of `allan analyze`, with underscores. For example, ``skip`` is the time in s
+        that is excluded at the start, ``motion_gate=False`` uses all data, and ``topic`` selects a
+        topic of a bag.
 
     Returns
     -------
@@ -186,7 +201,7 @@ def analyze(
     """
     units = {'gyro_unit': gyro_unit, 'accel_unit': accel_unit}
     reading, segmenter = read_settings({**options, **units}, rate)
-    ResultSettings(method=method, margin=margin)  # checks them before recordings are read
+    ResultSettings(method=method, margin=margin)  # raises an error before recordings are read
     expect(str, hardware_id=hardware_id)
     expect(Integral, processes=processes)
     expect((PlainResults, *PATH), 'results or a path', noise=noise)
@@ -201,15 +216,15 @@ def analyze(
             raise AllanError(
                 'axes are for arrays, not files: name the columns of a table with columns='
             )
-        known = [isinstance(each, PlainResults) or is_document(each) for each in given]
-        stored = [_stored(each) for each, is_known in zip(given, known) if is_known]
+        has_sums = [isinstance(each, PlainResults) or is_document(each) for each in given]
+        stored = [_stored(each) for each, is_stored in zip(given, has_sums) if is_stored]
         jobs = [
             ReadJob(str(path), reading, segmenter, hardware_id, True)
-            for path, is_known in zip(given, known)
-            if not is_known
+            for path, is_stored in zip(given, has_sums)
+            if not is_stored
         ]
-        several = min(processes, len(jobs)) > 1
-        read = read_in_processes(jobs, processes) if several else read_in_turn(jobs)
+        in_parallel = min(processes, len(jobs)) > 1
+        read = read_in_processes(jobs, processes) if in_parallel else read_in_turn(jobs)
         recorded = add_recordings([*read, *stored])
     else:
         from ..readers.arrays import recording_in_memory
@@ -222,7 +237,11 @@ def analyze(
 
 
 def read_settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions, SegmenterSettings]:
-    """Divide the options into settings for reading and for the motion gate, both with ``rate``."""
+    """Divide options into settings for reading, and settings for selecting the data at rest.
+
+    Both contain the sample rate in Hz, 0 for none. Raises AllanError if an option is unknown or
+    invalid.
+    """
     check_rate(rate)
     of_reading = [name for name in describe(ReadOptions) if name != 'rate_hz']
     of_segmenter = [name for name in describe(SegmenterSettings) if name != 'declared_rate']
@@ -233,7 +252,7 @@ def read_settings(options: Mapping[str, Any], rate: float) -> tuple[ReadOptions,
 
 
 def _stored(source: PlainResults | str | os.PathLike[str]) -> RecordingSums:
-    """Return the sums of results, or of the path of an earlier analysis."""
+    """Return the Allan sums of results, or of an earlier analysis at a path."""
     if not isinstance(source, PlainResults):
         return load_sums(source)
     if source.recorded is None:

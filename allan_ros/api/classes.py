@@ -1,8 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The public classes of results: plain data with texts, export, plots and files by delegation.
+"""The public classes of results, which add texts, export, plots and files to the plain data.
 
-What an output needs is imported when it is made: most analyses need few of the outputs.
+The modules for an output are imported when the output is made, because most analyses make few of
+the outputs.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ R = TypeVar('R', bound=PlainResults)
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a public function: its errors are AllanErrors with complete texts."""
+    """Decorate a public function so that its errors are AllanErrors with complete texts."""
     checked = with_checked_paths(function)
 
     @wraps(function)
@@ -65,7 +66,7 @@ class Results(PlainResults):
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the IMU is healthy (``level``), with the reasons and the next steps."""
+        """Verdict on the IMU: level, summary, reasons and next steps."""
         from ..view.verdict_text import verdict_of
 
         return verdict_of(self)
@@ -73,7 +74,7 @@ class Results(PlainResults):
     def messages(self, units: str = 'deg/h') -> list[str]:
         """Return the texts of the findings, the most important first.
 
-        ``units`` is 'deg/h' or 'SI'.
+        ``units`` is 'deg/h' or 'SI'. Raises AllanError for other units.
 
         >>> import allan_ros as ar
         >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50, vibration_gyro=3e-4))
@@ -85,7 +86,7 @@ class Results(PlainResults):
 
     @classmethod
     def of(cls, results: PlainResults) -> Results:
-        """Return results with the methods of this class.
+        """Return plain results as an object of this class.
 
         >>> import allan_ros as ar
         >>> results = ar.analyze(ar.simulate(hours=0.1, rate=50))
@@ -111,8 +112,13 @@ class Results(PlainResults):
         Returns
         -------
         pandas.DataFrame or list of dict
-            The columns axis, term, value, ci95_low, ci95_high, upper95 and unit; a DataFrame if
-            pandas is installed. Unknown numbers are None, or NaN in a DataFrame.
+            The columns axis, term, value, ci95_low, ci95_high, upper95 and unit. The table is a
+            DataFrame if pandas is installed. Unknown numbers are None, or NaN in a DataFrame.
+
+        Raises
+        ------
+        AllanError
+            When the units are unknown.
         """
         from ..view.coefficient_table import coefficient_list
         from ..view.table import records
@@ -133,9 +139,9 @@ class Results(PlainResults):
         what : str
             'gyro' or 'accel' for all axes of a sensor, or the name of an axis.
         ax : matplotlib Axes, optional
-            Axes to draw into; by default a figure with a panel for each axis is created.
+            Axes to draw into; by default, a figure with a panel for each axis is created.
         units : 'deg/h' or 'SI'
-            Units of the drawing.
+            Units of the figure.
 
         Returns
         -------
@@ -165,14 +171,14 @@ class Results(PlainResults):
     def export(
         self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
     ) -> str:
-        """Return the noise as the text of a file for a filter or simulator.
+        """Return the text of a configuration file of a state estimator or simulator.
 
         Parameters
         ----------
         target : str
-            A target that `allan export --list` lists, such as 'kalibr'.
+            An export target that `allan export --list` lists, such as 'kalibr'.
         path : path, optional
-            The text is also written to this file, or into this folder.
+            File or folder to which the text is also written.
         **options
             Options of `allan export` with underscores, such as ``inflate=2``,
             ``inflate={'gyro': 2, 'accel': 3}`` or ``motion=True``.
@@ -180,7 +186,7 @@ class Results(PlainResults):
         Raises
         ------
         AllanError
-            When the target or an option is unknown, the target needs an axis that was not
+            When the export target or an option is unknown, the target needs an axis that was not
             measured, or the file cannot be written.
         """
         expect(str, target=target)
@@ -200,7 +206,7 @@ class Results(PlainResults):
         plots: Sequence[str] = (),
         overwrite: bool = False,
     ) -> list[Path]:
-        """Write the results, the report, filter files and figures, and return their paths.
+        """Write results, report, configuration files and figures, and return their paths.
 
         `allan analyze -o` writes the same files. `load` reads the folder again.
 
@@ -211,18 +217,18 @@ class Results(PlainResults):
         units : 'deg/h' or 'SI'
             Units of the report and the figures.
         targets : sequence of str
-            Targets that `allan export --list` lists; their files are written in addition to the
-            file of Kalibr.
+            Export targets that `allan export --list` lists. Their files are written in addition to
+            the file of Kalibr.
         plots : sequence of str
-            File formats of figures in addition to the report: 'png', 'svg', 'pdf'.
+            File formats of figures that are written in addition to the report: 'png', 'svg', 'pdf'.
         overwrite : bool
-            Whether to replace results of another recording in this folder.
+            Whether results of another recording in this folder are replaced.
 
         Raises
         ------
         AllanError
-            When the sums are not known, an argument is invalid, the folder has results of another
-            recording, or a file cannot be written.
+            When the Allan sums are not known, an argument is invalid, the folder has results of
+            another recording, or a file cannot be written.
         """
         from ..view.result_files import write_result_files
 
@@ -252,15 +258,17 @@ class Results(PlainResults):
             An earlier run: results, or the path of a results.json, a sums.json or the folder of an
             analysis; '' for none.
         margin : float, optional
-            A coefficient exceeds the datasheet or the earlier run if its complete 95 % interval
-            lies above it by this fraction. By default 0.2; a comparison with a datasheet that the
-            results already contain keeps its margin.
+            Fraction by which a coefficient may exceed a limit of the datasheet or the earlier run.
+            A coefficient exceeds a limit if its complete 95 % interval lies above
+            limit * (1 + margin). By default, the margin of the results, which is 0.2 unless it was
+            changed.
 
         Returns
         -------
         Verdict
-            With ``level`` ('healthy', 'attention', 'unknown' or 'failed'), ``summary``, ``reasons``
-            and ``next_steps``.
+            The verdict has the fields ``level``, ``summary``, ``reasons`` and ``next_steps``. The
+            level is 'healthy', 'attention', 'unknown' or 'failed', or 'measured' if there is
+            nothing to compare with.
 
         Raises
         ------
@@ -285,7 +293,7 @@ class Results(PlainResults):
         baseline: PlainResults | str | os.PathLike[str] = '',
         margin: float | None = None,
     ) -> Results:
-        """Return a copy that is compared with a datasheet, an earlier run, or both.
+        """Return a copy of the results that is compared with a datasheet, an earlier run, or both.
 
         Arguments and errors are the same as in `check`.
         """
@@ -296,21 +304,20 @@ class Datasheet(PlainDatasheet):
     __doc__ = PlainDatasheet.__doc__
 
     def results(self, rate: float = DEFAULT_RATE_HZ) -> Results:
-        """Return the noise model of the datasheet for an IMU with a rate in Hz.
+        """Return the noise model of the datasheet as results of an IMU with a sample rate in Hz.
 
-        It has the stated N and B. K of a file for a filter follows from its reduced-order model:
-        it covers the error growth of N and B over the horizon of the filter. Raises AllanError if
-        the datasheet states no N of an axis of a sensor.
+        The model has the stated N and B; if the datasheet states no B, a typical one is assumed.
+        Raises AllanError if the datasheet states no N of an axis.
         """
         return Results.of(results_of_datasheet(self, rate))
 
     def export(
         self, target: str, path: str | os.PathLike[str] | None = None, **options: Any
     ) -> str:
-        """Return the text of a file for a filter or simulator, with the noise of the datasheet.
+        """Return the text of a configuration file with the noise of the datasheet.
 
-        The arguments are the same as in `Results.export`. ``filter_rate`` is also the rate of the
-        IMU; the default is 200 Hz.
+        Arguments and errors are the same as in `Results.export`. The option ``filter_rate`` in Hz
+        is also used as the sample rate of the IMU; the default is 200 Hz.
         """
         return self.results(options.get('filter_rate') or DEFAULT_RATE_HZ).export(
             target, path, **options
@@ -325,10 +332,23 @@ def compared(
 ) -> R:
     """Return a copy of the results that is compared with a datasheet, an earlier run, or both.
 
-    ``sensor`` is a datasheet, its name or its path, and ``baseline`` results or their path; '' for
-    none. ``margin`` is the fraction by which a limit may be exceeded, by default that of the
-    results. A comparison with a datasheet that the results contain is made again. Raises AllanError
-    when a reference cannot be read, or the margin is negative.
+    A comparison with a datasheet that the results already contain is repeated with the new margin.
+
+    Parameters
+    ----------
+    results : Results
+        The results to compare.
+    sensor : Datasheet, str or path
+        A datasheet, its name or its path; '' for none.
+    baseline : Results or path
+        Results of an earlier run, or their path; '' for none.
+    margin : float, optional
+        Fraction by which a limit may be exceeded; by default, the margin of the results.
+
+    Raises
+    ------
+    AllanError
+        When the datasheet or the earlier run cannot be read, or the margin is negative.
     """
     expect((PlainResults, *PATH), 'results or a path', baseline=baseline)
     expect((PlainDatasheet, *PATH), 'a datasheet or its name', sensor=sensor)
@@ -355,7 +375,7 @@ def sensor(name: str | os.PathLike[str]) -> Datasheet:
     Raises
     ------
     AllanError
-        If the name is unknown, or the file is invalid.
+        When the name is unknown, or the file is invalid.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`compare`, `common` and `inflate`: several recordings beside each other."""
+"""`compare`, `common` and `inflate`, which compare several recordings with each other."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class CommonResult(PlainCommonResult):
         return '\n'.join(common_lines(self))
 
     def plot(self) -> Any:
-        """Return a matplotlib Figure of the coherence over the averaging time."""
+        """Draw the coherence over the averaging time, and return the matplotlib Figure."""
         from ..view.plots import common_figure
 
         return common_figure(self)
@@ -73,34 +73,36 @@ def compare(
     method: str = 'likelihood',
     observer: Observer = Silent(),
 ) -> RunComparison:
-    """Compare recordings with the first of them, and with datasheets.
+    """Compare recordings with the first recording, and with datasheets.
 
     Parameters
     ----------
     *sources : Results or path
         Results of `analyze` or `load`, or paths of a results.json, a sums.json, the folder of an
-        analysis, a recording, or the truth file of a simulated recording. In the output, their
-        names are the paths, or A, B, C ...
+        analysis, a recording, or the truth file of a simulated recording. If there is a truth file,
+        the others are compared with the truth. In the output, paths are named after their files,
+        and results A, B, C ...
     sensor : str or sequence of str
         Datasheets to compare each recording with: names that `allan sensors` lists, or paths of
         .yaml files.
     margin : float
-        A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above it
-        by this fraction.
+        A coefficient exceeds the limit of a datasheet if its complete 95 % interval lies above
+        limit * (1 + margin).
     within : float
-        Also test whether the coefficients are the same up to this fraction; 0 for no such test.
+        Fraction up to which coefficients are tested for equality; 0 for no such test.
     method : str
-        Method of the fit of sums and recordings, as in `analyze`; results are not fitted again.
+        Method of the fit of Allan sums and recordings, as in `analyze`; results are not fitted
+        again.
     observer : Observer
-        Receives the progress of reading recordings; silent by default.
+        Shows the progress of reading recordings; by default, nothing is shown.
 
     Returns
     -------
     RunComparison
-        The differences of each recording from the first one (``differences``), the results
-        compared with the datasheets (``checked``), and whether any difference is significant
-        (``differs``); with ``within``, whether the recordings are the same up to this fraction
-        (``equivalent``).
+        ``differences`` are the comparisons of each recording with the first recording, ``checked``
+        are the results compared with the datasheets, and ``differs`` is whether any difference is
+        significant or any limit is exceeded. With ``within``, ``equivalent`` is whether the
+        recordings are the same up to this fraction.
 
     Raises
     ------
@@ -115,7 +117,7 @@ def compare(
     >>> ar.compare(quiet, noisy).differs
     True
     """
-    ResultSettings(method=method, margin=margin)  # checks them before recordings are read
+    ResultSettings(method=method, margin=margin)  # raises an error before recordings are read
     check_range(0.0, 10.0, within=within)
     expect((*PATH, *LIST), 'a datasheet or a list of them', sensor=sensor)
     sensors = [sensor] if isinstance(sensor, PATH) else sensor
@@ -137,26 +139,26 @@ def compare(
 def common(*sources: Any, rate: float = 0.0, **options: Any) -> CommonResult:
     """Separate the noise that several IMUs at rest on one body have in common from their own noise.
 
-    The samples are aligned by their stamps: the recordings must be made together, with one clock,
-    and the axes of the IMUs must be parallel.
+    The samples are aligned by their stamps, so the recordings must be made together, with one
+    clock. The axes of the IMUs must be parallel.
 
     Parameters
     ----------
     *sources : path, DataFrame, mapping of columns, or ImuBatch
-        One recording of each IMU, or a bag whose Imu topics are the IMUs. The axes of a single IMU
-        are compared with each other. In the output, the names of the IMUs are the paths or topics,
-        or A, B, C ...
+        One recording of each IMU, or a bag with one Imu topic for each IMU. The axes of a single
+        IMU are compared with each other. In the output, the IMUs are named after their files or
+        topics, and samples in memory A, B, C ...
     rate : float
         Sample rate in Hz, as in `analyze`.
     **options
-        Options of `analyze` for reading and for the data at rest: ``topic``, ``skip`` ...
+        Options of `analyze` for reading and for the data at rest, such as ``topic`` or ``skip``.
 
     Returns
     -------
     CommonResult
-        For each axis and IMU (``rows``): N as measured; the own N of each of three or more IMUs (of
-        two, the mean of both) with its interval; and the coherence with the mean of the other IMUs
-        at each averaging time.
+        ``rows`` contains for each axis of each IMU: N as measured, the own N with its interval, and
+        the coherence with the mean of the other IMUs at each averaging time. Three or more IMUs
+        have separate own N. For two IMUs, only the mean of both is known.
 
     Raises
     ------
@@ -205,34 +207,36 @@ def inflate(
     horizon: float = 30.0,
     observer: Observer = Silent(),
 ) -> Inflation:
-    """Measure by how much running motors increase the IMU noise of a robot at rest.
+    """Measure by which factor running motors increase the IMU noise of a robot at rest.
 
-    A filter that uses the noise at rest should multiply its N and K by the resulting factors.
+    A state estimator that uses the noise with motors off should multiply N and K by the resulting
+    factors.
 
     Parameters
     ----------
     rest : Results or path
-        The robot at rest with its motors off: results, or the path of a results.json, a sums.json,
-        the folder of an analysis, or a recording.
+        The robot at rest with motors off: results, or the path of a results.json, a sums.json, the
+        folder of an analysis, or a recording.
     running : Results or path
-        The robot at rest with its motors on. All samples of a recording are used, because the
+        The robot at rest with motors on. All samples of a recording are used, because the
         vibration of motors could be mistaken for motion.
     horizon : float
-        Longest time in s for which the filter integrates the IMU without a correction.
+        Longest time in s for which the state estimator integrates the IMU without a correction.
     observer : Observer
-        Receives the progress of reading recordings; silent by default.
+        Shows the progress of reading recordings; by default, nothing is shown.
 
     Returns
     -------
     Inflation
-        For each axis (``axes``), N and K with motors off and on, and their ratio, such as
-        ``axes['gyro_x']['N'].factor``; the largest factor for N of all axes (``factor``); and the
-        largest one for each sensor as the option ``inflate`` of `Results.export` (``option``).
+        ``axes`` contains N and K of each axis with motors off and on, and their ratio, such as
+        ``axes['gyro_x']['N'].factor``. ``factor`` is the largest factor for N of all axes.
+        ``option`` states the largest factor for N of each sensor, as `allan export --inflate`
+        accepts it.
 
     Raises
     ------
     AllanError
-        When an input cannot be read, or the two have no axis in common.
+        When an input cannot be read, or the inputs have no axis in common.
 
     Examples
     --------
@@ -243,9 +247,11 @@ def inflate(
     2.0
     """
     check_range(1e-3, 1e9, 's', horizon=horizon)
-    quiet = results_of(rest, observer=observer)
-    still = SegmenterSettings(motion_gate=False)
-    loud = results_of(running, 'likelihood', observer, still)
-    fits = [{axis: r.fit for axis, r in results.axes.items()} for results in (quiet, loud)]
+    motors_off = results_of(rest, observer=observer)
+    all_samples = SegmenterSettings(motion_gate=False)
+    motors_on = results_of(running, 'likelihood', observer, all_samples)
+    fits = [
+        {axis: r.fit for axis, r in results.axes.items()} for results in (motors_off, motors_on)
+    ]
     axes = measure_inflation(fits[0], fits[1], horizon)
-    return Inflation(axes, compare_runs({REST: quiet, RUNNING: loud}), horizon)
+    return Inflation(axes, compare_runs({REST: motors_off, RUNNING: motors_on}), horizon)

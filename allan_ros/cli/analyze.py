@@ -54,7 +54,7 @@ from .options import Command, Option, Settings, settings_of
 from .result_lines import findings_lines, results_lines
 
 EXITS = {EXIT_FAILED: 'with --fail-on: a finding of that severity, or a limit exceeded'}
-"""Exit codes that only this verb has."""
+"""Exit codes that only `analyze` has."""
 
 FAIL_ON = (
     Option(
@@ -103,18 +103,19 @@ INPUTS = (
 )
 
 STORAGES = ('.mcap', '.db3')
-"""Suffixes of files that can be parts of a split bag."""
+"""Suffixes of bag files, which can be parts of a split bag."""
 
 SPLIT = re.compile(r'^(.*)_(0|[1-9]\d*)$')
-"""Name of a part of a split bag without suffix: rosbag2 appends a number, from 0 on."""
+"""Pattern of the name of a part of a split bag, without suffix. rosbag2 appends a number, from 0
+on, to the name of the bag."""
 
 
-def recordings_in(path: str, units: bool = False) -> list[str]:
+def recordings_in(path: str, files_are_units: bool = False) -> list[str]:
     """Return the paths of all recordings in a folder, or only ``path`` if it is one recording.
 
     A folder is one recording if it has a metadata.yaml, or contains only one bag or its numbered
-    parts. With ``units``, numbered files without metadata.yaml are separate recordings. A folder
-    without recordings can contain the folders of analyses.
+    parts. With ``files_are_units``, numbered files without metadata.yaml are separate recordings.
+    For a folder without recordings, the paths of the folders of analyses in it are returned.
     """
     folder = Path(path)
     if not folder.is_dir() or (folder / METADATA).exists() or is_document(folder):
@@ -123,17 +124,17 @@ def recordings_in(path: str, units: bool = False) -> list[str]:
     files = [child for child in children if child.suffix.lower() in SUFFIXES and child.is_file()]
     files = [file for file in files if file.name != SUMMARY]
     bags = [child for child in children if child.is_dir() and (child / METADATA).is_file()]
-    if _one_bag(files, units) and not bags:
+    if _is_one_bag(files, files_are_units) and not bags:
         analyses = [child for child in children if (child / RESULTS).is_file()]
         return [str(each) for each in analyses] if analyses and not files else [path]
     return [str(each) for each in (*bags, *files)]
 
 
-def _one_bag(files: Sequence[Path], units: bool) -> bool:
-    """Return whether the files are one bag without metadata.yaml, or there is none."""
+def _is_one_bag(files: Sequence[Path], files_are_units: bool) -> bool:
+    """Return whether the files are one bag without metadata.yaml, or there are no files."""
     if not all(file.suffix in STORAGES for file in files):
         return False
-    if units or len(files) < 2:
+    if files_are_units or len(files) < 2:
         return len(files) < 2
     splits = [match for file in files if (match := SPLIT.match(file.stem))]
     numbers = sorted(int(match[2]) for match in splits)
@@ -145,7 +146,8 @@ def read_jobs(
 ) -> list[ReadJob]:
     """Return a job for each recording, with the reading options of the command line.
 
-    ``with_context`` also requests the data of a report: signal and events.
+    ``with_context`` requests the data for a report: signals and events. Raises AllanError if an
+    option is invalid.
     """
     check_rate(args.rate)
     if args.jobs < 1:
@@ -185,13 +187,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def are_two_sensors(jobs: Sequence[ReadJob]) -> bool:
-    """Return whether two tables contain the gyro and the accelerometer, as those of a phone do."""
+    """Return whether the jobs read two tables, one of a gyro and one of an accelerometer.
+
+    Phone apps write such tables.
+    """
     suffixes = FORMATS['table'].suffixes
     if len(jobs) != 2 or not all(Path(job.path).suffix.lower() in suffixes for job in jobs):
         return False
     sensors = []
     for job in jobs:
-        with suppress(AllanError):  # it is reported when the samples are read
+        with suppress(AllanError):  # the error is reported when the samples are read
             recording = job.open()
             sensors.append({sensor_of(axis) for axis in recording.axes})
             recording.close()
@@ -207,14 +212,14 @@ def _check_references(settings: ResultSettings) -> None:
 
 
 def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
-    """Fit the sums of recordings, write the files to ``--output``, and print the results.
+    """Fit the Allan sums of recordings, write the files to ``--output``, and print the results.
 
-    The exit code is 3 if ``--fail-on`` applies, 1 if nothing could be computed or a requested file
-    is not written, else 0.
+    Returns the exit code: 3 if ``--fail-on`` applies, 1 if nothing could be computed or a requested
+    file was not written, else 0.
     """
     console, settings = Console.of(args), settings_of(ResultSettings, args)
     results, names = fit_and_write(recorded, args, args.output)
-    refused = [name for name in args.export if target_of(name).file_name not in names]
+    not_written = [name for name in args.export if target_of(name).file_name not in names]
     written = one_line(f'written to {args.output}: {", ".join(names)}') if names else ''
     if console.json:
         console.document(result_document(results, settings.units))
@@ -229,16 +234,19 @@ def show_results(recorded: RecordingSums, args: argparse.Namespace) -> int:
         print('\n'.join(results_lines(results, verdict, settings.units, *style)))
         if written:
             print(f'\n{written}')
-    if refused:
+    if not_written:
         why = next(f for f in results.findings if f.id == 'file_left_out')
         print(f'allan analyze: {why}', file=sys.stderr)
-    return exit_code_of(results, args.fail_on) or (EXIT_ERROR if refused else 0)
+    return exit_code_of(results, args.fail_on) or (EXIT_ERROR if not_written else 0)
 
 
 def _read_all(
     jobs: Sequence[ReadJob], args: argparse.Namespace, console: Console
 ) -> Iterator[RecordingSums | Finding]:
-    """Read the recordings in this process, in several processes, or on a cluster."""
+    """Yield the Allan sums of the recordings, read in this process, in several, or on a cluster.
+
+    For a recording that was lost with its worker, the finding about this is yielded.
+    """
     if args.scheduler and jobs:
         for recorded in on_cluster(jobs, args.scheduler, console):
             if isinstance(recorded, Exception):
@@ -252,14 +260,14 @@ def _read_all(
 
 
 def check(args: argparse.Namespace) -> int:
-    """Print the verdict on each unit; return the exit code of the worst one."""
+    """Print the verdict on each unit; return the exit code of the worst unit."""
     _check_references(settings_of(ResultSettings, args))
     if args.plan:
         load_plan(args.plan)
     if args.serial_from:
         SerialRule(args.serial_from)
     units: dict[str, list[str]] = {}
-    for path in (path for given in args.inputs for path in recordings_in(given, units=True)):
+    for path in (p for given in args.inputs for p in recordings_in(given, files_are_units=True)):
         bag = Path(path).parent
         is_split = Path(path).suffix in STORAGES and (bag / METADATA).is_file()
         paths = units.setdefault(str(bag) if is_split else path, [])
@@ -270,9 +278,9 @@ def check(args: argparse.Namespace) -> int:
             '--serial-from'
         )
     jobs = [read_jobs(paths, args, bool(args.output)) for paths in units.values()]
-    short = names_of([of_unit[0] for of_unit in jobs])
+    short_names = names_of([unit_jobs[0] for unit_jobs in jobs])
     unread = [one for given in args.inputs for one in unread_units(given)]
-    return run_check([BatchItem(*unit) for unit in zip(units, jobs, short)], args, unread)
+    return run_check([BatchItem(*unit) for unit in zip(units, jobs, short_names)], args, unread)
 
 
 ANALYZE_TEXT = f"""

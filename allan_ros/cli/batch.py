@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Analysis of several units: results for each, and a summary of all.
+"""Analyze or check several units (IMUs): results for each unit, and a summary of all units.
 
 Recordings are read in this process, in several processes, or on a Dask cluster.
 """
@@ -51,20 +51,21 @@ EXIT_FAILED, EXIT_UNJUDGED = int(Decision.EXCEEDS), int(Decision.NOT_JUDGED)
 CHECK_SCHEMA = 'allan_ros/unit_check/1'
 
 UNREAD = (str(int(Decision.UNREADABLE)), str(int(Decision.BUG)))
-"""Exit codes in a summary of units without results."""
+"""Exit codes of units without results, as a summary contains them."""
 
 MAX_SUMMARY = 100_000_000
-"""Largest number of bytes of a summary that are read."""
+"""Largest number of bytes that are read from a summary."""
 
 MOST_NAMED = 10
-"""Largest number of units that are named for each verdict in the totals."""
+"""Largest number of unit names that the totals contain for each verdict."""
 
 
 @dataclass(frozen=True)
 class BatchItem:
-    """One IMU in a batch: its name in the summary, and the jobs that read its recordings.
+    """One unit (IMU) of a batch: its name in the summary, and the jobs that read its recordings.
 
-    ``short`` is another unique name, from which that of its folder is made; '' if it is ``name``.
+    ``short`` is a shorter unique name, from which the name of its folder is made; '' to use
+    ``name``.
     """
 
     name: str
@@ -73,7 +74,7 @@ class BatchItem:
 
     @property
     def folder(self) -> str:
-        """Name of the folder for its files."""
+        """Name of the folder for the files of the unit."""
         return folder_name(self.short or self.name)
 
     @property
@@ -84,7 +85,7 @@ class BatchItem:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The results of one unit, or the reason why there are none."""
+    """The results of one unit, or the reason why there are no results."""
 
     unit: BatchItem
     results: Results | None = None
@@ -94,14 +95,14 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Judged:
-    """A unit with its decision, and the sentences of its line."""
+    """The decision about one unit, and the sentences of its line."""
 
     outcome: Outcome
     decision: Decision
     word: str
     sentences: Sequence[str]
     check: UnitCheck | None = None  # None without results
-    note: str = ''  # that it repeats an earlier unit; '' if it does not
+    note: str = ''  # text if the unit repeats an earlier unit, else ''
 
     @property
     def name(self) -> str:
@@ -109,7 +110,7 @@ class Judged:
 
     @property
     def serial(self) -> str:
-        """The serial number; '' if unknown."""
+        """The serial number of the unit; '' if unknown."""
         results = self.outcome.results
         return results.identity.hardware_id if results else self.outcome.unit.jobs[0].hardware_id
 
@@ -122,13 +123,19 @@ class Judged:
 class Judge:
     """Decides about the units of a batch, and finds units that occur twice.
 
-    ``plan`` is the test plan, if there is one. With ``decides`` the word of a unit is its decision,
-    else the level of its verdict.
+    Parameters
+    ----------
+    args : Namespace
+        Arguments of the command line.
+    plan : Plan or None
+        The test plan; None if there is none.
+    decides : bool
+        Whether the word of a unit is its decision; otherwise it is the level of its verdict.
     """
 
     def __init__(self, args: argparse.Namespace, plan: Plan | None, decides: bool) -> None:
         self._args, self._plan, self._decides = args, plan, decides
-        self._known: dict[object, str] = {}  # samples and serial numbers -> name
+        self._known: dict[object, str] = {}  # samples or serial number -> name of the unit
 
     def judged(self, outcome: Outcome) -> Judged:
         """Return the decision about the next unit."""
@@ -142,7 +149,7 @@ class Judge:
         if fails(results, self._args.fail_on):
             decision = Decision.EXCEEDS
         elif note and decision is Decision.WITHIN:
-            decision = Decision.NOT_JUDGED  # one of the two was not measured
+            decision = Decision.NOT_JUDGED  # one of the two units was probably not measured
         word = DECISION_WORDS[decision]
         if not self._decides:
             word = VERDICT_WORDS[results.level].lower()
@@ -150,7 +157,10 @@ class Judge:
         return Judged(outcome, decision, word, sentences, check, note)
 
     def _note(self, name: str, results: Results) -> str:
-        """Return a text if an earlier unit has the same samples or serial number, else ''."""
+        """Return a text if an earlier unit has the same samples or serial number, else ''.
+
+        Equal coefficients show that the samples are the same.
+        """
         values = [c.value for axis in results.axes.values() for c in axis.fit.noise.values()]
         samples = (results.samples, *values) if any(values) else None
         for key, what in ((samples, 'the samples'), (results.identity.hardware_id, 'the serial')):
@@ -162,7 +172,7 @@ class Judge:
 def run_batch(jobs: Sequence[ReadJob], args: argparse.Namespace) -> int:
     """Analyze each recording, write its files, print one line for each, and write a summary.
 
-    The exit code is the worst of the recordings.
+    Returns the worst exit code of the recordings.
     """
     console, codes, units = Console.of(args), [], []
     judge = Judge(args, None, decides=False)
@@ -208,9 +218,23 @@ def unread_units(folder: str) -> list[Outcome]:
 def run_check(
     units: Sequence[BatchItem], args: argparse.Namespace, unread: Sequence[Outcome] = ()
 ) -> int:
-    """Print one line for each unit as it finishes, and the totals; return the worst exit code.
+    """Print one line for each unit as soon as it is checked, and the totals.
 
-    ``unread`` are further units, of an archive, whose recordings could not be read.
+    Returns the worst exit code of the units.
+
+    Parameters
+    ----------
+    units : sequence of BatchItem
+        The units to check.
+    args : Namespace
+        Arguments of the command line.
+    unread : sequence of Outcome
+        Units whose recordings could not be read when an archive was written.
+
+    Raises
+    ------
+    AllanError
+        When the only unit cannot be read.
     """
     console, done = Console.of(args), []
     plan = load_plan(args.plan) if args.plan else None
@@ -234,7 +258,7 @@ def run_check(
     for one in done:
         names.setdefault(one.word, []).append(Path(one.name).name)
     if number > 1 and console.json:
-        totals = {word: len(of_word) for word, of_word in names.items()}
+        totals = {word: len(named) for word, named in names.items()}
         console.line({'units': number, 'totals': totals, 'exit_code': int(code)})
     elif not console.json and not console.quiet:
         if number > 1:
@@ -269,7 +293,7 @@ def _print_unit(one: Judged, args: argparse.Namespace) -> None:
 
 
 def _noise_texts(results: Results, units: str) -> Iterator[str]:
-    """Yield N of the axes of each sensor."""
+    """Yield a text with N of the axes for each sensor."""
     for sensor in SENSORS:
         unit = shown_unit(sensor, 'N', units)
         noise = [a.fit.noise for axis, a in results.axes.items() if sensor_of(axis) == sensor]
@@ -278,7 +302,7 @@ def _noise_texts(results: Results, units: str) -> Iterator[str]:
 
 
 def _make_output(args: argparse.Namespace) -> None:
-    """Create the folder of the summary, if one is given."""
+    """Create the folder for the files, if the command line states one."""
     if args.output:
         from ..view.result_files import made_folder
 
@@ -288,7 +312,7 @@ def _make_output(args: argparse.Namespace) -> None:
 def _write_summary(
     units: Sequence[Judged], codes: Sequence[Decision], args: argparse.Namespace, plan: str
 ) -> None:
-    """Write the summary of all units with their exit codes, if a folder is given."""
+    """Write the summary of all units and their exit codes, if the command line states a folder."""
     if not args.output:
         return
     from ..view.batch_files import UnitRow, index_html, summary_csv
@@ -350,7 +374,7 @@ def _check_document(one: Judged) -> dict[str, Any]:
 
 
 def _limit_document(check: Check, limits: Limits) -> dict[str, Any]:
-    """Return one quantity, its limits and its verdict, in the unit of the plan."""
+    """Return a quantity, its limits and its verdict as a JSON object, in the unit of the plan."""
     known = check.measured.times(1.0 / limits.scale)
     lower, upper = (
         None if end is None else end / limits.scale for end in (limits.lower, limits.upper)
@@ -368,7 +392,11 @@ def _limit_document(check: Check, limits: Limits) -> dict[str, Any]:
 
 
 def fails(results: Results, severity: str | None) -> bool:
-    """Return whether ``--fail-on`` applies: a finding of this severity, or an exceeded limit."""
+    """Return whether ``--fail-on`` applies to the results.
+
+    It applies to a finding of at least this severity, and to a level 'failed'. ``severity`` is None
+    without this option.
+    """
     if severity is None:
         return False
     enough = SEVERITIES[: SEVERITIES.index(severity) + 1]
@@ -376,7 +404,10 @@ def fails(results: Results, severity: str | None) -> bool:
 
 
 def exit_code_of(results: Results, fail_on: str | None) -> int:
-    """Return the exit code of an analysis: 3 if ``fail_on`` applies, 1 if nothing is measured."""
+    """Return the exit code of an analysis.
+
+    The code is 3 if ``--fail-on`` applies, 1 if no coefficient has a value, else 0.
+    """
     if fails(results, fail_on):
         return EXIT_FAILED
     known = (c for axis in results.axes.values() for c in axis.fit.noise.values())
@@ -384,7 +415,10 @@ def exit_code_of(results: Results, fail_on: str | None) -> int:
 
 
 def _outcomes(units: Sequence[BatchItem], args: argparse.Namespace) -> Iterator[Outcome]:
-    """Yield the outcomes in the order of the units; several processes or a cluster may run them."""
+    """Yield the outcome of each unit, in the order of the units.
+
+    The units are analyzed in this process, in several processes, or on a cluster.
+    """
     if getattr(args, 'scheduler', None):
         read = on_cluster([unit.jobs[0] for unit in units], args.scheduler, Console.of(args))
         for unit, recorded in zip(units, read):
@@ -407,7 +441,8 @@ def outcome_of(
 ) -> Outcome:
     """Read and fit one unit, write its files if a folder is given, and return results or error.
 
-    ``recorded`` has its sums, or the reason why there are none; if None, its recordings are read.
+    ``recorded`` contains the Allan sums of the unit, or the reason why there are none. If it is
+    None, the recordings of the unit are read.
     """
     output = getattr(args, 'output', None)
     settings = settings_of(ResultSettings, args)
@@ -436,14 +471,18 @@ def outcome_of(
         return Outcome(unit, error=one_line(f'{unit.path}: {error}: check the path and the disk'))
     except MemoryError:
         return Outcome(unit, error=f'{unit.path}: not enough memory: use fewer --jobs')
-    except Exception as error:  # a fault of one unit must not end the batch
+    except Exception as error:  # a bug that one unit causes must not end the batch
         return Outcome(unit, error=one_line(f'{unit.path}: {fault_text(error)}'), code=EXIT_FAULT)
 
 
 def fit_and_write(
     recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
 ) -> tuple[Results, list[str]]:
-    """Fit the sums; write the files if ``folder`` is given. Return results and file names."""
+    """Fit Allan sums, and write the files if ``folder`` is not None.
+
+    Returns the results and the sorted names of the files. Raises AllanError if there are too few
+    data, or a file cannot be written.
+    """
     settings = settings_of(ResultSettings, args)
     at_rest = load(settings.noise) if settings.noise else None
     results = analyze_recorded(recorded, settings.method, at_rest)
@@ -476,11 +515,11 @@ def split_by_topic(jobs: Sequence[ReadJob]) -> list[ReadJob]:
 
 
 def names_of(jobs: Sequence[ReadJob]) -> list[str]:
-    """Return a unique name for each job: its file name, followed by the topic if needed."""
+    """Return a unique name for each job: the file name, with topic or number if needed."""
     names: list[str] = []
     for job in jobs:
-        several = sum(other.path == job.path for other in jobs) > 1
-        name = Path(job.path).name + (f' {job.reading.topic}' if several else '')
+        path_repeats = sum(other.path == job.path for other in jobs) > 1
+        name = Path(job.path).name + (f' {job.reading.topic}' if path_repeats else '')
         taken, number, one = {folder_name(other) for other in names}, 1, name
         while folder_name(one) in taken:
             number += 1
@@ -490,7 +529,7 @@ def names_of(jobs: Sequence[ReadJob]) -> list[str]:
 
 
 def folder_name(name: str) -> str:
-    """Return a name with all characters except letters, digits, +, - and _ replaced by _."""
+    """Return a name with _ in place of all characters except letters, digits, +, - and _."""
     return re.sub(r'[^\w+-]+', '_', name)
 
 
@@ -504,7 +543,7 @@ def _batch_document(outcome: Outcome, units: str) -> dict[str, object]:
 
 
 CONNECT_S = 10.0
-"""Longest time in s to wait for a scheduler and for its first worker."""
+"""Longest time in s to wait for a scheduler, and for its first worker."""
 
 
 def on_cluster(
@@ -513,12 +552,33 @@ def on_cluster(
     console: Console,
     work: Callable[[ReadJob], RecordingSums] = read_recording,
 ) -> Iterator[RecordingSums | Finding | Exception]:
-    """Run ``work`` for each job on a Dask cluster; yield its sums, or why there are none.
+    """Run ``work`` for each job on a Dask cluster, and yield its result or its error.
 
-    The workers need this package and the same paths. If a worker crashes, another one repeats its
-    jobs. A job fails if it crashes several workers (``distributed.scheduler.allowed-failures``).
-    Raises AllanError when Dask is not installed, or no scheduler with workers answers at
-    ``address``.
+    The workers need this package, and the recordings at the same paths. If a worker crashes,
+    another worker repeats its jobs. A job fails if it crashes several workers
+    (``distributed.scheduler.allowed-failures``).
+
+    Parameters
+    ----------
+    jobs : sequence of ReadJob
+        The recordings to read.
+    address : str
+        Address of the scheduler, such as tcp://host:8786.
+    console : Console
+        Shows the progress.
+    work : function of a ReadJob
+        Returns the Allan sums of a recording.
+
+    Yields
+    ------
+    RecordingSums, Finding or Exception
+        The Allan sums of a job in the order of the jobs; a finding if the job crashed its workers;
+        or the exception that ``work`` raised.
+
+    Raises
+    ------
+    AllanError
+        When Dask is not installed, or no scheduler with workers answers at ``address``.
     """
     try:
         from distributed import Client, KilledWorker
@@ -540,7 +600,7 @@ def on_cluster(
             raise AllanError(
                 f'the cluster at {address} has no worker: start workers with allan_ros'
             ) from error
-        # not pure: a recording may have changed since an earlier analysis with the same job
+        # pure=False, because a recording may have changed since an earlier analysis of this job
         for job, future in zip(jobs, client.map(work, jobs, pure=False)):
             try:
                 recorded: RecordingSums = future.result()

@@ -69,8 +69,8 @@ def _show(console: Console, text: str, document: Mapping[str, Any]) -> None:
 def _common(args: argparse.Namespace, console: Console) -> int:
     """Print the noise that the IMUs have in common; return the exit code."""
     default = ResultSettings()
-    judged = args.within or args.fail_on_difference or args.margin != default.margin
-    if judged or args.method != default.method:
+    has_test = args.within or args.fail_on_difference or args.margin != default.margin
+    if has_test or args.method != default.method:
         raise AllanError(
             '--common judges and fits nothing: omit --within, --fail-on-difference, --margin and '
             '--method'
@@ -87,7 +87,7 @@ def _common(args: argparse.Namespace, console: Console) -> int:
 
 
 def inflate(args: argparse.Namespace) -> int:
-    """Print how much running motors increase the noise; return the exit code."""
+    """Print by which factor running motors increase the noise; return the exit code."""
     console = Console.of(args)
     inflation = api.inflate(args.rest, args.running, horizon=args.horizon, observer=console)
     _show(console, '\n'.join(inflation_lines(inflation, width())), inflation_document(inflation))

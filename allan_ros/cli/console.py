@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Output of all verbs: results on stdout; messages and progress on stderr."""
+"""Output of all verbs: results go to stdout, messages and progress to stderr."""
 
 from __future__ import annotations
 
@@ -21,19 +21,21 @@ from ..version import __version__
 from .options import Option, OptionGroup
 
 EXIT_ERROR, EXIT_FAULT = 1, 70
-"""Exit codes: an error that the user can fix, and a bug."""
+"""Exit codes for an error that the user can fix, and for a bug."""
 
 UNLIMITED = 100_000
 """Width in columns if there is no terminal and ``COLUMNS`` is not set: lines are not wrapped."""
 
 LABEL = 30
-"""Largest length of the label of a progress bar; only the end of a longer text is shown."""
+"""Largest number of characters in the label of a progress bar. Only the end of a longer label is
+shown."""
 
 
 class Progress:
-    """A progress bar on stderr with the remaining time; nothing if stderr is not a terminal.
+    """A progress bar on stderr with the remaining time.
 
-    ``total`` is the number of units of work, or None if it is unknown.
+    Nothing is shown if stderr is not a terminal, or if ``shown`` is False. ``total`` is the number
+    of samples or recordings to process; None if it is unknown.
     """
 
     def __init__(self, label: str, total: int | None, shown: bool = True) -> None:
@@ -51,14 +53,17 @@ class Progress:
         if self._bar is not None:
             self._bar.stop()
 
-    def advance(self, units: int) -> None:
-        """Add completed units of work."""
+    def advance(self, done: int) -> None:
+        """Add a number of processed samples or recordings."""
         if self._bar is not None:
-            self._bar.advance(self._task, units)
+            self._bar.advance(self._task, done)
 
 
 def _bar(total: int | None) -> Any:
-    """Return a progress bar of rich that is erased at its end; None if rich is not installed."""
+    """Return a progress bar of the package rich, which is erased at the end.
+
+    Returns None if rich is not installed.
+    """
     try:
         from rich.console import Console as Terminal
         from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
@@ -73,10 +78,10 @@ def _bar(total: int | None) -> Any:
 
 
 NARROWEST = 40
-"""Smallest width in columns of wrapped text; narrower terminals wrap it again."""
+"""Smallest width in columns to which text is wrapped. A narrower terminal wraps the text again."""
 
 SEVERITY_COLORS = {'info': '36', 'warning': '33', 'error': '31'}
-"""ANSI colors (ECMA-48) of the severity of a finding: cyan, yellow, red."""
+"""Severity of a finding -> ANSI color (ECMA-48): cyan, yellow, red."""
 
 COMMON_OPTIONS: tuple[OptionGroup, ...] = (
     OptionGroup(
@@ -114,11 +119,11 @@ class Console:
         return cls(args.verb, args.json, args.quiet, args.verbose)
 
     def document(self, document: Mapping[str, Any]) -> None:
-        """Print a JSON document to stdout, in ASCII."""
+        """Print a JSON document to stdout, indented and in ASCII."""
         print(json.dumps(document, indent=1, allow_nan=False))
 
     def line(self, document: Mapping[str, Any]) -> None:
-        """Print a JSON document to stdout as one line, at once."""
+        """Print a JSON document to stdout as one line, and flush it."""
         print(json.dumps(document, allow_nan=False), flush=True)
 
     def say(self, text: str) -> None:
@@ -127,19 +132,22 @@ class Console:
             print(one_line(f'allan {self.verb}: {text}'), file=sys.stderr)
 
     def progress(self, label: str, total: int | None) -> Progress:
-        """Return a progress bar for ``total`` units of work; ``--quiet`` suppresses it."""
+        """Return a progress bar for ``total`` samples or recordings; ``--quiet`` suppresses it."""
         return Progress(label, total, shown=not self.quiet)
 
 
 def width() -> int:
-    """Return the width in columns: ``COLUMNS``, else of the terminal, else `UNLIMITED`."""
+    """Return the width of the output in columns, at least `NARROWEST`.
+
+    It is ``COLUMNS``, else the width of the terminal, else `UNLIMITED`.
+    """
     return max(shutil.get_terminal_size((UNLIMITED, 24)).columns, NARROWEST)
 
 
 def colored(stream: TextIO) -> bool:
-    """Return whether to print colors to a stream, by default if it is a terminal.
+    """Return whether colors are printed to a stream: by default, if the stream is a terminal.
 
-    A non-empty ``NO_COLOR`` turns colors off, a non-empty ``FORCE_COLOR`` turns them on
+    A non-empty ``NO_COLOR`` turns colors off, and a non-empty ``FORCE_COLOR`` turns them on
     (no-color.org, force-color.org).
     """
     if os.environ.get('NO_COLOR'):
@@ -150,7 +158,7 @@ def colored(stream: TextIO) -> bool:
 
 
 def painted(line: str, word: str, color: str, colors: bool) -> str:
-    """Return a line with the first occurrence of a word in an ANSI color, if ``colors``."""
+    """Return a line; if ``colors`` is True, the first occurrence of ``word`` has an ANSI color."""
     return line.replace(word, f'\x1b[{color}m{word}\x1b[0m', 1) if colors else line
 
 
@@ -161,7 +169,7 @@ def wrapped(text: str, columns: int, indent: str = '') -> list[str]:
 
 
 def fault_text(error: Exception) -> str:
-    """Return one line about an unexpected error with its location, for a bug report."""
+    """Return a text about an unexpected error and its location, for a bug report."""
     ours = Path(__file__).parents[1]
     frames = traceback.extract_tb(error.__traceback__)
     inner = [frame for frame in frames if ours in Path(frame.filename).parents]

@@ -88,21 +88,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 COLUMN_GAP = 2
-"""Characters between two columns."""
+"""Number of spaces between two columns."""
 
 SEEN = {
     'datasheet': 'read in the document itself:',
     'secondary': 'not read, but quoted by',
     '': '',
 }
-"""Where the figures of a source were read -> text."""
+"""`Source.seen` -> text before the name of the document in which the figures were read."""
 
 HEADERS = ('name', 'gyro N deg/sqrt(h)', 'gyro B deg/h', 'accel N ug/sqrt(Hz)', 'accel B ug')
-"""Columns of the list of datasheets: the name, then sensor, term and unit of each limit."""
+"""Column headers of the list of datasheets: the name, then sensor, term and unit of each limit."""
 
 
 def sensors(args: argparse.Namespace) -> int:
-    """Print one datasheet, a list of all, or results as an entry for the file of a datasheet."""
+    """Print one datasheet, a list of datasheets, a test plan, or an entry for a datasheet file."""
     console = Console.of(args)
     if source := vars(args)['from']:
         from ..results.documents import load
@@ -132,9 +132,10 @@ def sensors(args: argparse.Namespace) -> int:
 
 
 def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
-    """Yield a table of all datasheets with the limits of N and B of the worst axis of each sensor.
+    """Yield a table of datasheets with the limits of N and B of the worst axis of each sensor.
 
-    ``sheets`` maps names to datasheets. Columns to the right that exceed ``columns`` are omitted.
+    ``sheets`` maps names to datasheets. ``columns`` is the width of the text; table columns that
+    do not fit are omitted.
     """
     rows = [list(HEADERS)]
     for name, sheet in sheets.items():
@@ -163,13 +164,16 @@ def list_lines(sheets: Mapping[str, Datasheet], columns: int) -> Iterator[str]:
 
 
 def sensor_lines(sheet: Datasheet, columns: int) -> Iterator[str]:
-    """Yield the lines of one datasheet: figures, limits in datasheet units and SI, and sources."""
+    """Yield the lines of one datasheet: figures, limits in datasheet units and SI, and sources.
+
+    ``columns`` is the width of the text.
+    """
     yield f'{sheet.name}{f" ({sheet.maker})" if sheet.maker else ""}'
     if sheet.carries:
         yield f'contains {sheet.carries}; the figures are from this sensor'
     if sheet.remark:
         yield from wrapped(sheet.remark, columns)
-    groups: dict[tuple[str, str, Limit], list[str]] = {}  # axes of a sensor with equal limits
+    groups: dict[tuple[str, str, Limit], list[str]] = {}  # sensor, term, limit -> axes
     for axis, terms in sheet.limits.items():
         for term, limit in terms.items():
             groups.setdefault((sensor_of(axis), term, limit), []).append(axis)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `allan`: parser of all verbs, and exit codes.
+"""The command `allan`: the parser of all verbs, and exit codes.
 
 The module of a verb is imported when the verb is called.
 """
@@ -28,9 +28,9 @@ HELP_COLUMN = 26
 
 
 class Verb(NamedTuple):
-    """Where the command of a verb is defined, and what it does."""
+    """The place where the command of a verb is defined, and the help text of the verb."""
 
-    module: str  # in this package
+    module: str  # name of the module in this package
     command: str  # name of the `Command` in the module
     help: str
 
@@ -58,7 +58,7 @@ VERBS = {
     ),
     'simulate': Verb('simulate', 'SIMULATE', 'write a recording of an IMU with known noise'),
 }
-"""Verb -> its command."""
+"""Name of a verb -> its command and help text."""
 
 DESCRIPTION = """
 Measure the noise of an IMU by its Allan variance.
@@ -68,10 +68,10 @@ Measure the noise of an IMU by its Allan variance.
   allan export results --to openvins     write a file for a filter
   allan simulate my_bag --preset paper   write a simulated recording
 """
-"""Description above the list of verbs."""
+"""Text above the list of verbs in the help."""
 
 EXIT_USAGE, EXIT_INTERRUPTED, EXIT_NO_READER = 2, 130, 141
-"""Exit codes: 70 is EX_SOFTWARE of sysexits.h, 130 is 128 + SIGINT, 141 is 128 + SIGPIPE."""
+"""Exit codes for wrong usage, an interrupt (128 + SIGINT), and a closed pipe (128 + SIGPIPE)."""
 
 EXITS = {
     0: 'done',
@@ -80,7 +80,7 @@ EXITS = {
     EXIT_FAULT: 'a bug in allan: please report the line',
     EXIT_INTERRUPTED: 'interrupted: incomplete files are removed',
 }
-"""Exit code -> its meaning in the help."""
+"""Exit code -> its meaning, for the help."""
 
 
 class AllanParser(argparse.ArgumentParser):
@@ -91,7 +91,10 @@ class AllanParser(argparse.ArgumentParser):
         super().__init__(**given)
 
     def shorten_usage(self) -> None:
-        """Show only '[options]' and arguments in the usage. Call it after adding all options."""
+        """Show only '[options]' and the arguments in the usage.
+
+        This method must be called after all options have been added.
+        """
         forms: dict[Any, str] = {'+': '{0} [{0} ...]', '?': '[{0}]'}
         arguments = (
             forms.get(action.nargs, '{0}').format(action.metavar)
@@ -139,7 +142,7 @@ def build_parser(verb: str = '') -> AllanParser:
         prog='allan',
         usage='allan VERB [options] ...',
         description=DESCRIPTION,
-        add_help=False,  # the verbs come first
+        add_help=False,  # --help is added below, so that the verbs come first
         epilog='`allan VERB --help` shows the options of a verb.\n\n'
         + _exits_text(EXITS)
         + '\n\nNO_COLOR turns colors off, FORCE_COLOR on; COLUMNS sets the width.',
@@ -200,7 +203,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         return _print_error(f'\n{name}: interrupted, nothing more is written', EXIT_INTERRUPTED)
     except BrokenPipeError:
-        # The reader (head, less) has closed the pipe. Writing at exit must not fail either.
+        # The reader, such as head or less, has closed the pipe. Later output is discarded, so that
+        # writing at exit does not fail, too.
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
@@ -235,7 +239,7 @@ def _run(words: Sequence[str]) -> int:
     try:
         args = parser.parse_args(words)
     except SystemExit:
-        sys.stdout.flush()  # a closed pipe raises an exception here, where it is caught
+        sys.stdout.flush()  # a closed pipe raises its exception here, so that `main` catches it
         raise
     args.command_line = shlex.join(['allan', *words])
     return command_of(args.verb).run(args)
@@ -249,7 +253,7 @@ def _print_error(line: str, code: int) -> int:
 def console() -> None:
     """Run `main` and exit with its exit code; this is the entry point of ``allan``."""
     for name in ('stdout', 'stderr'):
-        if getattr(sys, name) is None:  # the parent process has closed it
+        if getattr(sys, name) is None:  # the parent process has closed the stream
             setattr(sys, name, open(os.devnull, 'w'))  # noqa: SIM115
         # a file name may contain characters outside the encoding of the terminal
         getattr(sys, name).reconfigure(errors='backslashreplace')

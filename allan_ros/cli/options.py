@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options of the command line, declared by a text or by the fields of a settings class."""
+"""Options of the command line, declared one by one or by the fields of a settings class."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Settings(NamedTuple):
     """A group of options, one for each field of a settings class."""
 
     title: str  # heading of the group in the help
-    kind: type[Any]
-    without: Collection[str] = ()  # fields that get no option
+    kind: type[Any]  # the settings class
+    without: Collection[str] = ()  # names of fields that get no option
 
 
 class Option(NamedTuple):
@@ -31,8 +31,8 @@ class Option(NamedTuple):
     parse: Callable[[str], Any] = str
     default: Any = None
     choices: tuple[str, ...] | None = None
-    nargs: str | None = None  # of an argument: '+' for several values, '?' if it is optional
-    exclusive: bool = False  # whether it excludes the other exclusive options of its group
+    nargs: str | None = None  # for an argument: '+' if it may be repeated, '?' if it is optional
+    exclusive: bool = False  # whether only one of the exclusive options of a group may be given
 
 
 class OptionGroup(NamedTuple):
@@ -51,13 +51,13 @@ class Command:
 
     description: str  # the first part of its help text, with examples
     options: Declared
-    run: Callable[[argparse.Namespace], int]  # does the work and returns the exit code
-    # exit codes in addition to the common ones
+    run: Callable[[argparse.Namespace], int]  # runs the verb and returns the exit code
+    # further exit codes -> meaning, in addition to the exit codes of all verbs
     exits: Mapping[int, str] = field(default_factory=dict)
 
 
 def declare(parser: argparse.ArgumentParser, options: Declared) -> None:
-    """Add options to a parser."""
+    """Add options, groups of options and settings to a parser."""
     for one in options:
         if isinstance(one, Settings):
             add_settings(parser, *one)
@@ -91,7 +91,7 @@ def _add(parser: argparse._ActionsContainer, option: Option) -> None:
 
 
 def terms(text: str) -> dict[str, float]:
-    """Parse ``N=0.3,B=7`` to term -> number."""
+    """Parse ``N=0.3,B=7`` to term -> number; raise ArgumentTypeError for other texts."""
     try:
         pairs = [part.split('=') for part in text.split(',')]
         return {term.strip(): float(value) for term, value in pairs}
@@ -100,7 +100,10 @@ def terms(text: str) -> dict[str, float]:
 
 
 def percent(text: str) -> float:
-    """Parse ``5%`` or ``0.05`` to the fraction 0.05; a number above 1 needs the sign."""
+    """Parse ``5%`` or ``0.05`` to the fraction 0.05; a number above 1 needs the sign ``%``.
+
+    Raises ArgumentTypeError for other texts.
+    """
     number, sign, rest = text.partition('%')
     try:
         fraction = float(number) / (100.0 if sign else 1.0)
@@ -112,11 +115,14 @@ def percent(text: str) -> float:
 
 
 TIME_UNITS = {'': 1.0, 's': 1.0, 'm': 60.0, 'min': 60.0, 'h': 3600.0, 'd': 86400.0}
-"""Unit of a time on the command line -> s."""
+"""Unit of a time on the command line -> its length in s."""
 
 
 def seconds(text: str) -> float:
-    """Parse ``300``, ``300s``, ``5min`` or ``2h`` to s."""
+    """Parse a time such as ``300``, ``300s``, ``5min`` or ``2h`` to s.
+
+    Raises ArgumentTypeError for other texts.
+    """
     number = text.rstrip('smindh')
     try:
         return float(number) * TIME_UNITS[text[len(number) :]]
@@ -132,11 +138,21 @@ def add_settings(
     kind: type[Any],
     without: Collection[str] = (),
 ) -> None:
-    """Add a group with an option for every field of the settings class ``kind``.
+    """Add a group with an option for every field of a settings class.
 
-    ``title`` is the heading of the group, ``without`` are fields that get no option. A field
-    ``max_bridge`` becomes ``--max-bridge``. A field that is True by default becomes the switch
-    ``--no-...``. A tuple is given as words separated by commas.
+    A field ``max_bridge`` becomes the option ``--max-bridge``. A field that is True by default
+    becomes a switch ``--no-...``. A tuple is given as words separated by commas.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+        The parser.
+    title : str
+        Heading of the group in the help.
+    kind : type
+        The settings class.
+    without : collection of str
+        Names of fields that get no option.
     """
     group = parser.add_argument_group(title)
     infos = describe(kind)
@@ -146,7 +162,8 @@ def add_settings(
         info, default = infos[setting.name], setting.default
         name = setting.name.replace('_', '-')
         words = info.doc.rstrip('.').replace('%', '%%')
-        if words[1].islower() and not words.startswith('Imu'):  # a sentence, not 'N and K'
+        # the first word is a common word, not a term such as 'N' or a name such as 'Imu'
+        if words[1].islower() and not words.startswith('Imu'):
             words = words[0].lower() + words[1:]
         if isinstance(default, bool):
             group.add_argument(
@@ -179,7 +196,10 @@ def add_settings(
 
 
 def settings_of(settings_type: type[T], args: argparse.Namespace, **given: Any) -> T:
-    """Return the settings from the parsed arguments; fields in ``given`` take precedence."""
+    """Return a settings object from parsed arguments; fields in ``given`` take precedence.
+
+    Raises AllanError if a value is invalid.
+    """
     names = [f.name for f in fields(settings_type)]  # type: ignore[arg-type]
     parsed = {name: getattr(args, name) for name in names if hasattr(args, name)}
     return settings_type(**{**parsed, **given})

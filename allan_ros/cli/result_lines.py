@@ -42,7 +42,7 @@ LEVEL_COLORS: dict[Level, str] = {
     'unknown': '1;36',
     'failed': '1;31',
 }
-"""Level of a verdict -> ANSI color: bold green, yellow, cyan, red."""
+"""Level of a verdict -> ANSI color: bold green, yellow, cyan or red."""
 
 HEADLINES: dict[Judgement | None, str] = {
     'within': 'all stated limits are met',
@@ -50,13 +50,14 @@ HEADLINES: dict[Judgement | None, str] = {
     'exceeds': 'a limit is exceeded',
     None: 'it states no limit for the measured terms',
 }
+"""Worst verdict of the comparisons with a datasheet -> text."""
 
 
 def datasheet_lines(results: Results, units: str, columns: int) -> Iterator[str]:
-    """Yield the lines of a comparison with a datasheet: a headline, then one entry per limit.
+    """Yield the lines of a comparison with a datasheet: a headline, then one entry for each limit.
 
-    ``units`` is 'deg/h' or 'SI', ``columns`` the width of the text. There are no lines without a
-    datasheet.
+    ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text. Without a datasheet,
+    there are no lines.
     """
     sheet, checks = results.datasheet, results.datasheet_checks
     if sheet is None:
@@ -65,7 +66,7 @@ def datasheet_lines(results: Results, units: str, columns: int) -> Iterator[str]
     headline = f'compared with the datasheet of {sheet.name}: {found}'
     yield from wrapped(headline, columns, '  ')
     groups: dict[tuple[str, str, float], list[Check]] = {}
-    for c in checks:  # axes of one sensor with the same limit of a term
+    for c in checks:  # one group for the axes of a sensor with equal limits of a term
         groups.setdefault((sensor_of(c.axis), c.quantity, c.limit), []).append(c)
     for group in groups.values():
         stated = sheet.limits[group[0].axis][group[0].quantity].stated
@@ -85,10 +86,10 @@ def _line(group: list[Check], stated: str, units: str) -> str:
 
 
 DEVIATION = 'deviation'
-"""Label of the last row."""
+"""Label of the last row of a table of coefficients."""
 
 MOST_FINDINGS, MOST_NEXT_STEPS = 5, 4
-"""Largest number of findings without ``--verbose``, and of next steps."""
+"""Largest number of findings that are printed without ``--verbose``, and of next steps."""
 
 
 def results_lines(
@@ -99,10 +100,25 @@ def results_lines(
     colors: bool = False,
     complete: bool = False,
 ) -> Iterator[str]:
-    """Yield the lines of the results: verdict, coefficients, numbers for a filter, findings, steps.
+    """Yield the results as lines of text.
 
-    ``units`` is 'deg/h' or 'SI', ``columns`` the width of the text, ``colors`` whether to color it;
-    ``complete`` includes all findings.
+    These are the verdict, the coefficients, the numbers for a state estimator, the comparison with
+    a datasheet, the findings, and the next steps.
+
+    Parameters
+    ----------
+    results : Results
+        The results.
+    verdict : Verdict
+        Verdict on the results.
+    units : str
+        'deg/h' or 'SI'.
+    columns : int
+        Width of the text.
+    colors : bool
+        Whether the text contains ANSI colors.
+    complete : bool
+        Whether all findings are included, not only the most important ones.
     """
     yield from wrapped(headline(results), columns, '  ')
     yield from verdict_lines(verdict, columns, colors)
@@ -150,7 +166,10 @@ def verdict_lines(verdict: Verdict, columns: int, colors: bool = False) -> list[
 def findings_lines(
     results: Results, units: str, columns: int, colors: bool, complete: bool
 ) -> Iterator[str]:
-    """Yield findings with their remedies: with ``complete`` all, else the most important."""
+    """Yield the findings with their remedies as lines of text.
+
+    If ``complete`` is False, there are at most `MOST_FINDINGS` findings, the most important ones.
+    """
     shown, notes = findings_and_notes(results)
     first = [*shown, *notes][: None if complete else MOST_FINDINGS]
     if first:
@@ -175,7 +194,7 @@ def _step_lines(results: Results, verdict: Verdict, columns: int) -> Iterator[st
 
 
 def _filter_lines(results: Results, columns: int) -> Iterator[str]:
-    """Yield the numbers of the file for Kalibr; nothing if it cannot be made."""
+    """Yield the numbers in the configuration file of Kalibr; nothing if it cannot be made."""
     try:
         table = filter_table(results)
     except AllanError:
@@ -200,7 +219,7 @@ def _known_rows(table: Table) -> Table:
 
 
 SMALL_DEVIATION = 0.05
-"""Relative deviation of the curve from the model below which it is not stated."""
+"""Relative deviation of the curve from the model below which the deviation is not stated."""
 
 
 def _deviation(results: Results, axis: str) -> str:
@@ -210,7 +229,7 @@ def _deviation(results: Results, axis: str) -> str:
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield the lines of a comparison: sentences, a table per sensor, and limits of datasheets."""
+    """Yield a comparison as lines of text: sentences, a table for each sensor, and datasheets."""
     for sentence in sentences(comparison):
         yield from wrapped(sentence, columns, '  ')
     for where in SENSORS.values():

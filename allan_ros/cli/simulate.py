@@ -37,7 +37,7 @@ NOISES = {
     **{sensor: f'all {sensor} axes' for sensor in SENSORS},
     **{axis: axis for axis in AXES},
 }
-"""Option for noise terms -> axes to which they apply, as text."""
+"""Name of an option for noise terms -> axes to which the terms apply, as text."""
 
 SIMULATE_OPTIONS = (
     Option(('output',), 'recording to write', 'OUT'),
@@ -94,7 +94,7 @@ SIMULATE_OPTIONS = (
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate a recording, and write it and its true values."""
+    """Simulate a recording, write the recording and its true noise, and return the exit code."""
     from ..readers.writing import write_recording
     from ..results.simulation import read_specification, stated_noise, write_truth
 

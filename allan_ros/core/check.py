@@ -1,17 +1,22 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Significant differences between two recordings, and coefficients that exceed a limit.
+"""Compare a measured number with limits, or with the same number of another recording.
 
-`differences` tests whether two recordings differ. The two may be two files, a recording and an
-earlier one, or the last hour of a stream and the time before it.
+`check_limits` compares a number with limits. `differences` tests whether two recordings differ: two
+files, a recording and an earlier one, or the last hour of a stream and the time before that hour.
 
-Coefficients are compared by the logarithm of their ratio. Its interval is computed from the two
-intervals, which may be asymmetric (method of variance estimates recovery: Zou & Donner, Statistics
-in Medicine 27, 2008, eq. 9, on logarithms). If only one recording resolves a coefficient, its lower
-limit is compared with the upper limit of the other recording: the p value follows from the
-confidence level at which the two limits are equal. Deviations at equal averaging times are compared
-by the F distribution of two variances with their equivalent degrees of freedom (NIST SP 1065
-section 5.3.1).
+Method
+------
+Coefficients are compared by the logarithm of their ratio. The interval of the ratio is computed
+from the two intervals of the coefficients, which may be asymmetric (method of variance estimates
+recovery: Zou & Donner, Statistics in Medicine 27, 2008, eq. 9, on logarithms).
+
+If only one recording resolves a coefficient, the lower limit from this recording is compared with
+the upper limit from the other recording. The p value follows from the confidence level at which the
+two limits are equal.
+
+Allan deviations at equal averaging times are compared by the F distribution of the ratio of two
+variances with their equivalent degrees of freedom (NIST SP 1065 section 5.3.1).
 
 Many comparisons are made at once. Holm's procedure (Scandinavian Journal of Statistics 6, 1979)
 keeps the probability of any false detection below `FAMILY_ERROR`, even if the comparisons are
@@ -34,22 +39,24 @@ from .estimate import UNKNOWN, Z_95, Estimate
 from .fit.result import TERMS
 
 MARGIN = 0.2
-"""Fraction by which a coefficient may exceed a limit: typical figures of a datasheet
-describe the median unit, and noise increases by some percent with temperature."""
+"""Fraction by which a coefficient may exceed a limit. The typical figures of a datasheet describe
+the median IMU, and noise increases by some percent with temperature."""
 
 FAMILY_ERROR = 0.05
 """Probability of at least one significant difference between recordings of equal noise, among all
 comparisons made at once."""
 
 TAU_RATIO = 4.0
-"""Ratio of the averaging times that are compared: closer ones share most of their samples."""
+"""Ratio of successive averaging times at which deviations are compared. Deviations at closer
+averaging times are strongly correlated, so further comparisons would add little."""
 
 MIN_EDF = 3.0
-"""Smallest number of degrees of freedom of a deviation that is compared: with fewer, no ratio below
-10 is significant."""
+"""Smallest number of equivalent degrees of freedom of a deviation that is compared. With 3 in both
+recordings, only a ratio of deviations above about 10 (one axis) to 17 (six axes) is significant."""
 
 EDF_TABLE = np.geomspace(0.5, 1e10, 1000)
-"""Degrees of freedom for which the ratio of the chi-squared limits is tabulated, (1000,)."""
+"""Degrees of freedom for which the ratio of the upper to the lower chi-squared limit is tabulated,
+(1000,)."""
 
 SMALLEST_SCALE = 1e-12
 """Smallest standard error of the logarithm of an estimate, which avoids a division by zero."""
@@ -62,7 +69,8 @@ Judgement = Literal['within', 'exceeds', 'higher', 'lower', 'alike', 'undecided'
 recording, or 'alike'; 'undecided' if the test is impossible or inconclusive."""
 
 Equivalence = Literal['same', 'different', 'undecided']
-"""The same up to a stated fraction, different by more than that, or undecided."""
+"""Whether two numbers are the same up to a stated fraction, differ by more than this fraction, or
+neither is shown."""
 
 Z_90 = 1.6449
 """Normal quantile of a one-sided test at 5 %, half the width of a 90 % interval."""
@@ -87,19 +95,21 @@ class Check:
     reference : str
         Name of the datasheet, plan or recording.
     measured : Estimate
-        The measured number; without value and limit if only the ratio is known.
+        The measured number. It has neither value nor limit if only the ratio is known.
     lower, upper : float or None
-        Limits; None for no limit. For another recording, ``upper`` is its value or upper limit.
+        The limits; None for no limit. In a comparison with another recording, ``upper`` is the
+        value or the upper limit from the other recording.
     ratio : Estimate
-        Ratio of the measured number to ``upper``. If one of two recordings has only a limit, the
-        ratio has no value, and an interval with 0 or infinity at one end.
+        Ratio of the measured number to ``upper``. If only one of two recordings resolves the
+        number, the ratio has no value, and one end of its interval is 0 or infinity.
     verdict : Judgement
         See `Judgement`. The verdicts 'higher' and 'lower' are corrected for the number of
         comparisons.
     tau : float or None
-        Averaging time in s, of a deviation.
+        Averaging time in s of an Allan deviation; None for other quantities.
     p : float or None
-        Probability of such a difference between recordings of equal noise; None if unknown.
+        p value: the probability of a difference at least as large between recordings of equal
+        noise; None if unknown, or in a comparison with limits.
     note : str
         Why the number is unknown; '' if it is known.
     """
@@ -128,12 +138,15 @@ class Check:
 
     @property
     def at_least(self) -> float:
-        """Lower end of the 95 % interval of the ratio; 0 if unknown."""
+        """Lower end of the 95 % interval of the ratio.
+
+        Without an interval, it is the ratio itself, or 0 if the ratio is unknown.
+        """
         return (self.ratio.ci95 or (self.ratio.value or 0.0,))[0]
 
     @property
     def factor(self) -> float:
-        """The ratio, but at least 1: by how much the number of the other recording is too small."""
+        """The ratio, but at least 1; 1 if the ratio is unknown."""
         return max(self.ratio.value or 1.0, 1.0)
 
     def beyond(self, margin: float) -> bool:
@@ -148,10 +161,11 @@ class Check:
     def equivalence(self, within: float) -> Equivalence:
         """Return whether both recordings have the same value up to the fraction ``within``.
 
-        'same' if the 90 % interval of the ratio lies between 1 / (1 + within) and 1 + within. These
-        are two one-sided tests at 5 % (Schuirmann, J. Pharmacokin. Biopharm. 15, 1987): if the true
-        ratio is at a limit, the result is 'same' with a probability of at most 5 %. 'different' if
-        the interval lies beyond one of them, else 'undecided'.
+        The result is 'same' if the 90 % interval of the ratio lies between 1 / (1 + within) and
+        1 + within. It is 'different' if the complete 90 % interval lies above or below this range,
+        else 'undecided'. These are two one-sided tests at 5 % (Schuirmann, J. Pharmacokin.
+        Biopharm. 15, 1987): if the true ratio is at an end of the range, the result is 'same' with
+        a probability of at most 5 %.
         """
         if self.ratio.value is None or self.ratio.ci95 is None:
             return 'undecided'
@@ -165,9 +179,11 @@ class Check:
     def as_limit(self, margin: float) -> Check | None:
         """Return the check with the number of the other recording as an upper limit.
 
-        The verdict is 'exceeds' if the recording is significantly higher by more than the fraction
-        ``margin``. It is 'undecided' if the recording has only an upper limit and this lies above
-        the margin. Otherwise it is 'within'. Returns None if the recordings could not be compared.
+        The verdict is 'exceeds' if the number is significantly higher than in the other recording,
+        and the complete 95 % interval of the ratio lies above 1 + ``margin``. It is 'undecided' if
+        only one of the recordings resolves the number, and the interval of the ratio reaches above
+        1 + ``margin``. Otherwise it is 'within'. Returns None if the recordings could not be
+        compared.
         """
         if self.p is None or self.ratio.ci95 is None or self.upper is None:
             return None
@@ -200,7 +216,7 @@ WORST_FIRST: tuple[Judgement, ...] = ('exceeds', 'undecided', 'within')
 
 
 def worst_verdict(checks: Iterable[Check]) -> Judgement | None:
-    """Return the worst verdict of comparisons with limits; None without a comparison."""
+    """Return the worst verdict of comparisons with limits; None if there is no comparison."""
     found = {check.verdict for check in checks}
     return next((verdict for verdict in WORST_FIRST if verdict in found), None)
 
@@ -215,11 +231,22 @@ def check_limits(
     margin: float = 0.0,
     note: str = '',
 ) -> Check:
-    """Compare a measured number with limits, of which each may be None.
+    """Compare a measured number with limits.
 
-    The verdict is 'exceeds' if the complete 95 % interval lies above upper * (1 + margin) or below
-    ``lower``. It is 'within' if the complete interval (from 0 to the upper limit of a number that
-    is not resolved) lies between them, and 'undecided' otherwise.
+    The verdict is 'exceeds' if the complete 95 % interval lies above ``upper * (1 + margin)`` or
+    below ``lower``. It is 'within' if the complete interval lies between these two, and 'undecided'
+    otherwise. The interval of a number that is not resolved is from 0 to its upper limit.
+
+    Parameters
+    ----------
+    axis, quantity, reference, note : str
+        Fields of `Check`.
+    measured : Estimate
+        The measured number.
+    lower, upper : float or None
+        The limits in the unit of ``measured``; None for no limit.
+    margin : float
+        Fraction by which the number may exceed ``upper``.
 
     Examples
     --------
@@ -249,21 +276,23 @@ class AxisNoise(NamedTuple):
 
 
 Run = Mapping[str, AxisNoise]
-"""Axis -> its coefficients and curve in one recording."""
+"""Name of an axis -> coefficients and curve of this axis in one recording."""
 
 
 def differences(pairs: Iterable[tuple[str, Run, Run]]) -> list[tuple[Check, ...]]:
-    """Return for each pair of recordings the checks of the second against the first.
+    """Return for each pair of recordings the checks of the second against the first recording.
 
-    ``pairs`` are the name of the first recording and both recordings.
+    For each axis that both recordings have, the five terms and then the Allan deviations at common
+    averaging times are compared. The verdicts are corrected for the number of all comparisons of
+    all pairs: the probability of any false detection is below `FAMILY_ERROR`.
 
-    For each common axis, the five terms and then the deviations at common averaging times are
-    compared. The verdicts are corrected for the number of all comparisons of all pairs: the
-    probability of any false detection is below `FAMILY_ERROR`.
+    Parameters
+    ----------
+    pairs : iterable of (name of the first recording, first recording, second recording)
     """
     found = [list(_run_differences(*pair)) for pair in pairs]
     decided = iter(_with_verdicts(list(chain(*found)), FAMILY_ERROR))
-    return [tuple(islice(decided, len(of_pair))) for of_pair in found]
+    return [tuple(islice(decided, len(checks))) for checks in found]
 
 
 def _run_differences(reference: str, first: Run, second: Run) -> Iterator[Check]:
@@ -280,7 +309,7 @@ def _run_differences(reference: str, first: Run, second: Run) -> Iterator[Check]
 def _curve_differences(
     axis: str, reference: str, first: AxisCurve, second: AxisCurve
 ) -> Iterator[Check]:
-    """Yield the checks of the interpolated deviations; the verdicts are set later."""
+    """Yield the checks of deviations interpolated at common averaging times, without verdicts."""
     from scipy import special
 
     points = _log_points(first), _log_points(second)
@@ -289,20 +318,24 @@ def _curve_differences(
     tau = math.exp(max(one[0, 0] for one in points))
     longest = math.exp(min(one[-1, 0] for one in points))
     while tau <= longest * (1.0 + 1e-9):
-        (da, va), (db, vb) = (
+        (adev_a, edf_a), (adev_b, edf_b) = (
             tuple(math.exp(np.interp(math.log(tau), one[:, 0], one[:, i])) for i in (1, 2))
             for one in points
         )
-        f = (db / da) ** 2
-        low, high = (math.sqrt(f / special.fdtri(vb, va, q)) for q in (0.975, 0.025))
-        p = min(2.0 * float(min(special.fdtr(vb, va, f), special.fdtrc(vb, va, f))), 1.0)
-        ratio, measured = Estimate(db / da, (low, high)), Estimate(db)
-        yield Check(axis, 'adev', reference, measured, None, da, ratio, tau=tau, p=p)
+        f = (adev_b / adev_a) ** 2
+        low, high = (math.sqrt(f / special.fdtri(edf_b, edf_a, q)) for q in (0.975, 0.025))
+        below, above = special.fdtr(edf_b, edf_a, f), special.fdtrc(edf_b, edf_a, f)
+        p = min(2.0 * float(min(below, above)), 1.0)
+        ratio, measured = Estimate(adev_b / adev_a, (low, high)), Estimate(adev_b)
+        yield Check(axis, 'adev', reference, measured, None, adev_a, ratio, tau=tau, p=p)
         tau *= TAU_RATIO
 
 
 def _log_points(curve: AxisCurve) -> Floats:
-    """Return the logarithms of tau, deviation and degrees of freedom, (points, 3)."""
+    """Return the logarithms of tau, Allan deviation and degrees of freedom, (points, 3).
+
+    Points with fewer than `MIN_EDF` degrees of freedom are excluded.
+    """
     with np.errstate(invalid='ignore', divide='ignore'):
         edf = _degrees_of_freedom(curve.ci_low, curve.ci_high)
         known = (curve.adev > 0.0) & np.isfinite(edf) & (edf >= MIN_EDF) & (curve.tau > 0.0)
@@ -311,19 +344,19 @@ def _log_points(curve: AxisCurve) -> Floats:
 
 def _with_verdicts(found: Sequence[Check], family_error: float) -> list[Check]:
     """Return the checks with verdicts by Holm's procedure."""
-    decidable = sorted((d.p, i) for i, d in enumerate(found) if d.p is not None)
-    beyond: set[int] = set()
-    for rank, (p, i) in enumerate(decidable):
-        if p > family_error / (len(decidable) - rank):
+    p_values = sorted((d.p, i) for i, d in enumerate(found) if d.p is not None)
+    significant: set[int] = set()
+    for rank, (p, i) in enumerate(p_values):
+        if p > family_error / (len(p_values) - rank):
             break
-        beyond.add(i)
-    return [replace(d, verdict=_judged(d, i in beyond)) for i, d in enumerate(found)]
+        significant.add(i)
+    return [replace(d, verdict=_judged(d, i in significant)) for i, d in enumerate(found)]
 
 
-def _judged(check: Check, beyond: bool) -> Judgement:
+def _judged(check: Check, significant: bool) -> Judgement:
     if check.p is None or check.ratio.ci95 is None:
         return 'undecided'
-    if not beyond:
+    if not significant:
         # Two estimates without a significant difference are alike; a limit alone is inconclusive.
         return 'undecided' if check.ratio.value is None else 'alike'
     return 'higher' if check.ratio.ci95[0] > 1.0 else 'lower'
@@ -335,7 +368,7 @@ def _term_difference(
     a, b = _known(first), _known(second)
     before = _limit(first) if a is None else a[0]
     unknown = Check(axis, term, reference, second, upper=before)
-    power = 1.0 if term == 'R' else 2.0  # the ramp is a regressor, the others are variances
+    power = 1.0 if term == 'R' else 2.0  # R has normal errors; of the others, the square has
     if a is not None and b is not None:
         ratio, ci95, p = _ratio_of_estimates(a, b)
         return replace(unknown, ratio=Estimate(ratio, ci95), p=p)
@@ -349,7 +382,10 @@ def _term_difference(
 
 
 def _known(c: Estimate) -> Known | None:
-    """Return the value and interval; None if not resolved or if the interval reaches 0."""
+    """Return the value, moved into its interval, and the ends of the interval.
+
+    Returns None if the coefficient is not resolved, or if the interval reaches 0.
+    """
     if c.status != 'estimated' or not c.value or c.ci95 is None:
         return None
     low, high = c.ci95
@@ -359,7 +395,7 @@ def _known(c: Estimate) -> Known | None:
 
 
 def _limit(c: Estimate) -> float | None:
-    """Return the 95 % upper limit of a coefficient that is not resolved."""
+    """Return the 95 % upper limit of a coefficient that is not resolved, else None."""
     known = c.status == 'not_observable' and c.upper95 is not None and 0.0 < c.upper95 < math.inf
     return c.upper95 if known else None
 
@@ -367,8 +403,8 @@ def _limit(c: Estimate) -> float | None:
 def _ratio_of_estimates(a: Known, b: Known) -> tuple[float, tuple[float, float], float]:
     """Return the ratio b / a, its 95 % interval, and the p value of equal coefficients.
 
-    The p value uses the upper half of the interval of the smaller estimate and the lower half of
-    the other interval.
+    The p value uses the upper half of the interval of the smaller estimate, and the lower half of
+    the interval of the larger estimate.
     """
     from scipy import special
 
@@ -386,28 +422,28 @@ def _exp(x: float) -> float:
 
 
 def _width(upper: float, lower: float, x: Known) -> float:
-    """Return ln(upper / lower), but at least half the width of the logarithmic interval of x."""
-    # The value can lie at an end of its interval; the distance to that end is then too small.
+    """Return ln(upper / lower), but at least half the width of the interval of ln x."""
+    # A value at an end of its interval would have a distance of 0 to this end.
     return max(math.log(upper) - math.log(lower), (math.log(x[2]) - math.log(x[1])) / 2.0)
 
 
 def _p_value_of_limit(a: Known, limit: float, power: float) -> float:
-    """Return the p value of equality if one recording has an estimate and the other only a limit.
+    """Return the p value of equality of an estimate in one recording and a limit in the other.
 
-    It follows from the confidence at which the lower limit of the estimate equals the upper limit.
-    The coefficient to the ``power`` (2 for a variance) has normal errors.
+    The p value follows from the confidence level at which the lower limit of the estimate ``a``
+    equals the upper limit. The coefficient to the power ``power`` is assumed to have normal errors.
     """
     # At the normal quantile z, the lower limit of the estimate is value exp(-s z), where s is the
-    # standard error of its logarithm. The upper limit is limit (z / 1.96)^(1 / power): the estimate
-    # is assumed to be 0, which is the worst case. At the z where both are equal, each limit is
-    # wrong with probability Phi(-z). The result is 4 Phi(-z), because either recording could have
-    # the estimate.
+    # standard error of its logarithm. The upper limit is limit (z / 1.96)^(1 / power), because the
+    # number that is not resolved is assumed to be 0, which is the worst case. At the z where both
+    # limits are equal, each limit is wrong with probability Phi(-z). The result is 4 Phi(-z),
+    # because either recording could be the one that resolves the number.
     from scipy import special
 
     value, low, _ = a
     scale = power * max(_width(value, low, a) / Z_95, SMALLEST_SCALE)
-    # with the power p, p s z exp(p s z) = p s 1.96 (value / limit)^p, solved by the Lambert W
-    # function in logarithms
+    # With p = power, this z solves p s z exp(p s z) = p s 1.96 (value / limit)^p. The Lambert W
+    # function gives the solution, here in logarithms.
     right = math.log(scale * Z_95) + power * (math.log(value) - math.log(limit))
     z = float(special.wrightomega(right)) / scale
     # At a lower confidence than 95 %, the limit is unknown.

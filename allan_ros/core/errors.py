@@ -5,15 +5,15 @@
 from typing import Any
 
 SHOWN_START, SHOWN_END = 1500, 500
-"""Number of characters that are kept at the start and at the end of a line that is too long."""
+"""Number of characters that are kept at the start and at the end of a longer text."""
 
 
 def one_line(text: str) -> str:
     """Return the text as one line of limited length that is safe to print.
 
     The text may contain names from files and messages that are not trusted. A character that is
-    not printable is replaced by its escape sequence, such as ``\\x1b``, and the middle of a long
-    text is left out.
+    not printable is replaced by its escape sequence, such as ``\\x1b``. The middle of a text of
+    more than ``SHOWN_START + SHOWN_END`` characters is replaced by ``...``.
     """
     if not text.isprintable():
         text = ''.join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -17,15 +17,16 @@ Ends = tuple[float, float]
 """Ends of an interval: (low, high)."""
 
 Status = Literal['estimated', 'likely', 'not_observable']
-"""Whether a number is resolved; a likely number is not, but exceeds its standard error."""
+"""Whether a number is resolved ('estimated') or not ('likely', 'not_observable'). The square of a
+'likely' number exceeds 0 by more than one standard error."""
 
 Z_95 = 1.96
 """Normal quantile of 97.5 %, for both ends of a 95 % interval and for a 95 % upper limit.
 
-The same data decide whether a term gets an interval or an upper limit. With 1.645, the quantile of
-95 %, for limits, a term near the threshold would be missed in 5 % of records below and in 2.5 %
-above. With one quantile, a limit is the upper end of an interval that begins at 0, as in the
-unified intervals of Feldman & Cousins (Phys. Rev. D 57, 1998) for nonnegative estimates."""
+A one-sided limit alone would need only 1.645, the quantile of 95 %. But the same data decide
+whether a term gets an interval or an upper limit. With one quantile for both, an upper limit is the
+upper end of an interval that begins at 0, and the probability of missing the true value is the same
+for both. Feldman & Cousins (Phys. Rev. D 57, 1998) unify intervals and limits in the same way."""
 
 NOTHING_KNOWN = '-'
 """Text for a number with neither a value nor a limit."""
@@ -38,27 +39,27 @@ class Estimate:
     Attributes
     ----------
     value : float or None
-        The estimate with its sign, also of a number that is not resolved; None if there is none.
+        The estimate with its sign, also if the number is not resolved; None if unknown.
     recording_ci95 : (low, high) or None
         95 % interval of the value for this recording; None for a number that is not resolved, or
-        if the method gives none.
+        if the method gives no interval.
     upper95 : float or None
-        95 % upper limit of a number that is not resolved; None if there is no limit. If the number
-        can be negative, it is the limit of its magnitude.
+        95 % upper limit of a number that is not resolved; None if there is no limit. For a number
+        that can be negative, ``upper95`` limits the magnitude.
     status : 'estimated', 'likely' or 'not_observable'
         'estimated' if the data show that the number is not 0. A 'likely' number is not resolved,
-        but its square exceeds 0 by more than its standard error.
+        but its square exceeds 0 by more than one standard error.
     lower95 : float or None
-        95 % lower limit of a number without an upper end; None if there is none.
+        95 % lower limit of a number whose interval has no upper end, else None.
     predictive_ci95 : (low, high) or None
         95 % interval of the value in another hour of the same sensor; None if the scatter between
         hours is unknown.
     name : str
         Name of the number, such as 'N' or 'frequency'; '' if unknown.
     unit : str
-        Unit of the numbers; '' for a ratio, or if unknown.
+        Unit of the value, the intervals and the limits; '' for a ratio, or if unknown.
     axis : str
-        Axis of the IMU, such as 'gyro_z'; '' for none.
+        Axis of the IMU, such as 'gyro_z', or sensor; '' if the number belongs to neither.
 
     Examples
     --------
@@ -93,42 +94,48 @@ class Estimate:
 
     @classmethod
     def normal(cls, value: float, std: float) -> Estimate:
-        """Return the estimate with a normally distributed error of this standard deviation."""
+        """Return an estimate with a normally distributed error of standard deviation ``std``."""
         return cls(value, (value - Z_95 * std, value + Z_95 * std))
 
     @property
     def std(self) -> float:
-        """Standard error: the half-width of the interval over 1.96; NaN without an interval."""
+        """Standard error: half the width of the interval, divided by 1.96; NaN if it is unknown."""
         low, high = self.ci95 or (math.nan, math.nan)
         return (high - low) / (2.0 * Z_95)
 
     @property
     def largest(self) -> float:
-        """The largest magnitude in the interval, or else of the value; NaN without a value."""
+        """Largest magnitude in the interval; without an interval, the magnitude of the value.
+
+        NaN if both are unknown.
+        """
         return max(map(abs, self.ci95 or (math.nan if self.value is None else self.value,)))
 
     @property
     def ci95(self) -> Ends | None:
-        """The 95 % interval that is shown and exported: the predictive one, if it is known."""
+        """The 95 % interval that is shown and exported.
+
+        It is the predictive interval if this is known, else the interval for the recording.
+        """
         return self.predictive_ci95 or self.recording_ci95
 
     @property
     def resolved(self) -> bool:
-        """Whether the data show that the number is not 0, and its value is known."""
+        """Whether the data show that the number is not 0, and the value is known."""
         return self.status == 'estimated' and self.value is not None
 
     @property
     def shown(self) -> Estimate:
-        """The estimate without the value of a number that is not resolved."""
+        """The estimate as it is shown to users: without its value if it is not resolved."""
         return self if self.resolved else replace(self, value=None)
 
     @property
     def magnitude(self) -> Estimate:
-        """The estimate of the magnitude: without the sign of its value."""
+        """The estimate of the magnitude of the number, that is, without the sign of its value."""
         return self.times(-1.0) if (self.value or 0.0) < 0.0 else self
 
     def times(self, factor: float) -> Estimate:
-        """Return the estimate times a factor; limits are multiplied by its magnitude.
+        """Return the estimate times a factor; limits are multiplied by the magnitude of the factor.
 
         >>> Estimate(2.0, (1.5, 2.5)).times(-2.0).ci95
         (-5.0, -3.0)
@@ -140,8 +147,8 @@ class Estimate:
             low, high = sorted(factor * end for end in interval)
             return low, high
 
-        def limit(of: float | None) -> float | None:
-            return None if of is None else abs(factor) * of
+        def limit(known: float | None) -> float | None:
+            return None if known is None else abs(factor) * known
 
         return replace(
             self,
@@ -180,7 +187,11 @@ class Estimate:
 
     @classmethod
     def from_document(cls, fields: Fields, signed: bool = False) -> Estimate:
-        """Read the object of `document`; with ``signed``, its numbers may be negative."""
+        """Return the estimate that `document` wrote as a JSON object.
+
+        Name, unit and axis are not stored. With ``signed``, the value and the lower limit may be
+        negative. Raises AllanError if a number is missing or invalid.
+        """
         least = -MAX_FLOAT if signed else 0.0
 
         def number(key: str, least: float = 0.0) -> float | None:
@@ -212,7 +223,7 @@ UNKNOWN = Estimate(None, status='not_observable')
 
 
 def value_text(estimate: Estimate, unit: ShownUnit) -> str:
-    """Return an estimate as text: its value, ``< limit`` if it has only a limit, or '-'.
+    """Return an estimate as text: its value, ``< limit`` if it is not resolved, or '-'.
 
     >>> value_text(Estimate(None, upper95=0.5), ShownUnit('', 1.0))
     '< 0.500'
@@ -225,7 +236,9 @@ def value_text(estimate: Estimate, unit: ShownUnit) -> str:
 
 
 def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
-    """Return the 95 % interval of a resolved estimate as ``low..high``; '' if it has no width.
+    """Return the 95 % interval of an estimate as ``low..high``.
+
+    The text is '' if the number is not resolved, or if it is known exactly.
 
     >>> interval_text(Estimate(-2.0, (-2.5, -1.5)), ShownUnit('', 1.0))
     '-2.50..-1.50'
@@ -233,7 +246,7 @@ def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
     if estimate.status != 'estimated' or estimate.ci95 is None:
         return ''
     low, high = estimate.ci95
-    if low == high:  # it is known exactly
+    if low == high:
         return ''
     narrow = high - low < 0.02 * max(abs(low), abs(high))
     digits = VALUE_DIGITS if narrow else LIMIT_DIGITS
@@ -241,10 +254,10 @@ def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
 
 
 def known_numbers(estimate: Estimate, unit: ShownUnit) -> tuple[float | None, ...]:
-    """Return the value, the two ends of its interval, and the upper limit.
+    """Return the value, the two ends of its interval, and the upper limit, in ``unit``.
 
-    All are in ``unit``, and None if unknown. A number that is not resolved has only a limit, and
-    one that is resolved has no limit.
+    A resolved number has no upper limit, and a number that is not resolved has only an upper limit.
+    The other numbers are None.
     """
     known = estimate.shown.times(unit.factor)
     low, high = known.ci95 if known.resolved and known.ci95 is not None else (None, None)

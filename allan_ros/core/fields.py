@@ -23,21 +23,21 @@ from .imu import to_si
 T = TypeVar('T')
 
 MAX_INTEGER = 2**62
-"""Largest magnitude of counts and stamps: the sum of two fits into 64 bits."""
+"""Largest magnitude of counts and stamps: the sum of two of them fits into 64 bits."""
 
 MAX_FLOAT = 1e150
-"""Largest magnitude of numbers: the square is a finite float64."""
+"""Largest magnitude of numbers: their square is a finite float64."""
 
 MAX_TEXT = 100_000
-"""Longest text in characters, unless a smaller limit is given for a key."""
+"""Largest number of characters in a text, unless the reader of a key gives a smaller limit."""
 
 MAX_ITEMS = 1_000_000
-"""Longest list, unless a smaller limit is given for a key."""
+"""Largest number of items in a list, unless the reader of a key gives a smaller limit."""
 
 Signed = Annotated[float, 'may be negative']
 SignedInt = Annotated[int, 'may be negative']
-"""Types of the fields of a dataclass that may be negative in a document; numbers of the types float
-and int are 0 or above."""
+"""Types of dataclass fields that may be negative in a document. Fields of the types float and int
+must be 0 or above."""
 
 _REQUIRED = object()
 
@@ -46,8 +46,8 @@ def plain(value: Any, names: Mapping[str, str] = {}) -> Any:
     """Convert dataclasses, named tuples, mappings, sequences and arrays to JSON values.
 
     An object with a method ``document`` becomes the value that this method returns. NaN and
-    infinity become None. ``names`` maps the name of a field to its key in the document, where these
-    differ.
+    infinity become None. ``names`` maps the name of a field to its key in the document, for fields
+    whose name and key differ.
     """
     if hasattr(value, 'document'):
         value = value.document()
@@ -76,17 +76,17 @@ def located(where: str) -> Iterator[None]:
 class Fields:
     """One JSON object, whose values are checked when they are read.
 
-    Every method that reads a value raises AllanError if it is missing, of another type or out of
-    range. The message states its position in the document.
+    Every method that reads a value raises AllanError if the value is missing, of another type or
+    out of range. The message states the position of the value in the document.
 
     Parameters
     ----------
     document : object
         The parsed JSON value; AllanError is raised if it is not an object.
     where : str
-        Name of the document or position in it, for messages.
+        Name of the document, or position of the object in a document, for messages.
     names : mapping of str to str
-        Name of a field of a dataclass -> its key in the document, where these differ.
+        Name of a dataclass field -> its key in the document, for fields whose name and key differ.
     """
 
     def __init__(
@@ -151,19 +151,22 @@ class Fields:
         return value
 
     def quantity(self, unit: str) -> float:
-        """Return the value of this object, ``{value, unit}``, converted to the SI unit ``unit``."""
+        """Return this object, ``{"value": ..., "unit": ...}``, converted to the SI unit ``unit``.
+
+        Raises AllanError if the stated unit cannot be converted to ``unit``.
+        """
         value, stated = self.number('value'), self.text('unit')
         with located(self.where):
             return to_si(value, stated, unit)
 
     def numbers(self, key: str) -> NDArray[np.float64]:
-        """Return a list of numbers as an array, with NaN for null."""
+        """Return a list of numbers as an array, (n,), with NaN for null."""
         return np.array(
             [math.nan if v is None else self._number(key, v) for v in self.sequence(key)], float
         )
 
     def integers(self, key: str, n: int) -> NDArray[np.int64]:
-        """Return a list of ``n`` whole numbers of 0 or above as an array."""
+        """Return a list of ``n`` whole numbers of 0 or above as an array, (n,)."""
         values = self.sequence(key, n)
         if len(values) != n or not all(type(v) is int and 0 <= v < MAX_INTEGER for v in values):
             raise self._wrong(key, values, f'a list of {n} whole numbers, 0 or above,')
@@ -172,7 +175,7 @@ class Fields:
     def table(
         self, key: str, rows: int, columns: int, least: float = -MAX_FLOAT
     ) -> NDArray[np.float64]:
-        """Return a list of lists as an array of finite numbers, (rows, columns)."""
+        """Return a list of lists of numbers of at least ``least`` as an array, (rows, columns)."""
         value = self.sequence(key, rows)
         regular = len(value) == rows and all(
             isinstance(row, list)
@@ -187,7 +190,7 @@ class Fields:
         return np.array(value, float).reshape(rows, columns)
 
     def sequence(self, key: str, most: int = MAX_ITEMS) -> Sequence[Any]:
-        """Return a list of at most ``most`` items, which the caller checks."""
+        """Return a list of at most ``most`` items; the caller checks the items."""
         found: Sequence[Any] = self._get(key, list, 'a list')
         if len(found) > most:
             raise AllanError(
@@ -196,7 +199,7 @@ class Fields:
         return found
 
     def value(self, key: str) -> object:
-        """Return a value of any type, which the caller checks."""
+        """Return the value of a key, of any type; the caller checks the value."""
         return self._get(key, object, 'a value')
 
     def fields(self, key: str) -> Fields:
@@ -215,9 +218,9 @@ class Fields:
     def record(self, kind: type[T], **known: Any) -> T:
         """Return a dataclass or named tuple whose fields are the keys of this object.
 
-        A class with a method ``from_document`` reads itself. Otherwise each field is read as its
-        annotated type. Fields in ``known`` are not read but get the given values, and fields with a
-        default may be missing.
+        If ``kind`` has a method ``from_document``, the result of this method is returned. Otherwise
+        each field is read as its annotated type. Fields in ``known`` are not read, but get the
+        given values. Fields with a default may be missing.
         """
         if (from_document := getattr(kind, 'from_document', None)) is not None:
             read: T = from_document(self)
@@ -230,11 +233,11 @@ class Fields:
         return kind(**known)
 
     def typed(self, key: str, hint: Any) -> Any:
-        """Return the value of a key as the type of an annotation.
+        """Return the value of a key, converted to the type annotation ``hint``.
 
-        Possible types are str, bool, int, float, `Signed`, `SignedInt`, a pair of floats, Literal,
-        an array, a mapping of names to floats, a dataclass or named tuple, a tuple of strings, of
-        tuples of floats or of dataclasses, and each of these or None.
+        Possible types are str, bool, int, float, `Signed`, `SignedInt`, Literal, a pair of floats,
+        an array, a mapping of names to floats, a dataclass or named tuple, and a tuple of strings,
+        of tuples of floats or of dataclasses. Each type may be combined with None.
         """
         signed = get_origin(hint) is Annotated
         hint = get_args(hint)[0] if signed else hint

@@ -26,7 +26,7 @@ SEVERITIES: tuple[Severity, ...] = ('error', 'warning', 'info')
 """Severities, the most severe first."""
 
 QUANTITIES = ('Q', 'N', 'B', 'K', 'R', 'signal')
-"""Quantities of a sensor: the coefficients, and its samples (also the Allan deviation)."""
+"""Quantities of a sensor: its coefficients, and 'signal' for its samples or Allan deviation."""
 
 
 def quantity(
@@ -36,9 +36,20 @@ def quantity(
     ci95: Ends | None = None,
     upper95: float | None = None,
 ) -> Estimate:
-    """Return a coefficient or a signal of a sensor in SI, for a finding.
+    """Return a quantity of a sensor as an `Estimate` in SI, for a finding.
 
-    ``name`` is one of `QUANTITIES`; ``upper95`` is the limit of a quantity without a value.
+    Parameters
+    ----------
+    value : float or None
+        The value in SI; None if only the upper limit is known.
+    sensor : str
+        'gyro' or 'accel'.
+    name : str
+        One of `QUANTITIES`.
+    ci95 : (low, high) or None
+        95 % interval in SI.
+    upper95 : float or None
+        95 % upper limit in SI, for a quantity without a value.
 
     >>> quantity(1e-4, 'gyro', 'N', (0.9e-4, 1.1e-4))
     0.0001000 (9.00e-05..0.000110) rad/s/sqrt(Hz)
@@ -48,7 +59,7 @@ def quantity(
 
 
 def unit_term(name: str) -> str:
-    """Return the coefficient that has the same unit as one of the `QUANTITIES`."""
+    """Return the coefficient that has the same unit as the quantity ``name`` of `QUANTITIES`."""
     return 'B' if name == 'signal' else name
 
 
@@ -59,15 +70,16 @@ class Finding:
     Attributes
     ----------
     id : str
-        Key of the catalog.
+        Id of the finding in the catalog, such as 'vibration'.
     severity : 'error', 'warning' or 'info'
     axes : tuple of str
         The affected axes; empty for all of them.
     values : mapping of str to int, float, str or Estimate
-        The numbers of the text: quantities in SI, times in s, frequencies in Hz, shares of 1. In
-        a merged finding, a tuple contains the different values of its axes.
+        The numbers in the text: quantities in SI, times in s, frequencies in Hz, shares from 0 to
+        1. In a merged finding, a tuple contains the different values of the axes.
     stated : (message, remedy) or None
-        The text in the document of another version, which the present catalog cannot give.
+        The text in a document of another version, for an id or values that the present catalog
+        does not contain; None for a finding of the present catalog.
     """
 
     id: str
@@ -94,10 +106,10 @@ class Finding:
 
 
 class CatalogEntry(NamedTuple):
-    """An entry of the catalog: the severity of a finding, and its values.
+    """Severity of a finding, and the values that its text contains, according to the catalog.
 
-    ``values`` maps each name to one of `QUANTITIES`, or to '' for another value; ``optional`` are
-    the names of values that may be missing.
+    ``values`` maps the name of each value to one of `QUANTITIES`, or to '' if the value is not a
+    quantity. ``optional`` contains the names of values that may be missing.
     """
 
     severity: Severity
@@ -106,7 +118,7 @@ class CatalogEntry(NamedTuple):
 
 
 def _catalog(text: str) -> Iterator[tuple[str, CatalogEntry]]:
-    """Yield the id and the kind of each entry."""
+    """Yield the id and the entry of each finding in the text of the catalog."""
     for entry in re.findall(r'(?m)^\w+:.*(?:\n .*)*', re.sub(r'(?m)^\[.*\n(?: .*\n)*', '', text)):
         head, *names = entry.replace(': ', ':', 1).split()
         id, _, severity = head.partition(':')
@@ -118,30 +130,41 @@ def _catalog(text: str) -> Iterator[tuple[str, CatalogEntry]]:
 _TEXT = (get_data(__package__, 'findings.txt') or b'').decode()
 
 CATALOG = dict(_catalog(_TEXT))
-"""Kind of finding by id."""
+"""Id of a finding -> its entry."""
 
 _FAULTS, _COUNTS, LIVE, UNUSABLE = (
     re.findall(rf'(?m)^\[{name}\]\n((?: .*\n)*)', _TEXT)[0].split()
     for name in ('faults', 'numbers', 'live', 'unusable')
 )
-"""Lists of ids, described in the catalog."""
+"""Lists of ids, which comments in ``findings.txt`` describe."""
 
 MINOR: dict[str, Callable[[Mapping[str, Any]], bool]] = {
     'level_changes': lambda of: of['high'].value < 1.1 * of['low'].value,
     'lack_of_fit': lambda of: abs(of['deviation']) < 0.05,
     'tilted': lambda of: of['angle'] < 1.0,
 }
-"""Id -> whether values are so small that a filter is not affected: the severity is then info. The
-limit of a tilt is in deg."""
+"""Id -> function that returns whether the values are too small to affect a state estimator. If so,
+the severity is info. The angle of a tilt is in deg."""
 
 
 def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
     """Return the finding ``id`` of the catalog.
 
-    ``axes`` are the affected axes; empty for all. ``values`` must contain every value of the
-    catalog that is not optional. Only ``when``, a text such as ' in the last 20 s', is '' by
-    default. A quantity is an `Estimate` of `quantity`, or a number in SI for the sensor of the
-    axes.
+    Parameters
+    ----------
+    id : str
+        Id of the finding in the catalog.
+    axes : tuple of str
+        The affected axes; empty for all axes.
+    values : int, float, str, Estimate or tuple of Estimate
+        The values that the catalog lists for this id. Only optional values and ``when``, a text
+        such as ' in the last 20 s', may be missing. A quantity is given as the result of
+        `quantity`, or as a number in SI for the sensor of the axes.
+
+    Raises
+    ------
+    KeyError
+        When the id is unknown, or a value is missing.
     """
     known, used = CATALOG[id], {}
     for name, term in known.values.items():
@@ -156,14 +179,14 @@ def finding(id: str, axes: tuple[str, ...] = (), **values: object) -> Finding:
 
 
 def missing_values(known: CatalogEntry, values: Mapping[str, Any]) -> list[str]:
-    """Return the names of the values without which a text is incomplete."""
+    """Return the names of the required values of an entry that ``values`` does not contain."""
     return [
         name for name in known.values if name not in known.optional and values.get(name) is None
     ]
 
 
 def _value(value: Any) -> Any:
-    """Return a value as it is stored: a number, a quantity, quantities, or text."""
+    """Convert a value to a type that a finding stores: a number, an Estimate, or text."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, tuple) and all(isinstance(each, Estimate) for each in value):
@@ -173,25 +196,26 @@ def _value(value: Any) -> Any:
 
 
 class Several(tuple):  # type: ignore[type-arg]
-    """The different values of several axes; the text contains their range."""
+    """The different values that a number has on several axes; the text states their range."""
 
 
 def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Merge the findings of several axes that differ only in numbers, and sort all findings.
 
-    A merged finding has the different values of each number. The order is by `by_consequence`.
+    A merged finding contains the different values of each number. `by_consequence` defines the
+    order.
     """
     groups: dict[Hashable, list[Finding]] = {}
     for each in findings:
         values = each.values.items()
-        alike = tuple((n, _kind(v)) for n, v in values) if each.axes else tuple(values)
-        key = (each.id, each.severity, each.stated, alike)
+        shared = tuple((n, _kind(v)) for n, v in values) if each.axes else tuple(values)
+        key = (each.id, each.severity, each.stated, shared)
         groups.setdefault(key, []).append(each)
     return by_consequence(_merged(group) for group in groups.values())
 
 
 def _kind(value: Any) -> Hashable:
-    """Return what must be equal in the values of findings that are merged."""
+    """Return what the values of two findings must have in common, so that they are merged."""
     if isinstance(value, Estimate):
         return value.axis, value.name, value.value is None
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -210,8 +234,9 @@ def _merged(alike: Sequence[Finding]) -> Finding:
 def by_consequence(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings in the order of their effect on the user, the largest first.
 
-    Faults come first, then what changes the numbers for a filter, other warnings, and notes. The
-    groups are in the order of the catalog.
+    The order is: faults and other errors, findings that change the numbers for a state estimator,
+    other warnings, notes. The lists in the catalog define the order of the faults, and of the
+    findings that change numbers.
     """
     return tuple(sorted(findings, key=_rank))
 
@@ -222,7 +247,7 @@ def is_note(finding: Finding) -> bool:
 
 
 def _rank(finding: Finding) -> tuple[int, int]:
-    """Return the group of a finding and its place in this group."""
+    """Return the group of a finding and its place in this group, as a key for sorting."""
     known = CATALOG.get(finding.id)
     if known is not None and finding.severity == known.severity:
         for group, ids in enumerate((_FAULTS, _COUNTS)):

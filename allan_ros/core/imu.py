@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of an IMU, the names of its axes, and units: SI internally, datasheet units for users."""
+"""Samples of an IMU, the names of its axes, and units of measurement.
+
+All computations are in SI. Units of datasheets are used only in the output.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +29,12 @@ SENSORS = {'gyro': slice(0, 3), 'accel': slice(3, 6)}
 """Sensor -> slice of its axes in `AXES`."""
 
 LARGEST = 1e30
-"""Largest magnitude of a sample: no IMU measures larger values, and their squares, summed over
-years, stay finite."""
+"""Largest magnitude of a sample in SI. No IMU measures larger values, and the sum of their squares
+over years is a finite float64."""
 
 MAX_NAME = 1000
-"""Longest frame_id or hardware id, in characters; longer names indicate corruption or an attack."""
+"""Largest number of characters in a frame_id or hardware id. Longer names indicate corruption or an
+attack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,18 +49,18 @@ class ImuBatch:
     stamps_ns : (n,) int64 array
         Stamps in nanoseconds. The header stamps may repeat, go back or be 0.
     samples : (n, axes) float64 array
-        Angular rate in rad/s and specific force in m/s^2, in the order of `AXES`. NaN where a
-        sensor is absent (covariance[0] is -1) or a value is not a number.
+        Angular rate in rad/s and specific force in m/s^2, in the order of `AXES`. NaN if a sensor
+        is absent (covariance[0] is -1), or if a value is not a number.
     record_ns : (n,) int64 array or None
-        When each sample was recorded or received, in nanoseconds; used if the header stamps are
-        unusable. None if the source has no such time.
+        Times in nanoseconds at which the samples were recorded or received. They are used if the
+        header stamps are unusable. None if the source has no such times.
     frame_id : str
         ``header.frame_id`` of all samples of this batch; '' if the source has none.
     cut : str
         '' if the batch directly follows the previous one, else the reason for the gap between them.
     filled : (axes, n) int32 array or None
-        0 for measured values, else the level of the stretch (see `allan.replaced`) in which a value
-        was replaced; None if all are measured.
+        0 for measured values, else the level of the stretch of replaced values (see
+        `allan.replaced`). None if all values are measured.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -90,7 +94,9 @@ class ImuBatch:
     def of_rows(
         cls, stamps_ns: Stamps, rows: Floats, cut: str = '', filled: Ints | None = None
     ) -> ImuBatch:
-        """Return a batch with the samples of each axis in one row, (axes, n), which are not copied.
+        """Return a batch of ``rows``, (axes, n), the samples of each axis in one row.
+
+        The samples are not copied.
 
         >>> import numpy as np
         >>> ImuBatch.of_rows(np.arange(3), np.zeros((6, 3))).samples.shape
@@ -105,15 +111,18 @@ class ImuBatch:
 
     @property
     def rows(self) -> Floats:
-        """The samples of each axis in one row, (axes, n): a view."""
+        """View of the samples with one row per axis, (axes, n)."""
         return self.samples.T
 
     def __getitem__(self, which: slice | NDArray[np.intp] | Flags) -> ImuBatch:
-        """Return some of the samples as a batch (views for a slice, else copies), without a cut."""
+        """Return the selected samples as a batch with an empty ``cut``, as `part` does."""
         return self.part(which)
 
     def part(self, which: slice | NDArray[np.intp] | Flags, cut: str = '') -> ImuBatch:
-        """Return some samples (views for a slice); ``cut`` is the reason for a gap before them."""
+        """Return the selected samples as a batch; ``cut`` is the reason for a gap before them.
+
+        A slice returns views of the arrays, other selections return copies.
+        """
         record = None if self.record_ns is None else self.record_ns[which]
         filled = None if self.filled is None else self.filled[:, which]
         rows = self.samples.T[:, which]  # keeps the samples of an axis together
@@ -127,9 +136,9 @@ class ImuBatch:
 def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
     """Concatenate consecutive batches, at least one; each axis of the result is contiguous.
 
-    The result has the ``cut`` of the first batch and the frame_id of the last one. Its record times
-    are None unless all batches have record times. If only one batch has samples, it is returned
-    itself, or as a copy if ``copy`` is set.
+    Batches without samples are ignored. The result has the ``cut`` of the first batch and the
+    frame_id of the last batch. The record times are None unless all batches have record times. If
+    only one batch has samples, this batch is returned, or a copy of it if ``copy`` is set.
     """
     parts = [part for part in batches if len(part)] or list(batches[:1])
     if len(parts) == 1 and not copy:
@@ -137,8 +146,8 @@ def joined(batches: Sequence[ImuBatch], copy: bool = False) -> ImuBatch:
     records = [part.record_ns for part in parts if part.record_ns is not None]
     filled = None
     if any(part.filled is not None for part in parts):
-        none = [np.zeros(p.rows.shape, np.int32) if p.filled is None else p.filled for p in parts]
-        filled = np.concatenate(none, axis=1)
+        levels = [np.zeros(p.rows.shape, np.int32) if p.filled is None else p.filled for p in parts]
+        filled = np.concatenate(levels, axis=1)
     rows = np.empty((parts[0].samples.shape[1], sum(map(len, parts))))
     np.concatenate([part.rows for part in parts], axis=1, out=rows)
     return ImuBatch(
@@ -161,14 +170,15 @@ NANOSECONDS = 10**9
 """Nanoseconds in a second."""
 
 STANDARD_GRAVITY = 9.80665
-"""In m/s^2 (BIPM, The International System of Units, 9th ed., 2019)."""
+"""Standard acceleration of free fall in m/s^2 (BIPM, The International System of Units, 9th ed.,
+2019)."""
 
 MICRO_G = STANDARD_GRAVITY * 1e-6
 """One millionth of standard gravity in m/s^2."""
 
 
 LONGEST_S = 2**63 / NANOSECONDS
-"""Time in s that stamps of 64 bits in ns can represent."""
+"""Longest time in s that an int64 stamp in ns can represent: 292 years."""
 
 
 class Unit(NamedTuple):
@@ -253,8 +263,8 @@ SHOWN_UNITS = {
         for sensor, units in SI_UNITS.items()
     },
 }
-"""Units of the output -> sensor -> quantity -> unit. A quantity is a term (Q, N, B, K or R), the
-samples ('signal'), or the root of their power spectral density ('density')."""
+"""System of units ('deg/h' or 'SI') -> sensor -> quantity -> unit. A quantity is a term (Q, N, B, K
+or R), the samples ('signal'), or the square root of their power spectral density ('density')."""
 
 
 class ShownUnit(NamedTuple):
@@ -267,8 +277,14 @@ class ShownUnit(NamedTuple):
 def shown_unit(axis: str, quantity: str, units: str) -> ShownUnit:
     """Return the unit in which a quantity of an axis or sensor is printed.
 
-    ``quantity`` is a key of `SHOWN_UNITS`, such as 'N' or 'signal'; the Allan deviation has the
-    unit of 'B'. ``units`` is 'deg/h' or 'SI'.
+    Parameters
+    ----------
+    axis : str
+        Name of an axis or of a sensor.
+    quantity : str
+        A term such as 'N', 'signal' or 'density'. The Allan deviation has the unit of 'B'.
+    units : str
+        'deg/h' or 'SI'.
     """
     unit = SHOWN_UNITS[units][sensor_of(axis)][quantity]
     return ShownUnit(unit, 1.0 / UNITS[unit].factor)
@@ -291,9 +307,10 @@ STAMP_UNITS = {
 
 
 def even_stamps(first: int, count: int, rate: float) -> NDArray[np.int64]:
-    """Return the stamps in ns of the samples ``first`` to ``first + count - 1`` at ``rate`` Hz.
+    """Return the stamps in ns of the samples ``first`` to ``first + count - 1``, (count,).
 
-    Raises AllanError if they do not fit into 64 bits (292 years).
+    ``rate`` is the sample rate in Hz; sample 0 has the stamp 0. Raises AllanError if the stamps do
+    not fit into 64 bits (292 years).
     """
     if (first + count) / rate >= LONGEST_S:
         raise AllanError(f'a sample rate of {rate:g} Hz is too low: state the rate in Hz')
@@ -321,7 +338,10 @@ def axes_of_sensors(axes: Sequence[str]) -> dict[str, list[int]]:
 
 
 def from_datasheet(term: str, sensor: str, value: float) -> float:
-    """Convert a coefficient from the unit of datasheets to SI."""
+    """Convert a coefficient from the unit of datasheets (`DATASHEET_UNITS`) to SI.
+
+    ``term`` is Q, N, B, K or R; ``sensor`` is 'gyro' or 'accel'.
+    """
     return value * UNITS[DATASHEET_UNITS[sensor][term]].factor
 
 
@@ -339,12 +359,12 @@ def to_si(value: float, unit: str, si: str) -> float:
 
 
 def sample_factors(gyro_unit: str, accel_unit: str) -> NDArray[np.float64]:
-    """Return the factors that convert samples of the six axes from these units to SI, (6,)."""
+    """Return the factors that convert samples from these units to SI, (6,), one for each axis."""
     return np.repeat([UNITS[gyro_unit].factor, UNITS[accel_unit].factor], 3)
 
 
 class ImuIdentity(NamedTuple):
-    """Identity of an IMU: its frame_id, and its serial number if the user stated it, else ''."""
+    """Identity of an IMU: its frame_id, and its serial number ('' if the user stated none)."""
 
     frame_id: str = ''
     hardware_id: str = ''

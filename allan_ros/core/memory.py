@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Memory for large arrays that are written often.
 
-A processor stores 64 bytes at once. If these are not in one line of its cache, it takes up to three
-times as long. numpy aligns arrays to 16 bytes only.
+A processor writes 64 bytes at once. Writing takes up to three times as long if these bytes are in
+two lines of the processor cache. numpy aligns arrays only to 16 bytes.
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 LINE = 64
-"""Bytes in a line of the cache."""
+"""Number of bytes in a line of the processor cache."""
 
 KNOWN = 32
-"""Number of combinations of arrays that are found without making them again."""
+"""Largest number of combinations of shapes whose arrays are kept for the next request."""
 
 
 def aligned(shape: tuple[int, ...], kind: str = 'f8') -> NDArray[Any]:
-    """Return an array of undefined values that begins with a line of the cache.
+    """Return an array of undefined values that begins at the start of a cache line.
+
+    ``kind`` is the dtype of the array.
 
     >>> aligned((3, 8)).__array_interface__['data'][0] % 64
     0
@@ -35,10 +37,10 @@ def aligned(shape: tuple[int, ...], kind: str = 'f8') -> NDArray[Any]:
 
 
 class WorkMemory(threading.local):
-    """Memory of a thread that is used again and again for temporary arrays.
+    """Memory of a thread that is reused for temporary arrays.
 
-    New arrays of some 100 kB would cost a page fault per 4 kB. The memory grows to the size of the
-    largest arrays, so a computation needs arrays of limited size.
+    New arrays of some 100 kB would cause a page fault for every 4 kB. The memory grows to the size
+    of the largest request and never shrinks, so the requested arrays must be of limited size.
     """
 
     def __init__(self) -> None:
@@ -46,7 +48,10 @@ class WorkMemory(threading.local):
         self._known: dict[tuple[object, ...], list[NDArray[Any]]] = {}
 
     def arrays(self, kind: str, *shapes: tuple[int, ...]) -> list[NDArray[Any]]:
-        """Return aligned arrays of undefined values, which are valid until the next call."""
+        """Return an aligned array of undefined values for each shape, valid until the next call.
+
+        ``kind`` is the dtype of all arrays.
+        """
         key = (kind, *shapes)
         if key in self._known:
             return self._known[key]

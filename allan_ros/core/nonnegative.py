@@ -15,20 +15,24 @@ Floats = NDArray[np.float64]
 def nonnegative_least_squares(
     matrix: NDArray[Any], target: NDArray[Any], signed: ArrayLike = False
 ) -> Floats:
-    """Return the x that minimizes |matrix x - target|, with x >= 0 except where ``signed``.
+    """Return the x that minimizes the norm of ``matrix @ x - target`` with x >= 0.
 
-    The active set method of Lawson and Hanson, *Solving Least Squares Problems*, 1974, chapter 23.
-    The function of scipy loads 20 MB of modules that nothing else needs.
+    This is the active set method of Lawson and Hanson, *Solving Least Squares Problems*, 1974,
+    chapter 23. `scipy.optimize.nnls` would load 20 MB of modules that nothing else needs.
 
     Parameters
     ----------
     matrix : array, shape (rows, columns)
+        Coefficients of the equations.
     target : array, shape (rows,)
-    signed : array of bool, shape (columns,), optional
+        Right-hand side of the equations.
+    signed : array of bool, shape (columns,), or bool
+        True for the unknowns that may be negative; by default, none may.
 
     Returns
     -------
     array, shape (columns,)
+        The unknowns x.
 
     Examples
     --------
@@ -45,7 +49,7 @@ def nonnegative_least_squares(
         return x
 
     free = np.ones(columns, bool)
-    while np.any((x := solved(free))[~signed] < 0.0):  # begins near the solution
+    while np.any((x := solved(free))[~signed] < 0.0):  # finds a start near the solution
         free &= (x > 0.0) | signed
     rounding = 10.0 * max(matrix.shape) * np.finfo(float).eps
     least = rounding * np.linalg.norm(matrix, axis=0) * np.linalg.norm(target)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers, durations and the prefixes of units as text."""
+"""Numbers and durations as text, and units with a larger prefix."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ VALUE_DIGITS, LIMIT_DIGITS = 4, 3
 def significant(value: float, digits: int) -> str:
     """Return a number rounded to ``digits`` significant digits, with trailing zeros.
 
+    Numbers below 1e-4 or from 1e6 on are in exponential notation.
+
     >>> significant(0.24199, 4), significant(31.8, 4), significant(12345.6, 3)
     ('0.2420', '31.80', '12300')
     """
@@ -28,7 +30,7 @@ def significant(value: float, digits: int) -> str:
 
 
 def duration_text(seconds: float, digits: int = 2) -> str:
-    """Return a duration given in seconds as text, in s, min, h or days.
+    """Return a duration as text in s, min, h or days, with ``digits`` significant digits.
 
     >>> duration_text(90.0), duration_text(1234.0, digits=3), duration_text(86400.0 * 3.456)
     ('90 s', '20.6 min', '3.5 days')
@@ -40,7 +42,7 @@ def duration_text(seconds: float, digits: int = 2) -> str:
 
 
 def prefixed(unit: ShownUnit, size: float) -> ShownUnit:
-    """Return a unit with a larger prefix if a value of this size (SI) has over three digits.
+    """Return a unit with a larger prefix if ``size``, a value in SI, is 1000 or more in ``unit``.
 
     >>> prefixed(ShownUnit('ug', 1e6 / 9.80665), 0.0274).name
     'mg'

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings with defaults, units and ranges, and checks of their values."""
+"""Settings with defaults, units of measurement and ranges, and checks of their values."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ T = TypeVar('T')
 class ParameterInfo:
     """Description of one setting.
 
-    ``doc`` is its help text. ``low`` and ``high`` are the smallest and largest value; None for no
-    limit. A ``read_only`` setting does not change while a node runs.
+    ``doc`` is the help text of the setting. ``low`` and ``high`` are the smallest and the largest
+    value, None for no limit. ``choices`` are the only valid texts; empty if all texts are valid. A
+    ``read_only`` setting does not change while a node runs.
     """
 
     doc: str
@@ -33,26 +34,34 @@ class ParameterInfo:
     auto: bool = False
     """Whether the text 'auto' may be given instead of a number; it is stored as `AUTO`."""
     percent: bool = False
-    """Whether the command line takes a percentage, such as 20%, for this fraction."""
+    """Whether the command line also accepts this fraction as a percentage, such as 20%."""
     off: str = ''
     """Help text of the command-line option that turns the setting off; '' if there is none."""
 
 
 AUTO = -1.0
-"""The number that represents 'auto'."""
+"""The number that is stored for 'auto'."""
 
 
 def parameter(default: Any, doc: str, *limits: Any, **info: Any) -> Any:
     """Return a dataclass field with a default and a `ParameterInfo` as its metadata.
 
-    ``limits`` are unit, lowest and highest value, in this order; ``info`` are further fields of
-    `ParameterInfo`.
+    Parameters
+    ----------
+    default : object
+        Default of the setting.
+    doc : str
+        Help text.
+    limits : str, float, float
+        Unit, smallest and largest value, in this order; the last ones may be missing.
+    info : dict
+        Further fields of `ParameterInfo` by name.
     """
     return field(default=default, metadata={'info': ParameterInfo(doc, *limits, **info)})
 
 
 fixed_parameter = partial(parameter, read_only=True)
-"""A `parameter` that does not change while a node runs."""
+"""Return a `parameter` that does not change while a node runs."""
 
 
 def describe(settings: Any) -> dict[str, ParameterInfo]:
@@ -61,7 +70,7 @@ def describe(settings: Any) -> dict[str, ParameterInfo]:
 
 
 UNIT_SYSTEMS = ('deg/h', 'SI')
-"""Units of the output: as in datasheets, such as deg/h and ug, or SI."""
+"""Systems of units of the output: units of datasheets, such as deg/h and ug, or SI."""
 
 LIST = (tuple, list)
 
@@ -72,14 +81,15 @@ EXPECTED: dict[Any, str] = {
     str: 'a text',
     LIST: 'a list',
 }
-"""Type -> its name in messages. The type of a setting is the first one that matches its default."""
+"""Type of a setting -> its name in messages. A setting has the first type that matches its
+default."""
 
 
 def expect(kind: Any, called: str = '', /, **values: object) -> None:
     """Raise AllanError for the first keyword argument that is not of the type or types ``kind``.
 
-    The message names the argument and the expected type. ``called`` is the text for the type; by
-    default it is taken from `EXPECTED`.
+    The message contains the name of the argument and ``called``, the text for the expected type. By
+    default, this text is taken from `EXPECTED`.
     """
     for name, value in values.items():
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
@@ -97,7 +107,10 @@ def choose(choices: Collection[str], **values: object) -> None:
 
 
 def check_names(given: Iterable[str], known: Sequence[str]) -> None:
-    """Raise AllanError for the first unknown name; the message names the most similar known one."""
+    """Raise AllanError for the first name in ``given`` that is not in ``known``.
+
+    The message suggests the most similar known name.
+    """
     for name in given:
         if name not in known:
             near = difflib.get_close_matches(name, known, 1)
@@ -117,8 +130,8 @@ def settings_from(kind: type[T], given: Mapping[str, Any]) -> T:
 class CheckedSettings:
     """Base class of settings dataclasses; checks all values when an object is created.
 
-    Raises AllanError unless every value has the type of its default and lies in its range. If a
-    setting accepts the text 'auto', this is stored as the number -1 (`AUTO`).
+    Raises AllanError unless every value has the type of its default and lies in its range. The text
+    'auto', which some settings accept, is stored as the number -1 (`AUTO`).
     """
 
     def __post_init__(self) -> None:
@@ -141,24 +154,29 @@ class CheckedSettings:
 
 
 SLOWEST_HZ = 1e-6
-"""Smallest sample rate: two samples in eleven days."""
+"""Smallest accepted sample rate in Hz: one sample in 11.6 days."""
 
 LARGEST_SETTING = 1e150
-"""Largest magnitude of a number: its square is a finite float64."""
+"""Largest magnitude of a setting: its square is a finite float64."""
 
 
 def check_range(low: float | None, high: float | None, unit: str = '', /, **values: object) -> None:
-    """Raise AllanError for the first keyword argument that is no number or out of range.
+    """Raise AllanError for the first keyword argument that is not a number or out of range.
 
-    ``low`` or ``high`` may be None for no limit; NaN and infinity are never valid.
+    Parameters
+    ----------
+    low, high : float or None
+        Smallest and largest valid value; None for no limit. NaN and infinity are never valid.
+    unit : str
+        Unit of the limits, for the message.
+    values : object
+        Name -> value to check.
     """
     for name, value in values.items():
         expect(Real, **{name: value})
-        within = (
-            (-LARGEST_SETTING if low is None else low),
-            (LARGEST_SETTING if high is None else high),
-        )
-        if not within[0] <= value <= within[1]:  # type: ignore[operator]
+        least = -LARGEST_SETTING if low is None else low
+        most = LARGEST_SETTING if high is None else high
+        if not least <= value <= most:  # type: ignore[operator]
             limits = 'be finite'
             if low is not None:
                 limits = (

@@ -21,12 +21,12 @@ from .stream.drives import EARTH_RATE, rotation_matrices
 Floats = NDArray[np.float64]
 
 WAVE_S = 8.0
-"""Period of waves in s."""
+"""Period in s of the waves that tilt a ferry."""
 
 
 @dataclass(frozen=True)
 class Route(CheckedSettings):
-    """Motion of a simulated robot: rests and drives in turn.
+    """Motion of a simulated robot, which rests and drives in turn.
 
     Raises
     ------
@@ -46,10 +46,11 @@ class Route(CheckedSettings):
 
 @dataclass(frozen=True)
 class MotionErrors(CheckedSettings):
-    """Errors of an IMU that noise at rest does not show; none by default.
+    """Errors of an IMU that only motion shows; all are 0 by default.
 
-    Matrices have random elements: ``scale`` and ``misalignment`` are the standard deviations of the
-    diagonal and of the other elements.
+    The elements of the error matrices are random. ``gyro_scale`` and ``accel_scale`` are the
+    standard deviations of the diagonal elements, ``gyro_misalignment`` of the other elements, and
+    ``g_sensitivity`` of all elements.
 
     Raises
     ------
@@ -67,26 +68,40 @@ class MotionErrors(CheckedSettings):
     accel_noise: float = parameter(1.0, 'factor of N of the accelerometer in motion', low=1.0)
     vibration: float = parameter(
         0.0,
-        'error of the accelerometer by vibration, up to a tenth of the rate; it differs by half '
-        'from drive to drive',
+        'standard deviation of the accelerometer error by vibration, at frequencies up to a tenth '
+        'of the rate; its logarithm varies from drive to drive with a standard deviation of 0.5',
         unit='m/s^2',
         low=0.0,
     )
     growth: float = parameter(
-        0.0, 'noise of the gyro that grows with the vibration, in N', unit='1/(m/s^2)', low=0.0
+        0.0,
+        'additional N of the gyro for each m/s^2 of vibration, as a multiple of N at rest',
+        unit='1/(m/s^2)',
+        low=0.0,
     )
     hits: float = parameter(
-        0.0, 'change of velocity that the accelerometer misses at a hit', unit='m/s', low=0.0
+        0.0,
+        'standard deviation of the velocity error of the accelerometer at a shock, one in each '
+        'drive',
+        unit='m/s',
+        low=0.0,
     )
-    waves: float = parameter(0.0, 'tilt by waves of a ferry, also at rest', unit='rad', low=0.0)
+    waves: float = parameter(
+        0.0, 'amplitude of the tilt by waves of a ferry, also at rest', unit='rad', low=0.0
+    )
     heating: float = parameter(
-        0.0, 'change of the gyro bias by the heat of motors', unit='rad/s', low=0.0
+        0.0,
+        'standard deviation of the change of the gyro bias that the heat of motors causes',
+        unit='rad/s',
+        low=0.0,
     )
     heating_time: float = parameter(120.0, 'time constant of the heating', unit='s', low=1.0)
-    creep: float = parameter(0.0, 'speed of wheels that creep at rest', unit='m/s', low=0.0)
+    creep: float = parameter(
+        0.0, 'standard deviation of the speed of wheels that creep at rest', unit='m/s', low=0.0
+    )
     latitude: float = parameter(
         48.0,
-        'latitude, from which the rotation of the Earth follows',
+        'latitude, which determines the measured rotation of the Earth',
         unit='deg',
         low=-90.0,
         high=90.0,
@@ -95,20 +110,24 @@ class MotionErrors(CheckedSettings):
 
 @dataclass(frozen=True)
 class SimulatedDrives:
-    """Samples of a simulated robot.
+    """IMU samples of a simulated robot, with the true angles and errors.
 
     Attributes
     ----------
     rate : float
         Sample rate in Hz.
     samples : (n, 6) array
-        Rates in rad/s and specific forces in m/s^2.
+        Measured angular rate in rad/s and specific force in m/s^2.
     drives : tuple of (start, end)
-        Indices of the samples of each drive.
+        Index of the first sample of each drive, and of the first sample after the drive.
     angles : (n + 1, 3) array
-        True roll, pitch and yaw in rad at the begin of each sample and at the end of the last.
-    gyro_matrix, accel_matrix, g_sensitivity : (3, 3) array
-        The errors: matrix times true rate or specific force.
+        True roll, pitch and yaw in rad at the start of each sample and at the end of the last.
+    gyro_matrix : (3, 3) array
+        Matrix whose product with the true angular rate is an error of the gyro.
+    accel_matrix : (3, 3) array
+        Matrix whose product with the true specific force is an error of the accelerometer.
+    g_sensitivity : (3, 3) array
+        Matrix in rad/s/(m/s^2) whose product with the true specific force is an error of the gyro.
     """
 
     rate: float
@@ -191,17 +210,17 @@ def simulate_drives(
 
 
 class _Path(NamedTuple):
-    """Motion of the robot; angles and speed are at the edges of the n samples."""
+    """Motion of the robot. Angles and speed are given at the n + 1 edges of the n samples."""
 
     rate: float
     drives: tuple[tuple[int, int], ...]
-    moving: Floats  # 1 in drives, (n,)
-    angles: Floats  # roll, pitch, yaw, (n + 1, 3)
-    speed: Floats  # forward, (n + 1,)
+    moving: Floats  # (n,); 1 in drives, 0 at rest
+    angles: Floats  # (n + 1, 3); roll, pitch, yaw in rad
+    speed: Floats  # (n + 1,); forward speed in m/s
 
     @classmethod
     def of(cls, rate: float, route: Route, errors: MotionErrors, rng: np.random.Generator) -> _Path:
-        """Draw a path. At the end of a drive, the slope is another one than at its start."""
+        """Draw a random path. The slope of the ground changes during each drive."""
         lengths = rng.uniform(route.shortest, max(route.longest, route.shortest), route.drives)
         at, drives = round(route.first * rate), []
         for length in lengths:
@@ -233,7 +252,10 @@ class _Path(NamedTuple):
 def _noise_in_motion(
     path: _Path, white: Floats, errors: MotionErrors, rng: np.random.Generator
 ) -> Floats:
-    """Return what is added to the noise at rest in the drives, (n, 6); ``white`` has N."""
+    """Return the noise that is added in the drives, (n, 6), in rad/s and m/s^2.
+
+    ``white`` is N of the six axes at rest, (6,).
+    """
     n = len(path.moving)
     level = np.zeros((n, 1))
     noise = np.zeros((n, 6))
@@ -251,7 +273,7 @@ def _noise_in_motion(
 
 
 def _smooth(n: int, width: float, rng: np.random.Generator) -> Floats:
-    """Return smooth noise of unit variance with a correlation of some ``width`` samples."""
+    """Return smooth noise of unit variance, (n,), correlated over about ``width`` samples."""
     k = max(round(width), 2)
     kernel = np.hanning(2 * k + 1)
     kernel /= math.sqrt(float(kernel @ kernel))
@@ -259,14 +281,14 @@ def _smooth(n: int, width: float, rng: np.random.Generator) -> Floats:
 
 
 def _envelope(n: int, ramp: float) -> Floats:
-    """Return 0 at both ends and 1 between, with smooth ramps of some samples."""
+    """Return a window, (n,): 0 at both ends, 1 between, and ramps of at most ``ramp`` samples."""
     at = np.arange(n)
     x = np.clip(np.minimum(at, n - 1 - at) / max(min(ramp, n / 4.0), 1.0), 0.0, 1.0)
     return np.asarray(x**2 * (3.0 - 2.0 * x))
 
 
 def _first_order(x: Floats, time: float) -> Floats:
-    """Return the response of a first-order system with a time constant in samples."""
+    """Return the response of a first-order system to x, (n,); ``time`` is in samples."""
     decay = math.exp(-1.0 / time)
     out, last = np.empty(len(x)), 0.0
     for i, value in enumerate(x.tolist()):
@@ -276,7 +298,7 @@ def _first_order(x: Floats, time: float) -> Floats:
 
 
 def _from_euler(angles: Floats) -> Floats:
-    """Return Rz(yaw) Ry(pitch) Rx(roll) for angles (n, 3) in the order roll, pitch, yaw."""
+    """Return the matrices Rz(yaw) Ry(pitch) Rx(roll), (n, 3, 3), of roll, pitch and yaw, (n, 3)."""
     zero = np.zeros(len(angles))
     roll = rotation_matrices(np.stack([angles[:, 0], zero, zero], axis=1))
     pitch = rotation_matrices(np.stack([zero, angles[:, 1], zero], axis=1))
@@ -285,7 +307,7 @@ def _from_euler(angles: Floats) -> Floats:
 
 
 def _rotation_vectors(matrices: Floats) -> Floats:
-    """Return the rotation vectors (n, 3) of small rotations (n, 3, 3)."""
+    """Return the rotation vectors, (n, 3), of matrices of small rotations, (n, 3, 3)."""
     skew = (matrices - np.swapaxes(matrices, 1, 2)) / 2.0
     sine = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
     size = np.linalg.norm(sine, axis=1)[:, None]

@@ -28,9 +28,10 @@ LEVEL = (0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY)
 """Mean of the six axes of an IMU at rest and level, with z up, in rad/s and m/s^2."""
 
 PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
-    # Gyro: the ADIS16475-3 that Cong, Wang, Yan 2019 measured (table 1). Accelerometer: B such that
-    # the minimum of the curve, 0.664 B, equals the 3.6 ug of the ADIS16475 data sheet (Rev. D,
-    # features); N, which no source states, is typical of its class.
+    # The gyro is the ADIS16475-3 that Cong, Wang, Yan 2019 measured (table 1). B of the
+    # accelerometer is chosen so that the minimum of the curve, 0.664 B, equals the 3.6 ug of the
+    # ADIS16475 datasheet (Rev. D, features). No source states N of the accelerometer; the value is
+    # typical of its class.
     'paper': {
         'gyro_x': {'Q': 0.138, 'N': 0.242, 'B': 5.237, 'K': 31.807, 'R': 76.242},
         'gyro_y': {'Q': 0.124, 'N': 0.168, 'B': 4.972, 'K': 8.169, 'R': 11.068},
@@ -40,10 +41,10 @@ PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {
         'accel_z': {'N': 0.012, 'B': 5.42},
     },
 }
-"""Name -> axis -> term -> coefficient in datasheet units."""
+"""Name of a preset -> axis -> term -> coefficient in datasheet units."""
 
 Periods = tuple[tuple[float, float], ...]
-"""Periods as (start, length) in s."""
+"""Periods of time, each as (start, length) in s."""
 
 _offset = partial(parameter, 0.0, 'offset at the start that decays as the sensor warms up')
 _gyro = partial(parameter, unit='rad/s', low=0.0)
@@ -54,11 +55,14 @@ _periods = partial(parameter, (), unit='s')
 
 
 ADDED = {one.name: one for one in SEARCHED if not one.is_line}
-"""Name -> process that may be added to the noise of all axes of a sensor."""
+"""Name -> class of a noise process that may be added to all axes of a sensor."""
 
 
 def _process_options() -> Iterator[tuple[str, type, Any]]:
-    """Yield the options of each process: its coefficient for each sensor, and its shape."""
+    """Yield name, type and field of each option of a process.
+
+    The options are a standard deviation for each sensor, and the parameters of the shape.
+    """
     for name, one in ADDED.items():
         meaning = f'of an added {one.name.replace("_", " ")} process'
         yield f'{name}_gyro', float, _gyro(0.0, f'standard deviation {meaning}')
@@ -83,8 +87,8 @@ AddedProcesses = make_dataclass(
 class Faults(AddedProcesses):  # type: ignore[misc, valid-type]
     """Imperfections of a simulated IMU and of its recording; none by default.
 
-    In addition to the fields below, every process that a fit searches for has options, such as
-    ``gauss_markov_gyro``, ``gauss_markov_accel`` and ``gauss_markov_time``.
+    In addition to the fields below, there are options for every noise process that a fit searches
+    for, such as ``gauss_markov_gyro``, ``gauss_markov_accel`` and ``gauss_markov_time``.
 
     Raises
     ------
@@ -97,9 +101,11 @@ class Faults(AddedProcesses):  # type: ignore[misc, valid-type]
     warmup_time: float = parameter(
         300.0, 'time in which the warm-up offset decays to 1/e', unit='s', low=1e-3
     )
-    vibration_gyro: float = _gyro(0.0, 'amplitude of a vibration line on each gyro axis')
-    vibration_accel: float = _accel(0.0, 'amplitude of a vibration line on each accelerometer axis')
-    vibration_frequency: float = _frequency(1.0, 'frequency of the vibration line')
+    vibration_gyro: float = _gyro(0.0, 'amplitude of a sinusoidal vibration on each gyro axis')
+    vibration_accel: float = _accel(
+        0.0, 'amplitude of a sinusoidal vibration on each accelerometer axis'
+    )
+    vibration_frequency: float = _frequency(1.0, 'frequency of the vibration')
     motion: tuple[tuple[float, float], ...] = _periods('periods of motion, each (start, length)')
     motion_gyro: float = _gyro(0.5, 'amplitude of the motion')
     motion_accel: float = _accel(1.0, 'amplitude of the motion')
@@ -130,7 +136,7 @@ class Faults(AddedProcesses):  # type: ignore[misc, valid-type]
 
 
 def _period(name: str, given: Any) -> tuple[float, float]:
-    """Return a period as (start, length) in s; raise AllanError if it is none."""
+    """Return ``given`` as a period (start, length) in s; raise AllanError if it is not a period."""
     expect(LIST, '(start, length)', **{name: given})
     if len(given) != 2:
         raise AllanError(f'{name} has {one_line(repr(given)):.60}: give (start, length) in s')
@@ -141,7 +147,10 @@ def _period(name: str, given: Any) -> tuple[float, float]:
 
 
 def samples_in(seconds: float, rate: float) -> int:
-    """Return the number of samples; raise AllanError unless duration and rate are plausible."""
+    """Return the number of samples in ``seconds`` at ``rate`` Hz.
+
+    Raises AllanError if this is less than one sample, or if the duration or rate is implausible.
+    """
     check_range(0.0, 1e10, 's', seconds=seconds)
     check_range(1e-6, 1e6, 'Hz', rate=rate)
     if round(seconds * rate) < 1:
@@ -152,15 +161,15 @@ def samples_in(seconds: float, rate: float) -> int:
 def simulate_axis(n: int, tau0: float, model: Model, rng: np.random.Generator) -> Floats:
     """Return n simulated samples of one axis with the noise of a model, in SI, (n,).
 
-    The samples are ``tau0`` s apart, and the first one is 0. Their expected Allan variance is
-    exact at every averaging time.
+    The sample period is ``tau0`` in s, and the first sample is 0. The expected Allan variance of
+    the samples equals the Allan variance of the model at every averaging time.
     """
     y = simulate(_in_samples(model, tau0), n, rng)
     return np.asarray(y - y[0])
 
 
 def _in_samples(model: Model, tau0: float) -> list[tuple[float, Process]]:
-    """Return coefficients and processes with the sample period as the time unit."""
+    """Return the coefficients and processes of a model with the sample period as unit of time."""
     return [(p.process.in_samples(p.value, tau0), p.process.in_unit(tau0)) for p in model.parts]
 
 
@@ -178,7 +187,8 @@ def simulate_imu(
 ) -> Iterator[ImuBatch]:
     """Simulate a recording with known noise, and yield its samples in batches.
 
-    Every axis and every fault has its own random numbers: adding a fault changes nothing else.
+    Every axis and every fault has its own random numbers, so an added fault does not change the
+    noise or the other faults.
 
     Parameters
     ----------
@@ -187,7 +197,8 @@ def simulate_imu(
     gyro, accel : three Model each
         Noise of x, y and z, in SI.
     mean : (6,) array
-        Means to which the noise is added, in rad/s and m/s^2; by default, the IMU is level.
+        Mean of each axis in rad/s and m/s^2, to which the noise is added. By default, the IMU is
+        level.
     seed : int
         Seed of the random numbers, 0 or more; the same seed gives the same recording.
     faults : Faults
@@ -231,15 +242,15 @@ def simulate_imu(
 
 
 MOTION_FREQUENCIES = (0.31, 0.73, 1.13)
-"""Frequencies in Hz of a motion, with random phases; their sum has a long period."""
+"""Frequencies in Hz of the sinusoids of a motion. The sum of these sinusoids has a long period."""
 
 
 def _disturb_samples(
     samples: Floats, tau0: float, faults: Faults, seed: np.random.SeedSequence
 ) -> None:
-    """Apply the faults to the samples, (n, 6), in place."""
+    """Add the faults to the samples, (n, 6), in place."""
     times: Floats = np.arange(len(samples), dtype=np.float64) * tau0
-    # one generator per fault: adding a fault does not change the others
+    # one random generator per fault, so that an added fault does not change the others
     rngs = {
         name: np.random.default_rng([*seed.generate_state(4).tolist(), number])
         for name, number in (('vibration', 1), ('motion', 3))
@@ -291,7 +302,7 @@ def _recursion(pole: float, inputs: Floats) -> Floats:
 
 
 def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
-    """Return for each of n samples the index of the sample whose value a slower sensor holds."""
+    """Return for each of n samples the index of the sample whose value a slower sensor repeats."""
     # Rounding must not hide a tick of the slower clock that coincides with a sample.
     ticks = np.floor(np.arange(n) * tau0 * rate + 1e-9)
     held = np.minimum(np.ceil(ticks / (tau0 * rate) - 1e-9), np.arange(n))
@@ -299,7 +310,7 @@ def _held_index(n: int, tau0: float, rate: float) -> NDArray[np.int64]:
 
 
 def _in_periods(times: Floats, periods: Periods) -> NDArray[np.bool_]:
-    """Return whether each time lies in one of the periods (start, length)."""
+    """Return whether each time lies in one of the periods, (n,)."""
     inside = np.zeros(len(times), bool)
     for start, length in periods:
         inside |= (times >= start) & (times < start + length)
@@ -309,7 +320,7 @@ def _in_periods(times: Floats, periods: Periods) -> NDArray[np.bool_]:
 def _lost_samples(
     n: int, tau0: float, faults: Faults, rng: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Return whether each sample is lost in a gap or at random; the first sample never is."""
+    """Return whether each sample is lost in a gap or at random, (n,); the first is never lost."""
     lost = _in_periods(np.arange(n, dtype=np.float64) * tau0, faults.gaps)
     if faults.drop > 0.0:
         lost |= rng.random(n) < faults.drop

@@ -1,9 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Opens any recording of an IMU: bags (also the files of a folder), tables, arrays and PX4 logs.
+"""Open any recording of an IMU: a bag (a folder or a file), a table, an array or a PX4 log.
 
-Each format has a module, which is imported when such a recording is opened (`FORMATS`). All of them
-return a `Recording`, which yields `ImuBatch` in SI units.
+Each format has a module, which is imported when such a recording is opened (`FORMATS`). Every
+module returns a `Recording`, which yields samples in SI units as `ImuBatch`.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ __all__ = [
 
 
 class Format(NamedTuple):
-    """A format of recordings, and the function that opens one.
+    """A format of recordings, and the function that opens a recording of this format.
 
     The function ``opener`` of ``module`` has the arguments path and `ReadOptions`, and returns a
-    `Recording`. A file has the format if it begins with one of ``magics``, else by its suffix. A
-    file in a folder of recordings is read only if it has one of ``suffixes``.
+    `Recording`. A file has the format if it begins with one of ``magics``, else if its suffix is in
+    ``suffixes`` or ``other_suffixes``. Of the files in a folder of recordings, only files with one
+    of ``suffixes`` are read.
     """
 
     module: str
@@ -44,7 +45,7 @@ class Format(NamedTuple):
 
 
 ZSTD = b'\x28\xb5\x2f\xfd'
-"""First bytes of a compressed file, which is a bag."""
+"""First bytes of a file compressed by zstd. Only bags are compressed."""
 
 FORMATS = {
     'bag': Format(
@@ -58,7 +59,7 @@ FORMATS = {
     'array': Format('arrays', 'open_array', ('.npz', '.npy'), magics=(b'PK\x03\x04', b'\x93NUMPY')),
     'ulog': Format('ulog', 'open_ulog', ('.ulg',), magics=(b'ULog\x01\x12\x35',)),
 }
-"""Name -> format; a folder is a bag."""
+"""Name of a format -> format. A folder is always a bag."""
 
 SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
 """Suffixes of the files that are recordings in a folder."""
@@ -67,9 +68,9 @@ SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes
 def open_recordings(
     paths: Iterable[str | os.PathLike[str]], options: ReadOptions | None = None
 ) -> list[Recording]:
-    """Open each path as one recording; a folder with a bag is one recording.
+    """Open each path as one recording; a folder that contains a bag is one recording.
 
-    Raises AllanError for the first path that cannot be read.
+    Raises AllanError for the first path that cannot be opened.
     """
     options = options or ReadOptions()
     return [_open(Path(path), options) for path in paths]
@@ -99,9 +100,9 @@ def _open(path: Path, options: ReadOptions) -> Recording:
 
 
 def format_of(path: Path) -> str:
-    """Return the name of the format of a path: by its first bytes, else by its suffix.
+    """Return the name of the format of a path, judged by the first bytes, else by the suffix.
 
-    Raises AllanError when it is unknown.
+    Raises AllanError when the path cannot be read, or when its format is unknown.
     """
     if path.is_dir():
         return 'bag'

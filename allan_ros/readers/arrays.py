@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads samples from memory and from numpy files: ``.npz`` with the array ``imu``, or ``.npy``.
+"""Read samples from memory and from numpy files: ``.npz`` with the array ``imu``, or ``.npy``.
 
-The columns of a file are t, gx, gy, gz, ax, ay, az (s, rad/s, m/s^2), or some of them
-(`COLUMN_NAMES`), or those in the options. In a ``.npz`` file, the array ``stamps_ns`` (int64)
-replaces t, and ``record_ns`` (int64) and ``frame_id`` (one string) are optional.
+The options name the columns of a file. By default, the columns are t, gx, gy, gz, ax, ay, az in s,
+rad/s and m/s^2, or some of these (`COLUMN_NAMES`). In a ``.npz`` file, the array ``stamps_ns``
+(int64) replaces t. The arrays ``record_ns`` (int64) and ``frame_id`` (one string) are optional.
 """
 
 from __future__ import annotations
@@ -47,24 +47,24 @@ from .recording import (
 from .unit_names import to_celsius
 
 COLUMN_NAMES = {1: 'gx', 3: 'gx,gy,gz', 4: 't,gx,gy,gz', 6: 'gx,gy,gz,ax,ay,az', 7: EXAMPLE_COLUMNS}
-"""Number of columns of an array -> their names."""
+"""Number of columns of an array -> default names of the columns."""
 
 SAMPLES, STAMPS, RECORD_STAMPS, FRAME = 'imu', 'stamps_ns', 'record_ns', 'frame_id'
 
 ZIP_MAGIC = b'PK\x03\x04'
 
 MAX_FRAME_ARRAY_BYTES = 4 * MAX_NAME
-"""Largest size of a frame_id in bytes; numpy stores four for each character."""
+"""Largest size of a frame_id in bytes; numpy stores four bytes for each character."""
 
 MAX_HEADER_BYTES = 1 << 16
-"""Number of bytes within which the header of an array ends."""
+"""Largest number of bytes that are searched for the header of an array."""
 
 _LIBRARY_ERRORS = (
     *(zipfile.BadZipFile, zlib.error, struct.error, ValueError, KeyError, EOFError, OSError),
     RuntimeError,  # encrypted file, or unknown compression (NotImplementedError)
     *(OverflowError, MemoryError, SyntaxError, TokenError, TypeError),
 )
-"""Exceptions of zipfile and numpy for damaged files."""
+"""Exceptions that zipfile and numpy raise for damaged files."""
 
 REMEDY = 'save it again with numpy, or copy it again'
 
@@ -72,8 +72,8 @@ REMEDY = 'save it again with numpy, or copy it again'
 def open_array(path: Path, options: ReadOptions) -> Recording:
     """Open a ``.npz`` or ``.npy`` file as a recording.
 
-    Its arrays are in memory until they are read, or the recording is closed. Raises AllanError when
-    it is not a numpy file, or the shapes of its arrays do not match.
+    The arrays are kept in memory until they are read, or until the recording is closed. Raises
+    AllanError when ``path`` is not a numpy file, or when the shapes of the arrays do not match.
     """
     with translated(path, _LIBRARY_ERRORS, REMEDY):
         batch, found, time = _load(path, options)
@@ -92,7 +92,10 @@ def open_array(path: Path, options: ReadOptions) -> Recording:
 
 
 def _load(path: Path, options: ReadOptions) -> tuple[ImuBatch, ColumnLayout, str]:
-    """Return the samples of a file, the meaning of its columns, and the name of the first stamp."""
+    """Return the samples of a file, the meaning of the columns, and the name of the time column.
+
+    The name is '' if no column contains times.
+    """
     arrays = _arrays(path)
     samples = arrays[SAMPLES]
     if samples.ndim not in (1, 2):
@@ -152,7 +155,10 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def array_in(path: Path, name: str) -> NDArray[Any]:
-    """Return an array of numbers or strings in a ``.npz`` file, which is empty if it is absent."""
+    """Return an array of numbers or strings in a ``.npz`` file; an empty array if it is absent.
+
+    Raises AllanError when the file cannot be read.
+    """
     with (
         translated(path, _LIBRARY_ERRORS, REMEDY),
         open_regular(path) as file,
@@ -166,7 +172,11 @@ def array_in(path: Path, name: str) -> NDArray[Any]:
 
 
 def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
-    """Return the array in a file, of one of these kinds and at most ``limit`` bytes."""
+    """Return the array in a file.
+
+    ``where`` names the array in messages, ``kinds`` are the permitted kinds of its dtype, and
+    ``limit`` is the largest permitted size in bytes.
+    """
     head = BytesIO(file.read(MAX_HEADER_BYTES))
     version = npy.read_magic(head)
     if version not in ((1, 0), (2, 0)):
@@ -189,10 +199,10 @@ def _array(file: IO[bytes], where: str, kinds: str, limit: int) -> NDArray[Any]:
 # --- samples in memory --------------------------------------------------------------------------
 
 NAME = 'array'
-"""Path of samples that are not read from a file."""
+"""Path that results state for samples from memory."""
 
 DEFAULT_AXES = {1: AXES[:1], 3: AXES[:3], 6: AXES}
-"""Number of columns -> default axes."""
+"""Number of columns of an array in memory -> default names of the axes."""
 
 
 def recording_in_memory(
@@ -200,14 +210,22 @@ def recording_in_memory(
 ) -> Recording:
     """Return samples in memory as a recording.
 
-    ``samples`` is an ImuBatch, an array with one row per sample, a DataFrame, or a mapping from
-    column name to array. Named columns are recognized as in a table. The times are computed from
-    the rate in the options; without it, they are a column such as ``t`` or ``time``, or the index
-    of the DataFrame if it consists of dates or durations. Units in the options apply to columns
-    whose names have no unit.
-    ``axes`` are the names of the axes, or 'gyro' or 'accel' for three of them; by default, the
-    columns of an array are gyro x, y, z and accel x, y, z. Raises AllanError when a shape, name,
-    unit or rate is invalid, or the times are missing.
+    Parameters
+    ----------
+    samples : ImuBatch, (n,) or (n, axes) array, DataFrame, or mapping of column name to (n,) array
+        The samples, with one row per sample. Named columns are recognized as in a table.
+    options : ReadOptions
+        If it contains a rate, the times are computed from the rate. Otherwise the times are a
+        column such as ``t`` or ``time``, or the index of a DataFrame, if the index consists of
+        dates or durations. The units apply to columns whose names state no unit.
+    axes : sequence of str or str, optional
+        Names of the axes, or 'gyro' or 'accel' for three axes. By default, the columns of an array
+        are gyro x, y, z and accel x, y, z.
+
+    Raises
+    ------
+    AllanError
+        When a shape, name, unit or rate is invalid, or the times are missing.
     """
     if isinstance(samples, ImuBatch):
         return _recording(samples)
@@ -242,7 +260,7 @@ def recording_in_memory(
 def _temperature(
     names: Sequence[str], columns: Any, found: ColumnLayout, batch: ImuBatch
 ) -> TemperatureTrace | None:
-    """Return the column of the temperature over time; None if there is none."""
+    """Return the temperatures in a column of the samples over time; None without such a column."""
     if found.temperature is None:
         return None
     at, unit = found.temperature
@@ -252,8 +270,8 @@ def _temperature(
             f'the column {names[at]!r} has {len(values)} values, but there are {len(batch)} '
             'samples: give one for each'
         )
-    some = slice(None, None, len(values) // MAX_BINS + 1)
-    stamps, values = batch.stamps_ns[some].tolist(), values[some].tolist()
+    rows = slice(None, None, len(values) // MAX_BINS + 1)
+    stamps, values = batch.stamps_ns[rows].tolist(), values[rows].tolist()
     return trace_of(names[at], ((t, t, to_celsius(v, unit)) for t, v in zip(stamps, values)))
 
 
@@ -269,7 +287,7 @@ def _recording(
 
 
 def _numbers(samples: Any) -> NDArray[np.float64]:
-    """Return samples as a float64 array (n, k); raise AllanError when this is impossible."""
+    """Return samples as a float64 array, (n, axes); raise AllanError when this is impossible."""
     try:
         values = np.asarray(np.ma.filled(samples, np.nan) if np.ma.is_masked(samples) else samples)
         if values.dtype.kind in 'cmM':
@@ -288,7 +306,10 @@ def _numbers(samples: Any) -> NDArray[np.float64]:
 
 
 def _axis_names(axes: str | Sequence[str] | None, columns: int = 0) -> tuple[str, ...]:
-    """Return the names of the axes of an array with this number of columns; 0: any number."""
+    """Return the names of the axes of an array with ``columns`` columns; 0: any number.
+
+    Raises AllanError when a name is unknown, or when the numbers of names and columns differ.
+    """
     if axes is None:
         if columns not in DEFAULT_AXES:
             raise AllanError(
@@ -320,8 +341,8 @@ def _batch(
 ) -> tuple[ImuBatch, ColumnLayout]:
     """Return the samples in columns, and the meaning of the columns with the unit of the stamps.
 
-    ``stamps`` replace the columns of times. Raises AllanError when there is no axis or no time, a
-    column is not numeric, or the columns have different lengths.
+    ``stamps`` in ns, (n,), replace the columns of times. Raises AllanError when no column is an
+    axis, the times are missing, a column is not numeric, or the columns have different lengths.
     """
     found.check(where, names, stamps is not None or bool(options.rate_hz))
     with np.errstate(all='ignore'):  # a damaged file may contain any value

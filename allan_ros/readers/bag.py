@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of a bag: a folder with or without metadata.yaml, or a single file.
 
-ROS 1 bags, which must be closed and indexed, are read with the package ``rosbags``; it does not
+ROS 1 bags must be closed and indexed. They are read with the package ``rosbags``, which does not
 limit the memory for a chunk.
 """
 
@@ -42,12 +42,14 @@ from .recording import (
 )
 
 _FORMATS = {b'\x89MCAP0\r\n': 'mcap', b'SQLite format 3\0': 'sqlite3', b'#ROSBAG': 'ros1'}
-"""First bytes of a bag file -> its format. The modules `mcap` and `sqlite3` read theirs."""
+"""First bytes of a bag file -> format. The modules `mcap` and `sqlite3` read the formats of the
+same names."""
 
 SPLITS = ('.db3', '.mcap', '.db3.zstd', '.mcap.zstd', '.db3.lz4', '.mcap.lz4')
+"""Suffixes of the files in the folder of a bag."""
 
 MAX_MESSAGE_BYTES = 2**16
-"""Largest decompressed size of a single message in bytes; an Imu message has less than 2 kB."""
+"""Largest decompressed size of a single message in bytes. An Imu message has less than 2 kB."""
 
 
 if TYPE_CHECKING:
@@ -65,13 +67,14 @@ class Stated(NamedTuple):
 
 
 Described = dict[tuple[str, str], Stated]
-"""(topic name, type) -> what metadata.yaml states."""
+"""(topic name, type) -> number of messages and serialization according to metadata.yaml."""
 
 
 class Bag:
-    """The files of one bag in order, and the topics that metadata.yaml states (None without it).
+    """The files of one bag in order, and the topics according to metadata.yaml.
 
-    One file is open at a time; it stays open until another one is needed.
+    ``described`` is None without metadata.yaml. One file is open at a time; it stays open until
+    another file is needed.
     """
 
     def __init__(self, path: Path, files: tuple[Path, ...], described: Described | None) -> None:
@@ -84,9 +87,9 @@ class Bag:
         weakref.finalize(self, self._stack.close)
 
     def storage(self, file: Path) -> Storage:
-        """Return one of the files, opened; a compressed file is decompressed to a temporary one.
+        """Open one of the files; a compressed file is decompressed to a temporary file.
 
-        Raises AllanError when it is missing, damaged, or not a bag.
+        Raises AllanError when the file is missing, damaged, or not a bag.
         """
         if self._open is None or self._open[0] != file:
             self.close()
@@ -202,7 +205,10 @@ ROS1_REMEDY = 'copy it again, or repair it with "rosbag reindex" or "rosbag fix"
 
 
 class Ros1Storage:
-    """A ROS 1 bag that ``reader`` has opened; error messages name it ``path``."""
+    """A ROS 1 bag that ``reader`` of the package ``rosbags`` has opened.
+
+    Error messages name the bag ``path``.
+    """
 
     truncation: Truncation | None = None
 
@@ -216,14 +222,17 @@ class Ros1Storage:
         return {connection.id: connection.msgcount for connection in self._reader.connections}
 
     def stated(self, ids: set[int], read: int) -> int:
-        """Return the number of messages of these topics according to the list of chunks."""
+        """Return the number of messages of these topics according to the list of chunks.
+
+        ``read``, the number of messages that were read, is not used.
+        """
         stated: Counter[int] = Counter()
         for chunk in self._reader.chunk_infos:
             stated.update(chunk.connection_counts)
         return sum(stated[number] for number in ids)
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield the next messages of these topics, in the order of record time."""
+        """Yield all messages of these topics in blocks, in the order of record time."""
         with translated(self._path, (Exception,), ROS1_REMEDY):
             messages = self._reader.messages([c for c in self._reader.connections if c.id in ids])
             while batch := list(islice(messages, ROS1_MESSAGES)):
@@ -236,8 +245,8 @@ class Ros1Storage:
 def _open_ros1(path: Path, shown: Path) -> Iterator[Ros1Storage]:
     """Open a ROS 1 bag for reading.
 
-    Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
-    when it is of another version or damaged, or the package ``rosbags`` is missing.
+    Error messages name the bag ``shown``, because ``path`` may be a decompressed copy. Raises
+    AllanError when the bag is of another version or damaged, or the package ``rosbags`` is missing.
     """
     with path.open('rb') as file:
         magic = file.read(len(ROS1_MAGIC))

@@ -29,10 +29,10 @@ _FRAME_MAGIC = {b'\x28\xb5\x2f\xfd': 'zstd', b'\x04\x22\x4d\x18': 'lz4'}
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of one bag file: its number in the file, name, and type (``package/msg/Name``).
+    """A topic of one bag file: number in the file, name, and type (``package/msg/Name``).
 
-    ``encoding`` is the serialization of the messages: 'cdr', 'ros1', or one that cannot be read.
-    Raises ValueError when a name contains control characters, because then the file is damaged.
+    ``encoding`` is the serialization of the messages: 'cdr', 'ros1', or a serialization that cannot
+    be read. Raises ValueError when a name contains control characters, a sign of a damaged file.
     """
 
     id: int
@@ -51,7 +51,7 @@ Payloads = list[bytes | memoryview] | NDArray[np.void]
 
 @dataclass
 class Messages:
-    """Consecutive messages of a bag: topic ids and record times in ns, (n,), and their content."""
+    """n consecutive messages of a bag: topic ids, (n,), record times in ns, (n,), and contents."""
 
     topics: NDArray[np.integer[Any]]
     record_ns: NDArray[np.int64]
@@ -59,14 +59,14 @@ class Messages:
 
     @staticmethod
     def none() -> Messages:
-        """Return no messages."""
+        """Return an object without messages."""
         return Messages(np.empty(0, np.int64), np.empty(0, np.int64), [])
 
     def __len__(self) -> int:
         return len(self.record_ns)
 
     def chosen(self, rows: NDArray[np.intp]) -> Messages:
-        """Return the messages at these positions as copies."""
+        """Return copies of the messages at the positions ``rows``."""
         payloads: Payloads
         if isinstance(self.payloads, np.ndarray):
             payloads = self.payloads[rows]
@@ -75,7 +75,7 @@ class Messages:
         return Messages(self.topics[rows], self.record_ns[rows], payloads)
 
     def followed_by(self, other: Messages) -> Messages:
-        """Return these messages and the others."""
+        """Return these messages followed by the messages ``other``."""
         return Messages(
             np.concatenate([self.topics, other.topics]),
             np.concatenate([self.record_ns, other.record_ns]),
@@ -85,14 +85,17 @@ class Messages:
 
 @dataclass(frozen=True)
 class Truncation:
-    """Readable bytes of a damaged file, and its original size (its current size if unknown)."""
+    """Number of readable bytes of a damaged file, and original size of the file in bytes.
+
+    ``size`` is the present size if the original size is unknown.
+    """
 
     read: int
     size: int
 
 
 def among(numbers: NDArray[Any], ids: Collection[int]) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the numbers that are in ``ids``, a collection of few ids."""
+    """Return whether each of n numbers is one of ``ids``, (n,); fast for a few ids."""
     mask = np.zeros(len(numbers), bool)
     for number in ids:
         mask |= numbers == number
@@ -109,15 +112,28 @@ def normal_type(name: str) -> str:
 
 
 def frame_compression(head: bytes | memoryview) -> str:
-    """Return how a file or message is compressed, by its first bytes: 'zstd', 'lz4' or ''."""
+    """Return the compression of a file or message by its first bytes: 'zstd', 'lz4' or ''."""
     return _FRAME_MAGIC.get(bytes(head[:4]), '')
 
 
 def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
     """Return the decompressed content of a chunk or message.
 
-    ``compression`` is 'zstd', 'lz4', 'none' or ''. Raises ValueError when it is another one, when
-    the data are damaged, or when the content is longer than ``limit`` bytes.
+    Parameters
+    ----------
+    data : bytes
+        The compressed data.
+    compression : str
+        'zstd' or 'lz4'; 'none' or '' for data that are not compressed.
+    limit : int
+        Largest permitted size of compressed content, after decompression, in bytes.
+
+    Raises
+    ------
+    ValueError
+        When the compression is unknown, the data are damaged, or the content exceeds the limit.
+    AllanError
+        When the Python package for this compression is missing.
     """
     if compression in ('', 'none'):
         return bytes(data)
@@ -140,7 +156,7 @@ def decompress(data: bytes | memoryview, compression: str, limit: int) -> bytes:
 
 
 def _stated_size(head: bytes | memoryview, compression: str) -> int:
-    """Return the decompressed size stated in the header of zstd data, or -1 if there is none."""
+    """Return the decompressed size in the header of zstd data; -1 if no size is stated."""
     return int(_zstd().frame_content_size(head)) if compression == 'zstd' else -1
 
 
@@ -155,8 +171,8 @@ def _expanding(file: BinaryIO, compression: str) -> Any:
 def decompress_file(source: Path, compression: str, target: Path) -> None:
     """Decompress the bag file ``source`` into the file ``target``.
 
-    Raises AllanError when it is damaged, expands by more than `MAX_FILE_RATIO`, or the disk is
-    full.
+    Raises AllanError when ``source`` is damaged, when it expands by a factor of more than
+    `MAX_FILE_RATIO`, or when the disk is full.
     """
     remedy = 'copy it again; check the space for temporary files'
     with (
@@ -165,7 +181,7 @@ def decompress_file(source: Path, compression: str, target: Path) -> None:
         target.open('wb') as out,
     ):
         limit = os.fstat(file.fileno()).st_size * MAX_FILE_RATIO + MAX_CHUNK_BYTES
-        stated = _stated_size(file.read(18), compression)  # longest header, RFC 8878, 3.1.1
+        stated = _stated_size(file.read(18), compression)  # longest header (RFC 8878, 3.1.1)
         file.seek(0)
         plain = _expanding(file, compression)
         size = 0
@@ -183,4 +199,5 @@ def _zstd() -> Any:
 
 
 _local = threading.local()
-"""The decompressor of each thread, which is slow to create and must not be shared."""
+"""Holds one decompressor for each thread: a decompressor is slow to create and must not be shared.
+"""

@@ -1,14 +1,17 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Decodes and encodes serialized `sensor_msgs/Imu` messages, and changes their covariances.
+"""Decode and encode serialized `sensor_msgs/Imu` messages, and change their covariances.
 
 The layout of a message depends only on the length of ``header.frame_id``. So messages of equal
-length are decoded together, as an array of records. Two serializations are supported:
+length are decoded together, as an array of records.
 
-- ``cdr``: OMG CDR as ROS 2 writes it: four bytes of encapsulation (the second is the byte order),
-  then fields aligned to multiples of their size (OMG DDSI-RTPS 2.3, section 10;
-  CORBA 3.4 part 2, section 9.3).
-- ``ros1``: packed little-endian, with ``header.seq`` (https://wiki.ros.org/msg).
+Serializations
+--------------
+``cdr`` : OMG CDR as ROS 2 writes it
+    Four bytes of encapsulation, of which the second is the byte order, then fields aligned to
+    multiples of their size (OMG DDSI-RTPS 2.3, section 10; CORBA 3.4 part 2, section 9.3).
+``ros1`` : the serialization of ROS 1
+    Packed little-endian fields, with ``header.seq`` (https://wiki.ros.org/msg).
 """
 
 from __future__ import annotations
@@ -33,22 +36,24 @@ ABSENT = -1.0
 """Value of covariance[0] that marks an absent sensor (sensor_msgs/Imu.msg)."""
 
 BIG_ENDIAN, LITTLE_ENDIAN = 0, 1
-"""The first two bytes of the encapsulation as a number: CDR_BE and CDR_LE."""
+"""The first two bytes of the encapsulation as a number, for big-endian and little-endian CDR."""
 
 _ORDERS = {bytes([0, LITTLE_ENDIAN]): '<', bytes([0, BIG_ENDIAN]): '>'}
 """The first two bytes of the encapsulation -> byte order."""
 
 _FRAME_AT = 16
-"""Offset of frame_id: after the encapsulation (ROS 1: seq), sec, nanosec and the length of
-frame_id."""
+"""Offset of frame_id in bytes. Before it are the encapsulation (in ROS 1: seq), sec, nanosec and
+the length of frame_id, of four bytes each."""
 
 MAX_FRAME_BYTES = MAX_NAME + 1
-"""Largest serialized length of a frame_id, in CDR with the final NUL."""
+"""Largest serialized length of a frame_id in bytes; in CDR, this includes the final NUL."""
 
 _DOUBLE = 8
+"""Number of bytes in a float64."""
 
 _IMU_BYTES = 400
-"""More than the length of an Imu message without a frame_id."""
+"""Number of zeros that are appended to a Temperature message, so that it can be read with the
+layout of an Imu message: more than the length of an Imu message without a frame_id."""
 
 _VECTORS = (
     ('orientation', 4),
@@ -58,10 +63,14 @@ _VECTORS = (
     ('accel', 3),
     ('accel_covariance', 9),
 )
+"""Name of each field after the header, and number of its elements."""
 
 
 class MalformedMessage(Exception):
-    """A message is not an Imu message; ``index`` is its position in the sequence of messages."""
+    """A message has another type than expected, or is damaged.
+
+    ``index`` is the position of the message in the sequence of messages.
+    """
 
     def __init__(self, index: int, reason: str) -> None:
         super().__init__(reason)
@@ -73,14 +82,18 @@ class DecodedImus:
     """The content of n Imu messages."""
 
     stamps_ns: NDArray[np.int64]  # (n,)
-    samples: NDArray[np.float64]  # (n, 6), SI, in the order of `AXES`; NaN: the sensor is absent
+    samples: NDArray[np.float64]  # (n, 6), in SI, in the order of `AXES`; NaN: sensor is absent
     frame_ids: list[str]  # the distinct frame_ids
     frames: NDArray[np.intp]  # (n,), index of the frame_id of each message
-    # sensor -> number of messages that declare it absent, but contain valid data, which are used
+    # sensor -> number of messages that declare the sensor absent, but contain valid data of it;
+    # these data are used
     kept: dict[str, int] = field(default_factory=dict)
 
     def batches(self, record_ns: NDArray[np.int64]) -> Iterator[ImuBatch]:
-        """Yield batches with one frame_id each; ``record_ns``, (n,), are the record times in ns."""
+        """Yield the samples in batches with one frame_id each.
+
+        ``record_ns``, (n,), are the record times of the messages in ns.
+        """
         edges = [0, len(self.frames)]
         if len(self.frame_ids) > 1:
             edges[1:1] = (np.flatnonzero(np.diff(self.frames)) + 1).tolist()
@@ -93,9 +106,21 @@ class DecodedImus:
 def imu_dtype(encoding: Encoding, order: str, frame_bytes: int, itemsize: int = 0) -> np.dtype[Any]:
     """Return the layout of a serialized Imu message as a numpy record.
 
-    ``order`` is the byte order, '<' or '>'. ``frame_bytes`` is the serialized length of the
-    frame_id, in CDR with the final NUL. ``itemsize`` is the length of the message in bytes, which
-    may be padded at the end; 0 means no padding. Raises ValueError when it is too short.
+    Parameters
+    ----------
+    encoding : 'cdr' or 'ros1'
+        Serialization of the message.
+    order : '<' or '>'
+        Byte order.
+    frame_bytes : int
+        Serialized length of the frame_id in bytes; in CDR, this includes the final NUL.
+    itemsize : int
+        Length of the message in bytes, which may be padded at the end; 0 for no padding.
+
+    Raises
+    ------
+    ValueError
+        When ``itemsize`` is smaller than an Imu message.
     """
     start = 4
     if encoding == 'cdr':
@@ -120,14 +145,14 @@ def decode_imus(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void],
     encoding: Encoding,
 ) -> DecodedImus:
-    """Decode serialized Imu messages.
+    """Decode n serialized Imu messages.
 
-    A sensor is absent (NaN in the result) where covariance[0] is -1 or NaN and its data are
-    invalid. Raises MalformedMessage for the first payload that is not an Imu message.
+    The samples of a sensor are NaN in a message in which its covariance[0] is -1 or NaN and its
+    data are invalid. Raises MalformedMessage for the first payload that is not an Imu message.
     """
     n = len(payloads)
-    room = np.empty((len(AXES), n)).T
-    decoded = DecodedImus(np.empty(n, np.int64), room, [], np.zeros(n, np.intp))
+    samples = np.empty((len(AXES), n)).T
+    decoded = DecodedImus(np.empty(n, np.int64), samples, [], np.zeros(n, np.intp))
     for rows, records in _grouped_by_layout(payloads, encoding):
         decoded.stamps_ns[rows] = records['sec'].astype(np.int64) * NANOSECONDS + records['nanosec']
         for sensor, axes in SENSORS.items():
@@ -149,9 +174,10 @@ def decode_imus(
 
 
 def _drop_absent(decoded: DecodedImus, sensor: str, absent: NDArray[np.intp]) -> None:
-    """Set a sensor to NaN in the messages that declare it absent; ``absent`` are their indices.
+    """Set a sensor to NaN in messages that declare it absent.
 
-    Many drivers declare this by mistake. So valid data (finite, not all zero) are kept.
+    ``absent`` are the indices of these messages. Many drivers declare a sensor absent by mistake,
+    so valid data, which are finite and not all zero, are kept.
     """
     values = decoded.samples[absent, SENSORS[sensor]]
     valid = np.isfinite(values).all(axis=1) & values.any(axis=1)
@@ -164,7 +190,7 @@ def _grouped_by_layout(
     payloads: Sequence[bytes | memoryview] | NDArray[np.void], encoding: Encoding
 ) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
     n = len(payloads)
-    # fields that must be equal in messages of equal length, so that their layout is the same
+    # messages of equal length have the same layout if these fields are equal, too
     fields = ('frame_bytes',) if encoding == 'ros1' else ('frame_bytes', 'representation')
     several = not isinstance(payloads, np.ndarray) and len(set(map(len, payloads))) > 1
     if n and not several:
@@ -187,7 +213,7 @@ def _grouped_by_layout(
 
 
 class _Layout(NamedTuple):
-    """Layout of a message: byte order, record type, offsets of fields, and place of frame_id."""
+    """Layout of a message: byte order, record dtype, offsets of the fields, bytes of frame_id."""
 
     order: str
     dtype: np.dtype[Any]
@@ -246,8 +272,8 @@ def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
 def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
     """Serialize a batch to one message per sample, in byte order '<' or '>'.
 
-    A sensor whose axes are all NaN is declared absent (zeros, covariance[0] = -1), and so is the
-    orientation.
+    A sensor whose axes are all NaN is declared absent: its values are zeros, and covariance[0] is
+    -1. The orientation is always declared absent.
     """
     frame = batch.frame_id.encode() + (b'\0' if encoding == 'cdr' else b'')
     dtype = imu_dtype(encoding, order, len(frame))
@@ -270,7 +296,7 @@ def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[m
 
 
 def decode_temperature(payload: bytes, encoding: Encoding) -> tuple[int, str, float]:
-    """Return header stamp in ns, frame_id and temperature in degC of a Temperature message.
+    """Return the header stamp in ns, frame_id and temperature in degC of a Temperature message.
 
     Raises MalformedMessage when the payload is not a serialized sensor_msgs/Temperature.
     """
@@ -296,10 +322,16 @@ _NUMBERS = {order: struct.Struct(f'{order}9d') for order in '<>'}
 class CovariancePatch:
     """Writes known variances into the covariances of Imu messages in CDR.
 
-    ``variances`` maps a sensor to the variances of its axes in (rad/s)^2 or (m/s^2)^2. A covariance
-    that begins with -1 or NaN, which marks an absent sensor, is never changed. A covariance that is
-    not all zeros was set by the driver and is changed only with ``overwrite``. If ``frame_id`` is
-    not '', only messages with this frame_id are changed.
+    A covariance that begins with -1 or NaN, which marks an absent sensor, is never changed.
+
+    Parameters
+    ----------
+    variances : mapping of str to (float, float, float)
+        'gyro' or 'accel' -> variances of the x, y and z axis in (rad/s)^2 or (m/s^2)^2.
+    overwrite : bool
+        Whether covariances that the driver has set, that is, that are not all zeros, are changed.
+    frame_id : str
+        Only messages with this frame_id are changed; '' for all messages.
     """
 
     def __init__(
@@ -319,7 +351,7 @@ class CovariancePatch:
         }
 
     def patch(self, payload: bytes) -> bytes:
-        """Return the message with the known covariances; the same object if none was changed.
+        """Return the message with the known covariances; ``payload`` itself if none was changed.
 
         Raises MalformedMessage when the payload is not an Imu message in plain CDR.
         """

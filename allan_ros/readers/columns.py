@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recognizes the columns of a table or DataFrame by their names.
+"""Recognize the columns of a table or DataFrame by their names.
 
 Only the end of a name matters, so ``gx``, ``gyro_x [deg/s]``, ``angular_velocity.x``,
 ``/imu/angular_velocity/x`` and ``w_RS_S_x [rad s^-1]`` are the same axis. A unit in brackets takes
@@ -37,15 +37,15 @@ EXAMPLE_COLUMNS = 't,gx,gy,gz,ax,ay,az'
 FIRST_ROWS = 200
 """Number of rows from which the unit of the stamps is recognized."""
 
-NO_COLUMN, DATES = 0, -1
-"""In place of a factor to ns: times whose unit is not stated, and dates such as 2026-01-31T12:00.
-"""
+NO_UNIT, DATES = 0, -1
+"""Values that stand for a factor to ns: `NO_UNIT` if the unit of the times is not stated, and
+`DATES` if the times are dates such as 2026-01-31T12:00."""
 
 _BRACKET = re.compile(r'^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$')
 
 
 def _suffixes(spellings: Mapping[str, Sequence[str]]) -> str:
-    """Return a pattern of units at the end of a name, where all other characters are _."""
+    """Return a pattern of the units in a name in which all other characters are replaced by _."""
     plain = {re.sub('[^a-z0-9]+', '_', each) for names in spellings.values() for each in names}
     return '|'.join(sorted(plain))
 
@@ -76,20 +76,20 @@ _KINDS = tuple(
         ('temperature', 'temp|temperature', _DEGREES, ''),
     )
 )  # fmt: skip
-"""Kind of a column, pattern of its names with groups for axis and unit, and the unit without one.
-The first pattern that matches applies."""
+"""Kind of a column, pattern of its names with groups for axis and unit, and unit of a column whose
+name states no unit. The first pattern that matches applies."""
 
 _ONLY_AXIS = re.compile('(?:^|_)([xyz])$')
 
 _STAMPS = (('sec', 'nanosec'), ('stamp',), ('time',), ('elapsed',), ('counter',), ('sec',))
-"""Kinds of columns whose sum is the stamp; the first that are present are used."""
+"""Kinds of columns whose sum is the stamp. The first entry whose kinds are all present is used."""
 
 _SPELLINGS = {
     **dict.fromkeys(SENSORS, SAMPLE_SPELLINGS),
     **dict.fromkeys(('record', 'stamp', 'time'), TIME_SPELLINGS),
     'temperature': TEMPERATURE_SPELLINGS,
 }
-"""Kind of a column -> spellings of its units."""
+"""Kind of a column -> spellings of units of this kind."""
 
 RECOGNIZED_UNITS = ('s', 'ms', 'us', 'ns')
 """Units of time that are recognized from the stamps."""
@@ -98,9 +98,9 @@ RECOGNIZED_UNITS = ('s', 'ms', 'us', 'ns')
 class Meaning(NamedTuple):
     """What a column contains, according to its name."""
 
-    kind: str  # of `_KINDS`, '' if unknown
-    axis: str = ''  # 'x', 'y' or 'z' of a sensor
-    unit: str = ''  # '' if none is stated
+    kind: str  # a kind of `_KINDS`; '' if unknown
+    axis: str = ''  # 'x', 'y' or 'z' for a column of a sensor
+    unit: str = ''  # '' if the name states no unit
     unknown: str = ''  # text in brackets that is not a unit of this kind
     is_si: bool = False  # whether samples with this name are always in SI
 
@@ -111,12 +111,12 @@ class ColumnLayout:
 
     axes: dict[int, tuple[int, float]]  # index of the axis in `AXES` -> column, factor to SI
     stamp: tuple[tuple[int, int], ...]  # (column, factor to ns); their sum is the stamp
-    record: tuple[tuple[int, int], ...]  # the same for the record time
+    record: tuple[tuple[int, int], ...]  # (column, factor to ns); their sum is the record time
     temperature: tuple[int, str] | None  # column of the temperature, unit ('' if not stated)
     units: dict[str, str]  # sensor -> unit of its columns
     assumed: dict[str, str]  # sensor -> name of a column whose unit is not stated anywhere
-    time_unit: str = ''  # unit of the stamps if only their increments suggest it
-    unclear_time: str = ''  # text in brackets after the name of the stamps that is not a unit
+    time_unit: str = ''  # unit of the stamps if it follows only from their increments
+    unclear_time: str = ''  # text in brackets after the name of the time column, but not a unit
     unrecognized: tuple[str, ...] = ()  # names of columns without a known meaning
 
     @property
@@ -125,7 +125,11 @@ class ColumnLayout:
         return tuple(AXES[axis] for axis in sorted(self.axes))
 
     def check(self, where: object, names: Sequence[str], with_times: bool) -> None:
-        """Raise AllanError if no column is an axis or, unless ``with_times``, the time."""
+        """Raise AllanError if no column is an axis, or if the times are missing.
+
+        ``with_times`` is whether the times are known without a column. ``where`` is the name of the
+        table, and ``names`` are the names of its columns, for messages.
+        """
         if not self.axes:
             raise AllanError(
                 f'{where}: no column ({listed(names)}) is a gyro or accel axis: name them, such as '
@@ -140,11 +144,25 @@ class ColumnLayout:
     def with_time_unit(
         self, where: object, times: NDArray[np.float64], stated: str
     ) -> ColumnLayout:
-        """Return the columns with the unit of the stamps.
+        """Return the layout with the unit of the stamps.
 
-        ``times`` are the first stamps. The unit is ``stated`` in the options, or in the name of the
-        column, or is recognized from the stamps: by their size if they are times since 1970, else
-        by their increments. Raises AllanError when the name contradicts the stamps.
+        The unit is taken from the options, else from the name of the column. If neither states a
+        unit, it is recognized from the stamps: by their size if they are times since 1970, else by
+        their increments.
+
+        Parameters
+        ----------
+        where : object
+            Name of the table in messages.
+        times : (n,) array
+            The first stamps.
+        stated : str
+            The unit in the options; '' if there is none.
+
+        Raises
+        ------
+        AllanError
+            When the unit in the name is unknown or contradicts the stamps.
         """
         if len(self.stamp) != 1 or not len(times):
             return self
@@ -157,7 +175,7 @@ class ColumnLayout:
                 f'{where}: the unit {self.unclear_time!r} of column {column + 1}, the time, is '
                 f'unknown: state it with --stamp-unit ({", ".join(STAMP_UNITS)})'
             )
-        elif factor == NO_COLUMN:
+        elif factor == NO_UNIT:
             unit = by_size or by_step
         elif by_size and len(times) >= ENOUGH and 0.0 < _step(times) * factor < SHORTEST_NS:
             raise AllanError(
@@ -172,29 +190,32 @@ class ColumnLayout:
 
 
 EPOCH_S = (9.4e8, 4.2e9)
-"""Seconds since 1970 of the years 1999 and 2103."""
+"""Range of stamps in s that are taken as times since 1970: the years 1999 to 2103."""
 
 SHORTEST_NS, LONGEST_NS = 1e4, 1e12
 """Range of sample periods in ns that are plausible for an IMU."""
 
 FASTEST_MS = 0.3
-"""Increment from which times in seconds could also be in milliseconds."""
+"""Increment from which times taken as seconds could also be milliseconds: as milliseconds, 0.3 is a
+sample rate of 3 kHz."""
 
 ENOUGH = 100
-"""Number of times from which a doubtful unit is reported: fewer are no measurement."""
+"""Smallest number of times for which a doubtful unit is reported: a shorter table is not a
+measurement."""
 
 LONGEST_STEP = {'s': 2.0, 'ms': 300.0, 'us': 3e5}
-"""Unit -> increments above which the next unit is more plausible: IMUs have 3 Hz to 3 kHz."""
+"""Unit -> increment above which the next smaller unit is more plausible. IMUs have sample rates of
+3 Hz to 3 kHz."""
 
 
 def _step(times: NDArray[np.float64]) -> float:
-    """Return the median increment of the times; 0 if they do not advance."""
+    """Return the median of the positive increments of the times; 0 if there is none."""
     steps = np.diff(times)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
 def _unit_by_size(times: NDArray[np.float64]) -> str:
-    """Return the unit in which these are times since 1970, or '' if there is none."""
+    """Return the unit in which the stamps are times since 1970; '' if there is no such unit."""
     for unit in RECOGNIZED_UNITS:
         size = STAMP_UNITS[unit]
         is_epoch = EPOCH_S[0] <= times[0] * size * 1e-9 <= EPOCH_S[1]
@@ -212,8 +233,19 @@ def _unit_by_step(times: NDArray[np.float64]) -> str:
 def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> ColumnLayout:
     """Find the columns of samples, times and temperature by the names of all columns.
 
-    Of several times, the first is used. Raises AllanError when the unit of a column is unknown, or
-    two columns contain the same axis; ``where`` is the name of the table in the error message.
+    Parameters
+    ----------
+    where : object
+        Name of the table in messages.
+    names : iterable of str
+        Names of the columns. If several columns contain times, `_STAMPS` states which is used.
+    options : ReadOptions
+        Units for columns whose names state no unit.
+
+    Raises
+    ------
+    AllanError
+        When the unit of a column is unknown, or when two columns contain the same axis.
     """
     axes: dict[str, tuple[int, float]] = {}
     units: dict[str, str] = {}
@@ -250,7 +282,7 @@ def columns_of(where: object, names: Iterable[str], options: ReadOptions) -> Col
         elif kind:
             unclear.setdefault(kind, unknown)
             stated = unit or options.stamp_unit or ('s' if kind == 'record' else '')
-            times.setdefault(kind, (column, STAMP_UNITS.get(stated, NO_COLUMN)))
+            times.setdefault(kind, (column, STAMP_UNITS.get(stated, NO_UNIT)))
         elif name.strip() != LEFT_OUT:
             unrecognized.append(name.strip())
     if unclear.get('record'):
@@ -277,13 +309,14 @@ _SENSOR_WORDS = {
     'gyro': ('gyro', 'gyroscope', 'gyroskop'),
     'accel': ('accel', 'accelerometer', 'acceleration', 'beschleunigung'),
 }
-"""Sensor -> words in the names of files that apps on a phone write, one for each sensor."""
+"""Sensor -> words in file names. Phone apps write one file for each sensor, named after it."""
 
 
 def names_by_file(stem: str, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names of columns with the sensor that the name of the file states.
+    """Return the names of columns with the sensor that the name of their file states.
 
-    This is for columns that are called x, y and z only.
+    Names are changed only if columns are called just x, y and z. ``stem`` is the name of the file
+    without suffix.
 
     Examples
     --------
@@ -304,10 +337,10 @@ def names_by_file(stem: str, names: tuple[str, ...]) -> tuple[str, ...]:
 def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) -> tuple[str, ...]:
     """Rename columns by pairs such as ``gx=w_x`` (new name, name in the header).
 
-    Returns one name per column: the new name and the unit in the header. The other columns keep
-    their names, except times if the pairs contain a time, and axes if they contain an axis; these
-    are '-'. Raises AllanError when a pair does not match exactly one column; ``where``
-    is the name of the table in the error message.
+    Returns one name per column. A renamed column has the new name and the unit in the header. If
+    the pairs contain an axis, a time or a temperature, all other columns of this kind get the name
+    '-', which excludes them. Further columns keep their names. Raises AllanError when a pair does
+    not match exactly one column; ``where`` is the name of the table in the message.
     """
     groups = {_group(pair.partition('=')[0]) for pair in pairs}
     renamed = [LEFT_OUT if _group(name) in groups else name for name in names]
@@ -330,7 +363,7 @@ def picked_names(where: object, names: tuple[str, ...], pairs: tuple[str, ...]) 
 
 
 def _group(name: str) -> str:
-    """Return 'sample', 'time' or 'temperature' for a column, by its name; '' if it is unknown."""
+    """Return 'sample', 'time' or 'temperature' for the name of a column; '' if it is unknown."""
     kind = _meaning(name).kind
     return 'sample' if kind in SENSORS else kind if kind in ('', 'temperature') else 'time'
 
@@ -340,7 +373,7 @@ MOST_LISTED = 10
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return the first `MOST_LISTED` names and the number of the others, as text."""
+    """Return the first `MOST_LISTED` names and the number of further names, as text."""
     text = ', '.join(names[:MOST_LISTED])
     more = len(names) - MOST_LISTED
     return f'{text} and {more} more' if more > 0 else text
@@ -374,7 +407,7 @@ def _meaning(name: str) -> Meaning:
     spelled = bracket or groups['unit'] or groups.get('inner') or ''
     unit = unit_named(spelled, _SPELLINGS[kind])
     if kind in SENSORS and unit and unit not in SAMPLE_UNITS[kind]:
-        unit = ''  # of the other sensor
+        unit = ''  # it is a unit of the other sensor
     is_word = kind not in (*SENSORS, 'temperature') and plain_unit(spelled) in NO_UNITS
     unknown = spelled if spelled and not unit and not is_word else ''
     return Meaning(kind, groups.get('axis') or '', unit or implied, unknown, is_si)

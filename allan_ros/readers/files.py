@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read and write files safely: only regular files of limited size, atomic writing, and locks.
+"""Read and write files safely: regular files of limited size, atomic writing, and locks.
 
-Configuration files, such as datasheets (``sensors``) and plans for parameters of filters
+Configuration files, such as datasheets (``sensors``) and plans for parameters of state estimators
 (``filters``), are given by path or by name. A name is searched in the folder of the user
-(``~/.config/allan_ros/<kind>``, or under ``$XDG_CONFIG_HOME``) and then in the package.
+(``~/.config/allan_ros/<kind>``, or under ``$XDG_CONFIG_HOME``), then in the package.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ P = ParamSpec('P')
 T = TypeVar('T')
 
 PATH = (str, os.PathLike)
-"""Accepted types of a path."""
+"""Types that are accepted as a path."""
 
 LONGEST_NAME = 255
-"""Longest name of a file in bytes (NAME_MAX of Linux)."""
+"""Largest number of bytes in a file name (NAME_MAX of Linux)."""
 
 
 def public(function: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a public function: errors of the operating system become AllanError.
+    """Decorate a public function so that it raises AllanError for errors of the operating system.
 
-    Also raises AllanError for an argument that no path can be: with a null character, or too long,
-    which not every version of Python reports.
+    The function also raises AllanError for a text argument that cannot be a path, because it
+    contains a null character or a name that is too long. Not every version of Python reports these.
     """
 
     @wraps(function)
@@ -66,7 +66,7 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def open_regular(path: str | os.PathLike[str]) -> BinaryIO:
-    """Open a regular file for reading; symbolic links are followed.
+    """Open a regular file for reading bytes; symbolic links are followed.
 
     Raises AllanError when the path is a folder, FIFO, device or socket, and OSError when it is
     missing or unreadable.
@@ -100,7 +100,7 @@ def read_bounded(path: str | os.PathLike[str], limit: int) -> bytes:
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
     """Read a regular UTF-8 file of at most ``limit`` bytes, without changing its line ends.
 
-    Raises AllanError when it cannot be read, is larger, or is not UTF-8.
+    Raises AllanError when the file cannot be read, is larger, or is not UTF-8.
     """
     try:
         return read_bounded(path, limit).decode('utf-8')
@@ -120,8 +120,8 @@ def _not_regular(path: str | os.PathLike[str]) -> AllanError:
 def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
     """Write a file so that its path never contains an incomplete file, even after a crash.
 
-    The content is written to a temporary file in the same folder, synced to the disk and renamed.
-    Raises AllanError when this fails.
+    The content is written to a temporary file in the same folder. This file is synced to the disk
+    and renamed. Raises AllanError when this fails.
     """
     write_together(Path(path).parent, {Path(path).name: content})
 
@@ -129,13 +129,22 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes) -> None:
 def write_together(
     folder: Path, contents: Mapping[str, str | bytes], remove: Iterable[str] = ()
 ) -> None:
-    """Write several files of one folder; no file is replaced before all are on the disk.
+    """Write several files of one folder; no file is replaced before all contents are on the disk.
 
-    ``contents`` maps names to contents, and files are replaced in this order. Before that, the
-    files named ``remove`` are removed.
+    Parameters
+    ----------
+    folder : Path
+        The folder, which must exist.
+    contents : mapping of str to str or bytes
+        Name -> content of each file, in the order in which the files are replaced.
+    remove : iterable of str
+        Names of files that are removed before the others are replaced.
 
-    Raises AllanError when a path is not a regular file, the folder is missing or not writable, or
-    the disk is full. Then no file has changed, unless a rename failed.
+    Raises
+    ------
+    AllanError
+        When a path is not a regular file, the folder is missing or not writable, or the disk is
+        full. No file has changed then, unless the error occurs while files are removed or replaced.
     """
     drafts: dict[Path, Path] = {}
     path = folder
@@ -190,7 +199,7 @@ def unwritable(path: Path, error: OSError) -> AllanError:
 
 
 MAX_BYTES = 16 * 2**20
-"""Largest size of a document in bytes; real documents are far smaller."""
+"""Largest size of a document in bytes. Documents of this package are far smaller."""
 
 
 def to_json(document: Mapping[str, Any]) -> str:
@@ -209,9 +218,9 @@ SURROGATE = re.compile('[\ud800-\udfff]')
 
 
 def parse_json(text: str, where: str) -> object:
-    """Parse a JSON text; ``where`` names it in messages.
+    """Parse a JSON text; ``where`` is the name of the text in messages.
 
-    Raises AllanError if it is too long or invalid, or contains NaN, infinity or an unpaired
+    Raises AllanError if the text is too long or invalid, or contains NaN, infinity or an unpaired
     surrogate.
     """
     if len(text) > MAX_BYTES:
@@ -228,7 +237,7 @@ def parse_json(text: str, where: str) -> object:
 
 
 def read_json(path: str | os.PathLike[str]) -> object:
-    """Read a JSON file; raises AllanError if it cannot be read, is too large or is invalid."""
+    """Read a JSON file; raise AllanError if it cannot be read, is too large or is invalid."""
     with contextlib.suppress(OSError), open_regular(path) as file:
         if (head := file.read(64).lstrip()) and head[:1] not in b'{[':
             raise AllanError(
@@ -243,7 +252,7 @@ def _reject_constant(name: str) -> object:
 
 
 def _integer(digits: str) -> int:
-    if len(digits) > 20:  # one with a million digits takes minutes to read
+    if len(digits) > 20:  # an integer with a million digits takes minutes to read
         raise ValueError(f'an integer of {len(digits)} digits')
     return int(digits)
 
@@ -255,19 +264,19 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc]
         super().fetch_flow_collection_start(token)
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        # nested merges are copied, so a short file can fill the memory
+        # nested merge keys are copied, so a short file could fill the memory
         if any(key.tag == 'tag:yaml.org,2002:merge' for key, _ in node.value):
             raise yaml.YAMLError('it has a merge key "<<", which is not supported')
 
 
-# YAML 1.1 reads 1e-4 as a string because it has no point; users, and JSON, mean a number.
+# YAML 1.1 reads 1e-4 as a string because it has no decimal point. Users mean a number, as in JSON.
 _Loader.add_implicit_resolver(
     'tag:yaml.org,2002:float', re.compile(r'[-+]?[0-9]+[eE][-+]?[0-9]+$'), list('-+0123456789')
 )
 
 
 def parse_yaml(text: str) -> Any:
-    """Parse a YAML or JSON text; raises yaml.YAMLError if it is invalid or not supported."""
+    """Parse a YAML or JSON text; raise yaml.YAMLError if it is invalid or not supported."""
     loader = _Loader(text)
     try:
         return loader.get_single_data()
@@ -278,7 +287,10 @@ def parse_yaml(text: str) -> Any:
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML or JSON file of at most 100 kB; raises AllanError if it is invalid."""
+    """Read a YAML or JSON file of at most 100 kB.
+
+    Raises AllanError if the file cannot be read, is larger, or is invalid.
+    """
     try:
         return parse_yaml(read_text(path, 100_000))
     except yaml.YAMLError as error:
@@ -287,15 +299,26 @@ def read_yaml(path: Path) -> Any:
 
 
 def config_names(kind: str) -> list[str]:
-    """Return the names of all configuration files of a kind, such as 'sensors', without suffix."""
+    """Return the sorted names, without suffix, of all configuration files of a kind ('sensors')."""
     return sorted({path.stem for folder in config_folders(kind) for path in folder.glob('*.yaml')})
 
 
 def config_file(kind: str, name: str, called: str) -> Path:
     """Return the path of a configuration file, given its name or path.
 
-    ``kind`` is the folder ('sensors' or 'filters'), and ``called`` the word for such a file in
-    messages. Raises AllanError, with similar names, if the name is unknown.
+    Parameters
+    ----------
+    kind : str
+        Folder of such files: 'sensors' or 'filters'.
+    name : str
+        Name of the file without suffix, or path of a .yaml file. A path is not checked.
+    called : str
+        Word for such a file in messages.
+
+    Raises
+    ------
+    AllanError
+        When the name is unknown. The message suggests similar names.
     """
     path = Path(name)
     if path.suffix.lower() in ('.yaml', '.yml'):
@@ -306,7 +329,7 @@ def config_file(kind: str, name: str, called: str) -> Path:
             if found.is_file():
                 return found
         same = [known for known in config_names(kind) if _simplified(known) == _simplified(name)]
-        if len(same) == 1:  # mpu6050 for mpu-6050
+        if len(same) == 1:  # for example, mpu6050 instead of mpu-6050
             return config_file(kind, same[0], called)
     raise AllanError(
         f'no {called} {name!r}: {_suggestion(name.lower(), config_names(kind))}, '
@@ -317,8 +340,8 @@ def config_file(kind: str, name: str, called: str) -> Path:
 def config_folders(kind: str) -> list[Path]:
     """Return the existing folders with configuration files of a kind, in the order of search.
 
-    They are the folder of the user (XDG Base Directory, 0.8), and ``config/<kind>`` of the source
-    code or of the installed package.
+    The first is the folder of the user (XDG Base Directory, 0.8), then follow ``config/<kind>`` of
+    the source code and of the installed package.
     """
     home = os.environ.get('XDG_CONFIG_HOME') or Path('~/.config').expanduser()
     here = Path(__file__).resolve()
@@ -328,14 +351,14 @@ def config_folders(kind: str) -> list[Path]:
 
 
 NEAREST, LISTED_NAMES = 3, 8
-"""For an unknown name: largest number of similar names that are suggested, and number of names that
-are listed if none is similar."""
+"""Largest number of similar names that a message about an unknown name suggests, and number of
+names that the message lists if no name is similar."""
 
 
 def _suggestion(name: str, names: Sequence[str]) -> str:
     word, plain = _simplified(name), {_simplified(known): known for known in names}
     near = [known for key, known in plain.items() if word and key.startswith(word)]
-    # a name with other digits is another model; digits may be missing
+    # A name with other digits is another model, so a similar name must contain all given digits.
     close, digits = difflib.get_close_matches(word, plain, NEAREST, 0.8), re.findall(r'\d', name)
     near = near or [plain[key] for key in close if re.search('.*'.join(digits), key)]
     if near:
@@ -349,10 +372,9 @@ def _simplified(name: str) -> str:
 
 
 class PathLock:
-    """A lock that lets only one process write a path, which need not exist.
+    """A lock that lets only one process write the file at a path; the file need not exist.
 
-    A hidden file next to the path is locked, because the path itself is replaced whenever it is
-    written.
+    A hidden file next to it is locked, because the file itself is replaced whenever it is written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -361,7 +383,7 @@ class PathLock:
         self._handle: int | None = None
 
     def acquire(self) -> str:
-        """Try to acquire the lock. Return '' on success, else the process that owns it.
+        """Try to acquire the lock; return '' on success, else the process that owns the lock.
 
         Raises AllanError if the lock file cannot be created.
         """
@@ -411,7 +433,7 @@ class PathLock:
 def _try_to_lock(handle: int) -> bool:
     """Lock an open file; return False if another process has locked it.
 
-    Without locks, as on Windows and some file systems, other owners cannot be detected.
+    Windows and some file systems have no such locks. There, the result is always True.
     """
     try:
         import fcntl

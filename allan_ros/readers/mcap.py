@@ -1,11 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads an mcap file, with or without its summary (https://mcap.dev/spec).
+"""Read an mcap file (https://mcap.dev/spec).
 
-The summary at the end lists the chunks. The rest of the file is searched for messages outside
-chunks, and for chunks that the summary does not list. If there is no summary, because the recorder
-was killed, or if it contradicts itself, the complete file is searched. One chunk is decompressed at
-a time, so the memory does not depend on the size of the file.
+The summary at the end of a file lists its chunks. The rest of the file is searched for messages
+outside chunks and for further chunks. If the summary is missing, because the recorder was killed,
+or contradicts itself, the complete file is searched. One chunk is decompressed at a time, to limit
+the memory.
 """
 
 from __future__ import annotations
@@ -35,49 +35,53 @@ FOOTER, SCHEMA_OPCODE, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 0x02, 0x03, 0x04
 CHUNK_INDEX, STATISTICS_OPCODE, DATA_END, LAST_OPCODE = 0x08, 0x0B, 0x0F, 0x7F
 
 FIXED_BYTES = {DATA_END: 4, FOOTER: 20}
-"""Opcode -> only valid length of a record."""
+"""Opcode -> the only valid length of the content of such a record in bytes."""
 
 RECORD_HEAD = struct.Struct('<BQ')
 """Opcode and length at the start of each record."""
 
 MESSAGE_HEAD = struct.Struct('<HIqQ')
-"""Channel, sequence, log time, publish time."""
+"""Channel, sequence number, log time, publish time."""
 
 INDEX_HEAD = struct.Struct('<HI')
-"""Channel, and size of the pairs (log time, offset) that follow."""
+"""Channel, and size in bytes of the pairs (log time, offset) that follow."""
 
 CHUNK_HEAD = struct.Struct('<QQQI')
-"""First and last log time, uncompressed size, CRC-32 (0: none)."""
+"""First and last log time, decompressed size in bytes, CRC-32 (0: none)."""
 
 CHUNK_INDEX_HEAD = struct.Struct('<QQQQI')
-"""First and last log time, start and length of the chunk, size of the map that follows."""
+"""First and last log time, offset and length of the chunk, size in bytes of the map that follows.
+"""
 
 STATISTICS_HEAD = struct.Struct('<QHIIIIQQI')
 """Numbers of messages, schemas, channels, attachments, metadata and chunks, first and last log
-time, and size of the map from channel to number of messages that follows."""
+time, and size in bytes of the map from channel to number of messages that follows."""
 
 CRC_BYTES = 4
-"""Size of the CRC-32 of the summary, the last field of the footer; 0 if there is none."""
+"""Number of bytes of the CRC-32 of the summary, the last field of the footer."""
 
 FOOTER_BYTES = RECORD_HEAD.size + FIXED_BYTES[FOOTER] + len(MAGIC)
+"""Number of bytes of the footer and the magic after it, at the end of a file."""
 
 LOOSE_BYTES = 1 << 20
-"""Messages outside chunks are read about this many bytes at a time."""
+"""Number of bytes after which a sequence of messages outside chunks ends, and another one starts.
+Each sequence is read at once."""
 
 MAX_SORT_BYTES = 512 * 2**20
 """Largest size in bytes of the messages that are kept in memory to sort overlapping chunks."""
 
 DAMAGE = (struct.error, ValueError, OSError, OverflowError, MemoryError)
-"""Exceptions when a file is damaged."""
+"""Exceptions that a damaged file can cause."""
 
 REMEDY = 'copy it again, or repair it with "mcap recover"'
 
 
 @dataclass(frozen=True, order=True)
 class Chunk:
-    """A part of a file that contains messages: time of the first one, and place in the file.
+    """A chunk of a file, or a sequence of messages outside chunks (``loose``).
 
-    ``next`` is the offset after its index. ``loose`` marks a sequence of messages outside chunks.
+    ``start_ns`` is the smallest record time of its messages. ``offset`` and ``length`` are the
+    position of its content in the file, and ``next`` is the offset after its message index.
     """
 
     start_ns: int
@@ -93,9 +97,9 @@ class Contents:
 
     topics: dict[int, Topic] = field(default_factory=dict)
     schemas: dict[int, str] = field(default_factory=dict)  # number -> name of the type
-    counted: Counter[int] = field(default_factory=Counter)  # message records of each channel
-    stated: Counter[int] = field(default_factory=Counter)  # messages according to the statistics
-    totals: tuple[int, ...] = ()  # the head of the statistics
+    counted: Counter[int] = field(default_factory=Counter)  # channel -> message records found
+    stated: Counter[int] = field(default_factory=Counter)  # channel -> messages by the statistics
+    totals: tuple[int, ...] = ()  # the numbers of `STATISTICS_HEAD`
 
     def add(self, opcode: int, data: bytes, at: int, stop: int) -> None:
         """Count the message, or store the schema, channel or statistics in ``data[at:stop]``."""
@@ -132,7 +136,8 @@ class Contents:
 class McapStorage:
     """An open mcap file; error messages name it ``path``.
 
-    Raises one of `DAMAGE` when it is of another format or damaged.
+    Raises AllanError when the file is not an mcap file or a chunk is damaged, and one of `DAMAGE`
+    for other damage.
     """
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
@@ -169,7 +174,7 @@ class McapStorage:
     def stated(self, ids: set[int], read: int) -> int:
         """Return how many messages of these topics the file contains, according to its index.
 
-        ``read`` is the number of messages that were read, which is returned without an index.
+        ``read`` is the number of messages that were read. It is returned if there is no index.
         """
         if not self._contents.stated:
             return read
@@ -177,7 +182,7 @@ class McapStorage:
         return max(stated, read) if self.truncation else stated  # the index may be truncated, too
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield the next messages of these topics, in the order of record time."""
+        """Yield all messages of these topics in blocks, in the order of record time."""
         with translated(self._path, DAMAGE, REMEDY):
             pending = Messages.none()
             ends = [chunk.start_ns for chunk in self._chunks[1:]] + [None]
@@ -237,9 +242,10 @@ class McapStorage:
         return plain
 
     def _read_summary(self) -> tuple[Contents, list[Chunk], int]:
-        """Return the contents and chunks according to the summary, and its offset.
+        """Return the contents and chunks according to the summary, and the offset of the summary.
 
-        There are no contents and chunks if it is missing, or if its records contradict each other.
+        If the summary is missing, or its records contradict each other, there are no contents and
+        chunks, and the offset is the size of the file.
         """
         unusable: tuple[Contents, list[Chunk], int] = (Contents(), [], self._size)
         footer = self._read(max(0, self._size - FOOTER_BYTES), FOOTER_BYTES)
@@ -273,7 +279,7 @@ class McapStorage:
     def _scan(self, at: int, stop: int) -> int:
         """Read the records from offset ``at`` on, and return the offset of the first unread byte.
 
-        Reading ends at ``stop``, or at the first record that extends beyond it.
+        Reading ends at the offset ``stop``, or at the first record that extends beyond ``stop``.
         """
         skipped = 0
         while at + RECORD_HEAD.size <= stop:
@@ -308,9 +314,10 @@ class McapStorage:
         return at
 
     def _add_loose(self, head: bytes, offset: int, end: int) -> None:
-        """Add the message record at ``offset``, which is outside chunks, to the list of chunks.
+        """Add a message record outside chunks to the list of chunks.
 
-        ``head`` is the beginning of its content. Adjacent messages form one chunk.
+        ``head`` is the start of its content, ``offset`` and ``end`` are its first byte and the byte
+        after it. Adjacent messages form one chunk.
         """
         channel, _, log_time, _ = MESSAGE_HEAD.unpack(head)
         self._indexed[channel] += 1
@@ -341,8 +348,8 @@ def _text(data: bytes, at: int) -> tuple[str, int]:
 def open_storage(path: Path, shown: Path) -> Iterator[McapStorage]:
     """Open an mcap file for reading.
 
-    Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
-    when it is of another format or damaged.
+    Error messages name the file ``shown``, because ``path`` may be a decompressed copy. Raises
+    AllanError when the file is of another format or damaged.
     """
     with translated(shown, DAMAGE, REMEDY):
         file = open_regular(path)
@@ -356,9 +363,9 @@ def open_storage(path: Path, shown: Path) -> Iterator[McapStorage]:
 
 
 def records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, offset and end offset of the content of each record in the data.
+    """Yield the opcode of each record in the data, and the start and end offset of its content.
 
-    Raises struct.error when a record extends beyond the end.
+    Raises struct.error when a record extends beyond the end of the data.
     """
     at, size, unpack, head_bytes = 0, len(data), RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while at + head_bytes <= size:
@@ -371,10 +378,10 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def equal_messages(data: bytes, start: int, end: int) -> NDArray[np.void] | None:
-    """Return all message records from ``data[start:end]`` on, (n,), without copying them.
+    """Return all message records from a first one on, (n,), without copying them.
 
-    ``start`` and ``end`` are the offsets of the content of the first one. Returns None if they have
-    different lengths, or other records follow.
+    The content of the first record is ``data[start:end]``. Returns None if a record until the end
+    of the data is not a message record, or has another length.
     """
     first, length = start - RECORD_HEAD.size, end - start
     count, rest = divmod(len(data) - first, RECORD_HEAD.size + length)
@@ -402,10 +409,21 @@ def _of_channels(found: NDArray[np.void], ids: set[int]) -> Messages:
 def sorted_until(
     until: int | None, pending: Messages, chunk: Messages
 ) -> tuple[Messages, Messages]:
-    """Sort messages by record time; return the messages before ``until``, and the others.
+    """Sort messages by record time; return the messages before ``until``, and the later messages.
 
-    ``pending`` are the other messages of earlier chunks, ``until`` is the start of the next chunk
-    in ns, or None after the last chunk. Raises ValueError when more than `MAX_SORT_BYTES` remain.
+    Parameters
+    ----------
+    until : int or None
+        First record time of the next chunk in ns; None after the last chunk.
+    pending : Messages
+        The later messages that the previous call returned.
+    chunk : Messages
+        The messages of the present chunk.
+
+    Raises
+    ------
+    ValueError
+        When the later messages have more than `MAX_SORT_BYTES`.
     """
     times = chunk.record_ns
     complete = until is None or not len(times) or times[-1] < until

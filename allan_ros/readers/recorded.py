@@ -35,16 +35,16 @@ from . import open_recordings
 from .recording import ReadOptions, Recording, SourceInfo
 
 EARLIEST_S = 978_307_200
-"""2001-01-01 in Unix time; smaller stamps count from the start of a machine or a simulation."""
+"""2001-01-01 in s since 1970. Smaller stamps count from the start of a machine or a simulation."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """The origin of sums, stored with them in `sums.json` and `results.json`.
+    """The origin of Allan sums, stored with the sums in `sums.json` and `results.json`.
 
     Segments are in the order of time. Findings come from the reader and the stream. Settings are
-    plain values. ``last_stamp_ns`` is the latest stamp in the sums of a node. With simulated
-    time, earlier samples are not counted again.
+    plain values. ``last_stamp_ns`` is the latest stamp in the sums of a node. If simulated time
+    jumps back, the node does not count samples with earlier stamps again.
     """
 
     sources: tuple[SourceInfo, ...] = ()
@@ -55,7 +55,10 @@ class Provenance:
     last_stamp_ns: int | None = None
 
     def __add__(self, other: Provenance) -> Provenance:
-        """Return the combined provenance without repeated findings; settings are of ``self``."""
+        """Return the combined provenance, with the settings of ``self``.
+
+        A finding that both have occurs only once.
+        """
         counts = deepcopy(self.counts)
         counts.add(other.counts)
         stamps = [t for t in (self.last_stamp_ns, other.last_stamp_ns) if t is not None]
@@ -75,15 +78,15 @@ class Provenance:
         return datetime.fromtimestamp(start_s, timezone.utc) if start_s >= EARLIEST_S else None
 
     def with_accel(self, accel: Provenance) -> Provenance:
-        """Return the combined provenance of two topics; the segments are from the gyro."""
+        """Return the combined provenance of two topics, with the segments of the gyro."""
         return replace(self + accel, segments=self.segments)
 
 
 @dataclass(frozen=True)
 class RecordingSums:
-    """The sums of one or more recordings of one IMU, with the data for a report.
+    """The Allan sums of one or more recordings of one IMU, with the data for a report.
 
-    ``signals`` and ``events`` are empty unless they were requested.
+    ``signals`` and ``events`` are empty unless the `ReadJob` requested them.
     """
 
     name: str  # path of the first recording
@@ -95,9 +98,9 @@ class RecordingSums:
     drives: Drives = NO_DRIVES  # between two rests
 
     def __add__(self, other: RecordingSums) -> RecordingSums:
-        """Return the sums of both recordings.
+        """Return the Allan sums of both recordings together.
 
-        Raises AllanError when the recordings are of different IMUs, or share samples.
+        Raises AllanError when the recordings are of different IMUs, or have samples in common.
         """
         try:
             sums = add_sums(self.sums, other.sums)
@@ -119,9 +122,10 @@ class RecordingSums:
         )
 
     def temperature_readings(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the times in ns and values in degC of all temperature readings, sorted.
+        """Return the times in ns, (n,), and values in degC, (n,), of all temperature readings.
 
-        The times are header stamps, or record times if those are not on the clock of the samples.
+        The readings are sorted by time. The times are header stamps if at least two of these lie
+        between the first and the last sample. Otherwise they are record times.
         """
         used = self.provenance.segments
         begin = min((s.start_ns for s in used), default=0)
@@ -147,9 +151,9 @@ class RecordingSums:
 
 @dataclass(frozen=True)
 class ReadJob:
-    """The path and the settings to read one recording; it can be sent to another process.
+    """The path of a recording and the settings for reading it, which another process can use.
 
-    ``with_context`` requests the data for a report: signal and events.
+    ``with_context`` requests the data for a report: signals and events.
     """
 
     path: str
@@ -176,10 +180,21 @@ def read_recording(
     recording: Recording | None = None,
     advance: Callable[[int], None] = lambda samples: None,
 ) -> RecordingSums:
-    """Return the sums of one recording, which is read once from start to end.
+    """Return the Allan sums of one recording, which is read once from start to end.
 
-    ``recording`` is the open recording of the job, by default ``job.open()``. ``advance`` is called
-    with the number of samples of each batch. Raises AllanError when there is no static data.
+    Parameters
+    ----------
+    job : ReadJob
+        Path and settings.
+    recording : Recording, optional
+        The open recording of the job; by default ``job.open()``.
+    advance : callable
+        Called with the number of samples of each batch.
+
+    Raises
+    ------
+    AllanError
+        When the recording cannot be read, or contains no static data.
     """
     recording = job.open() if recording is None else recording
     recorded = _read_topic(job, recording, advance)
@@ -227,7 +242,15 @@ def _read_topic(
 def with_accel(
     gyro: Sequence[AllanSums], accel: Sequence[AllanSums], identity: ImuIdentity
 ) -> tuple[AllanSums, ...]:
-    """Return the sums of two topics of one IMU; ``accel`` gets the identity of ``gyro``."""
+    """Return the Allan sums of two topics of one IMU, all with the same identity.
+
+    Parameters
+    ----------
+    gyro, accel : sequence of AllanSums
+        The sums of both topics.
+    identity : ImuIdentity
+        Identity of the gyro, which the sums of the accelerometer get, too.
+    """
     return (*gyro, *(replace(sums, identity=identity) for sums in accel))
 
 
@@ -270,7 +293,10 @@ def _no_data(job: ReadJob, topic: str, counts: Counts, findings: Sequence[Findin
 
 
 def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
-    """Return whether ``a`` and ``b`` have a segment with equal block means: noise never repeats."""
+    """Return whether ``a`` and ``b`` have a segment in common.
+
+    Two segments with equal block means have the same samples, because noise never repeats.
+    """
     return any(
         (one.samples, one.start_ns) == (other.samples, other.start_ns)
         and np.array_equal(x.reference, y.reference)
@@ -281,18 +307,18 @@ def _share_a_segment(a: AllanSums, b: AllanSums) -> bool:
 
 
 class Observer(Protocol):
-    """Receives the progress of reading recordings."""
+    """Base class for objects that show the progress of reading recordings."""
 
     def progress(self, label: str, total: int | None) -> AbstractContextManager[Any]:
         """Return a context manager that yields an object with the method ``advance(samples)``.
 
-        ``label`` describes the input, ``total`` is its number of samples, or None if unknown.
+        ``label`` describes the input, and ``total`` is its number of samples; None if unknown.
         """
         return contextlib.nullcontext(self)
 
 
 class Silent(Observer):
-    """An `Observer` that does nothing."""
+    """An `Observer` that shows nothing."""
 
     def advance(self, samples: int) -> None: ...
 
@@ -301,8 +327,8 @@ class Silent(Observer):
 
 
 def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iterator[RecordingSums]:
-    """Read the recordings one after the other, in this process."""
-    # All are opened before the first is read, so that a wrong name is reported at once.
+    """Read recordings one after the other in this process, and yield their Allan sums."""
+    # All recordings are opened before the first is read, so that a wrong path is reported at once.
     recordings: list[Recording] = []
     for job in jobs:
         recordings.append(job.open())
@@ -317,12 +343,15 @@ def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iter
 def read_in_processes(
     jobs: Sequence[ReadJob], processes: int, observer: Observer = Silent()
 ) -> Iterator[RecordingSums]:
-    """Read the recordings in several processes at a time; yield their sums in the given order."""
+    """Read recordings in several processes; yield their Allan sums in the order of ``jobs``.
+
+    Raises AllanError when a recording cannot be read, or when a process dies.
+    """
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
     from multiprocessing import active_children, get_context
 
-    # not a fork, which would copy the locks of numpy's threads without the threads
+    # 'spawn', because a fork would copy the locks of numpy's threads without the threads
     workers = min(processes, len(jobs))
     pool = ProcessPoolExecutor(workers, mp_context=get_context('spawn'))
     try:
@@ -347,7 +376,7 @@ def read_in_processes(
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT, also in all processes that are started within the context."""
+    """Block SIGINT in this process, and in all processes that are started within the context."""
     if not hasattr(signal, 'pthread_sigmask'):  # not on Windows
         yield
         return
@@ -359,16 +388,19 @@ def _interrupts_blocked() -> Iterator[None]:
 
 
 def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
-    """Return the sums of all recordings of one IMU, added in the order of their first samples.
+    """Return the Allan sums of all recordings of one IMU, added in the order of their start.
 
-    A recording of the gyro and one of the accelerometer, as apps on a phone write them, are the two
-    sensors of one IMU if they were made at the same time.
+    Phone apps write one recording for each sensor. A recording of the gyro and a recording of the
+    accelerometer that were made at the same time are joined as the two sensors of one IMU.
     """
     return reduce(add, _with_both_sensors(sorted(recordings, key=_start_ns)))
 
 
 def _with_both_sensors(recordings: Sequence[RecordingSums]) -> Sequence[RecordingSums]:
-    """Unite the recordings of single sensors in pairs, unless they do not belong together."""
+    """Join each recording of a gyro with the recording of an accelerometer of the same time.
+
+    Unless all recordings form such pairs, they are returned unchanged.
+    """
     sensors = [{sensor_of(axis) for s in r.sums for axis in s.axes} for r in recordings]
     gyros, accels = (
         [r for r, present in zip(recordings, sensors) if present == {sensor}] for sensor in SENSORS
@@ -382,18 +414,19 @@ def _with_both_sensors(recordings: Sequence[RecordingSums]) -> Sequence[Recordin
 
 
 def _overlap(one: RecordingSums, other: RecordingSums) -> bool:
-    """Return whether two recordings have most of their time in common."""
-    spans = []
+    """Return whether two recordings have more than `MIN_OVERLAP` of the longer one in common."""
+    ranges = []
     for each in (one, other):
         times = [(s.start_ns * 1e-9, s.duration_s) for s in each.provenance.segments]
         begin = min((start for start, _ in times), default=0.0)
-        spans.append((begin, max((start + length for start, length in times), default=begin)))
-    (a, b), (c, d) = spans
-    return min(b, d) - max(a, c) > MOSTLY * max(b - a, d - c)
+        ranges.append((begin, max((start + length for start, length in times), default=begin)))
+    (a, b), (c, d) = ranges
+    return min(b, d) - max(a, c) > MIN_OVERLAP * max(b - a, d - c)
 
 
-MOSTLY = 0.5
-"""Share of the longer one of two recordings that both have in common if they were made together."""
+MIN_OVERLAP = 0.5
+"""Share of the longer of two recordings that must overlap the other recording, so that both are
+taken as made at the same time."""
 
 
 def _start_ns(recorded: RecordingSums) -> tuple[int, int]:

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from ..core.stream.signal import TemperatureTrace
 
 BATCH = 32768
-"""Number of samples per batch: few enough to fit into the processor cache, and enough to make the
-cost per batch negligible."""
+"""Number of samples per batch: few enough for the processor cache, and so many that the time per
+batch is negligible."""
 
 METADATA = 'metadata.yaml'
 
@@ -40,7 +40,8 @@ MAX_CHUNK_BYTES = 128 * 2**20
 """Largest size in bytes of a chunk or record, compressed or not; recorders write about 1 MB."""
 
 MAX_FILE_RATIO = 250
-"""Largest expansion of a compressed bag file; `MAX_CHUNK_BYTES` more are always allowed."""
+"""Largest permitted ratio of the decompressed size to the size of a file, without
+`MAX_CHUNK_BYTES`, which are always permitted in addition."""
 
 Report = Callable[[Finding], None]
 """Function that a reader calls with each finding."""
@@ -97,7 +98,7 @@ class ReadOptions(CheckedSettings):
     )
 
     def in_si(self, batch: ImuBatch) -> ImuBatch:
-        """Convert samples from the units of the options to SI."""
+        """Return a batch whose samples are converted from the units of the options to SI."""
         known = self.with_units()
         counts = np.repeat([self.gyro_counts, self.accel_counts], 3)
         factors = sample_factors(known.gyro_unit, known.accel_unit) / counts
@@ -106,9 +107,9 @@ class ReadOptions(CheckedSettings):
         return replace(batch, samples=batch.samples * factors)
 
     def with_units(self, found: Mapping[str, str] = {}) -> ReadOptions:
-        """Return the options with the unit of each sensor filled in.
+        """Return the options with a unit for each sensor.
 
-        The unit is that in ``found`` (sensor -> unit), else that in the options, else SI.
+        The unit is taken from ``found`` (sensor -> unit), else from the options. The default is SI.
         """
         gyro = found.get('gyro') or self.gyro_unit or SAMPLE_SI['gyro']
         accel = found.get('accel') or self.accel_unit or SAMPLE_SI['accel']
@@ -117,7 +118,7 @@ class ReadOptions(CheckedSettings):
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """Source of samples: path as given, topic ('' if none), message type and storage format."""
+    """Source of samples: path, topic ('' if there is none), message type and storage format."""
 
     path: str
     topic: str
@@ -125,12 +126,12 @@ class SourceInfo:
     storage: str
 
     def __post_init__(self) -> None:
-        # a name of a file may contain bytes that cannot be written as text
+        # a file name may contain bytes that cannot be written as text
         object.__setattr__(self, 'path', one_line(self.path))
 
 
 def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
-    """Yield the samples in batches of at most `BATCH` samples, which are views."""
+    """Yield views of the samples, in batches of at most `BATCH` samples."""
     for first in range(0, len(whole), BATCH):
         yield whole[first : first + BATCH]
 
@@ -139,13 +140,29 @@ def in_batches(whole: ImuBatch) -> Iterator[ImuBatch]:
 class Recording:
     """A recording of an IMU, which can be read any number of times.
 
-    ``messages`` is the number of samples according to the recording; None if it is not known.
-    ``read`` yields the samples and reports findings. ``temperature`` returns the temperature for a
-    frame_id, once the samples are read; None if it is not recorded. ``options`` hold the units that
-    were found or assumed. ``axes`` are the axes that the recording can contain. ``close`` closes
-    its file until it is read again. ``accel`` is the recording of the accelerometer if it has its
-    own topic; else None. ``other_topics`` are Imu topics of the bag that are not read, the most
-    similar name first. ``findings`` are complete when all samples are read.
+    Attributes
+    ----------
+    info : SourceInfo
+        Where the samples come from.
+    messages : int or None
+        Number of samples that the recording states; None if it states none.
+    read : callable
+        Yields the samples in batches, and calls its argument with each finding.
+    temperature : callable
+        Returns the temperature of the IMU with a frame_id, after the samples have been read; None
+        if it is not recorded.
+    options : ReadOptions
+        The options, with the units that were found or assumed.
+    axes : tuple of str
+        Axes that the recording can contain.
+    close : callable
+        Closes the file; the next reading opens it again.
+    accel : Recording or None
+        Recording of the accelerometer if this sensor has its own topic.
+    other_topics : sequence of str
+        Imu topics of the bag that are not read, the most similar name first.
+    findings : tuple of Finding
+        Findings of the reader, complete after all samples have been read.
     """
 
     info: SourceInfo
@@ -175,7 +192,7 @@ class Recording:
 
     @property
     def sensor(self) -> str:
-        """The sensor that the recording can contain; '' for both."""
+        """The only sensor that the recording can contain, 'gyro' or 'accel'; '' for both."""
         first, *others = dict.fromkeys(map(sensor_of, self.axes))
         return '' if others else first
 
@@ -191,7 +208,7 @@ def damaged(path: Path, reason: object, remedy: str) -> AllanError:
 
 @contextmanager
 def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
-    """Context manager that converts the given exceptions to AllanError for a damaged file."""
+    """Convert the given exceptions in the block to the AllanError for a damaged file."""
     try:
         yield
     except AllanError:
@@ -201,12 +218,12 @@ def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> 
 
 
 def optional_package(module: str, purpose: str) -> Any:
-    """Import and return a module; if missing, raise AllanError with the command to install it."""
+    """Import and return a module; if it is missing, raise AllanError with the install command."""
     try:
         return import_module(module)
     except ImportError:
         package = module.split('.')[0]
-        # Ubuntu blocks pip (PEP 668)
+        # Ubuntu does not let pip install into the system (PEP 668)
         by_apt = f' or "apt install python3-{package}"' if package in ('lz4', 'zstandard') else ''
         raise AllanError(
             f'{purpose} needs the Python package {package!r}: "pip install {package}"{by_apt}'

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the samples of an Imu topic, and the temperature of the IMU, from a bag.
+"""Read the samples of an Imu topic, and the temperature of the IMU, from a bag.
 
 The Imu topic is selected by its type. Messages are decoded in blocks, so the memory does not depend
 on the size of the bag.
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from .bag import Storage
 
 ENCODINGS = ('cdr', 'ros1')
-"""Supported serializations."""
+"""Serializations of messages that can be read."""
 
 Key = tuple[str, str]
 """Topic name and type, which identify a topic in all files of a bag."""
@@ -56,14 +56,14 @@ Key = tuple[str, str]
 
 @dataclass
 class Survey:
-    """The topics of all files of a bag, and their numbers of messages."""
+    """The topics of all files of a bag, and the number of messages of each topic."""
 
     topics: dict[Key, Topic] = field(default_factory=dict)
     counts: Counter[Key] = field(default_factory=Counter)
     truncation: Truncation | None = None  # of the first truncated file
 
     def listed(self, keys: Iterable[Key]) -> str:
-        """Return name, type and number of messages of these topics, as text."""
+        """Return the name, type and number of messages of each of these topics, as text."""
         shown = []
         for key in keys:
             encoding = self.topics[key].encoding
@@ -72,20 +72,21 @@ class Survey:
         return listed(shown)
 
     def imus(self) -> list[Key]:
-        """Return the Imu topics with messages; all Imu topics if none has messages."""
+        """Return the Imu topics that have messages, or all Imu topics if none has messages."""
         imus = [key for key in self.topics if key[1] == IMU_TYPE]
         return [key for key in imus if self.counts[key]] or imus
 
 
 MAX_TOPICS = 100
-"""Number of Imu topics of a bag above which one must be selected: each is read separately."""
+"""Largest number of Imu topics of a bag that are all analyzed. Each topic is read separately, so
+the user must select one of a larger number."""
 
 
 def imu_topics(path: Path) -> list[str]:
     """Return the Imu topics of a bag, as `ReadOptions.topic` accepts them.
 
-    Topics without messages are only listed if no Imu topic has messages. The list is empty if there
-    are more than `MAX_TOPICS`.
+    Topics without messages are included only if no Imu topic has messages. The list is empty if the
+    bag has more than `MAX_TOPICS` Imu topics. Raises AllanError when the bag cannot be read.
     """
     bag = bag_of(path)
     found: dict[Key, None] = {}
@@ -99,10 +100,10 @@ def imu_topics(path: Path) -> list[str]:
 
 
 def survey_bag(bag: Bag) -> Survey:
-    """Return the topics of a bag, which metadata.yaml states.
+    """Return the topics of a bag and their numbers of messages.
 
-    Without metadata.yaml, or if it states no Imu message, which may be wrong, the messages in all
-    files are counted.
+    They are taken from metadata.yaml. If this file is missing, or states no Imu message, which may
+    be wrong, the messages in all files are counted.
     """
     described = bag.described or {}
     survey = Survey(
@@ -126,10 +127,24 @@ def survey_bag(bag: Bag) -> Survey:
 
 
 def chosen_topic(path: Path, survey: Survey, wanted: str, accel_topic: str = '') -> Topic:
-    """Return the Imu topic with the name ``wanted``, or the only Imu topic if it is ''.
+    """Return the Imu topic with the name ``wanted``, or the only Imu topic if ``wanted`` is ''.
 
-    ``accel_topic`` contains only the accelerometer; it is chosen only if it is ``wanted``.
-    Raises AllanError when there is no such topic, there are several, or it cannot be decoded.
+    Parameters
+    ----------
+    path : Path
+        The bag, for messages.
+    survey : Survey
+        The topics of the bag.
+    wanted : str
+        Name of a topic, with or without a leading slash; '' for the only Imu topic.
+    accel_topic : str
+        Topic with only the accelerometer, which is returned only if it is ``wanted``.
+
+    Raises
+    ------
+    AllanError
+        When there is no such topic, when there are several, or when the messages of the topic are
+        missing or cannot be decoded.
     """
     imus = [key for key in survey.imus() if key[0].lstrip('/') != accel_topic.lstrip('/')]
     candidates = [_named(path, survey, wanted)] if wanted else imus
@@ -222,19 +237,19 @@ def open_bag(path: Path, options: ReadOptions) -> Recording:
 
 @dataclass
 class _Reader:
-    """Reads the Imu of one topic, and messages of its possible temperature topics beside it."""
+    """Reads the messages of one Imu topic, and of the topics that may contain its temperature."""
 
     bag: Bag
     topic: Topic
     options: ReadOptions
     thermometers: list[Topic]
-    # record time in ns and serialized bytes, of each topic
+    # for each thermometer, record time in ns and bytes of a part of its messages
     _temperatures: list[Decimated[tuple[int, bytes]]] = field(default_factory=list)
-    # sensor -> number of messages that wrongly declare it absent
+    # sensor -> number of messages that wrongly declare the sensor absent
     _kept: Counter[str] = field(default_factory=Counter)
 
     def read(self, report: Report) -> Iterator[ImuBatch]:
-        """Yield the samples of all files, in order."""
+        """Yield the samples of all files in order, in SI; call ``report`` with each finding."""
         self._temperatures = [Decimated() for _ in self.thermometers]
         self._kept.clear()
         bag, key, total = self.bag, (self.topic.name, self.topic.type), 0
@@ -269,7 +284,7 @@ class _Reader:
             yield block if len(rows) == len(block) else block.chosen(rows)
 
     def _decoded(self, file: Path, blocks: Iterable[Messages]) -> Iterator[ImuBatch]:
-        done = 0  # number of messages of this file
+        done = 0  # number of messages of this file that were decoded before the block
         for block in blocks:
             try:
                 imus = decode_imus(_decompressed(block.payloads), _encoding(self.topic))
@@ -283,9 +298,9 @@ class _Reader:
             done += len(block)
 
     def temperature(self, frame_id: str) -> TemperatureTrace | None:
-        """Return the temperature of the IMU; None if no topic, or more than one, can contain it.
+        """Return the temperature of the IMU over time; None if its topic cannot be determined.
 
-        If there are several topics, the one with the ``frame_id`` of the IMU is used.
+        If there are several Temperature topics, the topic with the ``frame_id`` of the IMU is used.
         """
         found = [
             (topic, [t for message in kept if (t := _temperature(topic, *message))])
@@ -346,13 +361,14 @@ def _decompressed(payloads: Payloads) -> Payloads:
 TEMPERATURE_TYPE = 'sensor_msgs/msg/Temperature'
 
 MAX_THERMOMETERS = 16
-"""Number of equally near Temperature topics above which none can be assigned to the Imu."""
+"""Largest number of Temperature topics whose names are equally similar to the Imu topic. With more
+topics, no temperature is read."""
 
 
 def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
     """Return the Temperature topics that have the longest common namespace with the Imu topic.
 
-    The list is empty if they are more than `MAX_THERMOMETERS`.
+    The list is empty if there are more than `MAX_THERMOMETERS` such topics.
     """
     found = [topic for topic in topics if topic.type == TEMPERATURE_TYPE]
     most = max((_shared(topic.name, imu_topic) for topic in found), default=0)
@@ -361,7 +377,7 @@ def _thermometers(topics: Sequence[Topic], imu_topic: str) -> list[Topic]:
 
 
 def _shared(name: str, other: str) -> int:
-    """Return the number of leading words of two topic names that are equal."""
+    """Return how many parts at the start of two topic names are equal; '/' separates the parts."""
     pairs = list(zip(name.strip('/').split('/'), other.strip('/').split('/')))
     equal = [a == b for a, b in pairs]
     return equal.index(False) if False in equal else len(equal)
@@ -370,7 +386,10 @@ def _shared(name: str, other: str) -> int:
 def _temperature(
     topic: Topic, record_ns: int, payload: bytes
 ) -> tuple[tuple[int, int, float], str] | None:
-    """Return (header stamp in ns, record time in ns, degC) and frame_id; None if damaged."""
+    """Return (header stamp in ns, record time in ns, degC) and the frame_id of a message.
+
+    Returns None if the message is damaged.
+    """
     with suppress(MalformedMessage, ValueError):
         plain = decompress(payload, frame_compression(payload), MAX_MESSAGE_BYTES)
         header_ns, frame_id, celsius = decode_temperature(plain, _encoding(topic))

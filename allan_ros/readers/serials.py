@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serial numbers of the units of a batch: from file names, tables, or the metadata of bags."""
+"""Find the serial numbers of IMUs in file names, in tables, or in the metadata of bags."""
 
 from __future__ import annotations
 
@@ -16,21 +16,26 @@ from .files import open_regular, read_yaml
 from .recording import METADATA
 
 LONGEST_LINE = 100_000
-"""Longest line of a table in characters."""
+"""Largest number of bytes that are read of a line of a table."""
 
 RULES = 'name:PATTERN, column:NAME or metadata:KEY'
 
 
 class SerialRule:
-    """Where the serial number of a unit is stated.
+    """A rule that states where the serial number of an IMU is found.
 
     Parameters
     ----------
     text : str
         ``name:PATTERN`` for the part of the file name that matches the first group of a regular
-        expression, or the complete expression; ``column:NAME`` for the first value in a column of a
-        table, or an array of an ``.npz`` file; ``metadata:KEY`` for the custom data of a rosbag2.
-        Raises AllanError if it is none of these.
+        expression, or the complete expression if it has no group; ``column:NAME`` for the first
+        value in a column of a table, or in an array of an ``.npz`` file; ``metadata:KEY`` for the
+        custom data in the metadata of a rosbag2.
+
+    Raises
+    ------
+    AllanError
+        When ``text`` is none of these, or PATTERN is not a regular expression.
 
     Examples
     --------
@@ -51,9 +56,9 @@ class SerialRule:
                 ) from error
 
     def serial_of(self, path: str) -> str:
-        """Return the serial number of the unit whose recording is at a path.
+        """Return the serial number of the IMU whose recording is at ``path``.
 
-        Raises AllanError if it is not stated there, or the file cannot be read.
+        Raises AllanError if there is no serial number, or if the file cannot be read.
         """
         place = Path(path)
         if self._kind == 'name':
@@ -77,7 +82,10 @@ class SerialRule:
 
 
 def _custom_data(place: Path) -> Mapping[str, Any]:
-    """Return the custom data in the metadata of a rosbag2; empty if there are none."""
+    """Return the custom data in the metadata of a rosbag2; empty if it has none.
+
+    Raises AllanError if there is no metadata.yaml.
+    """
     folder = place if place.is_dir() else place.parent
     file = folder / METADATA
     if not file.is_file():
@@ -89,7 +97,7 @@ def _custom_data(place: Path) -> Mapping[str, Any]:
 
 
 def _first_value(place: Path, name: str) -> object:
-    """Return the first value in a column of a table, or of an array; None if there is none."""
+    """Return the first value in a column of a table or in an array; None if there is no value."""
     if place.suffix.lower() == '.npz':
         from .arrays import array_in
 

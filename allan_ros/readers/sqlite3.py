@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a bag file of rosbag2 in SQLite format (.db3), in all versions of its schema."""
+"""Read a bag file of rosbag2 in SQLite format (.db3), in all versions of its schema."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .files import open_regular
 from .recording import damaged, translated
 
 FETCHED_ROWS = 512
-"""Number of rows that are fetched from SQLite at a time: few enough for the processor cache."""
+"""Number of rows that are fetched from SQLite at a time, few enough for the processor cache."""
 
 BLOCK_ROWS = 4 * FETCHED_ROWS
 """Number of messages that are decoded together."""
 
 _LIBRARY_ERRORS = (sqlite3.Error, OSError, OverflowError, ValueError, TypeError, AttributeError)
-"""Exceptions when a database is damaged: of SQLite, or because a value has another type."""
+"""Exceptions that a damaged database can cause, for example because a value has another type."""
 
 REMEDY = 'copy it again, or repair it with "sqlite3 FILE .recover"'
 
@@ -35,7 +35,10 @@ class Sqlite3Storage:
     """An open .db3 file; error messages name it ``path``."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection, size: int | None) -> None:
-        """Use a connection to a database of ``size`` bytes; None if some of it is in a log."""
+        """Use a connection to a database file of ``size`` bytes.
+
+        ``size`` is None if a write-ahead log contains a part of the database.
+        """
         self._path = path
         self._connection = connection
         self.truncation: Truncation | None = None
@@ -46,7 +49,7 @@ class Sqlite3Storage:
             self.truncation = Truncation(size, pages * page_bytes)
 
     def _read_topics(self) -> list[Topic]:
-        # otherwise a view instead of a table could run an endless computation
+        # otherwise a view in place of a table could run an endless computation
         self._query('PRAGMA trusted_schema = OFF')
         tables = {n for (n,) in self._query("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if missing := {'topics', 'messages'} - tables:
@@ -62,7 +65,7 @@ class Sqlite3Storage:
         ]
 
     def counts(self) -> dict[int, int]:
-        """Return topic id -> number of messages; this reads the complete table once."""
+        """Return topic id -> number of messages; the first call reads the complete table."""
         if self._counts is None:
             with translated(self._path, _LIBRARY_ERRORS, REMEDY):
                 self._counts = dict(
@@ -73,13 +76,14 @@ class Sqlite3Storage:
     def stated(self, ids: set[int], read: int) -> int:
         """Return the number of messages of these topics in the table.
 
-        They are read by the index on the times, from which damage can remove rows.
+        `blocks` finds the messages by the index on the record times, which can lack rows of the
+        table if the file is damaged. ``read``, the number of messages that were read, is not used.
         """
         return sum(self.counts().get(number, 0) for number in ids)
 
     def blocks(self, ids: set[int]) -> Iterator[Messages]:
-        """Yield the next messages of these topics, in the order of record time."""
-        # the ids are selected only if they differ: a column costs a tenth of the time
+        """Yield all messages of these topics in blocks, in the order of record time."""
+        # the ids are selected only if there are several: a further column takes a tenth more time
         columns = 'timestamp, data' + ', topic_id' * (len(ids) > 1)
         with translated(self._path, _LIBRARY_ERRORS, REMEDY):
             rows = self._query(
@@ -113,8 +117,8 @@ def _listed(ids: set[int]) -> str:
 def open_storage(path: Path, shown: Path) -> Iterator[Sqlite3Storage]:
     """Open a .db3 file for reading; no file is created next to it.
 
-    Error messages name it ``shown``, because ``path`` may be a decompressed copy. Raises AllanError
-    when it is not a rosbag2 database, or is damaged.
+    Error messages name the file ``shown``, because ``path`` may be a decompressed copy. Raises
+    AllanError when the file is not a rosbag2 database, or is damaged.
     """
     # If the recorder was killed, a write-ahead log contains the last messages. Without a log, the
     # file is opened as immutable, which also works on read-only media.

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads tables of samples: CSV, TSV, and columns separated by spaces.
+"""Read tables of samples: CSV, TSV, and columns separated by spaces.
 
 `write_recording` writes tables without loss of precision, with stamps in ns, samples in SI, and
 the frame_id in a comment::
@@ -52,7 +52,7 @@ COMMENT_MARK, FRAME_COMMENT = '#', '# frame_id:'
 INT64 = np.iinfo(np.int64)
 
 MAX_LINE = 1 << 20
-"""Longest line of a table, in characters."""
+"""Largest number of characters in a line of a table."""
 
 QUOTED = re.compile('"[^"]*"')
 
@@ -64,12 +64,13 @@ WHOLE_DATE = re.compile(
     r'(?::(?P<second>\d\d)(?:\.(?P<part>\d*))?)?'
     r'\s*(?:Z|UTC|GMT|(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d)?)?\s*'
 )
-"""A date with a time and perhaps a time zone."""
+"""A date with a time (ISO 8601), with or without a time zone."""
 
 TOPIC_NAMES = ('sec', 'nanosec', LEFT_OUT, *[LEFT_OUT] * 13, 'angular_velocity_x')
 TOPIC_NAMES += ('angular_velocity_y', 'angular_velocity_z', *[LEFT_OUT] * 9)
 TOPIC_NAMES += tuple(f'linear_acceleration_{axis}' for axis in 'xyz') + (LEFT_OUT,) * 9
-"""Columns of ``ros2 topic echo --csv``, which writes no header. The third is the frame_id."""
+"""Names of the columns that ``ros2 topic echo --csv`` writes without a header. The third column is
+the frame_id."""
 
 
 def open_table(path: Path, options: ReadOptions) -> Recording:
@@ -86,7 +87,7 @@ def open_table(path: Path, options: ReadOptions) -> Recording:
 
 @dataclass
 class _Table:
-    """A table: its layout, and the temperatures of the rows that were read."""
+    """A table of samples: its layout, and the temperatures of the rows that were read."""
 
     path: Path
     delimiter: str  # ',', ';' or tab; '' for white space
@@ -98,7 +99,7 @@ class _Table:
     _kept: Decimated[tuple[int, float]] = field(default_factory=Decimated)
 
     def read(self, report: Report) -> Iterator[ImuBatch]:
-        """Yield the samples in order."""
+        """Yield the samples in order, in SI; call ``report`` with each finding."""
         self._kept = Decimated()
         for sensor, name in self.columns.assumed.items():
             unit = SAMPLE_SI[sensor]
@@ -121,7 +122,7 @@ class _Table:
                 yield batch
 
     def temperature(self, frame_id: str = '') -> TemperatureTrace | None:
-        """Return the temperature over time; None if the table has no such column."""
+        """Return the temperature over time; None if the table has no column of temperatures."""
         if self.columns.temperature is None:
             return None
         column, _ = self.columns.temperature
@@ -204,10 +205,25 @@ def _layout(path: Path, file: TextIO, options: ReadOptions) -> _Table:
 def _names(
     path: Path, first: tuple[str, ...], above: list[str], number: int, columns: tuple[str, ...]
 ) -> tuple[tuple[str, ...], int]:
-    """Return the names of the columns, and the number of the line that contains them or 0.
+    """Return the names of the columns, and the number of the header line; 0 without a header.
 
-    ``first`` are the cells of the first line, which is line ``number``, and ``above`` the cells of
-    the last comment before it. ``columns`` are the names in the options.
+    Parameters
+    ----------
+    path : Path
+        Path of the table.
+    first : tuple of str
+        Cells of the first line that is not a comment.
+    above : list of str
+        Cells of the last comment before this line.
+    number : int
+        Number of this line in the file.
+    columns : tuple of str
+        Names in the options.
+
+    Raises
+    ------
+    AllanError
+        When the names are unknown, or do not match the columns.
     """
     given = tuple(name.strip() for name in columns)
     picked = bool(given) and all('=' in name for name in given)
@@ -235,7 +251,7 @@ def _names(
 
 
 def _number(cell: str) -> float:
-    """Convert a cell to a number; a quoted one may have a decimal comma."""
+    """Convert a cell to a number; a quoted cell may contain a decimal comma."""
     return float(cell.replace(',', '.'))
 
 
@@ -271,8 +287,8 @@ def _bounded_lines(path: Path, file: TextIO) -> Iterator[str]:
 def _split(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
     """Yield the cells of each row; a quoted cell may contain line breaks and delimiters.
 
-    Without a delimiter, cells are separated by white space. A comma that is no delimiter is a
-    decimal mark. Raises csv.Error when a quote is not closed, or a cell is longer than 128 kB.
+    If ``delimiter`` is '', cells are separated by white space. A comma that is not the delimiter is
+    a decimal mark. Raises csv.Error when a quote is not closed, or a cell is longer than 128 kB.
     """
     if delimiter != ',':
         lines = (line.replace(',', '.') for line in lines)
@@ -285,7 +301,7 @@ class _Lines:
     """Iterates over the lines of a table after its header, without comments and empty lines.
 
     ``number`` is the number of the last line that was read, from 1 on. ``frame_id`` is taken from
-    the last comment that contains one. ``complete`` is whether the last line has a line end.
+    the last comment that contains a frame_id. ``complete`` is whether the last line has a line end.
     """
 
     def __init__(self, table: _Table, file: TextIO) -> None:
@@ -307,8 +323,10 @@ class _Lines:
 
 @dataclass
 class _Rows:
+    """Consecutive rows of a table with one frame_id, as text."""
+
     table: _Table
-    first: int = 0  # index of the first row in the table
+    first: int = 0  # index of the first of these rows in the table
     frame_id: str = ''
     numbers: list[int] = field(default_factory=list)  # line number of each row
     cells: list[list[str]] = field(default_factory=list)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reads PX4 logs (``.ulg``) with ``pyulog``: the topic ``sensor_combined`` or ``vehicle_imu``.
+"""Read PX4 logs (``.ulg``) with ``pyulog``: the topic ``sensor_combined`` or ``vehicle_imu``.
 
 ``sensor_combined`` contains angular rate and acceleration of the IMU in use. Each instance of
 ``vehicle_imu`` contains the delta angles and delta velocities of one IMU, which are divided by
@@ -38,16 +38,16 @@ from .recording import (
 TOPICS = ('sensor_combined', 'vehicle_imu')
 
 THERMOMETERS = ('sensor_gyro', 'sensor_accel')
-"""Topics with the temperature of an IMU."""
+"""Topics that contain the temperature of an IMU, in the order of preference."""
 
 SELECTION = 'sensor_selection'
-"""Topic that states which IMU ``sensor_combined`` is from."""
+"""Topic that states from which IMU ``sensor_combined`` is."""
 
 MAX_LOG_BYTES = 4 * 2**30
-"""Largest size of a log in bytes; the parser keeps the data of the topics in memory."""
+"""Largest size of a log in bytes. The parser keeps the data of the topics in memory."""
 
 MAX_SEEKS = 50_000
-"""Number of damaged bytes (about a second of processing) after which reading stops."""
+"""Number of damaged bytes after which reading stops. Their processing takes about a second."""
 
 REMEDY = 'copy the log again'
 
@@ -75,7 +75,7 @@ def open_ulog(path: Path, options: ReadOptions) -> Recording:
             seconds = sum(dropout.duration for dropout in log.dropouts) / 1e3
             report(finding('log_dropouts', path=path, count=count, seconds=seconds))
         period_s = float(np.median(np.diff(batch.stamps_ns))) * 1e-9 if len(batch) > 1 else 0.0
-        if period_s > 1.5 * integration_s > 0.0:  # the logger left out samples
+        if period_s > 1.5 * integration_s > 0.0:  # the logger did not store every sample
             rate, full = 1.0 / period_s, 1.0 / integration_s
             report(finding('log_decimated', path=path, topic=name, rate=rate, full=full))
         yield from in_batches(batch)
@@ -156,15 +156,18 @@ def _samples(name: str, data: dict[str, NDArray[Any]]) -> tuple[ImuBatch, float]
         samples[:, SENSORS['gyro']] = _vectors(data, 'gyro_rad')
         samples[:, SENSORS['accel']] = _vectors(data, 'accelerometer_m_s2')
         relative = data.get('accelerometer_timestamp_relative', np.zeros(1))
-        absent = np.flatnonzero(relative == 0x7FFFFFFF)  # of a sample without acceleration
+        absent = np.flatnonzero(relative == 0x7FFFFFFF)  # marks a sample without acceleration
         samples[absent, SENSORS['accel']] = np.nan
         integration = data.get('gyro_integral_dt', np.zeros(1))
-    unit = 1.0 if integration.dtype.kind == 'f' else 1e-6  # older logs state it in s
+    unit = 1.0 if integration.dtype.kind == 'f' else 1e-6  # older logs state the time in s
     return ImuBatch(stamps, samples, record, name), float(np.median(integration)) * unit
 
 
 def _temperature(log: Any, data: Any) -> TemperatureTrace | None:
-    """Return the temperature of the gyro of a topic; None if it is unknown which one it is."""
+    """Return the temperature over time of the gyro whose samples ``data`` contains.
+
+    Returns None if no topic, or more than one, could contain the temperature of this gyro.
+    """
     topics = [topic for topic in log.data_list if topic.name in THERMOMETERS]
     known = (topic for topic in log.data_list if topic.name == SELECTION)
     stated = data.data if 'gyro_device_id' in data.data else next(known, data).data

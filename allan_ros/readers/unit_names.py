@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recognizes the spellings of units in the column names of tables."""
+"""Recognize the spellings of units of measurement in the column names of tables."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ TEMPERATURE_SPELLINGS = {
 """Unit of temperature -> its spellings, as `plain_unit` returns them."""
 
 NO_UNITS = ('', 'utc', 'gmt', 'local', 'unix', 'epoch', 'posix', 'ros', 'iso', 'iso8601')
-"""Words in brackets after a time that are not units."""
+"""Words in brackets after the name of a time column that are not units."""
 
 _SPELLINGS = {
     'deg': 'degrees|degree|degs|deg',
@@ -54,7 +54,7 @@ _SPELLINGS = {
 
 
 def plain_unit(text: str) -> str:
-    """Return a unit in lower case with only ASCII characters, without spaces, powers and dots.
+    """Return a unit in lower case and ASCII, without spaces, dots and the sign ^.
 
     Examples
     --------
@@ -71,16 +71,16 @@ def plain_unit(text: str) -> str:
 
 
 def unit_named(text: str, spellings: Mapping[str, Sequence[str]]) -> str:
-    """Return the unit with this spelling, or '' if it is unknown.
+    """Return the unit that is spelled ``text``; '' if the spelling is unknown.
 
-    ``spellings`` is one of the tables of this module.
+    ``spellings`` is a table of this module, such as `TIME_SPELLINGS`.
     """
     plain = plain_unit(text)
     return next((unit for unit, known in spellings.items() if plain in known), '')
 
 
 def to_celsius(value: float, unit: str) -> float:
-    """Convert a temperature in degC, K or degF, or in degC if the unit is '', to degC."""
+    """Convert a temperature in 'degC', 'K' or 'degF' to degC; the unit '' stands for degC."""
     if unit == 'K':
         return value + ABSOLUTE_ZERO
     return (value - 32.0) / 1.8 if unit == 'degF' else value

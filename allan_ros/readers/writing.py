@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write samples as a recording: an mcap bag (a folder), or a file .mcap, .db3, .csv, .tsv, .npz.
+"""Write samples as a recording: an mcap bag (a folder), or a file .mcap, .db3, .csv, .tsv or .npz.
 
-Bags are written by the package ``rosbags``. A recording is written to a temporary folder next to
-its path and renamed when it is complete. Every format stores int64 stamps and float64 samples, so
-reading returns exactly the same numbers.
+The package ``rosbags`` writes bags. A recording is written to a temporary folder next to its path,
+and renamed when it is complete. Every format stores int64 stamps and float64 samples, so reading
+returns exactly the same numbers.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from .recording import optional_package
 from .tables import FRAME_COMMENT
 
 BAG_FILES = {'.mcap': 'MCAP', '.db3': 'SQLITE3'}
-"""Suffix of a bag in a single file, without metadata.yaml -> its storage."""
+"""Suffix of a bag in a single file, without metadata.yaml -> storage plugin of rosbags."""
 
 METADATA_VERSION = 8
-"""Version of metadata.yaml, as of ROS 2 Jazzy."""
+"""Version of metadata.yaml that ROS 2 Jazzy writes."""
 
 
 def write_recording(
@@ -39,23 +39,24 @@ def write_recording(
     topic: str = '/imu/data',
     overwrite: bool = False,
 ) -> int:
-    """Write samples to a new recording, and return their number.
+    """Write samples to a new recording, and return the number of samples.
 
     Parameters
     ----------
     path : path
         A file .mcap, .db3, .csv, .tsv or .npz; otherwise the folder of an mcap bag.
     batches : iterable of ImuBatch
-        The batches in recorded order, all with the same frame_id.
+        The samples in the order of time, all with the same frame_id.
     topic : str
         Topic name in a bag.
     overwrite : bool
-        Replace an existing recording at ``path``.
+        Whether an existing recording at ``path`` is replaced.
 
     Raises
     ------
     AllanError
-        When the path exists or cannot be written, or is named like a ROS 1 bag.
+        When the path exists and is not to be replaced, cannot be written, or is a .bag file; when
+        the package ``rosbags`` is missing.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -93,7 +94,10 @@ def _keep_storage_file(bag: Path) -> None:
 
 @contextmanager
 def _draft(path: Path, overwrite: bool) -> Iterator[Path]:
-    """Yield a temporary path with the same name; its content is then moved to ``path``."""
+    """Yield a temporary path with the same name; move its content to ``path`` at the end.
+
+    Raises AllanError when ``path`` exists and may not be replaced.
+    """
     if path.exists() and not overwrite:
         raise AllanError(f'{path} exists already: choose another name, or use --overwrite')
     if path.is_dir() and not (path / 'metadata.yaml').is_file():
@@ -150,8 +154,10 @@ def write_table(path: Path, batches: Iterable[ImuBatch]) -> int:
 
 
 def _write_npz(path: Path, batches: Iterable[ImuBatch]) -> int:
-    """Write the arrays ``imu`` (with t in s), ``stamps_ns`` and ``frame_id``, of which all are in
-    memory; return the number of samples."""
+    """Write the arrays ``imu``, ``stamps_ns`` and ``frame_id``; return the number of samples.
+
+    All samples are in memory at once.
+    """
     whole = joined(list(batches))
     imu = np.column_stack([whole.stamps_ns / NANOSECONDS, whole.samples])
     with path.open('wb') as file:

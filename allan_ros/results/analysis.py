@@ -1,10 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fit the sums of recordings, which gives `Results`, and the settings of results.
+"""Fit the Allan sums of recordings, and return `Results`.
 
-Linear algebra is limited to one thread: the matrices of a fit have about a hundred rows, and those
-of the sums are as small, so more threads do not make it faster, and their busy-waiting multiplies
-the CPU time. OpenBLAS is set on Linux, which the wheels of numpy and scipy contain.
+Linear algebra is limited to one thread during a fit. The matrices have about a hundred rows, so
+more threads do not make the fit faster, and their busy-waiting multiplies the CPU time. The limit
+is set for OpenBLAS on Linux, which the wheels of numpy and scipy contain.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 PREFIXES = ('scipy_openblas', 'openblas')
 SUFFIXES = ('64_', '')
-"""Parts of the function names in the builds of OpenBLAS."""
+"""Start and end of the function names in different builds of OpenBLAS."""
 
 _lock = threading.Lock()
 _users = 0
@@ -50,7 +50,7 @@ _restore = ExitStack()
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit BLAS to one thread within the context; several threads may be in it at once."""
+    """Limit BLAS to one thread within the context, which several threads may enter at once."""
     global _users
     with _lock:
         if not _users:
@@ -66,7 +66,7 @@ def one_thread() -> Iterator[None]:
 
 
 def _limit() -> None:
-    """Set one thread, and register in `_restore` how to undo it."""
+    """Limit OpenBLAS to one thread, and register in `_restore` how to undo this."""
     import scipy.linalg  # noqa: F401  # loads its own BLAS library
 
     for get, set_number in _openblas():
@@ -95,14 +95,25 @@ def _openblas() -> Iterator[tuple[Callable[[], int], Callable[[int], Any]]]:
 def analyze_recorded(
     recorded: RecordingSums, method: str = 'likelihood', at_rest_before: Results | None = None
 ) -> Results:
-    """Fit the Allan variance sums of one IMU, and return the results.
-
-    ``at_rest_before`` is an earlier run whose noise predicts the errors in motion, by default that
-    of the recordings themselves.
+    """Fit the Allan sums of one IMU, and return the results.
 
     Data before a lasting change of the white noise are excluded, unless the settings of the
     recordings state a time to skip.
-    Raises AllanError if there are too few data.
+
+    Parameters
+    ----------
+    recorded : RecordingSums
+        Allan sums of one or more recordings.
+    method : str
+        'likelihood' or 'paper'.
+    at_rest_before : Results, optional
+        Earlier results whose noise at rest predicts the errors in motion. By default, the noise at
+        rest in ``recorded`` does.
+
+    Raises
+    ------
+    AllanError
+        When there are too few data.
     """
     skip = recorded.provenance.settings.get('skip', AUTO)
     may_exclude = isinstance(skip, (int, float)) and skip < 0.0
@@ -163,10 +174,21 @@ def analyze_recorded(
 def analyze_sums(
     sums: Sequence[AllanSums], provenance: Provenance, method: str = 'likelihood'
 ) -> Results:
-    """Fit sums that are in memory, for example in a running node, and return the results.
+    """Fit Allan sums in memory, for example of a running node, and return the results.
 
-    ``sums`` has one item with all axes, or one item for each sensor if their rates differ. Raises
-    AllanError if there are too few data.
+    Parameters
+    ----------
+    sums : sequence of AllanSums
+        One item with all axes, or one item for each sensor if their rates differ.
+    provenance : Provenance
+        Origin of the sums.
+    method : str
+        'likelihood' or 'paper'.
+
+    Raises
+    ------
+    AllanError
+        When there are too few data.
     """
     return analyze_recorded(RecordingSums('', tuple(sums), provenance), method)
 

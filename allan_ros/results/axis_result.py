@@ -48,7 +48,7 @@ class AxisResult:
         Name of the axis, such as 'gyro_z'.
     rounding : float or None
         Step to which the samples are rounded, in SI; None if rounding causes less than a tenth of
-        their white noise.
+        the white noise.
     turn_on : TurnOnBias or None
         Scatter of the bias between recordings; None for fewer than two recordings.
     temperature : TemperatureModel or None
@@ -86,33 +86,35 @@ class AxisResult:
 
     @property
     def N(self) -> Estimate:
-        """Angle or velocity random walk in rad/s/sqrt(Hz) or m/s^2/sqrt(Hz): the density of the
-        white noise."""
+        """Angle or velocity random walk in rad/s/sqrt(Hz) or m/s^2/sqrt(Hz).
+
+        N is the square root of the two-sided power spectral density of the white noise.
+        """
         return self.quantity('N')
 
     @property
     def B(self) -> Estimate:
-        """Bias instability in rad/s or m/s^2: the coefficient B, which is the flat part of the
-        curve divided by 0.664."""
+        """Bias instability in rad/s or m/s^2: the flat part of the curve, divided by 0.664."""
         return self.quantity('B')
 
     @property
     def K(self) -> Estimate:
-        """Rate or acceleration random walk, in rad/s^2/sqrt(Hz) or m/s^3/sqrt(Hz)."""
+        """Rate or acceleration random walk in rad/s^2/sqrt(Hz) or m/s^3/sqrt(Hz)."""
         return self.quantity('K')
 
     @property
     def R(self) -> Estimate:
-        """Rate or acceleration ramp, in rad/s^2 or m/s^3."""
+        """Rate or acceleration ramp in rad/s^2 or m/s^3."""
         return self.quantity('R')
 
     @property
     def processes(self) -> Model:
-        """Processes that were fitted in addition to the five terms, such as sinusoids.
+        """Noise processes that were fitted in addition to the five terms, such as sinusoids.
 
-        Each item of ``processes['gauss_markov']`` or ``processes['sinusoid']`` has a ``value``
-        (sigma or amplitude in SI) with its 95 % interval ``ci95``, and a ``process`` with its
-        shape, such as ``correlation_time`` (s) and ``frequency`` (Hz), with ``shape_ci95``.
+        Each item of ``processes['gauss_markov']`` or ``processes['sinusoid']`` has a ``value``,
+        which is a standard deviation or an amplitude in SI, and its 95 % interval ``ci95``. The
+        ``process`` of an item has the parameters of its shape, such as ``correlation_time`` in s or
+        ``frequency`` in Hz. Their 95 % intervals are in ``shape_ci95``.
 
         Examples
         --------
@@ -127,8 +129,8 @@ class AxisResult:
     def state_space(self) -> StateSpace:
         """Return the noise as a state-space model for a Kalman filter.
 
-        It gives the transition matrix and the covariance of the process noise for any time step.
-        The export ``state_space`` contains the same model.
+        The model gives the transition matrix and the covariance of the process noise for any time
+        step. The export target ``state_space`` writes the same model.
 
         Raises
         ------
@@ -146,8 +148,11 @@ class AxisResult:
 
     @property
     def growth(self) -> tuple[Growth, ...]:
-        """Predicted standard deviation of the angle error (rad) or velocity error (m/s), with 95 %
-        intervals, for several durations of integration without a correction."""
+        """Predicted standard deviation of the integrated error, with 95 % intervals.
+
+        The error of the angle (rad) or velocity (m/s) is predicted for several durations of
+        integration without a correction.
+        """
         return growth_table(self.fit)
 
     def quantity(self, term: str) -> Estimate:
@@ -186,14 +191,14 @@ class AxisResult:
         True
         """
         parts = self.fit.model.contributions(self._tau(m), self.tau0)
-        # the part of a low-pass filter is negative: it has no deviation
+        # the Allan variance of the part of a low-pass filter is negative, so it has no deviation
         return {name: np.sqrt(avar) for name, avar in parts.items() if np.all(avar >= 0.0)}
 
     def limit_adev(self, m: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Return the Allan deviation of each term that the model omits, at its 95 % upper limit.
+        """Return the Allan deviation at the 95 % upper limit of each term that the model omits.
 
         ``m`` are averaging factors, which are averaging times in samples. The result maps terms to
-        deviations in SI, (factors,).
+        Allan deviations in SI, (factors,).
         """
         model = self.fit.model
         limits = {
@@ -207,9 +212,9 @@ class AxisResult:
     def model_line(self) -> ModelLine:
         """Return the Allan deviation of the fitted model at the points of the curve, in SI.
 
-        It is NaN at short averaging times that the fit excludes, and empty if the curve is unknown.
-        ``adev`` is the model itself, and ``upper`` includes the terms that are not resolved, at
-        their 95 % upper limits.
+        ``adev`` is the Allan deviation of the model, and ``upper`` includes the terms that are not
+        resolved, at their 95 % upper limits. Both are NaN at short averaging times that the fit
+        excludes, and empty if the curve is unknown.
         """
         curve = self.curve
         if curve is None:
@@ -217,8 +222,10 @@ class AxisResult:
         return model_line(self.fit, self.tau0, curve.m)
 
     def total_adev(self, m: ArrayLike) -> NDArray[np.float64]:
-        """Return the Allan deviation of the fitted model at averaging factors ``m``, in SI,
-        (factors,)."""
+        """Return the Allan deviation of the fitted model, (factors,), in SI.
+
+        ``m`` are averaging factors, which are averaging times in samples.
+        """
         total: NDArray[np.float64] = np.sqrt(self.fit.model.avar(self._tau(m), self.tau0))
         return total
 
@@ -236,7 +243,8 @@ def adev(samples: ArrayLike, rate: float = 1.0) -> AxisCurve:
     Returns
     -------
     AxisCurve
-        The deviation in the unit of the samples at averaging times in s.
+        The Allan deviation in the unit of the samples, (times,) or (times, columns), at averaging
+        times in s.
 
     Raises
     ------
@@ -280,18 +288,19 @@ def fit(
     axis: str = 'gyro_x',
     record: float | None = None,
 ) -> AxisResult:
-    """Fit the noise coefficients to an Allan deviation curve, for example of another program.
+    """Fit the noise coefficients to an Allan deviation curve, for example from another program.
 
-    `analyze` gives better intervals, because it knows the covariance of the points.
+    `analyze` gives better intervals, because it uses the samples and so knows the covariance of the
+    points.
 
     Parameters
     ----------
     curve : AxisCurve or (tau, adev)
         Averaging times in s and Allan deviations in SI.
     axis : str
-        The axis of the curve, such as 'gyro_z': it determines the units of the coefficients.
+        The axis of the curve, such as 'gyro_z', which determines the units of the coefficients.
     record : float, optional
-        Length of the recording in s; by default nine times the longest averaging time.
+        Duration of the recording in s; by default nine times the longest averaging time.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The checkpoint: a `sums.json` that preserves the Allan variance sums of a node over restarts."""
+"""The checkpoint: a `sums.json` that preserves the Allan sums of a node over restarts."""
 
 from __future__ import annotations
 
@@ -29,20 +29,21 @@ from ..readers.recorded import Provenance
 from .documents import SUMS_SCHEMA, sums_file_from_document, sums_file_to_document
 
 Total = tuple[tuple[AllanSums, ...], Provenance]
-"""The sums of an IMU over all runs of a node, and the origin of these sums."""
+"""The Allan sums of an IMU over all runs of a node, and the origin of these sums."""
 
 NOTHING: Total = (), Provenance()
 
 
 class Checkpoint:
-    """A file with the Allan variance sums of all runs of a node.
+    """A file with the Allan sums of all runs of a node.
 
-    It adds the sums of earlier runs to the sums of the current run, and saves the total. A damaged
-    file is renamed; a file whose sums have a wrong unit of measurement is renamed when the present
-    samples have the right one. A file of another version or IMU is never overwritten: nothing is
-    written until it is moved away, or its IMU is connected again. Only regular files are read,
-    renamed or replaced, and only if no other node has locked the path. Problems never stop the
-    node: each is logged once and becomes a finding.
+    The sums of earlier runs are added to the sums of the present run, and the total is saved. A
+    damaged file is renamed. A file whose sums have a wrong unit of measurement is renamed as soon
+    as the present samples have the right unit. A file of another version or IMU is never
+    overwritten: nothing is written until this file is moved away, or its IMU is connected again.
+
+    Only regular files are read, renamed or replaced, and only if no other node has locked the path.
+    Problems never stop the node: each is logged once and becomes a finding.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ class Checkpoint:
     Attributes
     ----------
     earlier : (sums, provenance)
-        The content of the file when the current run began.
+        The content of the file when the present run began.
     loaded : Finding or None
         The problem that was found when the file was loaded.
     refused : Finding or None
@@ -72,7 +73,7 @@ class Checkpoint:
         self.refused: Finding | None = None
         self._file, self._log, self._words = Path(path), log, words
         self._lock = PathLock(self._file) if self.path else None
-        self._owned = False  # whether a path is given that no other node has locked
+        self._owned = False  # whether there is a path, and no other node has locked it
         self._content: Total | None = NOTHING  # content of the file; None if it cannot be read
         self._saved_s: float | None = None
         self._unsaved: Finding | None = None
@@ -85,7 +86,10 @@ class Checkpoint:
 
     @property
     def covered(self) -> tuple[tuple[int, int], ...]:
-        """First and latest stamp in ns of the samples in the file; empty if there are none."""
+        """First and latest stamp in ns of the samples in the file, as one pair.
+
+        Empty if the file contains no samples.
+        """
         sums, provenance = self.earlier
         begins = [p.begin_ns for each in sums for r in each.recordings for p in r.periods]
         ends = [s.start_ns + round(s.duration_s * 1e9) for s in provenance.segments]
@@ -103,15 +107,15 @@ class Checkpoint:
     def age_s(self, now: float) -> float | None:
         """Return the time in s since the file was written; None if this run has not written it.
 
-        ``now`` is the current value of `time.monotonic`.
+        ``now`` is the present value of `time.monotonic`.
         """
         return None if self._saved_s is None else now - self._saved_s
 
     def total(self, sums: tuple[AllanSums, ...], provenance: Provenance) -> Total:
         """Return the sums of all runs, given the sums and the provenance of this run.
 
-        If the file belongs to another IMU or other axes, cannot be read, or is used by another
-        node, these are the sums of this run alone.
+        These are the sums of this run alone if the file is of another IMU, has other axes, cannot
+        be read, or is used by another node.
         """
         self._has_new_samples = bool(sums)
         if sums and _has_wrong_unit(self.earlier[0]) and not _has_wrong_unit(sums):
@@ -134,14 +138,17 @@ class Checkpoint:
         return total, replace(both, sources=sources, findings=provenance.findings)
 
     def save(self, total: Total) -> bool:
-        """Write the total if it has new samples; return whether the file is up to date."""
+        """Write the total to the file if it contains new samples.
+
+        Returns whether the file contains the total.
+        """
         self._collect()
         return self._writable() and (
             not self._has_new_samples or self._completed(lambda: self._write(total))
         )
 
     def save_in_background(self, total: Total) -> None:
-        """Start to write the total in a thread; `tick` records whether it succeeded."""
+        """Start to write the total in a thread; `tick` records whether writing succeeded."""
         self._collect()
         if self._has_new_samples and self._writable():
             self._writing = self._writer.submit(self._write, total)
@@ -154,8 +161,8 @@ class Checkpoint:
     def start_over(self, total: Total) -> str:
         """Save the total, rename the file to ``<name>.previous``, and start with empty sums.
 
-        Returns the path of the renamed file. If the file cannot be written or renamed, the sums in
-        it are kept and '' is returned.
+        Returns the path of the renamed file. If the file cannot be written or renamed, its sums are
+        kept and '' is returned.
         """
         previous = f'{self.path}.previous'
         if self.save(total):
@@ -183,7 +190,7 @@ class Checkpoint:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             self._report_unwritable(AllanError(f'{folder} cannot be created ({error.strerror})'))
-        if not self._locked(on_error=True):  # without a lock, the file may be readable
+        if not self._locked(on_error=True):  # a file that cannot be locked may still be readable
             return
         self._owned = True
         if os.path.lexists(self.path):
@@ -224,7 +231,7 @@ class Checkpoint:
         self._log.warning(str(self.loaded))
 
     def _move_wrong_unit(self) -> None:
-        """Move the file away if possible, and do not add the sums of earlier runs."""
+        """Rename the file if possible, and do not add the sums of earlier runs any more."""
         self._collect()
         aside = Path(f'{self.path}.previous')
         if self._owned and os.path.lexists(self.path):
@@ -246,7 +253,7 @@ class Checkpoint:
             ) from error
 
     def _clear(self) -> None:
-        """Start with empty sums, because there is no file."""
+        """Start with empty sums, because there is no file at the path."""
         self.earlier = self._content = NOTHING
         self.refused = None
 
@@ -257,7 +264,10 @@ class Checkpoint:
             self._log.warning(str(self.refused))
 
     def _locked(self, on_error: bool) -> bool:
-        """Acquire the lock; return False if another node has it, ``on_error`` if this fails."""
+        """Acquire the lock, and return whether this node has it.
+
+        Returns ``on_error`` if the lock file cannot be created.
+        """
         try:
             owner = self._lock.acquire() if self._lock is not None else ''
         except AllanError as error:
@@ -271,7 +281,7 @@ class Checkpoint:
         return not owner
 
     def _writable(self) -> bool:
-        """Return whether this node may write the file; retries a lock that failed before."""
+        """Return whether this node may write the file; try to lock it if this failed before."""
         return self._owned and self.refused is None and self._locked(on_error=False)
 
     def _write(self, total: Total) -> None:
@@ -282,7 +292,7 @@ class Checkpoint:
             self._content = total
 
     def _collect(self) -> None:
-        """Wait for the background write, if any, and record its success or error."""
+        """Wait for the background write, if there is one, and record its success or error."""
         writing, self._writing = self._writing, None
         if writing is not None:
             self._completed(writing.result)

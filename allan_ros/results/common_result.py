@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise that several IMUs, or the axes of one IMU, have in common: from recordings to a table."""
+"""Measure the noise that several IMUs, or the axes of one IMU, have in common."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from ..readers import Recording
 from .analysis import one_thread
 
 OPPOSITE = -0.3
-"""Coherence with the other IMUs below which an axis points in the opposite direction: independent
-noise has none, and common noise is positive."""
+"""Coherence with the other IMUs below which an axis points in the opposite direction. The coherence
+is 0 for independent noise, and positive for common noise of parallel axes."""
 
 
 @dataclass(frozen=True)
 class CommonResult:
     """The common and the own noise of several IMUs on one body, or of the axes of one IMU.
 
-    ``rows`` has a `CommonNoise` for each axis and IMU, or for each two axes
-    of a single IMU. ``findings`` maps each IMU to the findings about its recording.
+    ``rows`` has a `CommonNoise` for each axis of each IMU, or for each pair of axes of a single
+    IMU. ``findings`` maps the label of each IMU to the findings about its recording.
     """
 
     rows: tuple[CommonNoise, ...]
@@ -46,10 +46,21 @@ class CommonResult:
 
 @one_thread()
 def common_of(recordings: Mapping[str, Recording], settings: SegmenterSettings) -> CommonResult:
-    """Return the common noise of recordings that were made at the same time, by label.
+    """Return the noise that recordings of the same time have in common.
 
-    The samples at rest of all recordings are kept in memory. Raises AllanError if the recordings
-    have no axis or no time in common.
+    The samples at rest of all recordings are kept in memory.
+
+    Parameters
+    ----------
+    recordings : mapping of str to Recording
+        Label -> recording of one IMU. For a single recording, its axes are compared.
+    settings : SegmenterSettings
+        How the data at rest are selected.
+
+    Raises
+    ------
+    AllanError
+        When the recordings have no axis or no time in common, or one of them cannot be read.
     """
     known: list[dict[str, Samples]] = []
     findings: dict[str, tuple[Finding, ...]] = {}

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons of recordings with each other, with datasheets, and with motors off and on."""
+"""Compare recordings with each other, with datasheets, and with motors off and on."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ SCHEMA = 'allan_ros/comparison/2'
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Several recordings, their differences from the first one, and comparisons with datasheets.
+    """Comparison of several recordings with the first recording, and with datasheets.
 
-    Printed, it is a sentence for each recording but the first, and for each comparison with a
+    Its text has a sentence for each recording but the first, and for each comparison with a
     datasheet.
 
     Attributes
     ----------
     runs : mapping of label to Results
-        In the labels, control characters are escaped.
+        Results of each recording. Control characters in the labels are escaped.
     differences : mapping of label to tuple of Check
-        For each recording but the first one, the comparisons with the first one.
+        Comparisons of each recording but the first with the first recording.
     checked : tuple of (label, Results)
-        Each recording, compared with each datasheet that has limits for it.
+        Results of each recording, compared with each datasheet.
     family_error : float
         Probability of any significant difference if all recordings have equal noise.
     within : float
-        Fraction for the tests of equivalence; 0 for none.
+        Fraction up to which coefficients are tested for equality; 0 for no such test.
     """
 
     runs: Mapping[str, Results]
@@ -56,7 +56,7 @@ class RunComparison:
 
     @property
     def equivalent(self) -> bool:
-        """Whether N of all axes is the same up to ``within``, and no other term is different."""
+        """Whether N of all axes is the same up to ``within``, and no other term differs by more."""
         results = (
             (d.quantity, d.equivalence(self.within))
             for checks in self.differences.values()
@@ -69,7 +69,8 @@ class RunComparison:
     def differs(self) -> bool:
         """Whether any difference is significant, or a limit of a datasheet is exceeded.
 
-        With ``within``, equality up to this fraction is required instead.
+        If ``within`` is not 0, the recordings differ unless they are `equivalent`, or if a limit of
+        a datasheet is exceeded.
         """
         if any(worst_verdict(one.datasheet_checks) == 'exceeds' for _, one in self.checked):
             return True
@@ -89,12 +90,24 @@ def compare_runs(
     margin: float = 0.0,
     within: float = 0.0,
 ) -> RunComparison:
-    """Compare each recording with the first one, and every recording with each datasheet.
+    """Compare each recording with the first recording, and every recording with each datasheet.
 
-    ``runs`` has their results by label. With ``within``, the comparison also tests whether the
-    coefficients are the same up to this fraction. A limit of a datasheet is exceeded if the 95 %
-    interval is completely above limit * (1 + ``margin``). Raises AllanError when two recordings
-    have no common axis.
+    Parameters
+    ----------
+    runs : mapping of label to Results
+        Results of each recording.
+    datasheets : sequence of Datasheet
+        Datasheets with which every recording is compared.
+    margin : float
+        A limit of a datasheet is exceeded if the complete 95 % interval of a coefficient lies above
+        limit * (1 + margin).
+    within : float
+        Fraction up to which coefficients are tested for equality; 0 for no such test.
+
+    Raises
+    ------
+    AllanError
+        When a recording has no axis in common with the first recording.
     """
     runs = {one_line(label): results for label, results in runs.items()}
     (first, known), *others = runs.items()
@@ -162,12 +175,13 @@ class Inflation:
     Attributes
     ----------
     axes : mapping of axis to term to Check
-        N and K for a filter with motors on, compared with those with motors off (``limit``). They
-        bound the growth of the integrated error up to ``horizon``.
+        N and K for a state estimator with motors on, compared with N and K with motors off
+        (``limit``). Both cover the growth of the integrated error up to ``horizon``.
     comparison : RunComparison
-        The ratios of the Allan deviations with intervals.
+        Comparison of the recording with motors on with the recording with motors off. It contains
+        the ratios of the Allan deviations with their intervals.
     horizon : float
-        Longest time in s for which the filter integrates without a correction.
+        Longest time in s for which the state estimator integrates without a correction.
     """
 
     axes: Mapping[str, Mapping[str, Check]]
@@ -176,12 +190,15 @@ class Inflation:
 
     @property
     def factor(self) -> float:
-        """Largest factor for N of all axes."""
+        """Largest factor by which motors increase N, of all axes."""
         return max(axis['N'].factor for axis in self.axes.values())
 
     @property
     def option(self) -> str:
-        """The largest factor for N of each sensor, as the value of ``allan export --inflate``."""
+        """Largest factor by which motors increase N, for each sensor.
+
+        It is written as the value of the option ``--inflate`` of ``allan export``.
+        """
         factors = {sensor_of(name): 1.0 for name in self.axes}
         for name, axis in self.axes.items():
             factors[sensor_of(name)] = max(factors[sensor_of(name)], axis['N'].factor)
@@ -194,12 +211,12 @@ class Inflation:
 
 
 def use_of(check: Check) -> float:
-    """Return the value for a filter: the larger one of those with motors off and on."""
+    """Return the value for a state estimator: the larger of the values with motors off and on."""
     return max(check.limit, check.measured.value or 0.0)
 
 
 def inflation_document(inflation: Inflation) -> dict[str, Any]:
-    """Return the result as a JSON object of the schema ``allan_ros/inflation/2``, in SI."""
+    """Return an `Inflation` as a JSON object of the schema ``allan_ros/inflation/2``, in SI."""
     return {
         'schema': 'allan_ros/inflation/2',
         'horizon_s': [shortest_horizon(inflation.horizon), inflation.horizon],

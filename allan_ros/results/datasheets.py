@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Datasheets of IMUs: YAML files with the figures of a sensor, read as limits of N and B in SI.
 
-A file contains the figures in the units of the datasheet. A noise density may be one- or two-sided,
-and a bias instability may be B or the minimum of the curve. The file states which (``sided``,
-``stated_as``). If it is ``unknown``, the larger of the two limits is used, with a note, so that an
-ambiguous datasheet causes no false alarm.
+File format
+-----------
+A file contains the figures in the units of the datasheet. The key ``sided`` states whether a noise
+density is one- or two-sided. The key ``stated_as`` states whether a bias instability is B or the
+minimum of the curve. For the value ``unknown``, the larger of the two limits is used, with a note,
+so that an ambiguous datasheet causes no false alarm.
 
 The keys ``gyro`` and ``accel`` apply to three axes; a single axis such as ``accel_z`` takes
 precedence. The file of a product that contains a known sensor names this sensor (``carries``) and
@@ -33,7 +35,7 @@ SCHEMA = 'allan_ros/sensor/1'
 
 FROM_MINIMUM = 1.0 / math.sqrt(FLICKER_FLOOR)
 """Factor from the minimum of a curve to the largest possible B. The minimum is at least
-sqrt(2 ln2/pi) B = 0.664 B, because white noise and random walk add to it."""
+sqrt(2 ln2/pi) B = 0.664 B, because white noise and random walk add to the flicker noise."""
 
 MEANINGS = {
     'sided': {
@@ -55,16 +57,16 @@ MEANINGS = {
         ),
     },
 }
-"""Key that states the meaning of a number -> its value -> factor from the number to N or B, and a
-note. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
+"""Key that states the meaning of a number -> value of this key -> factor from the number to N or B,
+and a note. A one-sided density is sqrt(2) N (IEEE Std 952-1997, C.1.1)."""
 
 
 @dataclass(frozen=True)
 class Source:
     """The document that states the figures of a datasheet file.
 
-    ``seen`` is 'datasheet' if the document itself was read, and 'secondary' if the figures come
-    from ``via``, which quotes it; '' if unknown.
+    ``seen`` is 'datasheet' if the document itself was read, 'secondary' if the figures come from
+    ``via``, which quotes the document, and '' if this is unknown.
     """
 
     title: str
@@ -81,9 +83,9 @@ class Source:
 class Limit:
     """The upper limit of one coefficient, in SI, according to a datasheet.
 
-    ``stated`` is the number and unit in the datasheet, and ``note`` tells how the limit was
-    computed from it. ``condition`` is the condition of the number (typical, range, bandwidth), and
-    ``source`` the key of its source. Each is '' if unknown.
+    ``stated`` contains the number and the unit in the datasheet, and ``note`` states how the limit
+    was computed from this number. ``condition`` is the condition under which the number applies,
+    such as 'typical' or a range, and ``source`` is the key of its source. Each is '' if unknown.
     """
 
     value: float
@@ -95,9 +97,11 @@ class Limit:
 
 @dataclass(frozen=True)
 class Measured:
-    """Noise that was measured with one unit of a sensor: sensor -> term -> value in SI.
+    """Noise that was measured with one IMU of a model.
 
-    ``by`` names who recorded it, ``url`` the recording, ``condition`` rate and temperature.
+    ``values`` maps sensor -> term -> value in SI. ``by`` names the person or organization that
+    recorded the data, ``url`` the recording, ``hours`` its duration in h, and ``condition`` the
+    rate and temperature.
     """
 
     by: str
@@ -108,7 +112,10 @@ class Measured:
 
 
 def measured_from_document(fields: Fields) -> Measured:
-    """Return an entry of the list ``measured`` in the file of a sensor."""
+    """Return an entry of the list ``measured`` in a datasheet file.
+
+    Raises AllanError if a key is unknown, or a number is missing or invalid.
+    """
     fields.only('by', 'url', 'hours', 'condition', *SI_UNITS)
     values: dict[str, dict[str, Estimate]] = {}
     for sensor in (name for name in SI_UNITS if name in fields):
@@ -135,11 +142,11 @@ class Datasheet:
     limits : mapping of axis name to term ('N', 'B') to Limit
         Upper limits of the coefficients that the sources state.
     remark : str
-        A remark for the user.
+        A remark for the user; '' for none.
     carries : str
-        Name of the sensor inside a product, such as a camera; '' if the IMU is the sensor itself.
+        Name of the sensor in a product, such as a camera; '' if the IMU is the sensor itself.
     measured : tuple of Measured
-        Values that were measured with units of this sensor.
+        Noise that was measured with IMUs of this model.
 
     Examples
     --------
@@ -171,16 +178,25 @@ class Datasheet:
 
 
 BELOW = 3.0
-"""Measured white noise below the figure of a datasheet by more than this factor is implausible."""
+"""Factor of the figure in a datasheet to the measured N above which N is implausibly small."""
 
 
 def against_datasheet(
     noise: Mapping[str, Mapping[str, Estimate]], datasheet: Datasheet, margin: float
 ) -> tuple[Check, ...]:
-    """Compare the coefficients (axis -> term -> coefficient) with the limits of a datasheet.
+    """Compare coefficients with the limits of a datasheet.
 
-    A coefficient is 'exceeds' its limit if its complete 95 % interval lies above the limit by the
-    fraction ``margin``. A coefficient without a limit is left out.
+    A coefficient exceeds its limit if its complete 95 % interval lies above limit * (1 + margin).
+    The result contains only coefficients with a limit.
+
+    Parameters
+    ----------
+    noise : mapping of axis to term to Estimate
+        The coefficients in SI.
+    datasheet : Datasheet
+        The limits.
+    margin : float
+        Fraction by which a coefficient may exceed its limit.
     """
     return tuple(
         check_limits(
@@ -200,8 +216,15 @@ def against_datasheet(
 def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding:
     """Return the finding that a coefficient or an Allan deviation exceeds a limit.
 
-    The text states the measured coefficient, or the least deviation if only the ratio is known, and
-    the fraction ``margin``; ``axes`` are the axes to which the finding applies.
+    Parameters
+    ----------
+    check : Check
+        The comparison. If only its ratio is known, the finding states the smallest Allan deviation
+        in the interval of the ratio instead of a value.
+    margin : float
+        Fraction by which the number may exceed the limit.
+    axes : tuple of str
+        Axes to which the finding applies.
     """
     is_term, measured = check.tau is None, check.measured
     kind = (sensor_of(check.axis), check.quantity if is_term else 'B')
@@ -222,7 +245,10 @@ def exceeds_limit(check: Check, margin: float, axes: tuple[str, ...]) -> Finding
 
 
 def below_typical(check: Check, axes: tuple[str, ...]) -> Finding | None:
-    """Return the finding that N is implausibly far below the figure of a datasheet, or None."""
+    """Return the finding that N is implausibly far below the figure of a datasheet.
+
+    Returns None unless the complete 95 % interval of N lies below the figure / `BELOW`.
+    """
     ends = check.ratio.ci95 if check.ratio.resolved else None
     if check.quantity != 'N' or ends is None or not 0.0 < ends[1] * BELOW < 1.0:
         return None
@@ -238,7 +264,7 @@ def below_typical(check: Check, axes: tuple[str, ...]) -> Finding | None:
 
 
 def sheet_to_document(sheet: Datasheet, checks: Sequence[Check], margin: float) -> dict[str, Any]:
-    """Return a datasheet and the checks of `against_datasheet` as JSON, for results.json."""
+    """Return a datasheet and the checks of `against_datasheet` as an object of results.json."""
     axes: dict[str, dict[str, Any]] = {}
     for c in checks:
         limit = plain(sheet.limits[c.axis][c.quantity])
@@ -260,7 +286,10 @@ def sheet_to_document(sheet: Datasheet, checks: Sequence[Check], margin: float) 
 
 
 def sheet_from_document(fields: Fields) -> Datasheet:
-    """Read the datasheet in the object ``datasheet`` of results.json."""
+    """Return the datasheet in the object ``datasheet`` of results.json.
+
+    It has only the limits of measured axes. Raises AllanError if the object is invalid.
+    """
     sources = fields.fields('sources')
     limits: dict[str, dict[str, Limit]] = {}
     axes = fields.fields('axes')
@@ -288,11 +317,11 @@ def load_sensor(name: str) -> Datasheet:
     fields = _file(name)
     if 'carries' not in fields:
         return _datasheet(fields)
-    # a product: the figures of its sensor, with the sources of both files
+    # a product has the figures of its sensor, and the sources of both files
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'maker', 'remark', 'sources', 'carries')
     with located(f'{fields.where}.carries'):
-        # rejects the file of another product, and so itself
+        # this rejects the file of another product, and so a file that names itself
         sensor = _datasheet(_file(fields.text('carries')))
     return replace(
         sensor,
@@ -344,7 +373,7 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
     walk, units = ('arw' if sensor == 'gyro' else 'vrw'), SI_UNITS[sensor]
     fields.only(walk, 'noise_density', 'bias_instability')
     limits = {}
-    # If both are stated, the random walk is N itself, and no assumption is needed.
+    # A random walk takes precedence over a noise density: it is N itself, without an assumption.
     for key, term, meaning in (
         ('noise_density', 'N', 'sided'),
         (walk, 'N', ''),
@@ -356,9 +385,10 @@ def _limits(fields: Fields, sensor: str, sources: Collection[str]) -> dict[str, 
 
 
 def _quantity(fields: Fields, unit: str, sources: Collection[str], meaning: str = '') -> Limit:
-    """Read an object ``{value, unit, condition, source}`` as a limit in SI.
+    """Return an object with the keys value, unit, condition and source as a limit in SI.
 
-    ``meaning`` is a key of `MEANINGS` that the object must contain, too; '' for none.
+    ``meaning`` is a key of `MEANINGS` that the object must contain, too; '' for none. ``unit`` is
+    the SI unit. Raises AllanError if the object is invalid.
     """
     fields.only('value', 'unit', 'condition', 'source', *([meaning] if meaning else []))
     factor, note = 1.0, ''

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON documents `results.json` and `sums.json`.
+"""Write and read the JSON documents `results.json` and `sums.json`.
 
 Unknown values are null, never NaN. Reading is strict: another version, a wrong type, or a missing
 field without a default raises AllanError with the position in the document.
@@ -52,30 +52,31 @@ are computed."""
 TOOL = {'name': 'allan_ros', 'version': __version__}
 
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-9, 1e9
-"""Range of sample periods in s: stamps are in ns, and the upper bound is thirty years."""
+"""Range of valid sample periods in s: from the resolution of a stamp, 1 ns, to thirty years."""
 
 MAX_SETTINGS = 100
-"""Largest number of settings, and of entries of one setting."""
+"""Largest number of settings in a document, and of entries in one setting."""
 
 WRITTEN_SEGMENTS = 1000
-"""Number of longest segments that are listed; the total number is always stated."""
+"""Largest number of segments that a document lists, the longest first. The total number is always
+stated."""
 
 FIT = ('m_min', 'filtered', 'white_scatter', 'drift_scatter', 'gof_z', 'lack_of_fit')
 AXIS = ('rounding', 'turn_on', 'temperature', 'at_rest', 'growth')
-"""Fields of a fit and of an axis that have the same name in results.json."""
+"""Fields of `AxisFit` and of `AxisResult` that have the same name in results.json."""
 
 DOCUMENT_KEYS = {
     'correlation_time': 'tau',
     'correlation_time_ci95': 'tau_ci95',
     'regions': 'reading',
 }
-"""Field of a dataclass -> its key in results.json, where these differ."""
+"""Field of a dataclass -> key in results.json, for fields whose name and key differ."""
 
 
 def results_to_document(results: Results, curves: bool = True) -> dict[str, Any]:
-    """Return the results as the document ``allan_ros/results/3`` in SI, without texts.
+    """Return the results as a document ``allan_ros/results/3`` in SI, without texts.
 
-    Without ``curves``, the curves are left out, which gives a short document.
+    If ``curves`` is False, the document contains no curves and is much shorter.
     """
     return {
         'schema': RESULTS_SCHEMA,
@@ -133,7 +134,7 @@ def results_from_document(document: object, where: str = 'results') -> Results:
 
 
 def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> dict[str, Any]:
-    """Return sums and their provenance as the document of a sums.json."""
+    """Return Allan sums and their provenance as the document of a sums.json."""
     return {
         'schema': SUMS_SCHEMA,
         'tool': TOOL,
@@ -145,7 +146,10 @@ def sums_file_to_document(sums: Iterable[AllanSums], provenance: Provenance) -> 
 
 
 def fingerprint(document: Mapping[str, Any]) -> str:
-    """Return a hash of the sums in the document of a sums.json; equal samples have equal hashes."""
+    """Return a hash of the Allan sums in the document of a sums.json.
+
+    Recordings with equal samples have equal hashes.
+    """
     text = to_json({'sums': document.get('sums')})
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -153,7 +157,7 @@ def fingerprint(document: Mapping[str, Any]) -> str:
 def sums_file_from_document(
     document: object, where: str = 'sums'
 ) -> tuple[tuple[AllanSums, ...], Provenance]:
-    """Return the sums and the provenance in the document of a sums.json.
+    """Return the Allan sums and the provenance in the document of a sums.json.
 
     ``where`` names the document in messages. Raises AllanError if the document is invalid.
     """
@@ -166,10 +170,10 @@ def sums_file_from_document(
 
 
 def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
-    """Read the results of an earlier analysis: its folder, a results.json, or a sums.json.
+    """Read the results of an earlier analysis from its folder, a results.json, or a sums.json.
 
-    Sums are fitted again by ``method``. Raises AllanError when the file is missing, or is not such
-    a document.
+    The Allan sums in a sums.json are fitted again by ``method``. Raises AllanError when the file is
+    missing or invalid, or when the results and the sums in a folder are of different analyses.
     """
     expect(PATH, 'a path', path=path)
     place = Path(path)
@@ -185,7 +189,7 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
     if not Path(path).is_dir() or not file.is_file():
         return results
     sums: Any = read_json(file)
-    if document.get('fingerprint') != fingerprint(sums):  # killed between the two files
+    if document.get('fingerprint') != fingerprint(sums):  # a process was killed between two writes
         raise AllanError(
             f'{path}: {RESULTS} and {SUMS} are of different analyses: analyze the recording again, '
             'or give one of the two files'
@@ -195,13 +199,16 @@ def load(path: str | os.PathLike[str], method: str = 'likelihood') -> Results:
 
 
 def load_sums(path: str | os.PathLike[str]) -> RecordingSums:
-    """Read the sums of a sums.json, a checkpoint, or the folder of an analysis."""
+    """Read the Allan sums from a sums.json, a checkpoint, or the folder of an analysis.
+
+    Raises AllanError when the file is missing or invalid.
+    """
     place = file_in(path, SUMS)
     return RecordingSums(place, *sums_file_from_document(read_json(place), place))
 
 
 def file_in(path: str | os.PathLike[str], name: str) -> str:
-    """Return ``path``, or the path of the file ``name`` in it if it is a folder.
+    """Return ``path``; if it is a folder, return the path of the file ``name`` in this folder.
 
     Raises AllanError if the folder does not contain this file.
     """
@@ -218,8 +225,8 @@ def file_in(path: str | os.PathLike[str], name: str) -> str:
 def labels_of(paths: Sequence[str]) -> list[str]:
     """Return a label for each path.
 
-    The label is the name of the file without its suffix, or the name of the folder for a
-    results.json or sums.json. If two labels are equal, the labels are the paths themselves.
+    The label is the name of the file without suffix; for a results.json or sums.json, it is the
+    name of the folder. If two such labels are equal, the labels are the paths.
     """
     short = [
         Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
@@ -253,7 +260,12 @@ def _provenance_from_document(fields: Fields) -> Provenance:
 
 
 def finding_from_document(fields: Fields) -> Finding:
-    """Return a finding; one of another version, which lacks values, keeps its stated texts."""
+    """Return a finding in a document.
+
+    If the catalog does not contain its id, or values are missing, because the document is of
+    another version, the finding gets the message and the remedy in the document. Raises AllanError
+    if the finding is invalid.
+    """
     stated = fields.optional_fields('values')
     values = {name: _value_from_document(stated, name) for name in stated} if stated else {}
     known = CATALOG.get(fields.text('id'))
@@ -356,7 +368,7 @@ def _axis_from_document(name: str, fields: Fields) -> AxisResult:
 
 
 def _model_to_document(model: Model) -> list[dict[str, Any]]:
-    """Return the processes of a model: name, coefficient and shape, with their intervals."""
+    """Return name, coefficient and shape of each process of a model, with intervals."""
     return [
         {
             'process': part.process.name,

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise model of a datasheet as `Results`, for the files of an IMU that was not measured."""
+"""The noise model of a datasheet as `Results`, to export files for an IMU that was not measured."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from .measured import known_factors
 from .results import Results
 
 FROM_DATASHEET = 'datasheet'
-"""Method of results that come from a datasheet."""
+"""`Results.method` of results that come from a datasheet."""
 
 DEFAULT_RATE_HZ = 200.0
-"""Rate of an IMU in files from a datasheet, unless the user states it."""
+"""Sample rate in Hz that files from a datasheet state, unless the user states another rate."""
 
 CROSSING_S = 10.0
-"""Averaging time in s at which flicker noise equals white noise, if a datasheet states no B. Of the
-sensors that were measured, it is 7 to 200 s; a shorter time gives a larger B."""
+"""Averaging time in s at which flicker noise is assumed to equal white noise, if a datasheet states
+no B. This time is 7 to 200 s for the sensors that were measured. A shorter time gives a larger B.
+"""
 
 
 def results_of_datasheet(sheet: Datasheet, rate: float = DEFAULT_RATE_HZ) -> Results:
-    """Return the noise model of the datasheet for an IMU with a rate in Hz.
+    """Return the noise model of a datasheet as results of an IMU with a sample rate in Hz.
 
-    It has the stated N and B. K of a file for a filter follows from its reduced-order model:
-    it covers the error growth of N and B over the horizon of the filter. Raises AllanError if
-    the datasheet states no N of an axis of a sensor.
+    The model has the stated N and B. If the datasheet states no B, B follows from `CROSSING_S`.
+    Raises AllanError if the datasheet states no N of an axis.
     """
     axes, assumed = {}, []
     for axis, terms in sheet.values().items():

@@ -20,11 +20,11 @@ from .results import Results
 from .simulation import TRUTH_SCHEMA, TRUTH_SUFFIX, read_noise
 
 TRUTH = 'truth'
-"""Method of results that are the truth."""
+"""`Results.method` of the true noise."""
 
 
 def is_truth(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path is a truth file, by its name and its schema."""
+    """Return whether the file at a path is a truth file, judged by its name and schema."""
     place = Path(path)
     if not (place.name == 'truth.json' or place.name.endswith(TRUTH_SUFFIX)):
         return False
@@ -33,10 +33,10 @@ def is_truth(path: str | os.PathLike[str]) -> bool:
 
 
 def results_of_truth(path: str | os.PathLike[str]) -> Results:
-    """Return the noise in the truth file of a simulated recording; it is known exactly.
+    """Return the noise in the truth file of a simulated recording as results.
 
-    A term that was not simulated is 0 and has no interval, so that it is not compared. Raises
-    AllanError when the file is invalid.
+    The intervals have no width, because the noise is known exactly. A term that was not simulated
+    has no value, so that it is not compared. Raises AllanError when the file is invalid.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
     tau0, seconds = 1.0 / fields.number('rate_hz'), fields.number('seconds')

@@ -1,6 +1,9 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Values of N and B that were measured with units of a sensor, as its datasheet file lists them."""
+"""Compare results with N and B that others measured with IMUs of the same model.
+
+The file of a datasheet lists these values under ``measured``.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,18 @@ from .datasheets import Datasheet, Measured
 from .results import Results
 
 CATALOGUE_UNITS = {('gyro', 'N'): 'deg/sqrt(h)', ('accel', 'N'): 'ug/sqrt(Hz)'}
-"""Unit of a measured value in the catalogue, if it differs from `DATASHEET_UNITS`."""
+"""Unit of a measured value in datasheet files, if it differs from `DATASHEET_UNITS`."""
 
 CHANGE_WORDS: dict[Judgement, str] = {'alike': 'typical', 'higher': 'noisier', 'lower': 'quieter'}
-"""Change from the measured units -> its text."""
+"""Verdict of a comparison with other IMUs of the model -> its text."""
 
 
 def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
-    """Return (sensor, term) -> measured value in SI of N and B, if all axes resolve it."""
+    """Return (sensor, term) -> N or B in SI, for each term that all axes of the sensor resolve.
+
+    The value is the root mean square of the axes, and the interval contains the intervals of all
+    axes.
+    """
     found = {}
     for kind, term in ((kind, term) for kind in SENSORS for term in 'NB'):
         names = [axis for axis in AXES[SENSORS[kind]] if axis in results.axes]
@@ -36,18 +43,18 @@ def measured_values(results: Results) -> dict[tuple[str, str], Estimate]:
 
 
 def _texts(kind: str, term: str, *values: float, digits: int = 3) -> tuple[str, ...]:
-    """Return the values of a term as text, followed by the unit of the catalogue."""
+    """Return values of a term, given in SI, as texts in datasheet units, followed by the unit."""
     unit = CATALOGUE_UNITS.get((kind, term), DATASHEET_UNITS[kind][term])
     return *(significant(value / UNITS[unit].factor, digits) for value in values), unit
 
 
 def _numbers(estimate: Estimate) -> tuple[float, float, float]:
-    """Return the value and the ends of its interval."""
+    """Return the value and the ends of its interval; NaN if unknown."""
     return estimate.value or math.nan, *(estimate.ci95 or (math.nan, math.nan))
 
 
 def measured_entry(results: Results) -> str:
-    """Return the YAML text of results for the list ``measured`` in the file of a sensor."""
+    """Return results as YAML text, for the list ``measured`` in the file of a datasheet."""
     terms: dict[str, list[str]] = {}
     for (kind, term), known in measured_values(results).items():
         value, low, high, unit = _texts(kind, term, *_numbers(known), digits=4)
@@ -78,10 +85,11 @@ def measured_check_text(check: Check) -> str:
 
 
 def against_measured(sheet: Datasheet, results: Results) -> list[Check]:
-    """Compare each resolved N and B with the values that were measured with units of a sensor.
+    """Compare each resolved N and B with the values that others measured with IMUs of the model.
 
-    The axis of a check is the sensor, and its limits are the ends of the intervals of all measured
-    units. The verdict is 'alike' if the intervals overlap.
+    The axis of a check is the sensor. Its limits are the smallest and the largest end of the
+    intervals of all measured IMUs. The verdict is 'alike' if the interval of the results overlaps
+    these limits, else 'lower' or 'higher'.
     """
     found = []
     for (kind, term), value in measured_values(results).items():
@@ -97,8 +105,11 @@ def against_measured(sheet: Datasheet, results: Results) -> list[Check]:
 
 
 def measured_factors(sheet: Datasheet) -> Iterator[tuple[Measured, str, str, float | None]]:
-    """Yield each value that was measured with a sensor: unit, sensor, term, and the ratio to the
-    datasheet, which is None if that states no limit."""
+    """Yield each measured value of a datasheet file as (measurement, sensor, term, ratio).
+
+    The ratio is the measured value divided by the limit of the datasheet for the x axis; None if
+    the datasheet states no such limit.
+    """
     limits = sheet.values()
     for one in sheet.measured:
         for kind, terms in one.values.items():
@@ -108,13 +119,16 @@ def measured_factors(sheet: Datasheet) -> Iterator[tuple[Measured, str, str, flo
 
 
 def known_factors(sheets: Iterable[Datasheet]) -> tuple[float, float]:
-    """Return the smallest and the largest ratio of a measured N or B to its datasheet."""
+    """Return the smallest and the largest ratio of a measured N or B to its datasheet.
+
+    Both are 1 if no value was measured.
+    """
     ratios = [ratio for sheet in sheets for *_, ratio in measured_factors(sheet) if ratio]
     return min(ratios, default=1.0), max(ratios, default=1.0)
 
 
 def measured_lines(sheet: Datasheet) -> Iterator[str]:
-    """Yield a line for each measured value of a sensor, with its ratio to the datasheet."""
+    """Yield lines with the measured values of a datasheet file, and their ratios to limits."""
     shown = None
     for one, kind, term, factor in measured_factors(sheet):
         if one is not shown:

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Noise in motion of one analysis: from the drives of its recordings, with its findings."""
+"""Measure the noise in motion from the drives of the recordings of an analysis."""
 
 from __future__ import annotations
 
@@ -25,19 +25,21 @@ if TYPE_CHECKING:
     from .results import Results
 
 LEAST_REST_S = 60.0
-"""Least time at rest in s from which the noise at rest is known well enough to be compared."""
+"""Shortest time at rest in s from which the noise at rest is known well enough for a comparison."""
 
 MOVING = 0.1
-"""Least share of samples in motion of a recording that is expected to show the noise in motion."""
+"""Share of the samples in motion from which a recording is taken as a recording of drives. With a
+smaller share, no finding says that the noise in motion could not be measured."""
 
 EXPLAINED = 0.7
-"""A cause is stated for a sensor if its factor falls below this share with the cause."""
+"""A cause is stated for a sensor if its factor with the cause is below this share of its factor
+without the cause."""
 
 INTEGRAL_NAMES = {'gyro': 'angle', 'accel': 'velocity'}
-"""Sensor -> what its integral is."""
+"""Sensor -> name of the integral of its samples."""
 
 MEASURED = ('error_in_motion', 'motion_as_at_rest')
-"""Ids of the findings that state a factor."""
+"""Ids of the findings that state a factor of the noise in motion to the noise at rest."""
 
 CAUSE_NAMES = {
     'rotation': 'a rotation between gyro and accelerometer',
@@ -48,9 +50,10 @@ CAUSE_NAMES = {
 
 
 def with_motion(results: Results, drives: Drives) -> Results:
-    """Return results of a robot in use with the noise in motion of its latest drives.
+    """Return the results of a robot in use, with the noise in motion of its latest drives.
 
-    Without enough drives, or data at rest, ``results.motion`` is None, and no finding says so.
+    If there are too few drives or too little data at rest, ``results.motion`` is None, without a
+    finding.
     """
     motion, found = measure_motion(
         drives, results.axes, results.duration_s, 0.0, hidden=is_hidden(results.findings)
@@ -79,7 +82,7 @@ def measure_motion(
     drives : Drives
         Drives between rests.
     noise : mapping of axis name to AxisResult
-        Noise at rest, of the same recordings or of others of the same IMU.
+        Noise at rest, from the same recordings or from other recordings of the same IMU.
     rest_s : float
         Duration of the data from which ``noise`` was measured, in s.
     moving : float
@@ -90,9 +93,9 @@ def measure_motion(
     Returns
     -------
     motion : NoiseInMotion or None
-        None without enough drives, or if the noise at rest is not known.
+        None if there are too few drives, or if the noise at rest is not known.
     findings : tuple of Finding
-        Empty without drives, and for a recording at rest that was disturbed a few times.
+        Empty without drives, and for a recording at rest that was disturbed only a few times.
     """
     unresolved = [a for a in AXES if a not in noise or not noise[a].fit.noise['N'].resolved]
     is_known = not (unresolved or hidden)
@@ -122,16 +125,17 @@ def measure_motion(
 
 
 def noise_at_rest(axes: Mapping[str, AxisResult]) -> list[NoiseAtRest]:
-    """Return the resolved noise of the six axes at rest, and the limits of what is not resolved.
+    """Return the noise of the six axes at rest, in the order of `AXES`.
 
-    The estimates of terms that are not resolved can exceed the truth by far.
+    The model of an axis is without B and K that are not resolved, because their estimates can
+    exceed the truth by far. Their upper limits are given instead.
     """
     found = []
     for name in AXES:
         fit, tau0 = axes[name].fit, axes[name].tau0
-        open_terms = {letter: one for letter, one in fit.noise.items() if not one.resolved}
-        model = fit.model.changed(**{letter: 0.0 for letter in 'BK' if letter in open_terms})
-        limits = {letter: one.upper95 for letter, one in open_terms.items() if one.upper95}
+        unresolved = {letter: one for letter, one in fit.noise.items() if not one.resolved}
+        model = fit.model.changed(**{letter: 0.0 for letter in 'BK' if letter in unresolved})
+        limits = {letter: one.upper95 for letter, one in unresolved.items() if one.upper95}
         found.append(axis_noise(model, tau0, limits))
     return found
 
@@ -142,10 +146,11 @@ REASONS = {
     'gap': 'with missing samples',
     'short_rest': 'next to a rest of less than 1 s',
 }
+"""Reason why a drive is not used -> its text."""
 
 
 def causes_text(motion: NoiseInMotion) -> str:
-    """Return the names of the causes; '' for none."""
+    """Return the names of the causes of the errors in motion; '' if no cause was found."""
     return ' and '.join(CAUSE_NAMES[cause.name] for cause in motion.causes)
 
 

@@ -84,23 +84,25 @@ SCALES: Mapping[str, Mapping[str, float]] = {
 """Unit of a quantity that is not in `UNITS` -> stated unit -> factor."""
 
 ABOUT_THE_DATA = ('duration', 'used', 'temperature')
-"""Quantities of the recording and not of the IMU: outside of their limits, the IMU is not judged.
+"""Quantities of the recording, not of the IMU. If they exceed their limits, the IMU is not judged.
 """
 
 SIGNED = ('bias', 'temperature_drift')
-"""Quantities with a sign, which need both limits."""
+"""Quantities that can be negative, and therefore need both limits."""
 
 NEAR_K = 3.0
-"""Largest difference in K between the temperature of a limit and that of the recording, if there is
-no model of the bias over temperature."""
+"""Largest difference in K between the temperature at which a limit applies and the temperature of
+the recording, if there is no model of the bias over temperature."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of one quantity, in SI (or degC, deg); None for no limit.
+    """Limits of one quantity in SI, of a temperature in degC, and of an angle in deg.
 
-    ``unit`` is the unit in which the plan states them, and ``scale`` the factor from it to SI.
-    ``at`` is the temperature in degC at which a bias is judged; None for that of the recording.
+    ``lower`` or ``upper`` is None for no limit. ``unit`` is the unit in which the plan states the
+    limits, and ``scale`` is the factor from this unit to the unit of ``lower`` and ``upper``.
+    ``at`` is the temperature in degC at which a bias is judged; None for the temperature of the
+    recording.
     """
 
     lower: float | None
@@ -119,6 +121,7 @@ class Plan:
     name : str
         Name of the plan in texts.
     axes : mapping of axis to quantity to Limits
+        Limits of the quantities of each axis.
     whole : mapping of quantity to Limits
         Limits of the whole IMU and of the recording.
     up : (3,) or None
@@ -146,11 +149,10 @@ class Plan:
     up: tuple[float, float, float] | None = None
 
     def checks(self, results: Results) -> tuple[Check, ...]:
-        """Return each limited quantity of the results, compared with its limits.
+        """Return a check of each quantity that the plan limits.
 
-        Those of the whole IMU come first, because they often explain the others.
-
-        A quantity that the results do not contain is undecided.
+        Checks of the whole IMU come first, because they often explain the others. The verdict is
+        'undecided' for a quantity that the results do not contain.
         """
         found: list[Check] = []
         for quantity, limits in self.whole.items():
@@ -176,14 +178,14 @@ class Plan:
         return found
 
     def unchecked(self, results: Results) -> list[str]:
-        """Return the measured quantities that the plan does not limit: 'gyro B', 'rate' ..."""
+        """Return the names of quantities that the plan does not limit, such as 'gyro B', 'rate'."""
         names = []
         for sensor, where in SENSORS.items():
             measured = [axis for axis in AXES[where] if axis in results.axes]
             for quantity in AXIS_UNITS[sensor] if measured else ():
                 free = [axis for axis in measured if quantity not in self.axes.get(axis, {})]
-                whole = len(free) == len(measured)
-                names += [f'{sensor} {quantity}'] if whole else [f'{a} {quantity}' for a in free]
+                all_free = len(free) == len(measured)
+                names += [f'{sensor} {quantity}'] if all_free else [f'{a} {quantity}' for a in free]
         return names + [quantity for quantity in UNIT_UNITS if quantity not in self.whole]
 
     def _of_axis(
@@ -251,7 +253,10 @@ def _exact(value: float | None) -> tuple[Estimate, str]:
 
 
 def used_share(results: Results) -> float | None:
-    """Return the share of the samples that were used, of those that were received or lost."""
+    """Return the share of used samples among all samples that were used, excluded or lost.
+
+    Returns None if there are no samples.
+    """
     c = results.provenance.counts
     excluded = c.skipped + c.other_frame + c.not_finite + c.duplicate + c.backward + c.untimed
     excluded += c.moving + c.stuck + c.noise_increased + c.noise_decreased
@@ -263,13 +268,16 @@ def used_share(results: Results) -> float | None:
 def load_plan(path: str | Path) -> Plan:
     """Read a test plan from a YAML or JSON file.
 
-    Raises AllanError with the position of an invalid entry.
+    Raises AllanError if the file cannot be read, or with the position of an invalid entry.
     """
     return plan_from_document(read_yaml(Path(path).expanduser()), str(path))
 
 
 def plan_from_document(document: object, where: str) -> Plan:
-    """Return the test plan in a document; ``where`` names it in messages."""
+    """Return the test plan in a document; ``where`` is the name of the document in messages.
+
+    Raises AllanError with the position of an invalid entry.
+    """
     fields = Fields(document, where)
     fields.schema(SCHEMA)
     fields.only('schema', 'name', 'remark', *SENSORS, *AXES, *UNIT_UNITS)
@@ -301,7 +309,10 @@ def plan_from_document(document: object, where: str) -> Plan:
 
 
 def _limits(fields: Fields, quantity: str, unit: str) -> Limits:
-    """Read an object ``{lower, upper, unit}``, in which one of the limits may be missing."""
+    """Return the limits in an object with the keys lower, upper and unit.
+
+    One of the limits may be missing. Raises AllanError if the object is invalid.
+    """
     more = {'bias': ('at',), 'orientation': ('up',)}.get(quantity, ())
     fields.only('lower', 'upper', 'unit', *more)
     name = fields.text('unit', '' if unit == '' else unit)
@@ -317,7 +328,7 @@ def _limits(fields: Fields, quantity: str, unit: str) -> Limits:
 
 
 def _scale(stated: str, unit: str, where: str) -> float:
-    """Return the factor from a stated unit to the unit of a quantity."""
+    """Return the factor from the stated unit to ``unit``; raise AllanError if there is none."""
     if unit in SCALES:
         if stated in SCALES[unit]:
             return SCALES[unit][stated]
@@ -343,9 +354,9 @@ def _direction(fields: Fields) -> tuple[float, float, float]:
 
 
 def plan_text(sheet: Datasheet) -> str:
-    """Return a test plan as YAML that limits N and B to the figures of a datasheet.
+    """Return a test plan as YAML text that limits N and B to the figures of a datasheet.
 
-    What a datasheet does not state, such as the rate of the recording, is in comments.
+    Limits that a datasheet does not state, such as the sample rate, are given as comments.
     """
     lines = [
         f'# Test plan from the datasheet of {sheet.name}: typical figures plus {MARGIN:.0%}, and a',
@@ -382,7 +393,7 @@ TO_COMPLETE = (
     '#   temperature_drift: {lower: -0.01, upper: 0.01, unit: deg/s/K}',
     '#   bandwidth: {lower: 40, unit: Hz}',
 )
-"""Lines of a plan for what a datasheet does not state."""
+"""Lines of a plan with limits that a datasheet does not state."""
 
 
 def _values(sheet: Datasheet, axis: str) -> dict[str, float]:

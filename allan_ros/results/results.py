@@ -31,21 +31,21 @@ SENSOR_FAULTS = ('no_noise', 'sensor_all_zero')
 """Ids of findings that indicate a broken sensor."""
 
 WRONG_UNITS = ('gyro_unit', 'gyro_unit_changed', 'accel_unit')
-"""Ids of findings because of which a comparison is about the units and not about the sensor."""
+"""Ids of findings about a wrong unit of measurement: comparisons do not judge the sensor then."""
 
 UNSUITABLE = ('not_noise', 'not_settled')
-"""Ids of findings because of which the numbers are not those of the sensor at rest."""
+"""Ids of findings about data that do not show the noise of the sensor at rest."""
 
 TOO_SHORT_S = 20.0
-"""Time at rest in s below which no verdict is given."""
+"""Duration of the data at rest in s below which no verdict is given."""
 
 
 @dataclass(frozen=True)
 class Results:
     """The results of one analysis of one IMU.
 
-    ``results['gyro_z']`` is the `AxisResult` of an axis, and iteration gives the names of the axes.
-    Printed, the results are a summary.
+    ``results['gyro_z']`` is the `AxisResult` of an axis, and iteration yields the names of the
+    axes. The text of the object is a summary.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Results:
         Method of the fit: 'likelihood' or 'paper'.
     tau0, duration_s : float
         Sample period, and total time of all used samples, in s. If gyro and accelerometer have
-        different rates, these are of the sensor with more samples.
+        different rates, these numbers are of the sensor with more samples.
     samples, segments : int
         Number of used samples, and of segments without gaps or motion, of the same sensor.
     axes : mapping of axis name to AxisResult
@@ -69,8 +69,8 @@ class Results:
     baselines : mapping of name to Results
         Earlier runs of this IMU with which the results are compared.
     margin : float
-        A coefficient exceeds a limit of the datasheet or an earlier run if its complete 95 %
-        interval lies above it by this fraction.
+        Fraction by which a coefficient may exceed a limit of the datasheet or an earlier run. A
+        coefficient exceeds a limit if its complete 95 % interval lies above limit * (1 + margin).
     motion : NoiseInMotion or None
         Errors in motion relative to the prediction from the noise at rest; None if the recordings
         have too few drives between two rests.
@@ -132,16 +132,17 @@ class Results:
 
     @property
     def is_too_short(self) -> bool:
-        """Whether there is too little data at rest for a verdict."""
+        """Whether no coefficient is resolved, or the data at rest last less than `TOO_SHORT_S`."""
         return not self.is_measured or self.duration_s < TOO_SHORT_S
 
     @cached_property
     def level(self) -> Level:
-        """Whether the IMU is healthy.
+        """The overall verdict about the IMU; the first one that applies.
 
-        'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably
-        wrong units, a recording of motion or of a warm-up, another error, or no decided comparison;
-        'measured' without a datasheet or earlier run to compare with; 'attention' for a warning.
+        'failed' for a broken sensor; 'unknown' for too little data, a wrong unit of measurement, or
+        a recording of motion or of a warm-up; 'failed' for an exceeded limit; 'unknown' for another
+        error or an undecided comparison; 'measured' without a datasheet or earlier run to compare
+        with; 'attention' for a warning; else 'healthy'.
         """
         found = {finding.id for finding in self.findings}
         severities = {finding.severity for finding in self.findings}
@@ -159,9 +160,9 @@ class Results:
 
     @property
     def is_decided(self) -> bool:
-        """Whether N is within all its limits, and without a limit of N all other terms are.
+        """Whether N is within all its limits; if N has no limit, whether all terms with limits are.
 
-        The other terms often need a longer recording.
+        Other terms than N often need a longer recording.
         """
         required = [c for c in self.comparisons if c.quantity == 'N'] or self.comparisons
         return all(c.verdict == 'within' for c in required)
@@ -195,7 +196,7 @@ class Results:
 
     @property
     def temperature_models(self) -> dict[str, dict[str, TemperatureModel]]:
-        """The models of the bias over temperature: sensor -> axis -> model, if there are any."""
+        """The models of the bias over temperature: sensor -> axis -> model; empty without any."""
         found: dict[str, dict[str, TemperatureModel]] = {}
         for name, axis in self.axes.items():
             if axis.temperature is not None:
@@ -206,7 +207,7 @@ class Results:
     def datasheet_checks(self) -> tuple[Check, ...]:
         """The comparisons of all coefficients that have a limit in the datasheet, by axis and term.
 
-        The verdict is 'undecided' below `TOO_SHORT_S` of data at rest.
+        The verdict is 'undecided' if the data at rest are shorter than `TOO_SHORT_S`.
         """
         sheet = self.datasheet
         found = () if sheet is None else against_datasheet(self.noise, sheet, self.margin)
@@ -217,12 +218,12 @@ class Results:
         """The comparisons of the coefficients with the datasheet and with the earlier runs.
 
         Allan deviations are compared with the earlier runs, too. If a deviation of an axis exceeds
-        an earlier run although none of its coefficients does, the largest such excess is included.
+        an earlier run although no coefficient of this axis does, the largest excess is included.
         """
         found: list[Check] = []
         pairs = [(name, run.measured, self.measured) for name, run in self.baselines.items()]
-        for name, of_run in zip(self.baselines, differences(pairs)):
-            known = [c for d in of_run if (c := d.as_limit(self.margin)) is not None]
+        for name, checks in zip(self.baselines, differences(pairs)):
+            known = [c for d in checks if (c := d.as_limit(self.margin)) is not None]
             found += [c for c in known if c.tau is None]
             explained = {c.axis for c in found if c.reference == name and c.verdict == 'exceeds'}
             excess: dict[str, Check] = {}
@@ -248,10 +249,10 @@ class Results:
         return iter(self.axes)
 
     def against_datasheet(self: R, datasheet: Datasheet, margin: float) -> R:
-        """Return a copy that is compared with this datasheet instead of any earlier one.
+        """Return a copy that is compared with ``datasheet``, which replaces another datasheet.
 
-        Each coefficient that exceeds its limit by more than the fraction ``margin`` adds a finding,
-        and each N that is implausibly small.
+        A finding is added for each coefficient that exceeds its limit by more than the fraction
+        ``margin``, and for each N that is implausibly small.
         """
         others = (f for f in self.findings if f.id not in ('exceeds_limit', 'below_typical'))
         judged = replace(self, datasheet=datasheet, margin=margin)

@@ -2,16 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate an IMU with noise and faults that the user states, in Python or in a file.
 
-A specification of a simulated IMU is a YAML or JSON file. ``noise`` maps axes to coefficients: a
-number in datasheet units, or ``{value, unit}``. ``gyro`` and ``accel`` apply to three axes, and a
-single axis takes precedence. ``faults`` has the fields of `Faults`, in SI:
+Specification
+-------------
+A specification of a simulated IMU is a YAML or JSON file. ``noise`` maps axes to coefficients. Each
+coefficient is a number in datasheet units, or an object with the keys value and unit. ``gyro`` and
+``accel`` apply to three axes, and a single axis takes precedence. ``faults`` has the fields of
+`Faults`, in SI:
 
     noise:
       gyro: {N: 0.3, B: {value: 7, unit: deg/h}}
       gyro_z: {N: 0.4}
     faults: {drop: 0.01, motion: [[60, 2.5]], vibration_gyro: 0.001, vibration_frequency: 25}
 
-The truth file that is written next to a simulated recording is such a file.
+The truth file next to a simulated recording has the same format.
 """
 
 from __future__ import annotations
@@ -49,10 +52,10 @@ def truth_path(recording: str | os.PathLike[str]) -> Path:
 
 
 def read_specification(path: str | os.PathLike[str]) -> tuple[Fields | None, Faults]:
-    """Read what to simulate from a YAML or JSON file, such as a truth file.
+    """Read a specification of a simulated IMU from a YAML or JSON file.
 
-    Returns the stated noise, None if there is none, and the faults. Raises AllanError with the
-    position of an invalid entry.
+    Returns the stated noise (None if the file states none) and the faults. Raises AllanError if the
+    file cannot be read, or with the position of an invalid entry.
     """
     fields = Fields(read_yaml(Path(path)), str(path))
     if 'schema' in fields:
@@ -66,16 +69,19 @@ def read_specification(path: str | os.PathLike[str]) -> tuple[Fields | None, Fau
 
 
 def read_noise(path: str | os.PathLike[str]) -> AxesNoise:
-    """Read the noise of an IMU from a specification: axis -> coefficients in SI.
+    """Read the noise of an IMU from a specification: axis -> noise model in SI.
 
-    Axes that are not named have no noise.
+    Axes that are not named have no noise. Raises AllanError if the file is invalid.
     """
     stated, _ = read_specification(path)
     return with_noise(NO_NOISE, stated or Fields({}, str(path)))
 
 
 def with_noise(noise: AxesNoise, stated: Fields) -> AxesNoise:
-    """Replace coefficients of the noise (axis -> coefficients in SI) by those in ``stated``."""
+    """Return the noise of the six axes with the coefficients in ``stated`` replaced.
+
+    ``noise`` maps each axis to a noise model in SI. Raises AllanError if a coefficient is invalid.
+    """
     stated.only(*SI_UNITS, *AXES)
     return {
         axis: noise[axis].changed(
@@ -96,11 +102,23 @@ def stated_noise(
     spec: Fields | None = None,
     changes: Mapping[str, Mapping[str, float]] | None = None,
 ) -> AxesNoise:
-    """Return the noise to simulate: axis -> coefficients in SI.
+    """Return the noise to simulate: axis -> noise model in SI.
 
-    It comes from the preset, or from the datasheet ``sensor``, which states N and B. Then the noise
-    of a specification (``spec``) and ``changes`` (axis or sensor -> term -> value in datasheet
-    units) replace single coefficients. Raises AllanError if nothing is given or a name is unknown.
+    Parameters
+    ----------
+    preset : str
+        Name of predefined noise; '' for none.
+    sensor : str
+        Name of a datasheet, whose N and B are used if there is no preset; '' for none.
+    spec : Fields, optional
+        Noise of a specification, whose coefficients replace those of the preset or datasheet.
+    changes : mapping, optional
+        Axis or sensor -> term -> coefficient in datasheet units. They replace all others.
+
+    Raises
+    ------
+    AllanError
+        When no noise is given, or when a name or coefficient is invalid.
     """
     noise = NO_NOISE
     if preset:
@@ -139,10 +157,25 @@ def write_truth(
     seed: int,
     faults: Faults,
 ) -> Path:
-    """Write the true noise and faults of a simulated recording next to it, and return the path.
+    """Write the truth file of a simulated recording next to the recording, and return its path.
 
-    ``noise`` maps axes to coefficients in SI. The file also contains the duration in s, the sample
-    rate in Hz, the seed, and the faults that differ from their defaults.
+    Parameters
+    ----------
+    recording : path
+        Path of the recording.
+    noise : mapping of axis to Model
+        True noise of each axis in SI.
+    seconds, rate : float
+        Duration in s, and sample rate in Hz.
+    seed : int
+        Seed of the random numbers.
+    faults : Faults
+        Faults of the simulation. The file contains only faults that differ from their defaults.
+
+    Raises
+    ------
+    AllanError
+        When the file cannot be written.
     """
     changed = {k: v for k, v in asdict(faults).items() if v != getattr(Faults(), k)}
     document: dict[str, Any] = {
@@ -184,26 +217,27 @@ def simulate(
     hours, rate : float
         Duration in h, and sample rate in Hz.
     preset : str
-        Name of predefined noise: 'paper' (the ADIS16475-3 of Cong et al. 2019), or '' for none.
+        Name of predefined noise: 'paper' for the ADIS16475-3 of Cong et al. 2019, or '' for none.
     sensor : str
-        Name of a datasheet, whose N and B are used instead of the preset; a term that it does not
-        state is 0.
+        Name of a datasheet, whose N and B are used instead of the preset. Terms that the datasheet
+        does not state are 0.
     gyro, accel : mapping, optional
-        Coefficients that replace the preset, in datasheet units (gyro N in deg/sqrt(h), B
-        in deg/h; accelerometer N in m/s/sqrt(h), B in ug), for all axes as in
-        ``{'N': 0.3, 'B': 7}``, or by axis as in ``{'z': {'N': 0.3}}``.
+        Coefficients in datasheet units that replace coefficients of the preset or datasheet. N of
+        the gyro is in deg/sqrt(h) and B in deg/h; N of the accelerometer is in m/s/sqrt(h) and B in
+        ug. ``{'N': 0.3, 'B': 7}`` applies to all axes, ``{'z': {'N': 0.3}}`` to one axis.
     seed : int
         Seed of the random numbers, 0 or more.
     frame_id : str
         The frame_id of the messages.
     **faults
-        Faults of the IMU, as in the files of `allan simulate --spec`: ``motion``, ``gaps`` (both as
-        pairs of start and length in s), ``low_pass`` (Hz), ``drop`` ...
+        Faults of the IMU, as in the files of `allan simulate --spec`. For example, ``motion`` and
+        ``gaps`` are lists of pairs (start, length) in s, ``low_pass`` is a frequency in Hz, and
+        ``drop`` is the probability that a sample is lost.
 
     Returns
     -------
     ImuBatch
-        With ``stamps_ns`` (n,) in ns and ``samples`` (n, 6) in rad/s and m/s^2.
+        The samples: ``stamps_ns``, (n,), in ns, and ``samples``, (n, 6), in rad/s and m/s^2.
 
     Raises
     ------
@@ -238,5 +272,5 @@ def simulate(
 def _noise_changes(sensor: str, given: Mapping[str, Any]) -> dict[str, Mapping[str, float]]:
     """Return ``given`` as a mapping by sensor or axis name, such as ``{'gyro_z': {'N': 0.3}}``."""
     expect(Mapping, 'a mapping of terms', **{sensor: given})
-    each = bool(given) and set(given) <= set('xyz')
-    return {f'{sensor}_{axis}': given[axis] for axis in given} if each else {sensor: given}
+    is_by_axis = bool(given) and set(given) <= set('xyz')
+    return {f'{sensor}_{axis}': given[axis] for axis in given} if is_by_axis else {sensor: given}

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The decision of a production test about one unit: may it ship, and if not, why."""
+"""Decide in a production test whether an IMU passes, and state the reasons if it does not."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .results import SENSOR_FAULTS, UNSUITABLE, WRONG_UNITS, Results
 
 
 class Decision(IntEnum):
-    """Decision about a unit, which is also its exit code."""
+    """Decision about an IMU; its value is the exit code."""
 
     WITHIN = 0
     UNREADABLE = 1
@@ -27,7 +27,7 @@ class Decision(IntEnum):
 WORST_FIRST = (
     *(Decision.BUG, Decision.EXCEEDS, Decision.UNREADABLE, Decision.NOT_JUDGED, Decision.WITHIN),
 )
-"""The decision about a batch is the first of these that occurs."""
+"""Decisions in the order of severity. The decision about a batch is the first one that occurs."""
 
 DECISION_WORDS = {
     Decision.WITHIN: 'healthy',
@@ -36,38 +36,39 @@ DECISION_WORDS = {
     Decision.NOT_JUDGED: 'not judged',
     Decision.BUG: 'error',
 }
-"""Decision -> its text in the line of a unit."""
+"""Decision -> its text in the line about an IMU."""
 
 BROKEN = (*SENSOR_FAULTS, 'stuck', 'clipped', 'axis_absent', 'axes_equal')
 """Ids of findings that indicate a broken axis."""
 
 SUSPECT_NOTES = ('spikes',)
-"""Ids of notes that make a unit suspect."""
+"""Ids of notes (findings of severity info) because of which an IMU is not judged."""
 
 ABOUT_THE_FORMAT = (
     *('unit_assumed', 'stamp_unit_assumed', 'stamps_unit', 'stamps_unusable'),
     *('covariance_ignored', 'sensor_elsewhere'),
 )
-"""Ids of warnings about the format of a recording, which say nothing about the unit: the limits of
-a plan or a datasheet reveal a wrong unit of measurement."""
+"""Ids of warnings about the format of a recording. They say nothing about the IMU, and the limits
+of a plan or a datasheet reveal a wrong unit of measurement."""
 
 
 @dataclass(frozen=True)
 class UnitCheck:
-    """The decision about a unit, and what it is based on.
+    """The decision about an IMU, and the checks and findings on which it is based.
 
     Attributes
     ----------
     decision : Decision
-        WITHIN only if every limit is met and no finding makes the unit suspect.
+        WITHIN only if every limit is met and no finding makes the IMU or its data suspect.
     plan : Plan or None
         The test plan; None if there is none.
     checks : tuple of Check
-        All quantities with limits in the plan.
+        Comparisons of all quantities that the plan limits; empty without a plan.
     unchecked : tuple of str
-        Measured quantities that the plan does not limit; empty without a plan.
+        Names of the quantities that the plan does not limit; empty without a plan.
     suspect : tuple of Finding
-        Findings because of which the unit does not pass, the most severe first.
+        Findings because of which the IMU does not pass: first the findings about a broken axis,
+        then the others, by their effect.
 
     Examples
     --------
@@ -87,16 +88,17 @@ class UnitCheck:
     suspect: tuple[Finding, ...] = ()
 
     def of(self, verdict: str) -> list[Check]:
-        """Return the checks with a verdict: 'within', 'exceeds' or 'undecided'."""
+        """Return the checks with the verdict ``verdict``: 'within', 'exceeds' or 'undecided'."""
         return [check for check in self.checks if check.verdict == verdict]
 
 
 def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
-    """Decide about a unit by a plan, and by the datasheet and earlier runs of the results.
+    """Decide about an IMU by a plan, and by the datasheet and earlier runs of the results.
 
-    The unit exceeds if a limit is exceeded or an axis is broken. It is not judged if a finding
-    makes it or its data suspect, a limit is undecided, or nothing was compared. Without a plan,
-    only N must be decided if it has a limit, because B and K often need a longer recording.
+    The decision is EXCEEDS if a limit is exceeded or an axis is broken. It is NOT_JUDGED if a
+    finding makes the IMU or its data suspect, if a comparison with a limit is undecided, or if
+    nothing was compared. Of the limits of a datasheet or an earlier run, only N must be decided if
+    N has a limit, because B and K often need a longer recording.
     """
     found = by_consequence(results.findings)
     broken = [f for f in found if f.id in BROKEN]
@@ -106,7 +108,7 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     checks = plan.checks(results) if plan else ()
     unchecked = tuple(plan.unchecked(results)) if plan else ()
     verdicts = {check.verdict for check in checks}
-    # a datasheet is not compared with too few data, or with a wrong unit of measurement
+    # comparisons with a datasheet mean nothing with too few data or a wrong unit of measurement
     usable = not results.is_too_short and not any(
         f.id in (*WRONG_UNITS, *UNSUITABLE) for f in found
     )
@@ -122,7 +124,7 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
 
 
 def worst(decisions: Sequence[Decision]) -> Decision:
-    """Return the decision about a batch.
+    """Return the decision about a batch: the most severe decision about its IMUs.
 
     >>> worst([Decision.WITHIN, Decision.NOT_JUDGED, Decision.UNREADABLE]).name
     'UNREADABLE'
