@@ -77,8 +77,8 @@ def _add(parser: argparse._ActionsContainer, option: Option) -> None:
     given: dict[str, Any] = {} if option.nargs is None else {'nargs': option.nargs}
     shown = ''
     if option.default:
-        number = isinstance(option.default, (int, float))
-        shown = f' (default {f"{option.default:.12g}" if number else option.default})'
+        is_number = isinstance(option.default, (int, float))
+        shown = f' (default {f"{option.default:.12g}" if is_number else option.default})'
     parser.add_argument(
         *option.names,
         metavar=option.value,

@@ -208,8 +208,8 @@ def _legend(results: Results) -> str:
     if not any(c.ci95 or c.upper95 for c in known):
         return f'method {results.method} gives no intervals'
     text = '95 % intervals; "<" is the 95 % upper limit of a term that is not resolved'
-    deviates = any(_deviation(results, axis) != NOTHING_KNOWN for axis in results.axes)
-    return text + f'; {DEVIATION}: largest difference of the curve from the model' * deviates
+    any_deviation = any(_deviation(results, axis) != NOTHING_KNOWN for axis in results.axes)
+    return text + f'; {DEVIATION}: largest difference of the curve from the model' * any_deviation
 
 
 def _known_rows(table: Table) -> Table:
@@ -224,8 +224,8 @@ SMALL_DEVIATION = 0.05
 
 def _deviation(results: Results, axis: str) -> str:
     deviation = results.axes[axis].fit.deviation
-    large = deviation is not None and abs(deviation.relative) >= SMALL_DEVIATION
-    return deviation_text(deviation) if large and not results.is_too_short else NOTHING_KNOWN
+    is_large = deviation is not None and abs(deviation.relative) >= SMALL_DEVIATION
+    return deviation_text(deviation) if is_large and not results.is_too_short else NOTHING_KNOWN
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:

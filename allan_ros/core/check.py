@@ -338,8 +338,8 @@ def _log_points(curve: AxisCurve) -> Floats:
     """
     with np.errstate(invalid='ignore', divide='ignore'):
         edf = _degrees_of_freedom(curve.ci_low, curve.ci_high)
-        known = (curve.adev > 0.0) & np.isfinite(edf) & (edf >= MIN_EDF) & (curve.tau > 0.0)
-    return np.log(np.stack([curve.tau, curve.adev, edf], axis=1)[known])
+        is_comparable = (curve.adev > 0.0) & np.isfinite(edf) & (edf >= MIN_EDF) & (curve.tau > 0.0)
+    return np.log(np.stack([curve.tau, curve.adev, edf], axis=1)[is_comparable])
 
 
 def _with_verdicts(found: Sequence[Check], family_error: float) -> list[Check]:
@@ -396,8 +396,10 @@ def _known(c: Estimate) -> Known | None:
 
 def _limit(c: Estimate) -> float | None:
     """Return the 95 % upper limit of a coefficient that is not resolved, else None."""
-    known = c.status == 'not_observable' and c.upper95 is not None and 0.0 < c.upper95 < math.inf
-    return c.upper95 if known else None
+    has_limit = (
+        c.status == 'not_observable' and c.upper95 is not None and 0.0 < c.upper95 < math.inf
+    )
+    return c.upper95 if has_limit else None
 
 
 def _ratio_of_estimates(a: Known, b: Known) -> tuple[float, tuple[float, float], float]:

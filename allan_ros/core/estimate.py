@@ -195,17 +195,17 @@ class Estimate:
         least = -MAX_FLOAT if signed else 0.0
 
         def number(key: str, least: float = 0.0) -> float | None:
-            known = key in fields and fields.value(key) is not None
-            return fields.number(key, least) if known else None
+            is_stated = key in fields and fields.value(key) is not None
+            return fields.number(key, least) if is_stated else None
 
-        predictive = 'recording_ci95' in fields
+        has_predictive = 'recording_ci95' in fields
         return cls(
             number('value', least),
-            fields.typed('recording_ci95' if predictive else 'ci95', Ends | None),
+            fields.typed('recording_ci95' if has_predictive else 'ci95', Ends | None),
             number('upper95'),
             fields.typed('status', Status),
             number('lower95', least),
-            fields.typed('ci95', Ends) if predictive else None,
+            fields.typed('ci95', Ends) if has_predictive else None,
         )
 
     def __repr__(self) -> str:
@@ -248,8 +248,8 @@ def interval_text(estimate: Estimate, unit: ShownUnit) -> str:
     low, high = estimate.ci95
     if low == high:
         return ''
-    narrow = high - low < 0.02 * max(abs(low), abs(high))
-    digits = VALUE_DIGITS if narrow else LIMIT_DIGITS
+    is_narrow = high - low < 0.02 * max(abs(low), abs(high))
+    digits = VALUE_DIGITS if is_narrow else LIMIT_DIGITS
     return '..'.join(significant(limit * unit.factor, digits) for limit in (low, high))
 
 

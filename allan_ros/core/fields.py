@@ -177,13 +177,13 @@ class Fields:
     ) -> NDArray[np.float64]:
         """Return a list of lists of numbers of at least ``least`` as an array, (rows, columns)."""
         value = self.sequence(key, rows)
-        regular = len(value) == rows and all(
+        is_regular = len(value) == rows and all(
             isinstance(row, list)
             and len(row) == columns
             and all(type(x) in (int, float) and least <= x <= MAX_FLOAT for x in row)
             for row in value
         )
-        if not regular:
+        if not is_regular:
             above = ' of 0 or above' if least == 0.0 else ''
             expected = f'a table of {rows} x {columns} finite numbers{above}'
             raise self._wrong(key, value, expected)
@@ -239,10 +239,10 @@ class Fields:
         an array, a mapping of names to floats, a dataclass or named tuple, and a tuple of strings,
         of tuples of floats or of dataclasses. Each type may be combined with None.
         """
-        signed = get_origin(hint) is Annotated
-        hint = get_args(hint)[0] if signed else hint
+        may_be_negative = get_origin(hint) is Annotated
+        hint = get_args(hint)[0] if may_be_negative else hint
         origin, args = get_origin(hint), get_args(hint)
-        least = -MAX_FLOAT if signed else 0.0
+        least = -MAX_FLOAT if may_be_negative else 0.0
         if type(None) in args:
             return None if self._document.get(key) is None else self.typed(key, args[0])
         if origin is Literal:
@@ -251,8 +251,8 @@ class Fields:
             numbers = self.fields(key)
             return {name: numbers.number(name, -MAX_FLOAT) for name in numbers._document}
         if origin in (np.ndarray, NDArray):  # from numpy 2.5 on, NDArray is a type itself
-            whole = np.int64 in (args[-1], *get_args(args[-1]))
-            return self.integers(key, len(self.sequence(key))) if whole else self.numbers(key)
+            is_whole = np.int64 in (args[-1], *get_args(args[-1]))
+            return self.integers(key, len(self.sequence(key))) if is_whole else self.numbers(key)
         if args[1:] == (Ellipsis,) and args[0] is str:
             texts = self.sequence(key)
             if not all(isinstance(text, str) for text in texts):
@@ -277,7 +277,7 @@ class Fields:
         if hint is float:
             return self.number(key, least)
         fields = self.fields(key)
-        return hint.from_document(fields, signed=True) if signed else fields.record(hint)
+        return hint.from_document(fields, signed=True) if may_be_negative else fields.record(hint)
 
     def _get(
         self,

@@ -191,8 +191,8 @@ def _value(value: Any) -> Any:
         return value.item()
     if isinstance(value, tuple) and all(isinstance(each, Estimate) for each in value):
         return value
-    known = isinstance(value, (int, float, Estimate)) or value is None
-    return value if known else str(value)
+    is_storable = isinstance(value, (int, float, Estimate)) or value is None
+    return value if is_storable else str(value)
 
 
 class Several(tuple):  # type: ignore[type-arg]

@@ -58,8 +58,8 @@ def nonnegative_least_squares(
         if not gain.max() > 0.0:
             break
         free[gain.argmax()] = True
-        while (below := free & ~signed & ((trial := solved(free)) <= 0.0)).any():
-            x += (x[below] / (x[below] - trial[below])).min() * (trial - x)
+        while (is_below := free & ~signed & ((trial := solved(free)) <= 0.0)).any():
+            x += (x[is_below] / (x[is_below] - trial[is_below])).min() * (trial - x)
             free &= (x > rounding * x.max()) | signed
             x[~free] = 0.0
         x = trial

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read samples from memory and from numpy files: ``.npz`` with the array ``imu``, or ``.npy``.
 
+Columns
+-------
 The options name the columns of a file. By default, the columns are t, gx, gy, gz, ax, ay, az in s,
 rad/s and m/s^2, or some of these (`COLUMN_NAMES`). In a ``.npz`` file, the array ``stamps_ns``
 (int64) replaces t. The arrays ``record_ns`` (int64) and ``frame_id`` (one string) are optional.
@@ -372,11 +374,11 @@ def _nanoseconds(where: object, times: Any, scale: int) -> NDArray[np.int64]:
         return values.astype(f'{values.dtype.kind}8[ns]').astype(np.int64)
     with np.errstate(all='ignore'):
         in_ns = _numbers(values)[:, 0] * scale
-    bad = ~(np.abs(in_ns) < np.iinfo(np.int64).max)  # also for NaN
-    if bad.any():
+    is_invalid = ~(np.abs(in_ns) < np.iinfo(np.int64).max)  # also for NaN
+    if is_invalid.any():
         raise AllanError(
-            f'{where}: the time of row {int(np.argmax(bad))} is not a valid stamp: correct it, or '
-            'state the unit of the times (s, ms, us, ns)'
+            f'{where}: the time of row {int(np.argmax(is_invalid))} is not a valid stamp: correct '
+            'it, or state the unit of the times (s, ms, us, ns)'
         )
     if values.dtype.kind in 'iu':
         return values.astype(np.int64) * scale

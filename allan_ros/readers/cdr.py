@@ -192,8 +192,8 @@ def _grouped_by_layout(
     n = len(payloads)
     # messages of equal length have the same layout if these fields are equal, too
     fields = ('frame_bytes',) if encoding == 'ros1' else ('frame_bytes', 'representation')
-    several = not isinstance(payloads, np.ndarray) and len(set(map(len, payloads))) > 1
-    if n and not several:
+    lengths_differ = not isinstance(payloads, np.ndarray) and len(set(map(len, payloads))) > 1
+    if n and not lengths_differ:
         dtype = _layout_of(bytes(payloads[0]), encoding).dtype
         if isinstance(payloads, np.ndarray):
             records = payloads.view(dtype)

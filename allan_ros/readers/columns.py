@@ -184,8 +184,8 @@ class ColumnLayout:
             )
         else:
             return self
-        doubtful = unit != 's' or (len(times) >= ENOUGH and _step(times) >= FASTEST_MS)
-        assumed = unit if not stated and not by_size and doubtful else ''
+        is_doubtful = unit != 's' or (len(times) >= ENOUGH and _step(times) >= FASTEST_MS)
+        assumed = unit if not stated and not by_size and is_doubtful else ''
         return replace(self, stamp=((column, STAMP_UNITS[unit]),), time_unit=assumed)
 
 

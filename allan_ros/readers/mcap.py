@@ -161,8 +161,8 @@ class McapStorage:
         else:
             known.stated = known.stated or known.counted | self._indexed
             magic_at = self._size - len(MAGIC)
-            ended = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
-            if not self.truncation and not ended:
+            has_end = at >= magic_at > 0 and self._read(magic_at, len(MAGIC)) == MAGIC
+            if not self.truncation and not has_end:
                 self.truncation = Truncation(at, self._size)
         self._chunks.sort()
         self.topics = list(known.topics.values())
@@ -271,8 +271,8 @@ class McapStorage:
         except (struct.error, ValueError):
             return unusable
         counted = [known.stated.total(), len(known.topics), len(chunks)]
-        agrees = known.totals and [known.totals[i] for i in (0, 2, 5)] == counted
-        if not (agrees and all(counted) and channels | {*known.stated} <= {*known.topics}):
+        counts_agree = known.totals and [known.totals[i] for i in (0, 2, 5)] == counted
+        if not (counts_agree and all(counted) and channels | {*known.stated} <= {*known.topics}):
             return unusable
         return known, [chunks[offset] for offset in sorted(chunks)], start
 
@@ -388,8 +388,8 @@ def equal_messages(data: bytes, start: int, end: int) -> NDArray[np.void] | None
     if rest or length <= MESSAGE_HEAD.size:
         return None
     found = np.ndarray((count,), _message_dtype(length), data, first)
-    same = (found['opcode'] == MESSAGE) & (found['length'] == length)
-    return found if same.all() else None
+    is_equal = (found['opcode'] == MESSAGE) & (found['length'] == length)
+    return found if is_equal.all() else None
 
 
 @lru_cache(maxsize=64)
@@ -426,8 +426,8 @@ def sorted_until(
         When the later messages have more than `MAX_SORT_BYTES`.
     """
     times = chunk.record_ns
-    complete = until is None or not len(times) or times[-1] < until
-    if complete and not len(pending) and (times[1:] >= times[:-1]).all():
+    is_complete = until is None or not len(times) or times[-1] < until
+    if is_complete and not len(pending) and (times[1:] >= times[:-1]).all():
         return chunk, pending
     both = pending.followed_by(chunk)
     order = np.argsort(both.record_ns, kind='stable')

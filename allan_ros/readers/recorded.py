@@ -133,8 +133,8 @@ class RecordingSums:
         times, values = [np.zeros(0, np.int64)], [np.zeros(0)]
         for trace in self.temperatures:
             if trace is not None:
-                inside = (trace.header_ns >= begin) & (trace.header_ns <= end)
-                times.append(trace.header_ns if inside.sum() > 1 else trace.record_ns)
+                is_inside = (trace.header_ns >= begin) & (trace.header_ns <= end)
+                times.append(trace.header_ns if is_inside.sum() > 1 else trace.record_ns)
                 values.append(trace.celsius)
         order = np.argsort(np.concatenate(times), kind='stable')
         return np.concatenate(times)[order], np.concatenate(values)[order]

@@ -3,9 +3,9 @@
 """Read PX4 logs (``.ulg``) with ``pyulog``: the topic ``sensor_combined`` or ``vehicle_imu``.
 
 ``sensor_combined`` contains angular rate and acceleration of the IMU in use. Each instance of
-``vehicle_imu`` contains the delta angles and delta velocities of one IMU, which are divided by
-their integration times. Dropouts of the logger cause gaps in the stamps. The temperature is read
-from the topic of the same gyro.
+``vehicle_imu`` contains delta angles and delta velocities of one IMU. They are divided by their
+integration times. Dropouts of the logger cause gaps. The temperature is read from the topic of the
+same gyro.
 """
 
 from __future__ import annotations
@@ -119,8 +119,8 @@ class _Limited:
 
 
 def _label(data: Any, log: Any) -> str:
-    several = sum(other.name == data.name for other in log.data_list) > 1
-    return f'{data.name}:{data.multi_id}' if several else str(data.name)
+    name_repeats = sum(other.name == data.name for other in log.data_list) > 1
+    return f'{data.name}:{data.multi_id}' if name_repeats else str(data.name)
 
 
 def _chosen(path: Path, names: list[str], wanted: str) -> str:

@@ -146,8 +146,10 @@ def analyze_recorded(
 
         counts = recorded.provenance.counts
         moving = counts.moving / max(counts.received, 1)
-        hidden = at_rest_before is None and is_hidden(covered)
-        motion, moved = measure_motion(recorded.drives, noise, rest_s, moving, hidden=hidden)
+        noise_is_hidden = at_rest_before is None and is_hidden(covered)
+        motion, moved = measure_motion(
+            recorded.drives, noise, rest_s, moving, hidden=noise_is_hidden
+        )
     findings = (
         *recorded.provenance.findings,
         *(f for s in sums for f in sums_findings(s)),

@@ -258,9 +258,9 @@ class Checkpoint:
         self.refused = None
 
     def _refuse(self, reason: str) -> None:
-        known = self.refused is not None
+        was_refused = self.refused is not None
         self.refused = finding('checkpoint_refused', path=self.path, reason=reason)
-        if not known:
+        if not was_refused:
             self._log.warning(str(self.refused))
 
     def _locked(self, on_error: bool) -> bool:

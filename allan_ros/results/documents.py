@@ -232,8 +232,8 @@ def labels_of(paths: Sequence[str]) -> list[str]:
         Path(path).resolve().parent.name if Path(path).name in (RESULTS, SUMS) else Path(path).stem
         for path in paths
     ]
-    unique = len(set(short)) == len(short) and all(short)
-    return short if unique else [str(path) for path in paths]
+    are_unique = len(set(short)) == len(short) and all(short)
+    return short if are_unique else [str(path) for path in paths]
 
 
 def _provenance_to_document(provenance: Provenance) -> dict[str, Any]:
@@ -302,8 +302,8 @@ def _settings_from_document(fields: Fields) -> Mapping[str, Any]:
     for name in fields:
         value = fields.value(name)
         items = value if isinstance(value, list) else [value]
-        plain = all(v is None or isinstance(v, (bool, str, int, float)) for v in items)
-        if not plain or max(len(items), len(settings)) > MAX_SETTINGS or math.inf in items:
+        is_plain = all(v is None or isinstance(v, (bool, str, int, float)) for v in items)
+        if not is_plain or max(len(items), len(settings)) > MAX_SETTINGS or math.inf in items:
             raise AllanError(f'{fields.where}: {name!r:.40} is not a known setting')
         settings[name] = value
     return settings

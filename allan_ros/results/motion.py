@@ -169,13 +169,13 @@ def _factors(motion: NoiseInMotion) -> Iterator[Finding]:
         if low <= 1.0:
             yield finding('motion_as_at_rest', axes, **numbers)
             continue
-        helps = left is not None and (left.value or 0.0) < EXPLAINED * value
+        is_explained = left is not None and (left.value or 0.0) < EXPLAINED * value
         yield finding(
             'error_in_motion',
             axes,
             **numbers,
-            cause=causes_text(motion) if helps else None,
-            left=left.value if left is not None and helps else None,
+            cause=causes_text(motion) if is_explained else None,
+            left=left.value if left is not None and is_explained else None,
             white=one.white.value if one.white else None,
             slow=one.slow.value if one.slow else None,
         )

@@ -366,8 +366,10 @@ def plan_text(sheet: Datasheet) -> str:
     ]
     for sensor, where in SENSORS.items():
         stated = [axis for axis in AXES[where] if axis in sheet.limits]
-        same = len({str(_values(sheet, axis)) for axis in stated}) == 1 and len(stated) == 3
-        for name, axis in [(sensor, stated[0])] if same else [(a, a) for a in stated]:
+        axes_are_equal = (
+            len({str(_values(sheet, axis)) for axis in stated}) == 1 and len(stated) == 3
+        )
+        for name, axis in [(sensor, stated[0])] if axes_are_equal else [(a, a) for a in stated]:
             lines.append(f'{name}:')
             for term, limit in sheet.limits[axis].items():
                 unit = DATASHEET_UNITS[sensor][term]

@@ -234,8 +234,8 @@ class Results:
         return *self.datasheet_checks, *self._undecided_if_short(found)
 
     def _undecided_if_short(self, checks: Sequence[Check]) -> tuple[Check, ...]:
-        short = self.duration_s < TOO_SHORT_S
-        return tuple(replace(c, verdict='undecided') if short else c for c in checks)
+        is_short = self.duration_s < TOO_SHORT_S
+        return tuple(replace(c, verdict='undecided') if is_short else c for c in checks)
 
     def __getitem__(self, axis: str) -> AxisResult:
         try:

@@ -109,14 +109,14 @@ def check_unit(results: Results, plan: Plan | None = None) -> UnitCheck:
     unchecked = tuple(plan.unchecked(results)) if plan else ()
     verdicts = {check.verdict for check in checks}
     # comparisons with a datasheet mean nothing with too few data or a wrong unit of measurement
-    usable = not results.is_too_short and not any(
+    is_comparable = not results.is_too_short and not any(
         f.id in (*WRONG_UNITS, *UNSUITABLE) for f in found
     )
-    compared = {c.verdict for c in results.comparisons} if usable else set()
+    compared = {c.verdict for c in results.comparisons} if is_comparable else set()
     is_decided = results.is_decided and bool(checks or results.comparisons)
     if broken or 'exceeds' in verdicts | compared:
         decision = Decision.EXCEEDS
-    elif causes or not usable or not is_decided or 'undecided' in verdicts:
+    elif causes or not is_comparable or not is_decided or 'undecided' in verdicts:
         decision = Decision.NOT_JUDGED
     else:
         decision = Decision.WITHIN
