@@ -147,7 +147,7 @@ def test_rests_that_do_not_show_the_noise_give_no_factor(scaled: ar.Results) -> 
     assert motion is None
     assert found.id == 'motion_without_noise'
     assert '12 drives' in texts_of(found).message
-    assert '--noise' in texts_of(found).remedy
+    assert 'another recording' in texts_of(found).remedy
 
 
 def test_the_noise_of_an_earlier_run_predicts_the_errors(tmp_path: Path) -> None:

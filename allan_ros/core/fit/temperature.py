@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bias of each axis as a function of temperature: `temperature_models`.
 
-The block means of the sums are y = constant + line in time + b1 (T - T0) + b2 (T - T0)^2
-+ hysteresis/2 (rising) or - hysteresis/2 (falling) + noise, with a constant and a line for each
-recording. The noise is a sum of noise types, whose autocovariances `core.noise` defines. Their
-coefficients are fitted by restricted likelihood, with and without the terms of the temperature.
+The block means of the Allan sums are a constant and a line in time for each recording, the effects
+of the temperature T, and noise. The effects are b1 (T - T0), b2 (T - T0)^2 and hysteresis (dT/dt) /
+(2 r) with r = mean |dT/dt|. `docs/method.md` derives the fit, and the lag of the bias.
 """
 
 from __future__ import annotations
@@ -42,6 +41,9 @@ separated from a drift with time."""
 
 MOST_MEANS, LEAST_MEANS = 256, 32
 """Largest and smallest number of block means of a fit."""
+
+RATE_BLOCKS = 8
+"""Number of block means over which the rate of change of the temperature is averaged."""
 
 LONGEST_PAUSE_S = 120.0
 """Longest time in s without a temperature reading that is interpolated, if blocks are shorter."""
@@ -80,9 +82,12 @@ class TemperatureModel:
     b0_ci95, b1_ci95, b2_ci95 : (low, high)
         95 % intervals.
     hysteresis : float
-        Bias while the temperature rises minus bias while it falls, at equal temperature.
+        Bias while the temperature rises minus bias while it falls, at equal temperature and with
+        the mean rate of change.
     hysteresis_ci95 : (low, high)
         95 % interval.
+    rate : float
+        Mean rate of change of the temperature, r = mean |dT/dt|, in K/s.
     resolved : bool
         Whether b1 or b2 differs from 0 (false-alarm probability 1 %).
     explained : float or None
@@ -106,11 +111,19 @@ class TemperatureModel:
     b2_ci95: tuple[float, float]
     hysteresis: Signed
     hysteresis_ci95: tuple[float, float]
+    rate: float
     resolved: bool
     explained: float | None
     averaging_time: float
     measured: SlowNoise
     corrected: SlowNoise
+
+    @property
+    def lag(self) -> float | None:
+        """Time in s by which the bias follows the thermometer; None if b1 may be 0."""
+        if self.b1_ci95[0] <= 0.0 <= self.b1_ci95[1]:
+            return None
+        return -self.hysteresis / (2.0 * self.b1 * self.rate)
 
     def bias(self, celsius: Floats) -> Floats:
         """Return b(T) at temperatures in degC, in SI."""
@@ -138,6 +151,18 @@ class _Blocks(NamedTuple):
         """The blocks of each recording."""
         return [np.flatnonzero(self.recording == r) for r in np.unique(self.recording)]
 
+    @property
+    def rate(self) -> Floats:
+        """Rate of change of the temperature in K per block, (n,): slope over `RATE_BLOCKS`."""
+        out = np.zeros(len(self.time))
+        for part in self.parts:
+            time, celsius = self.time[part], self.celsius[part]
+            for i, at in enumerate(part.tolist()):
+                near = np.abs(time - time[i]) <= RATE_BLOCKS / 2.0
+                t = time[near] - time[near].mean()
+                out[at] = float(t @ celsius[near]) / max(float(t @ t), 1e-300)
+        return out
+
 
 def temperature_models(
     sums: AllanSums, time_ns: Ints, celsius: Floats, model: NoiseModel
@@ -163,11 +188,12 @@ def temperature_models(
     if range_k < LEAST_RANGE_K:
         return {}, []
     least = LEAST_RETURN * range_k
-    rising = np.concatenate([_rising(blocks.celsius[part], least) for part in blocks.parts])
-    if not rising.any():
+    if not any(_returns(blocks.celsius[part], least) for part in blocks.parts):
         return {}, [finding('temperature_one_way', range=range_k)]
-    warmer = blocks.celsius - blocks.reference
-    effects = np.column_stack([warmer, warmer**2 + blocks.spread, rising])
+    warmer, rate = blocks.celsius - blocks.reference, blocks.rate
+    mean_rate = float(np.abs(rate).mean())
+    loop = rate / (2.0 * mean_rate) if mean_rate else rate
+    effects = np.column_stack([warmer, warmer**2 + blocks.spread, loop])
     trend = np.zeros((len(warmer), 2 * len(blocks.parts)))
     for r, part in enumerate(blocks.parts):
         trend[part, 2 * r] = 1.0
@@ -211,27 +237,11 @@ def _blocks(sums: AllanSums, time_ns: Ints, celsius: Floats) -> _Blocks:
     return _Blocks(step, *(each[some] for each in (recording, time, mean, spread, values)))
 
 
-def _rising(celsius: Floats, least: float) -> Floats:
-    """Return 1/2 while the temperature rises and -1/2 while it falls.
-
-    Between two turning points it changes by at least ``least``; with fewer of them, the result is
-    0.
-    """
-    turns: list[int] = []
-    top = bottom = direction = 0
-    for i, t in enumerate(celsius):
-        top = i if t > celsius[top] else top
-        bottom = i if t < celsius[bottom] else bottom
-        if direction >= 0 and celsius[top] - t >= least:
-            turns.append(top)
-            direction, bottom = -1, i
-        elif direction <= 0 and t - celsius[bottom] >= least:
-            turns.append(bottom)
-            direction, top = 1, i
-    if len(turns) < 2:
-        return np.zeros(len(celsius))
-    later = len(turns) - np.searchsorted(turns, np.arange(len(celsius)), side='right')
-    return np.where(later % 2, -direction, direction) / 2.0
+def _returns(celsius: Floats, least: float) -> bool:
+    """Return whether the temperature rises and also falls by at least ``least``."""
+    up = np.max(celsius - np.minimum.accumulate(celsius))
+    down = np.max(np.maximum.accumulate(celsius) - celsius)
+    return bool(min(up, down) >= least)
 
 
 def _complement(columns: Floats) -> Floats:
@@ -434,6 +444,7 @@ def _model(
         b2_ci95=b2_ci95,
         hysteresis=float(values[2]),
         hysteresis_ci95=hysteresis_ci95,
+        rate=float(np.abs(blocks.rate).mean()) / (blocks.step * tau0),
         resolved=bool(fdtrc(2.0, found.dof[:2].min(), test) < TEMPERATURE_RESOLVED),
         explained=min(max(1.0 - left / drift, 0.0), 1.0) if drifts else None,
         averaging_time=blocks.step * tau0,

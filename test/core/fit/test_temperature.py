@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from allan_ros.core.allan.running import RunningSums
 from allan_ros.core.allan.sums import AllanSums
 from allan_ros.core.fit.methods import fit_noise
-from allan_ros.core.fit.temperature import TemperatureModel, _rising, temperature_models
+from allan_ros.core.fit.temperature import TemperatureModel, _returns, temperature_models
 from allan_ros.core.imu import AXES, from_datasheet
 from allan_ros.core.noise import Model
 from allan_ros.core.simulator import simulate_axis
@@ -126,13 +126,22 @@ def test_recordings_may_differ_in_their_bias() -> None:
         assert m.b0 == pytest.approx(B0 + 1500.0 * DEG_H, abs=100.0 * DEG_H)
 
 
-def test_a_hysteresis_is_rising_minus_falling() -> None:
-    size = 60.0 * DEG_H
-    drift = drifts(4) + size * np.sign(np.gradient(CYCLES))[:, None] / 2.0
+@pytest.mark.parametrize('lag', [-180, 180])
+def test_a_lag_of_the_bias_is_a_hysteresis(lag: int) -> None:
+    later = 30.0 + 6.0 * np.sin(
+        np.linspace(0.0, 4.0 * np.pi, 2 * HOUR) - 1.0 - 4.0 * np.pi * lag / 7200.0
+    )
+    bias = (later - CYCLES)[:, None] * B1 * 6.0
+    warmer = (CYCLES - 30.0)[:, None]
+    drift = drifts(4) + bias + warmer * B1 * 5.0 - warmer**2 * B2
     models, _ = models_of(sums_of(drift, CYCLES), CYCLES)
+    rate = float(np.abs(np.gradient(CYCLES)).mean())
     for m in models.values():
-        assert m.hysteresis_ci95[0] > 0.0
-        assert m.hysteresis == pytest.approx(size, abs=2.0 * np.ptp(m.hysteresis_ci95) / 2.0)
+        assert m.rate == pytest.approx(rate, rel=0.02)
+        half = np.ptp(m.hysteresis_ci95) / 2.0
+        assert m.hysteresis == pytest.approx(-2.0 * 6.0 * B1 * lag * rate, abs=1.5 * half)
+        assert m.lag == pytest.approx(lag, abs=1.5 * half / (2.0 * 6.0 * B1 * rate))
+        assert half < 0.5 * abs(m.hysteresis)
 
 
 def test_blocks_without_a_temperature_are_not_used() -> None:
@@ -160,13 +169,7 @@ def test_an_axis_without_white_noise_has_no_model() -> None:
     assert list(models) == ['gyro_x', 'gyro_z']
 
 
-@pytest.mark.parametrize('first', [0.0, 0.4, 1.0])
-def test_rising_and_falling_ignore_small_returns(first: float) -> None:
-    down = np.linspace(first, 0.0, 20)
-    wave = np.concatenate([down, np.linspace(0.0, 1.0, 40), np.linspace(1.0, 0.0, 40)])
-    wave += 0.03 * np.sin(np.arange(len(wave)))
-    signs = _rising(wave, 0.5)
-    assert (signs[22:57] == 0.5).all() and (signs[62:] == -0.5).all()
-    assert (signs[3:17] == -0.5).all() or first == 0.0
-    # up to the top, only a first fall of more than 0.5 gives a second turning point
-    assert _rising(wave[:60], 0.5).any() == (first == 1.0)
+def test_a_small_return_is_none() -> None:
+    wave = np.array([0.0, 1.0, 2.0, 1.75, 2.5])
+    assert _returns(wave, 0.25) and not _returns(wave, 0.26)
+    assert _returns(-wave, 0.25) and not _returns(np.arange(5.0), 0.1)
