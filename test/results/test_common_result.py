@@ -59,7 +59,7 @@ def test_findings_of_each_recording_are_part_of_the_result(three: list[ImuBatch]
     (opposite,) = (f for f in common.findings['B'] if f.id == 'axis_opposite')
     assert opposite.axes == ('gyro_y',)
     assert not any('axis_opposite' in ids[label] for label in 'AC')
-    assert 'error: B: gyro_y: The axis points in the opposite' in repr(common)
+    assert 'error: B: gyro_y: The axis points opposite to' in repr(common)
     assert {f['id'] for f in common.document()['findings']['B']} == ids['B']
 
 

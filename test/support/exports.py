@@ -154,7 +154,7 @@ def warmed(results: Results, shares: Sequence[float] = (0.6, 0.8, 1.0)) -> Resul
         b0, b1 = 1e-3 * shares[i % 3], -1e-5 * shares[i % 3]
         ends = [(value - 2e-6, value + 2e-6) for value in (b0, b1, 1e-7, 0.0)]
         values = b0, ends[0], b1, ends[1], 1e-7, ends[2], 0.0, ends[3]
-        model = TemperatureModel(25.0, 20.0, 40.0, *values, i != 1, 0.5, 10.0, slow, slow)
+        model = TemperatureModel(25.0, 20.0, 40.0, *values, 0.01, i != 1, 0.5, 10.0, slow, slow)
         axes[name] = replace(axis, temperature=model)
     return replace(results, axes=axes)
 
