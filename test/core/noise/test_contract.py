@@ -26,7 +26,7 @@ from allan_ros.core.noise.derived import (
     growth_variance,
     simulate,
 )
-from allan_ros.core.noise.process import Process, Search
+from allan_ros.core.noise.process import FREQUENCY, Process, Search
 from allan_ros.core.noise.processes.white import White
 from allan_ros.core.noise.registry import PROCESSES, RANDOM_TERMS, REPLACEMENTS, SEARCHED
 from allan_ros.results.documents import results_from_document, results_to_document
@@ -88,25 +88,35 @@ def test_gamma_predicts_all_statistics_of_simulated_samples(process: Process) ->
     assert np.all(np.abs(mean - expected) < 5.0 * error + 1e-6 * expected)
 
 
+def in_units(process: Process) -> list[Process]:
+    """Return the process with shapes much shorter and much longer than a sample period."""
+    scaled = [process.in_unit(unit) for unit in (1e-4, 1.0, 1e4)]
+    return [
+        each
+        for each in scaled
+        if not any(p.unit == 'Hz' and x > 0.49 for p, x in zip(each.parameters, each.shape))
+    ]
+
+
 @EVERY
-def test_the_constant_of_gamma_is_equal_for_all_averaging_times(process: Process) -> None:
-    """A mean over 6 samples is the mean of two means over 3 samples, and of three over 2."""
-    whole = process.gamma(6, 0)
-    for number in (2, 3, 6):
-        distance = np.abs(np.subtract.outer(np.arange(number), np.arange(number)))
-        parts = process.gamma(6 // number, distance)
-        scale = np.ptp(process.gamma(1, np.arange(7)))
-        assert np.mean(parts) == pytest.approx(float(whole), abs=1e-9 * scale)
+@pytest.mark.parametrize('m', [2, 5, 16])
+@pytest.mark.parametrize('lag', [0, 1, 3])
+def test_gamma_of_means_is_the_mean_over_all_pairs_of_samples(
+    process: Process, m: int, lag: int
+) -> None:
+    """So the constant of gamma is the same for all averaging times and lags."""
+    a = np.arange(m)
+    for scaled in in_units(process):
+        pairs = scaled.gamma(1, np.abs(np.subtract.outer(a, a + lag * m)))
+        scale = np.ptp(scaled.gamma(1, np.arange(4 * m)))
+        assert float(scaled.gamma(m, lag)) == pytest.approx(np.mean(pairs), abs=1e-5 * scale)
 
 
 @EVERY
 @pytest.mark.parametrize('m', [1e5, 1e7])
 def test_no_digits_are_lost_at_long_times(process: Process, m: float) -> None:
     """Allan variance and growth are positive for shapes far above and below the averaging time."""
-    for unit in (1e-4, 1.0, 1e4):
-        scaled = process.in_unit(unit)
-        if any(p.unit == 'Hz' and x > 0.49 for p, x in zip(scaled.parameters, scaled.shape)):
-            continue
+    for scaled in in_units(process):
         least = -1e-9 * np.abs(scaled.gamma(m, 0))
         assert avar(scaled, m) >= least and np.isfinite(avar(scaled, m))
         assert growth_variance(scaled, m, m / 100.0) >= least * m**2
@@ -178,6 +188,22 @@ def test_every_process_states_its_own_texts(text: str) -> None:
     """A process that is a subclass of another one must not be shown under the name of that one."""
     inherited = [one.name for one in PROCESSES.values() if text not in vars(one)]
     assert not inherited, f'{text}: inherited'
+
+
+@pytest.mark.parametrize('one', SEARCHED, ids=lambda one: one.name)
+def test_a_fast_process_may_be_a_low_pass_filter_and_a_slow_one_has_a_slowest_time(
+    one: type[Process],
+) -> None:
+    times = [4.0, 1000.0]
+    fast, slow = (
+        one(*(time if p.unit == 's' else 1.0 / time for p in one.parameters)) for time in times
+    )
+    assert not slow.bends_spectrum and (fast.bends_spectrum or FREQUENCY in one.parameters)
+    for process in (fast, slow):
+        # the time scales with the unit of time, and is known for a drift with a shape
+        assert process.in_unit(0.1).slowest_time == pytest.approx(10.0 * process.slowest_time)
+        assert math.isfinite(process.slowest_time)
+        assert process.slowest_time > 0.0 or not process.is_drift
 
 
 SHAPE = {'s': 100.0, 'Hz': 0.05}
