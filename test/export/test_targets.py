@@ -38,6 +38,9 @@ GOLDEN = Path(__file__).parent / 'golden'
 
 def test_no_target_is_without_numbers_by_hand() -> None:
     assert list(EXPECTED) == list(TARGETS) and all(EXPECTED.values())
+    for name, target in TARGETS.items():
+        levels = {key.name for key in target.keys if key.what in ('N', 'K')}
+        assert levels <= EXPECTED[name].keys(), name
 
 
 @pytest.mark.parametrize('name', EXPECTED)

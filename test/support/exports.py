@@ -22,6 +22,7 @@ from allan_ros.core.fit.result import model_of_terms
 from allan_ros.core.fit.temperature import SlowNoise, TemperatureModel
 from allan_ros.core.noise import GaussMarkov, Model, Part
 from allan_ros.export import ExportOptions, make_export
+from allan_ros.export.targets import TARGETS
 from allan_ros.results.axis_result import AxisResult
 from allan_ros.results.results import Results
 
@@ -141,7 +142,10 @@ def _expected() -> dict[str, dict[str, Any]]:
 EXPECTED = _expected()
 """Target -> key -> number, or three numbers of x, y, z."""
 
-FIXED = {'update_rate', 'imu_update_rate', 'IMU.Frequency', *EXPECTED['temperature']}
+FIXED = {
+    *(key.name for target in TARGETS.values() for key in target.keys if key.what == 'rate'),
+    *EXPECTED['temperature'],
+}
 """Entries that are not noise levels."""
 
 
