@@ -179,17 +179,17 @@ def temperature_rows(noise: FilterNoise) -> Iterator[Row]:
     words = f'[degC]: T0 of the model, which was measured from {where}'
     yield Row(('reference',), first.reference, words, 'degC', (first.lowest, first.highest))
     for sensor, models in complete.items():
-        # the level of an accelerometer contains gravity
+        # b0 of an accelerometer is not written, because it contains gravity
         for i, what in enumerate(('b0', 'b1', 'b2')[sensor == 'accel' :], sensor == 'accel'):
             unit = SI_UNITS[sensor]['B'] + ('', '/K', '/K^2')[i]
             pairs = [(getattr(m, what), getattr(m, f'{what}_ci95')) for m in models.values()]
-            used = [not i or model.resolved for model in models.values()]
+            is_written = [not i or model.resolved for model in models.values()]
             text = (
                 f'{name} {significant(value, VALUE_DIGITS)}, 95 % interval '
                 f'{significant(low, LIMIT_DIGITS)}..{significant(high, LIMIT_DIGITS)}'
-                f'{"" if use else " (not resolved: written as 0)"}'
-                for name, use, (value, (low, high)) in zip(models, used, pairs)
+                f'{"" if is_known else " (not resolved: written as 0)"}'
+                for name, is_known, (value, (low, high)) in zip(models, is_written, pairs)
             )
-            values = rounded([value if use else 0.0 for use, (value, _) in zip(used, pairs)])
+            values = rounded([value if w else 0.0 for w, (value, _) in zip(is_written, pairs)])
             widest = max((ends for _, ends in pairs), key=lambda ends: ends[1] - ends[0])
             yield Row((f'{sensor}_{what}',), values, f'[{unit}]: {"; ".join(text)}', unit, widest)

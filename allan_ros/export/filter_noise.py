@@ -239,7 +239,7 @@ class FilterNoise:
         axes = self.axes_of(key.sensor)
         common = any(each.what == 'common_tau' for each in self.target.keys)
         tau = self.common_tau if common else None
-        # the axes without a fitted process, and K from which their process is computed
+        # axes without a fitted process -> K from which a process is computed
         walks, pairs = {}, []
         for name, axis in axes.items():
             model = axis.fit.model

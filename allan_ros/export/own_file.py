@@ -47,10 +47,10 @@ class Drift(NamedTuple):
     """Standard deviation of the angle (rad) or velocity (m/s) of one axis without correction."""
 
     axis: str
-    after: float  # s
+    after: float  # time since the last correction in s
     file: float  # drift that a filter expects with the numbers of the user's file
-    measured: float
-    ci95: tuple[float, float] | None  # of ``measured``; None if unknown
+    measured: float  # drift of the measured model
+    ci95: tuple[float, float] | None  # 95 % interval of ``measured``
 
     @property
     def ratio(self) -> float:
@@ -106,11 +106,11 @@ def against(
         if axis not in results.axes:
             continue
         grown = predicted_growth(model, AFTER_S, window)
-        for believed, growth in zip(
+        for expected, growth in zip(
             grown, growth_table(results.axes[axis].fit, horizons=AFTER_S, window=window)
         ):
             size, ends = growth.std.value or 0.0, growth.std.ci95
-            found.append(Drift(axis, growth.horizon, float(believed), size, ends))
+            found.append(Drift(axis, growth.horizon, float(expected), size, ends))
     return tuple(found)
 
 

@@ -124,7 +124,7 @@ class Key(NamedTuple):
     # 'common_tau': correlation time of all axes, in h; 'rate'; 'topic'
     what: str
     unit: str = ''  # one of `filter_noise.NOTATIONS`, or a unit
-    limits: tuple[float, float] | None = None  # range that the filter accepts
+    limits: tuple[float, float] | None = None  # range of numbers that the filter accepts
 
 
 @dataclass(frozen=True)
@@ -224,12 +224,12 @@ class Target:
     form: Form
     keys: tuple[Key, ...] = ()  # the keys of the file
     parent: tuple[str, ...] = ()  # the mappings that contain the keys
-    fixed: Mapping[str, Value] = field(default_factory=dict)  # required, but not measured
+    fixed: Mapping[str, Value] = field(default_factory=dict)  # required keys that are not measured
     notes: tuple[str, ...] = ()  # further information for the user of this file
     # yields the rows of a file that is too complex for a table, given a `FilterNoise`
     rows: Callable[[Any], Iterable[Row]] | None = None
     three: bool = False  # whether the file has numbers for x, y and z; else it has the largest
-    rate_hz: float | None = None  # the filter's own rate; None if it steps with the samples
+    rate_hz: float | None = None  # fixed rate of the filter; None if it steps with the samples
     horizon_s: float = VIO_HORIZON_S  # default of `ExportOptions.horizon` in s
     # whether the target models the bias as a random walk; N and K are then adjusted together
     walk: bool = True

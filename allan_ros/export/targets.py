@@ -283,7 +283,7 @@ TARGETS = {
         'EKF2_PREDICT_US)',
         line_form(
             '1\t1\t{key}\t{value}\t9'
-        ),  # vehicle, component (the autopilot), 9: a real number
+        ),  # vehicle, component (1 is the autopilot), key, value, type (9 is a real number)
         keys_of("""
         EKF2_GYR_NOISE    gyro   N  std  1e-4..0.1
         EKF2_ACC_NOISE    accel  N  std  0.01..1

@@ -262,7 +262,7 @@ class ImuEstimate(NodePart):
 
     def _publish(self, results: Results) -> None:
         self._bias.set_results(results if results.axes else None)
-        if self._snapshot is not None:  # before the model: a variance must cover the bias
+        if self._snapshot is not None:  # before the model, whose variances must cover the bias
             self._bias.update(self._snapshot)
         results = self._with_faults(results)
         document = result_document(results, curves=False)

@@ -44,7 +44,7 @@ try:
         SubscriptionEventCallbacks,
         UnsupportedEventTypeError,
     )
-except ImportError:  # Humble
+except ImportError:  # as in Humble
     from rclpy.qos_event import (
         QoSSubscriptionEventType,
         SubscriptionEventCallbacks,
@@ -166,8 +166,8 @@ class _Buffer:
 
     payloads: list[bytes] = field(default_factory=list)
     received_ns: list[int] = field(default_factory=list)
-    arrived_s: list[float] = field(default_factory=list)  # on a steady clock
-    size: int = 0  # bytes
+    arrived_s: list[float] = field(default_factory=list)  # times on a steady clock
+    size: int = 0  # in bytes
     sent_before: int = 0  # messages before the first one from each publisher
     skipped_numbers: int = 0  # missing sequence numbers of the publishers
 
@@ -183,14 +183,14 @@ class ImuInput:
         self._statistics = TransportStatistics()
         self._node = node
         self._buffer = _Buffer()
-        self._lock = threading.Lock()  # of the buffer and the queue
-        self._error: Exception | None = None  # of the thread; the next `batches` raises it
+        self._lock = threading.Lock()  # protects the buffer and the queue
+        self._error: Exception | None = None  # from the thread; the next `batches` raises it
         self._closed = threading.Event()
         self._drained_s = steady_s()
         self._arrivals = Arrivals(self._statistics)
         self.constant = ConstantAxes()
         self._last_number: dict[bytes, int | None] = {}
-        self._publisher_count, self._alone = 1, True
+        self._publisher_count, self._has_one_publisher = 1, True
         self._scale = sample_factors(settings.gyro_unit, settings.accel_unit)
         self._subscription, self.polled = subscribe_raw(
             node, topic, self._collect, QUEUE_DEPTH, plain=False
@@ -225,9 +225,9 @@ class ImuInput:
         """Move the messages of the queue to the buffer, unless the buffer is full."""
         # The queue may still contain messages of a publisher that has left since the last call.
         count = self._node.count_publishers(self.topic)
-        self._alone = max(count, self._publisher_count) <= 1
+        self._has_one_publisher = max(count, self._publisher_count) <= 1
         self._publisher_count = count
-        if not self._alone and b'' in self._last_number:
+        if not self._has_one_publisher and b'' in self._last_number:
             self._last_number[b''] = None
         handle, buffer = self._subscription.handle, self._buffer
         before = len(buffer.received_ns)
@@ -265,10 +265,10 @@ class ImuInput:
         try:
             decoded = decode_imus(payloads, 'cdr')
         except MalformedMessage:
-            valid = [is_imu(payload, 'cdr') for payload in payloads]
-            self._statistics.malformed += valid.count(False)
-            decoded = decode_imus(list(compress(payloads, valid)), 'cdr')
-            received, arrived_s = (x[np.array(valid, bool)] for x in (received, arrived_s))
+            is_valid = [is_imu(payload, 'cdr') for payload in payloads]
+            self._statistics.malformed += is_valid.count(False)
+            decoded = decode_imus(list(compress(payloads, is_valid)), 'cdr')
+            received, arrived_s = (x[np.array(is_valid, bool)] for x in (received, arrived_s))
         self._arrivals.update(decoded.stamps_ns, arrived_s)
         if len(received):
             self.constant.update(decoded.samples)
@@ -299,8 +299,8 @@ class ImuInput:
         found = []
         for publisher in imus:
             own = self._subscription.qos_profile
-            fits, reason = qos_check_compatible(publisher.qos_profile, own)
-            if fits == QoSCompatibility.ERROR:
+            compatibility, reason = qos_check_compatible(publisher.qos_profile, own)
+            if compatibility == QoSCompatibility.ERROR:
                 values = {'names': full_name(publisher), 'topic': self.topic}
                 why = one_line(reason).removeprefix('ERROR: ').strip('; ')
                 found.append(finding('qos_incompatible', reason=why, **values))
@@ -338,13 +338,13 @@ class ImuInput:
         buffer = self._buffer
         buffer.payloads.append(payload)
         buffer.size += len(payload) + MESSAGE_BYTES
-        if info is None:  # called by the executor
+        if info is None:  # the executor has called this method
             buffer.received_ns.append(time.time_ns())
             buffer.arrived_s.append(steady_s())
             return
         buffer.received_ns.append(info['received_timestamp'])
         number = info.get('publication_sequence_number')
-        if number is None:  # Humble
+        if number is None:  # as in Humble
             return
         gid = info.get('publisher_gid')
         publisher = b'' if gid is None else gid['data']
@@ -353,7 +353,7 @@ class ImuInput:
         before = self._last_number.get(publisher)
         self._last_number[publisher] = number
         # Before Kilted, messages of two publishers cannot be distinguished.
-        if before is not None and (gid is not None or self._alone):
+        if before is not None and (gid is not None or self._has_one_publisher):
             buffer.skipped_numbers += max(0, number - before - 1)
 
 

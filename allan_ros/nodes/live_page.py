@@ -169,7 +169,7 @@ def _handler_of(page: LivePage) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         """Answers GET with a page that the browser reloads periodically."""
 
-        timeout = REQUEST_S  # of a socket operation: a client may send half a request
+        timeout = REQUEST_S  # time for a socket operation, because a client may send half a request
 
         def do_GET(self) -> None:
             # A web page of another site could read the report through a host name that resolves

@@ -183,7 +183,7 @@ def _lost(old: AllanSums, new: AllanSums) -> int:
     lost = sum(
         samples - min(samples, present[start])
         for start, samples in _samples_by_start(old).items()
-        if start in present or samples > shortest  # shorter segments are not listed
+        if start in present or samples > shortest  # shorter segments are in no list
     )
     return max(lost, old.samples - new.samples)
 

@@ -92,7 +92,7 @@ class Parameters:
         Raises AllanError if a value given at start is invalid or has the wrong type, and
         ParameterException (rclpy) if it is outside its range.
         """
-        # rclpy calls `_on_set` for each declaration, but the values are only valid together
+        # rclpy calls `_on_set` for each declaration, but only all values together are valid
         group = self._groups.pop(prefix, ParameterGroup(prefix, settings_type()))
         given = {}
         for name, info in describe(settings_type).items():
@@ -274,7 +274,7 @@ class AllanNode(Node):
             self._publish_diagnostics(now)
 
     def _publish_diagnostics(self, now: float) -> None:
-        """Publish the statuses of all parts, and the internal errors of the last minute."""
+        """Publish the statuses of all parts and recent internal errors; write the metrics file."""
         statuses: list[DiagnosticStatus] = []
         for part in self._parts:
             try:

@@ -83,7 +83,7 @@ class Held:
     sent: tuple[Numbers, ...] = ()  # values of this node that may be in the other node
     refused: Numbers = ()  # value that the node refused last
     origin: str = ''  # how the present value was computed
-    changed_by_others: bool = False  # and therefore not set any more
+    changed_by_others: bool = False  # whether the parameter is not set any more
 
 
 class ParameterPush(NodePart):
@@ -106,7 +106,7 @@ class ParameterPush(NodePart):
         self._held: dict[str, Held] = {}
         self._notes: dict[str, tuple[bool, str]] = {}  # '' or parameter -> is a warning, text
         self._requests: Requests | None = None  # the generator that waits for `_answers`
-        self._answers: list[Any] = []  # futures
+        self._answers: list[Any] = []  # futures of the answers
         self._asked_at = self._due_at = 0.0
         self._former: FormerValues | None = None  # the file, once it is open
         self._was_killed = False  # whether values of an earlier program must be restored
@@ -144,7 +144,7 @@ class ParameterPush(NodePart):
                 self._note('', f'{self.node} did not answer within {ANSWER_S:g} s')
             return
         if self._refusal != self._reason:
-            self._reason, self._due_at = self._refusal, 0.0  # at once
+            self._reason, self._due_at = self._refusal, 0.0  # update at once
         if self._plan is None or now < self._due_at:
             return
         self._due_at = now + RETRY_S
@@ -224,7 +224,7 @@ class ParameterPush(NodePart):
 
     def _resume(self, requests: Requests, answers: list[Any] | None = None) -> None:
         """Continue with the answers, up to the next requests or the end."""
-        self._requests, self._answers = None, []  # also if an exception ends them
+        self._requests, self._answers = None, []  # first, because the generator may raise
         with suppress(StopIteration):
             self._answers = next(requests) if answers is None else requests.send(answers)
             self._requests, self._asked_at = requests, time.monotonic()
@@ -308,7 +308,7 @@ class ParameterPush(NodePart):
     def _setting(self, proposals: list[Proposal]) -> Requests:
         """Read the present values of the node, and set those that differ from the proposals."""
         answers = yield self._read([proposal.name for proposal in proposals])
-        if self._refusal:  # since the question was asked
+        if self._refusal:  # it may have appeared since the request was sent
             return
         wanted: list[Proposal] = []
         for proposal, answer in zip(proposals, answers):
@@ -379,14 +379,14 @@ class ParameterPush(NodePart):
         """Open the file with former values; if this fails, `tick` tries again."""
         former = FormerValues(self.node)
         try:
-            left = former.open()
+            stored = former.open()
         except AllanError as error:
             former.close()
             self._note('', str(error))
             return
         self._notes.pop('', None)
         self._former, self._due_at = former, now
-        self._held = {n: Held(f.sent[-1], f.found, f.sent) for n, f in left.items() if f.sent}
+        self._held = {n: Held(f.sent[-1], f.found, f.sent) for n, f in stored.items() if f.sent}
         self._was_killed = bool(self._held)
 
     def _store(self) -> bool:
@@ -412,30 +412,30 @@ class ParameterPush(NodePart):
 
     def _restoring(self, reason: str) -> Requests:
         """Set the found values, except of parameters that someone else has changed since."""
-        found, back = self._found(), {}
+        found, unchanged = self._found(), {}
         answers = yield self._read([*found])
         for name, answer in zip(found, answers):
             values = self._numbers_of(name, answer.values)
             held = self._held[name]
             if values in held.sent:
-                back[name] = found[name]
+                unchanged[name] = found[name]
             elif values in (None, held.found) or self._was_killed:  # the node was restarted
                 del self._held[name]
             else:
                 self._leave(name, values)
         failed = {}
-        if back:
-            (answer,) = yield self._write(back)
-            results = zip(back, answer.results)
+        if unchanged:
+            (answer,) = yield self._write(unchanged)
+            results = zip(unchanged, answer.results)
             failed = {n: _reason_of(result) for n, result in results if not result.successful}
-            done = {n: text_of(values) for n, values in back.items() if n not in failed}
+            done = {n: text_of(values) for n, values in unchanged.items() if n not in failed}
             said = ', '.join(f'{name} = {value}' for name, value in done.items())
             if done:
                 self._note('', f'restored {said}, because {reason}')
             for name in done:
                 del self._held[name]
         for name, why in failed.items():
-            self._note(name, f'{self.node} refused the former {text_of(back[name])}: {why}')
+            self._note(name, f'{self.node} refused the former {text_of(unchanged[name])}: {why}')
         self._notes = {n: note for n, note in self._notes.items() if not n or n in self._held}
         self._was_killed = self._was_killed and bool(failed)
         self._store()

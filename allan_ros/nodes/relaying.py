@@ -223,10 +223,10 @@ class ImuRelay(NodePart):
         self._variances: dict[str, Variances] = {}  # variances that are filled in
         self._from_datasheet: tuple[str, ...] = ()  # sensors with variances of the datasheet
         self._first = FirstMessages()
-        self._latest: bytes | None = None  # message
+        self._latest: bytes | None = None  # the latest message
         self._patch = CovariancePatch({})
         self._made_of: tuple[object, ...] = ()
-        self._measured: dict[str, Variances] = {}  # without the bias
+        self._measured: dict[str, Variances] = {}  # variances that do not cover the bias
         self._measured_of: tuple[object, ...] = None, None
         self._ratio = 1.0  # upper to lower end of the interval of N; 1 without a horizon
         self._last_malformed = self._last_frame = ''
@@ -237,11 +237,11 @@ class ImuRelay(NodePart):
             QoSProfile(depth=QUEUE_DEPTH),
             qos_overriding_options=overriding,
         )
-        self.tick(self._began)  # the covariances of the first message
+        self.tick(self._began)  # makes the covariances of the first message
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         wait_set = self._wait_set()
-        self._subscription, drained = subscribe_raw(
+        self._subscription, must_fetch = subscribe_raw(
             node, imu.topic, self._relay, QUEUE_DEPTH, plain=wait_set is None
         )
         if self._subscription.topic_name == self._publisher.topic_name:
@@ -249,7 +249,7 @@ class ImuRelay(NodePart):
                 f'{self._publisher.topic_name} would be relayed to itself: remap imu/data or '
                 'imu/data_with_covariance'
             )
-        if drained:
+        if must_fetch:
             sys.setswitchinterval(SWITCH_INTERVAL_S)
             self._thread = threading.Thread(target=self._work, args=(wait_set,), daemon=True)
             self._thread.start()

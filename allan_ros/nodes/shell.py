@@ -88,11 +88,11 @@ def run(
     try:
         options = parser.parse_args(remove_ros_args(list(argv))[1:])
         # Python's default handler would raise KeyboardInterrupt in the middle of an update or while
-        # a checkpoint is written, and rclpy's would shut the graph down before the node has ended.
+        # a checkpoint is written. The handler of rclpy would end the context before the node ends.
         for number in STOP_SIGNALS:
             signal.signal(number, lambda *_: stop.set())
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # from rcl: a damaged parameter file, a missing keystore
+    except RuntimeError as error:  # rcl cannot read a parameter file or a keystore
         get_logger(name).fatal(f'{name} stops: {one_line(str(error))}')
         return 1
     executor = SingleThreadedExecutor()

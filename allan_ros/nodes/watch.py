@@ -165,7 +165,7 @@ class Watch(Node):
         self._options, self._stop = options, stop
         self._latest: dict[str, tuple[float, DiagnosticStatus]] = {}
         self._wanted = f'/{options.node.strip("/")}/' if options.node.strip('/') else ''
-        self._levels: dict[tuple[str, str], str] = {}  # of the lines printed so far
+        self._levels: dict[tuple[str, str], str] = {}  # level in the last line of each status
         self._hinted = False
         self._final: list[StatusRow] = []  # rows when the node was closed
         self._console = None if options.json or options.plain else terminal()
@@ -232,8 +232,8 @@ class Watch(Node):
             self._page.discover()
         if self._options.once:
             settled = self._first is not None and now - self._first >= SETTLE_S
-            heard = self.count_publishers(TOPIC)
-            patience = self._options.seconds or (PATIENCE_S if heard else NOBODY_S)
+            publishers = self.count_publishers(TOPIC)
+            patience = self._options.seconds or (PATIENCE_S if publishers else NOBODY_S)
             settled = settled and now - self._began >= DISCOVERY_WAIT_S and not self._missing()
             done = settled or now - self._began >= patience
         else:
@@ -273,10 +273,10 @@ class Watch(Node):
         missing = []
         for publisher in self.get_publishers_info_by_topic(TOPIC):
             name = f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
-            owns = any(t.startswith(f'{name}/') and t.endswith(OWN_TOPICS) for t in topics)
-            wanted = f'{name}/'.startswith(self._wanted)
-            known = owns or publisher.node_name.startswith('allan_')
-            if wanted and known and name.strip('/') not in heard:
+            has_own_topic = any(t.startswith(f'{name}/') and t.endswith(OWN_TOPICS) for t in topics)
+            is_wanted = f'{name}/'.startswith(self._wanted)
+            is_ours = has_own_topic or publisher.node_name.startswith('allan_')
+            if is_wanted and is_ours and name.strip('/') not in heard:
                 missing.append(name)
         return missing
 

@@ -250,9 +250,9 @@ class _Frame:
     top: float
 
     def points(self, tau: np.ndarray, adev: np.ndarray) -> str:
-        some = (adev > 0.0) & np.isfinite(adev) & (tau > 0.0)
-        x = (np.log10(tau[some]) - self.left) / max(self.right - self.left, 1e-9) * WIDTH
-        y = (self.top - np.log10(adev[some])) / max(self.top - self.bottom, 1e-9) * HEIGHT
+        positive = (adev > 0.0) & np.isfinite(adev) & (tau > 0.0)
+        x = (np.log10(tau[positive]) - self.left) / max(self.right - self.left, 1e-9) * WIDTH
+        y = (self.top - np.log10(adev[positive])) / max(self.top - self.bottom, 1e-9) * HEIGHT
         return ' '.join(f'{a:.1f},{min(max(b, -99.0), 199.0):.1f}' for a, b in zip(x, y))
 
 
@@ -260,10 +260,10 @@ def _frame(rows: Sequence[UnitRow], sensor: str) -> _Frame:
     curves = [curve for row in rows for curve in _curves(row, sensor).values()]
     tau = np.concatenate([curve.tau for curve in curves])
     adev = np.concatenate([curve.adev for curve in curves])
-    some = (adev > 0.0) & np.isfinite(adev)
-    if not some.any():
+    positive = (adev > 0.0) & np.isfinite(adev)
+    if not positive.any():
         return _Frame(0.0, 1.0, 0.0, 1.0)
-    x, y = np.log10(tau[some]), np.log10(adev[some])
+    x, y = np.log10(tau[positive]), np.log10(adev[positive])
     # an IMU with a wrong unit of measurement would make the curves of all others flat
     bottom, top = np.percentile(y, [1.0, 99.0])
     return _Frame(float(x.min()), float(x.max()), float(bottom) - 0.1, float(top) + 0.1)

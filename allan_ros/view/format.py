@@ -150,7 +150,7 @@ class DrawnCurve(NamedTuple):
 
     tau: Floats  # averaging times in s
     adev: Floats
-    low: Floats  # 68.3 % limits
+    low: Floats  # 68.3 % confidence limits
     high: Floats
     uncertain: NDArray[np.bool_]  # points that are not compared with the model
     model: Floats

@@ -169,8 +169,8 @@ def _draw_axis(panel: Axes, name: str, axis: AxisResult, units: str) -> None:
     panel.set(xscale='log', yscale='log')
     style = {'marker': 'o', 'ls': '', 'ms': 2.6, 'mew': 0.6}
     panel.plot(curve.tau, curve.adev, color='k', mfc='none', label='measured', **style)
-    some = curve.uncertain
-    panel.plot(curve.tau[some], curve.adev[some], color='0.7', label='uncertain', **style)
+    uncertain = curve.uncertain
+    panel.plot(curve.tau[uncertain], curve.adev[uncertain], color='0.7', label='uncertain', **style)
     panel.fill_between(
         curve.tau, curve.low, curve.high, color='k', alpha=BAND_ALPHA, lw=0, label='68 % limits'
     )

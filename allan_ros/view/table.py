@@ -256,7 +256,7 @@ def _cell_html(cell: Cell) -> str:
     text = DASH if cell.text == NOTHING_KNOWN else escape(cell.text).replace('\n', '<br>')
     if cell.link:
         text = f'<a href="{escape(cell.link)}">{text}</a>'
-    # an interval can break only before the two dots
+    # a line break within an interval is possible only before the two dots
     detail = escape(cell.detail).replace('..', '<wbr>..')
     return f'{text}<small>{detail}</small>' if detail else text
 

@@ -46,9 +46,9 @@ class Verdict:
     ----------
     level : 'healthy', 'attention', 'measured', 'unknown' or 'failed'
         'failed' for a broken sensor or an exceeded limit; 'unknown' for too little data, probably
-        wrong units, a recording of motion or of a warm-up, another error, or no decided
-        comparison; 'measured' without a datasheet or earlier run to compare with; 'attention' for a
-        warning.
+        wrong units, a recording of motion or of a warm-up, another error, or an undecided
+        comparison of N (of any term if N has no limit); 'measured' without a datasheet or earlier
+        run to compare with; 'attention' for a warning.
     summary : str
         One sentence.
     reasons : tuple of str

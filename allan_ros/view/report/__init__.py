@@ -205,7 +205,7 @@ def _header(results: Results, name: str, units: str) -> Iterator[str]:
 
 
 def _items(texts: Iterable[str]) -> str:
-    # an option such as --to stays on one line
+    # no line break within an option such as --to
     option = partial(re.compile(r'--[a-z][a-z-]*').sub, r'<span class="nowrap">\g<0></span>')
     return ''.join(f'<li>{option(escape(text))}</li>' for text in texts)
 

@@ -93,12 +93,12 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
     curve = drawn_curve(axis)
     if curve is None or axis.curve is None:
         return shown
-    at = np.searchsorted(tau, curve.tau)
+    positions = np.searchsorted(tau, curve.tau)
 
     def column(values: ArrayLike) -> list[float | None]:
-        spread = np.full(len(tau), np.nan)
-        spread[at] = values
-        return rounded(spread)
+        at_all_times = np.full(len(tau), np.nan)
+        at_all_times[positions] = values
+        return rounded(at_all_times)
 
     columns = {
         'adev': curve.adev,
@@ -113,7 +113,7 @@ def _axis(name: str, axis: AxisResult, tau: Sequence[float]) -> dict[str, Any]:
         **{key: column(values) for key, values in columns.items()},
         'parts': {part: column(adev) for part, adev in curve.parts.items()},
         'upper': {term: column(adev) for term, adev in curve.limits.items()},
-        'read': {term: rounded(at) for term, at in curve.read.items()},
+        'read': {term: rounded(point) for term, point in curve.read.items()},
         'unresolved': [
             t for t, c in axis.fit.noise.items() if t in curve.parts and c.status != 'estimated'
         ],
@@ -133,9 +133,9 @@ def _references(
             curve = former.axes[name].curve if name in former.axes else None
             if curve is None or not np.any(curve.adev > 0.0):
                 continue
-            some = curve.adev > 0.0
-            known = np.log(curve.tau[some]), np.log(curve.adev[some])
-            adev = np.exp(np.interp(np.log(tau), *known, np.nan, np.nan))
+            positive = curve.adev > 0.0
+            measured = np.log(curve.tau[positive]), np.log(curve.adev[positive])
+            adev = np.exp(np.interp(np.log(tau), *measured, np.nan, np.nan))
             yield {'name': run, 'axis': name, 'adev': rounded(adev)}
 
 
@@ -185,8 +185,8 @@ def _signal(axes: Mapping[str, AxisResult], summary: SignalSummary) -> list[dict
 def times(summary: SignalSummary | None) -> dict[str, Any] | None:
     """Return the time axis of the raw signal with the times to be marked; None without a signal.
 
-    Each of ``bands`` is (start in s, end in s, kind), where the kind is 'gap' or one of
-    `Excluded.why`.
+    Each of ``bands`` is (start in s, end in s, kind). The kind is 'gap', the reason in
+    `Excluded.why`, or 'other' without a reason.
     """
     if summary is None:
         return None
@@ -290,10 +290,10 @@ def _over_time(summary: SignalSummary, values: Floats) -> Trend:
         for at in range(begin, end, step):
             part = slice(at, min(at + step, end))
             used = values[part][summary.used[part]]
-            known = np.isfinite(used)
-            number = np.where(2 * known.sum(axis=0) > step, known.sum(axis=0), np.nan)
+            is_known = np.isfinite(used)
+            counts = np.where(2 * is_known.sum(axis=0) > step, is_known.sum(axis=0), np.nan)
             x.append(float(summary.time_s[part].mean()) + 0.5 * bin_s)
-            rows.append(np.where(known, used, 0.0).sum(axis=0) / number)
+            rows.append(np.where(is_known, used, 0.0).sum(axis=0) / counts)
         x.append(x[-1])
         rows.append(np.full(values.shape[1], np.nan))
     return Trend(np.array(x[:-1]), np.array(rows[:-1]), step * bin_s)
@@ -304,13 +304,14 @@ def _against_temperature(bias: Trend, summary: SignalSummary | None) -> Trend | 
     if summary is None or summary.temperature is None:
         return None
     trace = summary.temperature
-    some = np.isfinite(trace.celsius)
-    celsius = np.interp(bias.x, trace.time_s[some], trace.celsius[some], np.nan, np.nan)
-    known = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
-    if known.sum() < LEAST_TREND_POINTS or np.ptp(celsius[known]) <= 0.5:  # degC
+    has_reading = np.isfinite(trace.celsius)
+    times_s, readings = trace.time_s[has_reading], trace.celsius[has_reading]
+    celsius = np.interp(bias.x, times_s, readings, np.nan, np.nan)
+    has_both = np.isfinite(celsius) & np.isfinite(bias.values).all(axis=1)
+    if has_both.sum() < LEAST_TREND_POINTS or np.ptp(celsius[has_both]) <= 0.5:  # degC
         return None
-    order = np.argsort(celsius[known], kind='stable')
-    return Trend(celsius[known][order], bias.values[known][order], bias.tau)
+    order = np.argsort(celsius[has_both], kind='stable')
+    return Trend(celsius[has_both][order], bias.values[has_both][order], bias.tau)
 
 
 def _fitted(

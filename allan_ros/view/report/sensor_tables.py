@@ -141,7 +141,7 @@ def _noise(axes: Axes) -> Coefficients:
 
 
 def _coefficients(axes: Axes, units: str, terms: Sequence[str]) -> Table:
-    # the section has the name of the sensor
+    # the heading of the section already names the sensor
     return replace(coefficient_table(_noise(axes), units, terms), corner=Heading(''))
 
 
