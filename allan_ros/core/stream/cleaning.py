@@ -34,8 +34,8 @@ BACKWARD_RUN = 16
 back. Fewer such samples are dropped."""
 
 JUMP_DISTANCE = 4096
-"""If the clock was set back this number of samples ago or less, twice as many consecutive earlier
-stamps as then are needed to continue. So stamps without order do not split the data endlessly."""
+"""Each time that the clock is set back again within this number of samples, twice as many
+consecutive earlier stamps are needed. So stamps without order do not split the data endlessly."""
 
 REORDER = 32
 """Samples that arrive out of order are sorted if their place is at most this far away."""
@@ -45,7 +45,7 @@ DISORDERED_SHARE = 0.25
 sorted over `REORDER` places, they are not used."""
 
 STAMP_EPOCH_S = (1e9, 4e9)
-"""Present times of a clock, in s: the years 2001 to 2096."""
+"""Range of the present time in s since 1970: the years 2001 to 2096."""
 
 SLOWEST_S = 0.1
 """Longest sample period, in s, for which the unit of the stamps is recognized."""
@@ -341,7 +341,7 @@ class RepeatFilter:
         return out
 
     def flush(self) -> list[ImuBatch]:
-        """Return the buffered samples at the end of a segment; the last repeats are kept."""
+        """Return the buffered samples at the end of a segment; its last repeats stay unchanged."""
         out = self._take(0)
         self._samples, self._past = self._empty, 0
         return out

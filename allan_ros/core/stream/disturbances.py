@@ -37,7 +37,7 @@ LEVEL_SIGMAS = 5.0
 """Smallest change of a mean, in standard deviations, that is not due to noise."""
 
 TURNED = 0.035
-"""Angle in rad (2 degrees) by which an IMU does not turn during a shock."""
+"""Largest angle in rad (2 degrees) by which an IMU turns during a shock."""
 
 CHANGED_DIRECTION, NO_ROTATION = np.radians(30.0), np.radians(6.0)
 """Smallest angle by which gravity turns, and largest angle by which the gyro turns meanwhile, if
@@ -127,7 +127,7 @@ class Motion:
     """
 
     def __init__(self, kind: str, began_ns: int, level: RestLevel | None = None) -> None:
-        self.kind = kind  # 'motion', 'stuck' or 'noise_increased'
+        self.kind = kind  # as in `Event`
         self.began_ns, self.ended_ns = began_ns, began_ns
         self.level = level
         self.windows = self.quiet = 0  # number of windows, and of quiet ones at the end

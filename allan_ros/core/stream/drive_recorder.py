@@ -25,8 +25,8 @@ LEAST_DRIVE_S, LONGEST_DRIVE_S = 2.0, 180.0
 state estimator has other aids."""
 
 LONGEST_AHEAD_S = 60.0
-"""Time in s, longer than the samples that motion detection holds back. A drive is too long if so
-many more samples than those of the longest drive follow the last one at rest."""
+"""Time in s for samples at rest that motion detection has not confirmed yet. A drive is too long if
+the samples after the last one at rest exceed `LONGEST_DRIVE_S` by more than this time."""
 
 MOST_RATE = 200.0
 """Samples are averaged down to at most this rate in Hz before the integration."""
@@ -190,7 +190,10 @@ class DriveRecorder:
         return drive_errors(Drive(pending.start, tau0, gyro, accel, before, after, follows))
 
     def _mean(self, parts: Iterable[Floats], latest: bool = False) -> Rest | None:
-        """Return the means of some rows, of at most the ``latest`` ones of a rest."""
+        """Return the means of samples of a rest, or None if the rest is too short.
+
+        With ``latest``, only its last `REST_S` are averaged.
+        """
         rows = np.concatenate([np.empty((0, len(AXES))), *parts])
         rows = rows[-self._rest_samples :] if latest else rows
         seconds = len(rows) * self._tau0

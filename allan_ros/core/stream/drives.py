@@ -40,7 +40,7 @@ REST_S = 30.0
 
 ROWS = 9
 ROTATION, VELOCITY, RATE = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Residuals of a drive."""
+"""Number of residuals of a drive, and the place of each of the three vectors among them."""
 
 SLOW_BLOCKS = 96
 """Number of blocks into which a drive with its rests is divided for the effect of slow noise."""

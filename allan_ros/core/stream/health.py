@@ -26,7 +26,7 @@ State = Literal['waiting', 'learning', 'at_rest', 'moving', 'noise_increased', '
 """'waiting': no sample yet. 'learning': sample rate and noise floor are not known yet. 'at_rest':
 the IMU is at rest, and its data are used. 'moving': it moves. 'noise_increased': it is at rest, but
 its noise is larger than the noise floor. 'noise_decreased': the noise of an axis is much smaller
-than the noise floor."""
+than the noise floor, or the axis is clipped and was not before."""
 
 PLAUSIBLE_RATE_HZ = 0.1, 1e5
 """Sample rates in Hz outside of which the unit of the stamps is probably wrong."""
@@ -56,8 +56,8 @@ LARGEST_N, LARGEST_REST_RATE = 3e-3, 0.2
 above which the unit of a gyro is wrong."""
 
 USUAL_N = 3e-4
-"""Angle random walk in rad/s/sqrt(Hz) (1 deg/sqrt(h)) of a usual gyro: of two units, the one in
-which N is nearer to it is the more probable one."""
+"""Angle random walk in rad/s/sqrt(Hz) (1 deg/sqrt(h)) of a usual gyro. The unit in which N is
+nearest to this value is the most probable one."""
 
 UNIT_ERROR, LARGEST_ACCEL_RATIO = 0.2, 3.0
 """Largest relative error of the ratio of noise by which a change of the unit of the gyro is
@@ -102,7 +102,7 @@ class Counts:
     moving: int = 0
     stuck: int = 0  # an axis repeats one value
     noise_increased: int = 0  # at rest, but the noise is much larger than the noise floor
-    noise_decreased: int = 0  # the noise is much smaller than the noise floor
+    noise_decreased: int = 0  # the noise is much smaller than the noise floor, or is clipped
     spikes: int = 0  # isolated values that were replaced, counted per axis
     shocks: int = 0  # number of shocks
     replaced: int = 0  # part of `used`: samples of shocks, replaced by a line between means
@@ -121,9 +121,9 @@ class Event(NamedTuple):
     """A time when the IMU was not at rest.
 
     ``kind`` is 'shock', 'motion', 'stuck' (an axis repeats one value), 'noise_increased' (the noise
-    increased at rest) or 'noise_decreased' (the noise of an axis became much smaller). ``changes``
-    are the changes of the mean of each axis that are larger than its noise, in the unit of the
-    samples; a changed acceleration indicates a tilt.
+    increased at rest) or 'noise_decreased' (the noise of an axis became much smaller, or the axis
+    was clipped). ``changes`` are the changes of the mean of each axis that are larger than its
+    noise, in the unit of the samples; a changed acceleration indicates a tilt.
     """
 
     kind: str

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion detection: keeps the samples of an IMU at rest and drops the others.
 
+Method
+------
 The stream is classified in windows of about half a second. A window is moving if its variance, its
 largest deviation, the step of its mean or its mean rate exceeds a limit that is derived from the
 noise floor, the noise of the sensor at rest. A window of white noise is classified as moving with a
@@ -13,8 +15,9 @@ data and are not regarded as motion. The samples of a shock are replaced, too.
 
 The noise floor is learned from the first windows in which the IMU can be at rest, and then updated
 from the quietest quarter of each block of windows. If the noise remains different while the IMU is
-at rest, another noise level begins. Windows are counted from the start of the stream or the last
-gap, so the decisions do not depend on how the samples are divided into batches.
+at rest, or if an axis begins to be clipped, another noise level begins. Windows are counted from
+the start of the stream or the last gap, so the decisions do not depend on how the samples are
+divided into batches.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from typing import Literal, cast, get_args
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, finding
 from ..imu import Flags, Floats, ImuBatch, joined
 from ..settings import SegmenterSettings
 from .disturbances import SPIKE_NEIGHBORS, without_spikes
@@ -38,10 +41,11 @@ from .noise_floor import (
     Windows,
     is_stuck,
 )
-from .noise_levels import Change, NoiseLevels
+from .noise_levels import Change, NoiseLevels, NoiseRatios
 from .present_faults import present_faults
 from .recent_windows import RecentWindows, WindowPart
 from .rest_filter import RestFilter, count_samples
+from .sensors import clipped_shares
 
 WINDOW_S = 0.5
 """Length of a window in s: long enough for a variance, short compared with a motion."""
@@ -58,9 +62,10 @@ CHECKED_WINDOWS = BLOCK_WINDOWS // 4
 """Number of windows with other noise after which another noise level may begin or continue."""
 
 ESTABLISHED_S = 45.0
-"""Time in s at rest below which a noise level is not established: if the noise increases on few
-axes or by less than `SHAKEN_RATIO`, it was that of a fault or of another filter setting at the
-start. A level with clipped samples is never established."""
+"""Time in s at rest below which a noise level is not established. If the noise then increases on
+few axes or by less than `SHAKEN_RATIO`, the noise before was due to a fault or to another filter
+setting at the start, and the increased noise is normal at once. A level with clipped samples is
+never established."""
 
 FAULTY_S = 600.0
 """Time in s for which decreased noise is regarded as a fault, although it has lasted longer than
@@ -71,28 +76,6 @@ LEAST_FAULTY = 4
 
 MOST_FILLED = 0.1
 """Largest share of interpolated samples in a window that is searched for outliers."""
-
-
-class NoiseRatios:
-    """Largest and smallest ratios of the noise at rest to the noise floor of each axis, (axes,)."""
-
-    def __init__(self, axes: int) -> None:
-        self.largest, self.smallest = np.ones(axes), np.ones(axes)
-
-    def forget(self) -> None:
-        """Forget the ratios: they were ratios to another noise floor."""
-        self.largest[:] = self.smallest[:] = 1.0
-
-    def add(self, ratio: Floats) -> None:
-        """Add ratios, (axes,), of increased noise."""
-        self.largest = np.maximum(self.largest, ratio)
-
-    def add_decrease(self, variance: Floats, decreased: Flags, floor: Floats) -> None:
-        """Add windows with decreased noise: variances and flags, (axes, k), and the floor."""
-        some = decreased.any(axis=1)
-        level = np.where(decreased, variance, np.nan)[some]
-        ratio = np.sqrt(np.nanmean(level, axis=1) / floor[some])
-        self.smallest[some] = np.minimum(self.smallest[some], ratio)
 
 
 class MotionGate:
@@ -133,13 +116,30 @@ class MotionGate:
 
     @property
     def faults(self) -> tuple[Finding, ...]:
-        """Known faults of the latest samples; empty while samples are at rest."""
+        """Known faults of the latest samples; those at rest can only be clipped."""
         recent, motion = self._recent.last(LEAST_FAULTY), self._rest.motion
+        clipped = self._clipped
         if len(recent) < LEAST_FAULTY or recent.still.any():
-            return ()
+            return clipped
         began_ns = recent.began_ns if motion is None else motion.began_ns
         seconds = (recent.latest_ns - began_ns) * 1e-9
-        return present_faults(self._axes, self._rest.floor, recent.rows, recent.windows, seconds)
+        found = present_faults(self._axes, self._rest.floor, recent.rows, recent.windows, seconds)
+        return *clipped, *found
+
+    @property
+    def _clipped(self) -> tuple[Finding, ...]:
+        """A finding for each axis that is clipped now, but not in the result."""
+        present, published = self._levels.present.floor, self._levels.published.floor
+        if present is None or published is None:
+            return ()
+        recent, shares = self._recent.last(CHECKED_WINDOWS), present.clipped
+        if len(recent) == CHECKED_WINDOWS:  # else the level has just begun
+            shares = clipped_shares(recent.rows)
+        return tuple(
+            finding('clipped', (axis,), share=share)
+            for axis, share, known in zip(self._axes, shares.tolist(), published.clipped)
+            if share and not known
+        )
 
     @property
     def noise(self) -> dict[str, float]:
@@ -290,12 +290,15 @@ class MotionGate:
     ) -> bool:
         """Pass windows from sample ``at`` on through the filter.
 
-        With ``only_at_rest``, nothing happens and False is returned if some are not at rest.
+        With ``only_at_rest``, nothing happens and False is returned if some are not at rest, or if
+        other axes are clipped at a check.
         """
         end = at + number * size
         block = have.part(slice(at, end), '' if at else have.cut)
         after = have.rows[:, end : end + SPIKE_NEIGHBORS]
         clean, windows, spikes = without_spikes(block, size, self._before, after, self._rest.floor)
+        if only_at_rest and self._clipping_changes(clean.rows):
+            return False
         result = self._rest.add(clean, windows, size, only_at_rest)
         if result is None:
             return False
@@ -306,13 +309,25 @@ class MotionGate:
             self._recent = self._recent.with_part(part, BLOCK_WINDOWS)
         return True
 
+    def _clipping_changes(self, rows: Floats) -> bool:
+        """Return whether other axes are clipped at a check after some of the next samples.
+
+        ``rows``, (axes, n), are these samples.
+        """
+        before = self._recent.last(self._number % CHECKED_WINDOWS)
+        rows = np.concatenate([before.rows, rows], axis=1) if len(before) else rows
+        step = CHECKED_WINDOWS * self.size
+        checked = (rows[:, end - step : end] for end in range(step, rows.shape[1] + 1, step))
+        return not all(map(self._rest.floor.has_clipping, checked))
+
     # --- the noise level --------------------------------------------------------------------------
 
     def _check(self) -> None:
         """Begin or continue another level if it fits the latest windows better; update the floor.
 
-        Noise that decreased or increased is either that of the IMU from now on, or of a fault. So
-        the level that has lasted longer is regarded as normal, after `FAULTY_S` if it decreased.
+        Changed noise may be the noise of the IMU from now on, or be due to a fault. So it becomes
+        normal when it has lasted longer than the noise before, and, if it decreased, for
+        `FAULTY_S`.
         """
         levels = self._levels
         is_fault = levels.change == 'noise_decreased'
@@ -340,7 +355,7 @@ class MotionGate:
         recent = self._recent.last(CHECKED_WINDOWS)
         rows, windows = recent.rows, recent.windows
         if other is not None and other.floor is not None:
-            nearer = other.floor.distance(windows) < floor.distance(windows)
+            nearer = other.floor.is_nearer(floor, rows, windows)
             if nearer and other.floor.rest(windows).mean() > 0.5:
                 self._resume()
                 return True
@@ -349,6 +364,9 @@ class MotionGate:
             self._replace('stuck', self._learned_floor(recent.samples))
             return True
         if recent.still.any():
+            if recent.still.all() and not floor.has_clipping(rows):
+                self._change_clipping(recent)
+                return True
             return False
         learned = self._learned_floor(recent.samples)
         at_rest = learned.rest(windows) & ~learned.foreign(rows, windows, self.size)
@@ -356,6 +374,17 @@ class MotionGate:
             self._replace('moving', learned)
             return True
         return self._decreases_to(learned, recent) or self._has_increased()
+
+    def _change_clipping(self, recent: RecentWindows) -> None:
+        """Begin another level, because other axes are clipped in the latest windows."""
+        floor, learned = self._rest.floor, self._learned_floor(recent.samples)
+        clipped, variance = floor.newly_clipped(recent.rows), recent.windows.variance
+        if clipped.any():
+            flags = np.broadcast_to(clipped[:, None], variance.shape)
+            self._ratios.add_decrease(variance, flags, floor.variance)
+            self._try(learned, 'noise_decreased')
+        else:  # the samples before were clipped
+            self._replace('moving', learned)
 
     def _decreases_to(self, learned: NoiseFloor, recent: RecentWindows) -> bool:
         """Begin another level if the noise decreased to a floor without a known fault.

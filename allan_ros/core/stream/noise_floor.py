@@ -18,6 +18,7 @@ from ..imu import Flags, Floats
 from ..memory import aligned
 from ..settings import SegmenterSettings
 from .health import changed_gyro_unit, gravity_unit
+from .sensors import clipped_shares, extreme_shares
 
 LEAST_WINDOW = 16
 """Shortest window in samples; the variance of fewer samples is not useful."""
@@ -80,6 +81,11 @@ share is 5e-5 for white noise, and 7e-3 for a t distribution with five degrees o
 
 EXAMINED = 16
 """One of this number of windows at rest is searched for outliers, to save time."""
+
+CLIPPED_SHARE, UNCLIPPED = 0.1, 0.25
+"""An axis begins to be clipped at this share of clipped samples. It is no longer clipped if the
+share at its extreme value is below the second fraction of the share when the floor was learned. So
+a share near a limit does not change the level again and again."""
 
 INCREASE_RATIO = 1.5
 """Ratio of the standard deviation of an axis to its noise floor above which the noise counts as
@@ -203,8 +209,8 @@ class WindowClass(NamedTuple):
 class Limits(NamedTuple):
     """Largest statistics of a window at rest, (axes, 1) each: infinite for an axis without noise.
 
-    ``step`` is that between the means of neighboring windows, and ``rate`` of a mean to the mean of
-    the noise floor.
+    ``step`` is the largest difference between the means of neighboring windows, and ``rate`` the
+    largest difference between the mean of a window and the mean of the noise floor.
     """
 
     variance: Floats
@@ -228,6 +234,7 @@ class NoiseFloor:
     mean: Floats
     lsb: Floats  # smallest change between two samples: at most the resolution of the sensor
     ratio: Floats  # von Neumann ratio of the samples
+    clipped: Floats  # share of the samples that are clipped, 0 below `MIN_CLIPPED`
     windows: Windows  # from which it was learned
     # outliers among the samples that were searched for them: number of each axis, and of samples
     outliers: Floats
@@ -247,7 +254,8 @@ class NoiseFloor:
         zero = np.zeros(len(gyro))
         if not parts:
             none = Windows(np.zeros((3, len(gyro), 0)))
-            return cls(size, gyro, settings, zero, zero, zero, zero, zero + np.nan, none, zero)
+            nan = zero + np.nan
+            return cls(size, gyro, settings, zero, zero, zero, zero, nan, zero, none, zero)
         split = [Windows.of(rows, min(size, rows.shape[1])) for rows in parts]
         windows = Windows.joined(split)
         step = np.concatenate([np.abs(np.diff(each.mean, axis=1)) for each in split], axis=1)
@@ -269,6 +277,7 @@ class NoiseFloor:
             np.concatenate([_quantile(each.mean, 0.5) for each in chosen]),
             lsb,
             von_neumann_ratio(parts),
+            clipped_shares(np.concatenate(parts, axis=1)),
             windows,
             zero,
         )
@@ -384,6 +393,25 @@ class NoiseFloor:
             if self.changed_unit(np.sqrt(self.variance / later.variance)):
                 return True
         return gravity_unit(later.gravity) == 'm/s^2' != gravity_unit(self.gravity)
+
+    def newly_clipped(self, rows: Floats) -> Flags:
+        """Return which axes of samples, (axes, n), are clipped but were not at this floor."""
+        return np.asarray((self.clipped == 0.0) & (clipped_shares(rows) >= CLIPPED_SHARE))
+
+    def has_clipping(self, rows: Floats) -> bool:
+        """Return whether the same axes of samples, (axes, n), are clipped as at this floor."""
+        ended = extreme_shares(rows) < UNCLIPPED * self.clipped
+        return not (self.newly_clipped(rows) | ended).any()
+
+    def is_nearer(self, other: NoiseFloor, rows: Floats, windows: Windows) -> bool:
+        """Return whether samples, (axes, n), fit this floor better than another one.
+
+        ``windows`` are their statistics. If the floors differ in the clipped axes, these decide,
+        and else the noise.
+        """
+        if ((self.clipped > 0.0) != (other.clipped > 0.0)).any():
+            return self.has_clipping(rows) and not other.has_clipping(rows)
+        return self.distance(windows) < other.distance(windows)
 
     def distance(self, windows: Windows) -> float:
         """Return by how much the noise of windows differs from this floor, as a mean logarithm."""

@@ -17,16 +17,38 @@ import numpy as np
 from ..allan.replaced_stretches import RunningStretches
 from ..allan.running import RunningSums
 from ..allan.sums import AllanSums
-from ..imu import ImuBatch, ImuIdentity
+from ..imu import Flags, Floats, ImuBatch, ImuIdentity
 from .health import LISTED_SEGMENTS, Counts, Longest, Segment
 from .noise_floor import NoiseFloor
-from .sensors import Clipping
+from .sensors import MIN_CLIPPED, Clipping
 
 Change = Literal['noise_decreased', 'noise_increased']
 """How the noise of a level differs from the level before."""
 
 Excluded = Literal['moving', 'stuck', 'noise_decreased', 'noise_increased']
 """A field of `Counts` for samples that are not in the result."""
+
+
+class NoiseRatios:
+    """Largest and smallest ratios of the noise at rest to the noise floor of each axis, (axes,)."""
+
+    def __init__(self, axes: int) -> None:
+        self.largest, self.smallest = np.ones(axes), np.ones(axes)
+
+    def forget(self) -> None:
+        """Forget the ratios: they were ratios to another noise floor."""
+        self.largest[:] = self.smallest[:] = 1.0
+
+    def add(self, ratio: Floats) -> None:
+        """Add ratios, (axes,), of increased noise."""
+        self.largest = np.maximum(self.largest, ratio)
+
+    def add_decrease(self, variance: Floats, decreased: Flags, floor: Floats) -> None:
+        """Add windows with decreased noise: variances and flags, (axes, k), and the floor."""
+        some = decreased.any(axis=1)
+        level = np.where(decreased, variance, np.nan)[some]
+        ratio = np.sqrt(np.nanmean(level, axis=1) / floor[some])
+        self.smallest[some] = np.minimum(self.smallest[some], ratio)
 
 
 class StreamSums(NamedTuple):
@@ -69,9 +91,9 @@ class NoiseLevel:
 
     @property
     def clipped(self) -> dict[str, float]:
-        """Axis -> share of its samples that are clipped; without axes that are not clipped."""
+        """Axis -> share of its samples that are clipped, if it is at least `MIN_CLIPPED`."""
         shares = zip(self._axes, self._clipping.shares.tolist())
-        return {axis: share for axis, share in shares if share}
+        return {axis: share for axis, share in shares if share >= MIN_CLIPPED}
 
     @property
     def result(self) -> StreamSums:
@@ -108,7 +130,7 @@ class NoiseLevel:
             self._replaced.add(None)
 
     def counted_as(self, excluded: Excluded) -> Counts:
-        """Return the counts without the sums: their samples are excluded, and have no shocks."""
+        """Return the counts if the sums of this level are excluded for this reason."""
         counts = replace(
             self.counts, used=0, shocks=0, replaced=0, splits=self.counts.splits.copy()
         )

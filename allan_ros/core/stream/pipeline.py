@@ -34,8 +34,8 @@ ended."""
 IDLE = ('sensor_all_zero', 'zero_filled', 'held')
 ABSENT = ('sensor_absent', 'axis_absent')
 UNTIMED = ('stamps_missing', 'stamps_unusable', 'stamps_from_rate')
-"""Findings about the first samples: samples of a sensor are zero or repeated, values are no
-numbers, and the stamps are not used. When this ends, the stream begins anew."""
+"""Findings about the first samples: samples of a sensor are zero or repeated, values are not
+numbers, and the stamps are not used. When such a fault ends, the stream begins anew."""
 
 STILL_IDLE = 0.05
 """Smallest share of zero or repeated samples that shows that these continue."""
@@ -58,7 +58,7 @@ class ImuStream:
     'accel' if the other sensor is in another stream; its values in this one are ignored.
     ``with_samples`` also keeps all samples at rest in memory, ``with_drives`` what is needed of the
     latest drives between two rests. With ``covered``, each time is counted once: samples are
-    skipped if their time is covered by samples before, or is in one of these stretches (first and
+    skipped if earlier samples cover their time, or if it is in one of these stretches (first and
     last stamp in ns).
     """
 

@@ -21,7 +21,7 @@ class WindowPart(NamedTuple):
     found: WindowClass
 
     def last(self, number: int) -> WindowPart:
-        """Return the last windows; the number is at most that of all windows."""
+        """Return the last windows; ``number`` is at most the number of all windows."""
         first = len(self.still) - number
         size = len(self.samples) // len(self.still)
         return WindowPart(

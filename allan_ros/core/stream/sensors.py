@@ -91,6 +91,27 @@ def clipped_share(samples: Floats) -> float:
     return share if share >= MIN_CLIPPED else 0.0
 
 
+def extreme_shares(rows: Floats) -> Floats:
+    """Return the share of the samples of each axis, (axes, n), at their extreme values, (axes,).
+
+    It is the share at the maximum or the share at the minimum, whichever is larger.
+    """
+    ends = (rows.max(axis=1), rows.min(axis=1))
+    counts = [np.count_nonzero(rows == end[:, None], axis=1) for end in ends]
+    return np.asarray(np.maximum(*counts) / rows.shape[1])
+
+
+def clipped_shares(rows: Floats) -> Floats:
+    """Return the share of the samples of each axis, (axes, n), that are clipped, (axes,).
+
+    A share below `MIN_CLIPPED` is returned as 0.
+    """
+    shares = np.zeros(len(rows))
+    for axis in np.flatnonzero(extreme_shares(rows) >= MIN_CLIPPED):
+        shares[axis] = clipped_share(rows[axis])
+    return shares
+
+
 CLIPPED_CHUNK = 1024
 """Number of samples in which `Clipping` looks for clipped values."""
 
@@ -129,10 +150,7 @@ class Clipping:
         """Count the clipped samples of the complete chunk, and begin another one."""
         self._filled = 0
         self.samples += CLIPPED_CHUNK
-        for ends in (self._chunk.max(axis=1), self._chunk.min(axis=1)):
-            for axis, (end, samples) in enumerate(zip(ends, self._chunk)):
-                if np.count_nonzero(samples == end) >= MIN_CLIPPED * CLIPPED_CHUNK:
-                    self._clipped[axis] += CLIPPED_CHUNK * clipped_share(samples)
+        self._clipped += CLIPPED_CHUNK * clipped_shares(self._chunk)
 
     @property
     def shares(self) -> Floats:

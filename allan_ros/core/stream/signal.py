@@ -139,10 +139,11 @@ class SignalEnvelope:
 Item = TypeVar('Item')
 
 ABSOLUTE_ZERO, HOTTEST = -273.15, 1000.0
+"""Plausible range in degC; readings outside are ignored."""
 
 HOTTEST_IMU = 200.0
-"""In degC; IMUs are specified up to 175 degC. In K, it is colder than any of them works."""
-"""Plausible range in degC; readings outside are ignored."""
+"""Temperature in degC above which the median of the readings must be in K: IMUs are specified up to
+175 degC, and 200 K is colder than the limit of every IMU."""
 
 
 @dataclass(frozen=True)

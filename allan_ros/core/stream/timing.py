@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Divides samples into evenly spaced blocks: learns the period, detects gaps, fills short ones.
 
+Lost and late samples
+---------------------
 An IMU samples evenly, but its stamps scatter. After a pause of several periods, the samples were
 either lost, or are late and follow in a burst. The delay of a sample is its stamp minus its index
 times the period. Lost samples increase the smallest delay, late samples do not. So the smallest
@@ -28,8 +30,8 @@ from .sensors import are_interleaved
 Ints = NDArray[np.int64]
 
 LEARN_S, LEAST_LEARN, LEARN = 11.0, 256, 1024
-"""Time in s, and smallest and largest number of samples, from which a stream is learned. From 95 Hz
-on, it is the largest number."""
+"""Time in s, and smallest and largest number of samples, from which a stream is learned. At 95 Hz
+and above, the largest number is used."""
 
 CLOCK_BLOCK = 256
 """Number of samples that are processed together."""
@@ -57,16 +59,16 @@ POLLED_SHARE = 0.95
 between 0.4 and 2.2 mean steps."""
 
 FEWEST_STEPS = 8
-"""Fewest steps of time in the first stamps: with longer bursts of equal stamps, the period
-would depend on where the last burst begins."""
+"""Smallest number of steps above 0 between the first stamps: with longer bursts of equal stamps,
+the period would depend on where the last burst begins."""
 
 EVEN_SHARE, EVEN = 0.9, 0.15
-"""Stamps have even runs if this share of the steps differs from the median by less than the second
-fraction of it, and no other step is shorter than `LATE` periods."""
+"""Stamps have even runs if this share of the steps differs from the median by at most the second
+fraction of it, and if almost all others (see `POLLED_SHARE`) are longer than `LATE` medians."""
 
 UNEVEN = 2.0
-"""Ratio of the mean steps of two runs with their pauses from which the samples did not come late:
-late samples have the same mean step in each burst."""
+"""Ratio of mean steps, each over a run and the pause before it, above which the samples are not
+late: late samples have the same mean step in each burst."""
 
 DECLARED_RANGE = 0.25
 """Relative difference up to which the declared rate replaces the mean rate of bursts."""
@@ -247,8 +249,8 @@ TRACK_BLOCKS = 16
 """Number of blocks after which the estimated period is updated."""
 
 RATE_CHANGE_STEP = 1.45
-"""Ratio of the median step of a block to that learned at the start above which the rate has
-changed. Single losses do not change the median."""
+"""Ratio of the median step of a block to the median step learned at the start above which the rate
+has changed. Single losses do not change the median."""
 
 RATE_CHANGE_BURSTY = 0.10
 """Relative change of the period over `TRACK_BLOCKS` above which a bursty stream has a new rate."""

@@ -5,6 +5,8 @@
 The counts of a stream never decrease, so an event would be reported as long as a node runs.
 Therefore, only recent events are reported.
 
+Pauses, losses and steps of the clock
+-------------------------------------
 Three events look alike in the stamps: no message was sent for a while, messages were lost in
 transport, or the clock that stamps the messages was set. `Arrivals` separates them by the times of
 reception on a steady clock, the stamps, and the sequence numbers of the messages.
@@ -62,8 +64,8 @@ STARTUP_S = 5.0
 
 STUCK_S, STUCK_RUNS = 1.0, 20
 """An axis is stuck if its value has not changed for this time in s, and for this many times the
-number of samples of its longest earlier run of equal values. Runs that were longer than so many
-times the runs before them do not count."""
+number of samples of its longest earlier run of equal values. An earlier run does not count if it
+was longer than this many times all runs before it, because the axis was stuck."""
 
 
 @dataclass
@@ -252,10 +254,11 @@ class TransportMonitor:
             self._unexplained = self._absent = 0
             self._history = deque([(time_s, counts.copy())])
         self._samples = c.received
-        counts.update(events(health))
+        before = self._history[-1][1] if self._history else Counter()
+        # the counts of a result contain the buffered samples, the counts between two results do not
+        counts.update({id: max(count, before[id]) for id, count in events(health).items()})
         counts.update(missing=c.lost, dropped=c.not_finite + c.backward)
         counts.update(spikes=c.spikes, used=c.used)
-        before = self._history[-1][1] if self._history else Counter()
         self._count_unexplained(_more(counts, before), progress)
         counts.update(samples_missing=self._absent)
         self._history.append((time_s, counts))

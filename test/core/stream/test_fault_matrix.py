@@ -49,6 +49,8 @@ import bench_faults as bench  # noqa: E402
         ('15_percent', False, 120),
         ('clipped', True, 30),
         ('clipped', False, 30),
+        ('half_clipped', True, 30),
+        ('half_clipped', False, 120),
         ('toggling', True, 30),
         ('toggling', False, 120),
         ('fan', False, 120),
@@ -107,6 +109,7 @@ def test_streams_that_begin_after_a_fault_do_not_depend_on_the_chunks(fault, end
         '15_percent',
         'lost',
         'bursts',
+        'half_clipped',
     ],
 )
 def test_faults_do_not_depend_on_the_chunks(fault):

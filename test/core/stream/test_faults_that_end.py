@@ -148,3 +148,18 @@ def test_another_bias_of_the_gyro_becomes_normal(limits):
     check(result, len(x), 1.0 - (2 * BLOCK_S + 2 + 1) / 150)
     assert result.health.state == 'at_rest' and result.health.discarded == 0
     assert_same(result, stream(rounded(x), rate, chunks=(999, 5)))
+
+
+@pytest.mark.parametrize('share', [0.045, 0.055, 0.07, 0.095, 0.105])
+@pytest.mark.parametrize('begin_s', [0, 100])
+def test_clipping_near_a_limit_does_not_change_the_level_again_and_again(share, begin_s):
+    rate, rng = 100, np.random.default_rng(10)
+    x = imu(300, rate, rng)
+    begin = begin_s * rate
+    x[:, 1] = SIGMA[1] * rng.normal(size=len(x))
+    x[begin:, 1] = np.minimum(x[begin:, 1], np.quantile(x[:, 1], 1.0 - share))
+    result = stream(rounded(x), rate)
+    (sums,) = result.sums
+    assert sum(result.health.counts.splits.values()) <= 2
+    assert sums.samples > 0.9 * (begin or len(x))
+    assert_same(result, stream(rounded(x), rate, chunks=(999, 5)))

@@ -189,9 +189,18 @@ def test_an_axis_that_is_clipped_at_any_time_is_named(first):
     t, x = still(24_000)
     x[first:, 1] = np.minimum(x[first:, 1], np.quantile(x[:, 1], 0.8))
     (found,) = [f for f in accumulate(t, x).findings if f.id == 'clipped']
-    # a fifth of the samples from ``first`` on; the last ones do not fill a chunk
-    share = 0.2 * (1.0 - first / 24_000)
-    assert found.axes == ('gyro_y',) and found.values['share'] == pytest.approx(share, rel=0.2)
+    # 4 s have 800 samples: sd 7 %
+    assert found.axes == ('gyro_y',) and found.values['share'] == pytest.approx(0.2, rel=0.35)
+
+
+def test_clipping_that_ends_is_named_with_its_time_and_excluded():
+    t, x = still(36_000)
+    x[12_000:24_000, 1] = np.minimum(x[12_000:24_000, 1], np.quantile(x[:, 1], 0.7))
+    result = accumulate(t, x)
+    (found,) = [f for f in result.findings if f.id in ('clipped', 'noise_decreased')]
+    assert found.id == 'noise_decreased' and found.axes == ('gyro_y',)
+    assert found.values['seconds'] == pytest.approx(60.0, abs=8.0)
+    assert result.sums[0].samples == pytest.approx(24_000, abs=1600)
 
 
 def test_a_copied_axis_is_named():

@@ -171,6 +171,21 @@ def test_counts_of_a_new_run_begin_at_zero():
     assert source.second(stuck=5) == ['stuck']
 
 
+def test_a_count_that_decreases_is_no_event():
+    """The counts of a result contain the buffered samples, the counts between two do not."""
+    source = Input()
+    source.second()
+    assert source.second(stuck=20) == ['stuck']
+    source.counts.stuck -= 20
+    for _ in range(2):
+        source.second()
+    source.counts.stuck += 20
+    for _ in range(int(LATELY_S) - 3):
+        assert source.second() == ['stuck']
+    source.second()
+    assert source.second() == []
+
+
 def test_lost_messages_are_counted_by_the_better_witness():
     assert TransportStatistics(skipped_numbers=3, reported_lost=7).lost == 7
     assert TransportStatistics(skipped_numbers=9, reported_lost=7).lost == 9
