@@ -146,8 +146,19 @@ def read_jobs(
 ) -> list[ReadJob]:
     """Return a job for each recording, with the reading options of the command line.
 
-    ``with_context`` requests the data for a report: signals and events. Raises AllanError if an
-    option is invalid.
+    Parameters
+    ----------
+    paths : sequence of str
+        Paths of the recordings.
+    args : Namespace
+        Arguments of the command line.
+    with_context : bool
+        Whether the data for a report are read, too: signals and events.
+
+    Raises
+    ------
+    AllanError
+        When an option is invalid.
     """
     check_rate(args.rate)
     if args.jobs < 1:

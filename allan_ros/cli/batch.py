@@ -441,8 +441,15 @@ def outcome_of(
 ) -> Outcome:
     """Read and fit one unit, write its files if a folder is given, and return results or error.
 
-    ``recorded`` contains the Allan sums of the unit, or the reason why there are none. If it is
-    None, the recordings of the unit are read.
+    Parameters
+    ----------
+    unit : BatchItem
+        The unit.
+    args : Namespace
+        Arguments of the command line.
+    recorded : RecordingSums, Finding or Exception, optional
+        The Allan sums of the unit, or the reason why there are none. If None, the recordings of the
+        unit are read.
     """
     output = getattr(args, 'output', None)
     settings = settings_of(ResultSettings, args)
@@ -478,10 +485,28 @@ def outcome_of(
 def fit_and_write(
     recorded: RecordingSums, args: argparse.Namespace, folder: str | Path | None
 ) -> tuple[Results, list[str]]:
-    """Fit Allan sums, and write the files if ``folder`` is not None.
+    """Fit Allan sums, and write the files of the results.
 
-    Returns the results and the sorted names of the files. Raises AllanError if there are too few
-    data, or a file cannot be written.
+    Parameters
+    ----------
+    recorded : RecordingSums
+        The Allan sums.
+    args : Namespace
+        Arguments of the command line.
+    folder : path or None
+        Folder for the files; None or '' to write no files.
+
+    Returns
+    -------
+    Results
+        The results.
+    list of str
+        Sorted names of the files.
+
+    Raises
+    ------
+    AllanError
+        When there are too few data, or a file cannot be written.
     """
     settings = settings_of(ResultSettings, args)
     at_rest = load(settings.noise) if settings.noise else None

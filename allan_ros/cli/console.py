@@ -158,12 +158,26 @@ def colored(stream: TextIO) -> bool:
 
 
 def painted(line: str, word: str, color: str, colors: bool) -> str:
-    """Return a line; if ``colors`` is True, the first occurrence of ``word`` has an ANSI color."""
+    """Return a line in which the first occurrence of a word has a color.
+
+    Parameters
+    ----------
+    line, word : str
+        The line, and the word to color.
+    color : str
+        ANSI color, such as '1;31'.
+    colors : bool
+        Whether colors are used; if False, the line is returned unchanged.
+    """
     return line.replace(word, f'\x1b[{color}m{word}\x1b[0m', 1) if colors else line
 
 
 def wrapped(text: str, columns: int, indent: str = '') -> list[str]:
-    """Return lines of less than ``columns`` characters; all but the first begin with ``indent``."""
+    """Return a text as lines of less than ``columns`` characters.
+
+    All lines but the first begin with ``indent``. The lines have up to `NARROWEST` - 1 characters
+    if ``columns`` is smaller.
+    """
     room = max(columns, NARROWEST) - 1
     return textwrap.wrap(text, room, subsequent_indent=indent, break_on_hyphens=False)
 

@@ -168,7 +168,18 @@ def findings_lines(
 ) -> Iterator[str]:
     """Yield the findings with their remedies as lines of text.
 
-    If ``complete`` is False, there are at most `MOST_FINDINGS` findings, the most important ones.
+    Parameters
+    ----------
+    results : Results
+        The results.
+    units : str
+        'deg/h' or 'SI'.
+    columns : int
+        Width of the text.
+    colors : bool
+        Whether the text contains ANSI colors.
+    complete : bool
+        Whether all findings are included, not only the `MOST_FINDINGS` most important ones.
     """
     shown, notes = findings_and_notes(results)
     first = [*shown, *notes][: None if complete else MOST_FINDINGS]
@@ -229,7 +240,10 @@ def _deviation(results: Results, axis: str) -> str:
 
 
 def comparison_lines(comparison: RunComparison, units: str, columns: int) -> Iterator[str]:
-    """Yield a comparison as lines of text: sentences, a table for each sensor, and datasheets."""
+    """Yield a comparison as lines of text: sentences, a table for each sensor, and datasheets.
+
+    ``units`` is 'deg/h' or 'SI', and ``columns`` is the width of the text.
+    """
     for sentence in sentences(comparison):
         yield from wrapped(sentence, columns, '  ')
     for where in SENSORS.values():

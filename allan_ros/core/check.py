@@ -368,7 +368,7 @@ def _term_difference(
     a, b = _known(first), _known(second)
     before = _limit(first) if a is None else a[0]
     unknown = Check(axis, term, reference, second, upper=before)
-    power = 1.0 if term == 'R' else 2.0  # R has normal errors; of the others, the square has
+    power = 1.0 if term == 'R' else 2.0  # errors are normal for R, and for the square of others
     if a is not None and b is not None:
         ratio, ci95, p = _ratio_of_estimates(a, b)
         return replace(unknown, ratio=Estimate(ratio, ci95), p=p)

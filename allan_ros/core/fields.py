@@ -175,7 +175,10 @@ class Fields:
     def table(
         self, key: str, rows: int, columns: int, least: float = -MAX_FLOAT
     ) -> NDArray[np.float64]:
-        """Return a list of lists of numbers of at least ``least`` as an array, (rows, columns)."""
+        """Return a list of lists as an array of finite numbers, (rows, columns).
+
+        ``least`` is the smallest valid number.
+        """
         value = self.sequence(key, rows)
         is_regular = len(value) == rows and all(
             isinstance(row, list)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples of an IMU, the names of its axes, and units of measurement.
 
-All computations are in SI. Units of datasheets are used only in the output.
+All computations are in SI. Units of datasheets are used only for input and output.
 """
 
 from __future__ import annotations
@@ -307,10 +307,21 @@ STAMP_UNITS = {
 
 
 def even_stamps(first: int, count: int, rate: float) -> NDArray[np.int64]:
-    """Return the stamps in ns of the samples ``first`` to ``first + count - 1``, (count,).
+    """Return the stamps in ns of evenly spaced samples, (count,).
 
-    ``rate`` is the sample rate in Hz; sample 0 has the stamp 0. Raises AllanError if the stamps do
-    not fit into 64 bits (292 years).
+    Parameters
+    ----------
+    first : int
+        Index of the first sample; the sample with index 0 has the stamp 0.
+    count : int
+        Number of samples.
+    rate : float
+        Sample rate in Hz.
+
+    Raises
+    ------
+    AllanError
+        When the stamps do not fit into 64 bits (292 years).
     """
     if (first + count) / rate >= LONGEST_S:
         raise AllanError(f'a sample rate of {rate:g} Hz is too low: state the rate in Hz')
@@ -346,10 +357,21 @@ def from_datasheet(term: str, sensor: str, value: float) -> float:
 
 
 def to_si(value: float, unit: str, si: str) -> float:
-    """Convert a value in ``unit`` to the SI unit ``si``.
+    """Convert a value to SI.
 
-    Raises AllanError if the unit is unknown or of another quantity; the message lists the possible
-    units.
+    Parameters
+    ----------
+    value : float
+        The value in ``unit``.
+    unit : str
+        A unit in `UNITS`.
+    si : str
+        The expected SI unit.
+
+    Raises
+    ------
+    AllanError
+        When the unit is unknown, or of another quantity; the message lists the possible units.
     """
     known = UNITS.get(unit)
     if known is None or known.si != si:

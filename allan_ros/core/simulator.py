@@ -161,8 +161,19 @@ def samples_in(seconds: float, rate: float) -> int:
 def simulate_axis(n: int, tau0: float, model: Model, rng: np.random.Generator) -> Floats:
     """Return n simulated samples of one axis with the noise of a model, in SI, (n,).
 
-    The sample period is ``tau0`` in s, and the first sample is 0. The expected Allan variance of
-    the samples equals the Allan variance of the model at every averaging time.
+    The first sample is 0. The expected Allan variance of the samples equals the Allan variance of
+    the model at every averaging time.
+
+    Parameters
+    ----------
+    n : int
+        Number of samples.
+    tau0 : float
+        Sample period in s.
+    model : Model
+        The noise in SI.
+    rng : numpy.random.Generator
+        Source of the random numbers.
     """
     y = simulate(_in_samples(model, tau0), n, rng)
     return np.asarray(y - y[0])

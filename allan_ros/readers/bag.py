@@ -87,7 +87,7 @@ class Bag:
         weakref.finalize(self, self._stack.close)
 
     def storage(self, file: Path) -> Storage:
-        """Open one of the files; a compressed file is decompressed to a temporary file.
+        """Open one of the files and return it; a compressed file is decompressed temporarily.
 
         Raises AllanError when the file is missing, damaged, or not a bag.
         """

@@ -171,8 +171,8 @@ def _expanding(file: BinaryIO, compression: str) -> Any:
 def decompress_file(source: Path, compression: str, target: Path) -> None:
     """Decompress the bag file ``source`` into the file ``target``.
 
-    Raises AllanError when ``source`` is damaged, when it expands by a factor of more than
-    `MAX_FILE_RATIO`, or when the disk is full.
+    ``compression`` is 'zstd' or 'lz4'. Raises AllanError when ``source`` is damaged, when it
+    expands by a factor of more than `MAX_FILE_RATIO`, or when the disk is full.
     """
     remedy = 'copy it again; check the space for temporary files'
     with (

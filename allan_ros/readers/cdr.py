@@ -270,10 +270,19 @@ def _distinct(names: NDArray[np.void]) -> tuple[list[bytes], NDArray[np.intp]]:
 
 
 def encode_imus(batch: ImuBatch, encoding: Encoding, order: str = '<') -> list[memoryview]:
-    """Serialize a batch to one message per sample, in byte order '<' or '>'.
+    """Serialize a batch to one message per sample.
 
     A sensor whose axes are all NaN is declared absent: its values are zeros, and covariance[0] is
     -1. The orientation is always declared absent.
+
+    Parameters
+    ----------
+    batch : ImuBatch
+        The samples.
+    encoding : 'cdr' or 'ros1'
+        Serialization of the messages.
+    order : '<' or '>'
+        Byte order.
     """
     frame = batch.frame_id.encode() + (b'\0' if encoding == 'cdr' else b'')
     dtype = imu_dtype(encoding, order, len(frame))

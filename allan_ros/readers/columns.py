@@ -127,8 +127,14 @@ class ColumnLayout:
     def check(self, where: object, names: Sequence[str], with_times: bool) -> None:
         """Raise AllanError if no column is an axis, or if the times are missing.
 
-        ``with_times`` is whether the times are known without a column. ``where`` is the name of the
-        table, and ``names`` are the names of its columns, for messages.
+        Parameters
+        ----------
+        where : object
+            Name of the table in messages.
+        names : sequence of str
+            Names of the columns in messages.
+        with_times : bool
+            Whether the times are known without a column.
         """
         if not self.axes:
             raise AllanError(

@@ -374,7 +374,7 @@ def _simplified(name: str) -> str:
 class PathLock:
     """A lock that lets only one process write the file at a path; the file need not exist.
 
-    A hidden file next to it is locked, because the file itself is replaced whenever it is written.
+    A hidden file next to this file is locked, because the file is replaced whenever it is written.
     """
 
     def __init__(self, path: Path) -> None:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read recordings and compute their Allan sums, in one or in several processes.
 
-The sums are bit for bit the same for any number of processes.
+The Allan sums are bit for bit the same for any number of processes.
 """
 
 from __future__ import annotations
@@ -343,9 +343,21 @@ def read_in_turn(jobs: Sequence[ReadJob], observer: Observer = Silent()) -> Iter
 def read_in_processes(
     jobs: Sequence[ReadJob], processes: int, observer: Observer = Silent()
 ) -> Iterator[RecordingSums]:
-    """Read recordings in several processes; yield their Allan sums in the order of ``jobs``.
+    """Read recordings in several processes, and yield their Allan sums in the order of the jobs.
 
-    Raises AllanError when a recording cannot be read, or when a process dies.
+    Parameters
+    ----------
+    jobs : sequence of ReadJob
+        The recordings.
+    processes : int
+        Largest number of processes.
+    observer : Observer
+        Shows the progress.
+
+    Raises
+    ------
+    AllanError
+        When a recording cannot be read, or when a process dies.
     """
     from concurrent.futures import ProcessPoolExecutor
     from concurrent.futures.process import BrokenProcessPool
@@ -397,7 +409,7 @@ def add_recordings(recordings: Iterable[RecordingSums]) -> RecordingSums:
 
 
 def _with_both_sensors(recordings: Sequence[RecordingSums]) -> Sequence[RecordingSums]:
-    """Join each recording of a gyro with the recording of an accelerometer of the same time.
+    """Join each recording of a gyro with the recording of an accelerometer from the same time.
 
     Unless all recordings form such pairs, they are returned unchanged.
     """

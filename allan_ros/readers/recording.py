@@ -201,14 +201,24 @@ class Recording:
 
 
 def damaged(path: Path, reason: object, remedy: str) -> AllanError:
-    """Return the error for a file that cannot be read; ``remedy`` is the advice to the user."""
+    """Return the error for a file that cannot be read.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    reason : object
+        The exception or text that states the cause; only its first 160 characters are used.
+    remedy : str
+        What the user should do.
+    """
     words = ' '.join(str(reason).split())[:160] or type(reason).__name__
     return AllanError(f'{path}: cannot be read ({words}): {remedy}')
 
 
 @contextmanager
 def translated(path: Path, errors: tuple[type[Exception], ...], remedy: str) -> Iterator[None]:
-    """Convert the given exceptions in the block to the AllanError for a damaged file."""
+    """Convert exceptions of the types ``errors`` in the block to the AllanError of `damaged`."""
     try:
         yield
     except AllanError:

@@ -76,7 +76,7 @@ the frame_id."""
 def open_table(path: Path, options: ReadOptions) -> Recording:
     """Open a table of numbers in a text file as a recording.
 
-    Raises AllanError when it has no rows, when it has no axis, or when the times are unknown.
+    Raises AllanError when the table has no rows or no axis, or when the times are unknown.
     """
     with _text(path) as file:
         table = _layout(path, file, options)

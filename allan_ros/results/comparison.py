@@ -69,8 +69,8 @@ class RunComparison:
     def differs(self) -> bool:
         """Whether any difference is significant, or a limit of a datasheet is exceeded.
 
-        If ``within`` is not 0, the recordings differ unless they are `equivalent`, or if a limit of
-        a datasheet is exceeded.
+        If ``within`` is not 0, the recordings must be `equivalent` instead of without a significant
+        difference.
         """
         if any(worst_verdict(one.datasheet_checks) == 'exceeds' for _, one in self.checked):
             return True

@@ -264,7 +264,10 @@ def below_typical(check: Check, axes: tuple[str, ...]) -> Finding | None:
 
 
 def sheet_to_document(sheet: Datasheet, checks: Sequence[Check], margin: float) -> dict[str, Any]:
-    """Return a datasheet and the checks of `against_datasheet` as an object of results.json."""
+    """Return a datasheet and the checks of `against_datasheet` as an object of results.json.
+
+    ``margin`` is the fraction by which a coefficient may exceed a limit in the checks.
+    """
     axes: dict[str, dict[str, Any]] = {}
     for c in checks:
         limit = plain(sheet.limits[c.axis][c.quantity])

@@ -46,8 +46,8 @@ RESULTS_SCHEMA = 'allan_ros/results/3'
 SUMS_SCHEMA = 'allan_ros/sums_file/2'
 
 RESULTS, SUMS = 'results.json', 'sums.json'
-"""Names of the documents in the folder of an analysis: the results, and the sums from which they
-are computed."""
+"""Names of the documents in the folder of an analysis: the results, and the Allan sums from which
+the results are computed."""
 
 TOOL = {'name': 'allan_ros', 'version': __version__}
 
