@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Findings about a fit: rounding, filters, vibration, drift, lack of fit, record length."""
+"""Findings about a fit: rounding, low-pass filter, vibration, drift, lack of fit, record length."""
 
 from __future__ import annotations
 
@@ -19,26 +19,27 @@ from .record_length import recommended_duration
 from .result import AxisFit, Floats, NoiseModel
 
 NEGLIGIBLE_STEP = 0.02
-"""Rounding steps below this fraction of the white noise per sample are ignored: they increase its
-variance by a fraction of only 3e-5."""
+"""Largest rounding step, relative to the white noise per sample, that is ignored. Such a step
+increases the variance of the samples by a fraction of only 3e-5."""
 
 WHOLE_TOLERANCE = 0.05
-"""Largest distance of the phase, divided by the step, from a whole number."""
+"""Largest distance of a phase value, divided by the step, from a whole number."""
 
 LARGEST_SHARE = 1.05
-"""Largest variance of the rounding error relative to the white noise that contains it; above, the
-errors of successive samples are not independent."""
+"""Largest variance of the rounding error relative to the white noise, which contains the rounding
+error. If the ratio is larger, the errors of successive samples are not independent."""
 
 LEAST_POINTS = 8
-"""Smallest number of different phase values needed to search for a step. Fewer values are multiples
-of some step by chance."""
+"""Fewest different phase values for which a step is searched for. Fewer values are multiples of
+some step by chance."""
 
 
 def common_step(phase: Floats, deviation: float) -> float | None:
     """Return the largest step of which all phase values are multiples, or None if there is none.
 
-    ``phase`` contains cumulative sums of samples. If the samples are rounded, this is the rounding
-    step. Steps far below ``deviation``, the white noise per sample, are ignored.
+    If the samples are rounded, this is the rounding step. ``phase``, (n,), contains cumulative sums
+    of samples. ``deviation`` is the standard deviation of the white noise of a sample: steps far
+    below it are ignored. All numbers have the unit of the samples.
     """
     least = NEGLIGIBLE_STEP * deviation
     moved = np.unique(np.abs(phase[np.abs(phase) > least]))
@@ -49,15 +50,15 @@ def common_step(phase: Floats, deviation: float) -> float | None:
         former, step = step, _common_divisor(value, step, least)
         if step < least:
             return None
-        # Euclid's algorithm accumulates rounding errors; dividing by the multiples so far, smallest
-        # first, removes them.
+        # Euclid's algorithm accumulates rounding errors. They are removed by dividing the phase
+        # values so far by their multiples, smallest first.
         for known in [value] if step == former else values[: i + 1]:
             multiple = round(known / step)
             if multiple < 1:
-                return None  # the divisor exceeds a number that it should divide: there is no step
+                return None  # the step exceeds a value that it should divide
             step = known / multiple
-    off = np.abs(moved / step - np.round(moved / step))
-    return step if off.max() < WHOLE_TOLERANCE else None
+    remainders = np.abs(moved / step - np.round(moved / step))
+    return step if remainders.max() < WHOLE_TOLERANCE else None
 
 
 def _common_divisor(a: float, b: float, least: float) -> float:
@@ -69,24 +70,22 @@ def _common_divisor(a: float, b: float, least: float) -> float:
 
 
 ROUNDING_SHARE = 0.1
-"""Variance of the rounding error, relative to the white noise, above which rounding is
-reported."""
-
+"""Variance of the rounding error, relative to the white noise, above which rounding is reported."""
 
 SLOWEST_VIBRATION = 0.5
-"""Frequency in Hz below which sinusoids are not called vibration: buildings and tables resonate
-above it."""
+"""Lowest frequency in Hz of a sinusoid that is called vibration. Buildings and tables have
+resonances above this frequency."""
 
 FASTEST_VIBRATION = 400.0
-"""Sample rate in Hz from which vibration of rotors and engines has no aliases."""
+"""Lowest sample rate in Hz at which vibration of rotors and engines has no aliases."""
 
 ALIAS_FROM = 0.02
-"""Lowest frequency, as a fraction of the sample rate, for which an alias is mentioned. Slower lines
-can only be aliases of vibration at nearly the sample rate."""
+"""Lowest frequency, as a fraction of the sample rate, for which an alias is mentioned. A slower
+sinusoid can only be an alias of a vibration at nearly the sample rate."""
 
 
 def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Merge findings with equal values into one for all their axes."""
+    """Return the findings, with equal findings about several axes merged into one."""
     out: dict[tuple[str, tuple[tuple[str, object], ...]], Finding] = {}
     for f in findings:
         key = (f.id, tuple(f.values.items()))
@@ -97,9 +96,10 @@ def merge_equal(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
     """Return the step to which the samples of an axis are rounded, or None if it is negligible.
 
-    ``white`` is the white noise variance per sample. It contains the rounding error, step^2/12, if
-    the errors of successive samples are independent. A counter that carries its remainder to the
-    next sample has less white noise, and its error is quantization noise (Q).
+    ``white`` is the variance of the white noise of a sample. If the rounding errors of successive
+    samples are independent, this variance contains the variance step^2/12 of these errors. A
+    counter that carries its remainder to the next sample has less white noise: its rounding error
+    is quantization noise (Q).
     """
     means = [m for r in sums.recordings for m in r.means]
     if not means:
@@ -113,8 +113,8 @@ def rounding_step(sums: AllanSums, axis: int, white: float) -> float | None:
 
 
 HARMONIC, HIGHEST_HARMONIC = 0.01, 6.5
-"""Largest relative distance of a frequency from a multiple of another one, its harmonic, and the
-largest multiple: near a high one lies every frequency."""
+"""Conditions for a harmonic: largest relative distance of the frequency from a multiple of another
+frequency, and largest multiple. Every frequency is near some high multiple."""
 
 
 def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list[Finding]:
@@ -145,7 +145,8 @@ def axis_findings(sums: AllanSums, axis: int, fit: AxisFit, tau0: float) -> list
 def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
     """Return a copy of the model with `AxisFit.deviation` computed from the measured curve.
 
-    A finding is added for each axis whose model does not fit: in which octave, and by how much.
+    A finding is added for each axis with a lack of fit. It states the octave with the largest
+    difference, and this difference.
     """
     axes, found = {}, []
     for i, name in enumerate(curve.axes):
@@ -161,14 +162,14 @@ def with_deviations(model: NoiseModel, curve: AllanCurve) -> NoiseModel:
 
 
 class Line(NamedTuple):
-    """Sinusoid of an axis."""
+    """Sinusoid in the model of an axis."""
 
     frequency: float  # Hz
     amplitude: float  # SI
 
 
 def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:
-    """Return groups of one sinusoid and its harmonics; the input is sorted by frequency."""
+    """Return groups of one sinusoid and its harmonics; ``lines`` must be sorted by frequency."""
     groups: list[list[Line]] = []
     for line in lines:
         for group in groups:
@@ -185,7 +186,7 @@ def with_harmonics(lines: Sequence[Line]) -> list[list[Line]]:
 def line_finding(name: tuple[str], lines: Sequence[Line], tau0: float) -> Finding:
     """Return the finding about a sinusoid and its harmonics.
 
-    ``name`` contains the axis, ``tau0`` is the sample period in s.
+    ``name`` contains the name of the axis, and ``tau0`` is the sample period in s.
     """
     line = lines[0]
     amplitude = math.sqrt(sum(each.amplitude**2 for each in lines))

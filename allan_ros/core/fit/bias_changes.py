@@ -1,10 +1,11 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Changes of the bias with time that are no noise: effects, such as steps.
+"""Changes of the bias with time that are no noise, such as steps.
 
-An effect is a shape of known form in the block means of a segment, such as a step or exp(-t/T),
-whose size is unknown. The size is estimated by generalized least squares, then the noise is fitted
-again to what remains. The gain of an effect is the decrease of -2 log likelihood.
+An effect is a change of the bias whose form is known and whose size is not, such as a step or
+exp(-t/T). The size is estimated from the block means of a segment by generalized least squares.
+Then the noise is fitted again to the data minus the effect. The gain of an effect is the decrease
+of -2 log likelihood.
 """
 
 from __future__ import annotations
@@ -27,37 +28,39 @@ from .result import K
 from .statistics import Floats, Group, Size, Statistics, contrasts, lower_edge
 
 GAIN_STEPS, GAIN_MORE_STEPS = 20.0, 10.0
-"""Least gain in -2 log L of a step of the bias, and of each further one. The 99 % quantiles without
-steps are 11 to 22, depending on the noise (`bench_stationarity.py`)."""
+"""Least gain in -2 log L of the first step of the bias, and of each further step. In simulations
+without steps, the 99 % quantiles of the gain are 11 to 22, depending on the noise
+(`bench/bench_stationarity.py`)."""
 
 MOST_CONTRASTS = 96
 """Largest number of contrasts of the block means; octave spectra describe higher frequencies."""
 
 NEAR_OCTAVES = 4
-"""Number of octaves above the contrasts that are used."""
+"""Number of octaves above the frequencies of the contrasts whose spectra are used."""
 
 MOST_STEPS = 5
+"""Largest number of steps of an axis."""
 
 LEAST_MEANS = 24
-"""Fewest block means of a segment that is tested."""
+"""Fewest block means of a segment in which a settling and steps are searched for."""
 
 LEAST_TESTED_S = 120.0
 """Shortest segment in s in which a settling and steps are searched for. In shorter ones, vibration
 rather than drift changes the means."""
 
 STEPS_RATIO = 0.5
-"""Steps are reported if the variance of the random walk with steps in the model is below this
-fraction of that without them. A drift that is no random walk often looks like a few steps, which
-explain less of it."""
+"""Largest ratio of the variances of the random walk with and without steps in the model for which
+steps are reported. A drift that is no random walk often looks like a few steps, but such steps
+explain less of the random walk."""
 
 PROMISING_SCORE = 8.0
-"""Least score of a step for which the noise is fitted again. Scores use the noise that was fitted
-without the step, which is too large if there is one."""
+"""Least score of a step for which the noise is fitted again. It is below the least gain, because a
+score uses the noise of a fit without the step, which is too large if there is a step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Block means of one segment, with the octave spectra of all data above their frequencies.
+    """Block means of one segment, and the octave spectra of all data at higher frequencies.
 
     Attributes
     ----------
@@ -80,9 +83,10 @@ class Segment:
 
     @classmethod
     def of(cls, known: Statistics, means: BlockMeans | None, tau0: float) -> Segment | None:
-        """Return a segment, from the statistics of all data and its block means.
+        """Return a segment from the statistics of all data and the block means of the segment.
 
-        It is None without means, or if the segment is too short for a test.
+        ``tau0`` is the sample period in s. The result is None without means, or if the segment is
+        too short for a test.
         """
         if means is None or len(means.values) < LEAST_MEANS:
             return None
@@ -96,15 +100,15 @@ class Segment:
         size = Size(points, high)
         z = means.values.T @ contrasts(size)
         group = Group(size, 1, z, z[:, :, None] * z[:, None, :])
-        on = known.octave < cut
+        used = known.octave < cut
         own = replace(
             known,
-            octave=known.octave[on],
-            f=known.f[on],
-            power=known.power[on],
-            settling=known.settling[on],
-            dof=known.dof[on],
-            dof_alone=known.dof_alone[on],
+            octave=known.octave[used],
+            f=known.f[used],
+            power=known.power[used],
+            settling=known.settling[used],
+            dof=known.dof[used],
+            dof_alone=known.dof_alone[used],
             step=step,
             groups=(group,),
         )
@@ -113,7 +117,7 @@ class Segment:
         return cls(means, tau0, own, max(cut - NEAR_OCTAVES, 0), components)
 
     def contrasts_of(self, shapes: Floats) -> Floats:
-        """Return the contrasts, (contrasts, shapes), of shapes of the means, (means, shapes)."""
+        """Return the contrasts, (contrasts, n), of n series of means, (means, n)."""
         group = self.known.groups[0]
         return np.asarray(contrasts(group.size)[:, 1:].T @ shapes)
 
@@ -133,21 +137,25 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class AxisSegment:
-    """One axis of a segment, and its noise without effects."""
+    """One axis of a segment, and the fit of its noise without effects."""
 
     data: AxisData
     columns: Columns
-    z: Floats  # (contrasts,) of the block means, scaled, without the line
+    z: Floats  # (contrasts,) contrasts of the block means, without the line, in units of the fit
     fit: Fit
 
     def _whitened(self, effects: Floats, fit: Fit) -> tuple[Floats, Floats]:
-        """Return effects and contrasts with unit covariance under a fit of the noise."""
+        """Return effects and contrasts after whitening with the noise of a fit."""
         root = np.linalg.cholesky(np.tensordot(fit.p, self.columns.low[0], 1))
         both = np.linalg.solve(root, np.column_stack([effects, self.z]))
         return both[:, :-1], both[:, -1]
 
     def scores(self, effects: Floats, beside: Floats, fit: Fit) -> Floats:
-        """Return the score of each column of ``effects``, given effects ``beside`` in the model."""
+        """Return the score of each column of ``effects``, (effects,).
+
+        The score is the square of the estimated size over its variance. The model of the noise is
+        ``fit``, and the effects ``beside`` are also in the model. Effects are columns of contrasts.
+        """
         white, z = self._whitened(np.column_stack([beside, effects]), fit)
         known, white = white[:, : beside.shape[1]], white[:, beside.shape[1] :]
         if known.shape[1]:
@@ -159,7 +167,10 @@ class AxisSegment:
         )
 
     def with_effects(self, effects: Floats) -> FittedEffects:
-        """Return the sizes of effects, (contrasts, effects), and the noise fitted beside them."""
+        """Return the sizes of effects, and the fit of the noise to the data minus the effects.
+
+        ``effects`` are the contrasts of effects of size 1, (contrasts, effects).
+        """
         fit, sizes = self.fit, np.zeros(effects.shape[1], float)
         for _ in range(3):
             white, z = self._whitened(effects, fit)
@@ -186,11 +197,11 @@ class AxisSegment:
 
 
 class FittedEffects(NamedTuple):
-    """Sizes of effects in SI, the fit of the noise beside them, and their gain."""
+    """Sizes of effects, and the fit of the noise to the data minus these effects."""
 
-    sizes: Floats
+    sizes: Floats  # (effects,) in SI
     fit: Fit
-    gain: float
+    gain: float  # decrease of -2 log L by all effects together
 
 
 # --- steps ----------------------------------------------------------------------------------------
@@ -201,25 +212,26 @@ class BiasSteps:
     """Steps of the bias of one axis."""
 
     ns: tuple[int, ...]  # stamps of the steps
-    sizes: tuple[float, ...]
-    walk_before: float  # variance of the random walk per sample, without the steps in the model
-    walk_after: float
-    excess: float
+    sizes: tuple[float, ...]  # in SI
+    walk_before: float  # variance of the random walk per sample, without steps in the model
+    walk_after: float  # variance of the random walk per sample, with the steps in the model
+    excess: float  # gain minus the least gain of this number of steps
 
 
 class _Steps(NamedTuple):
-    """Steps before some block means, and their gain above the threshold of this number."""
+    """Steps between block means."""
 
-    at: list[int]  # index of the last mean before each step, in the order of their gains
+    at: list[int]  # index of the last mean before each step, in the order in which they were found
     effects: FittedEffects
 
     @property
     def excess(self) -> float:
+        """Gain minus the least gain of this number of steps."""
         return self.effects.gain - GAIN_STEPS - GAIN_MORE_STEPS * (len(self.at) - 1)
 
 
 def bias_steps(segment: Segment, axis: int) -> BiasSteps | None:
-    """Return the steps of the bias of one axis in a segment, or None."""
+    """Return the steps of the bias of one axis in a segment, or None if there are none."""
     noise = segment.axis(axis)
     if noise is None:
         return None
@@ -250,10 +262,10 @@ def bias_steps(segment: Segment, axis: int) -> BiasSteps | None:
 
 
 def step_findings(sums: AllanSums, known: Statistics, without: set[int]) -> list[Finding]:
-    """Return the findings about steps in the longest segment, except of some axes.
+    """Return the findings about steps of the bias in the longest segment.
 
-    ``known`` are the statistics of the sums. Times are counted from the start of the recording,
-    also if its first part is excluded.
+    ``known`` are the statistics of the sums, and ``without`` are the indices of axes that are not
+    tested. Times are counted from the start of the recording, also if its first part is excluded.
     """
     tau0 = sums.tau0 or 1.0
     every = [m for r in sums.recordings for m in r.means]

@@ -1,9 +1,10 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Candidates of the search for processes, and the approximate gain of each.
+"""Candidates of the search for processes, and the approximate gain of each candidate.
 
-The gain of a candidate in -2 log L is the square of its score over its information, both without
-what the processes of the fit explain. They are sums over the spectra and the groups of block means.
+The gain of a candidate in -2 log L is approximately the square of its score over its information.
+Both are sums over the spectra and over the groups of block means. The part that the components of
+the fit explain is subtracted from both.
 """
 
 from __future__ import annotations
@@ -26,47 +27,50 @@ SHORTEST_TIME = 2.0
 """Shortest correlation time of a Gauss-Markov process in samples; shorter ones are white noise."""
 
 WANDER = 1e-3
-"""Relative uncertainty of the frequency of a sinusoid."""
+"""Relative uncertainty of the frequency of a sinusoid, from which the position of its alias
+follows."""
 
 LEAST_OWN = 1e-5
-"""Least share of its information that no process of the fit has; with less, a candidate cannot be
-told from them."""
+"""Least share of the information of a candidate that the components of the fit do not have. With a
+smaller share, the candidate cannot be told from these components."""
 
 
 class Moments(NamedTuple):
-    """Derivatives of the log likelihood for the coefficients of candidates, at 0."""
+    """Derivatives of the log likelihood by the coefficients of candidates, which are 0."""
 
-    score: Floats  # (candidates,)
-    information: Floats  # (candidates,)
-    shared: Floats  # (candidates, components), information with the components of the fit
+    score: Floats  # (candidates,) first derivatives
+    information: Floats  # (candidates,) Fisher information
+    shared: Floats  # (candidates, components) Fisher information with the components of the fit
 
     def gains(self, fit: Fit) -> Floats:
-        """Return the gain of each candidate beside the components of a fit, (candidates,)."""
-        on = fit.free
-        size = np.sqrt(np.maximum(np.diag(fit.information)[on], 1e-300))
-        known = fit.information[np.ix_(on, on)] / np.outer(size, size) + 1e-9 * np.eye(len(on))
-        shared = self.shared[:, on] / size
-        rest = self.information - np.sum(shared * np.linalg.solve(known, shared.T).T, axis=1)
-        left = (fit.moment - fit.information @ fit.p)[on] / size
-        score = self.score - shared @ np.linalg.solve(known, left)
-        told = (score > 0.0) & (rest > LEAST_OWN * self.information)
-        return np.where(told, score**2 / np.where(told, rest, 1.0), 0.0)
+        """Return the approximate gain of each candidate in addition to a fit, (candidates,)."""
+        free = fit.free
+        size = np.sqrt(np.maximum(np.diag(fit.information)[free], 1e-300))
+        known = fit.information[np.ix_(free, free)] / np.outer(size, size)
+        known += 1e-9 * np.eye(len(free))
+        shared = self.shared[:, free] / size
+        own = self.information - np.sum(shared * np.linalg.solve(known, shared.T).T, axis=1)
+        score_of_fit = (fit.moment - fit.information @ fit.p)[free] / size
+        score = self.score - shared @ np.linalg.solve(known, score_of_fit)
+        is_distinct = (score > 0.0) & (own > LEAST_OWN * self.information)
+        return np.where(is_distinct, score**2 / np.where(is_distinct, own, 1.0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class LowBandFit:
-    """Contrasts of the block means of one group of segments, and their covariance in a fit.
+    """Contrasts of the block means of one group of segments, under the covariance of a fit.
 
     Attributes
     ----------
     segments : int
+        Number of segments.
     inverse : (contrasts, contrasts) array
-        Inverse V of the covariance in the fit.
+        Inverse V of the covariance of the contrasts in the fit.
     excess : (contrasts, contrasts) array
-        V G V - segments V with the Gram matrix G of the contrasts: twice the derivative of the log
-        likelihood for the covariance.
+        V G V - segments V, where G is the Gram matrix of the contrasts. It is twice the derivative
+        of the log likelihood by the covariance.
     components : (components, contrasts, contrasts) array
-        V D V with the covariance D of each component for unit noise.
+        V D V, where D is the covariance of a component with the coefficient 1.
     """
 
     segments: int
@@ -76,7 +80,7 @@ class LowBandFit:
 
     @classmethod
     def all_of(cls, data: AxisData, fit: Fit) -> list[LowBandFit]:
-        """Return one for each group of segments."""
+        """Return the contrasts of each group of segments."""
         out = []
         for group, d in zip(data.low, fit.columns.low):
             v = np.asarray(np.linalg.inv(np.tensordot(fit.p, d, 1)), np.float64)
@@ -84,7 +88,10 @@ class LowBandFit:
         return out
 
     def dense(self, covariances: Floats) -> Moments:
-        """Return the moments of (candidates, contrasts, contrasts) covariances."""
+        """Return the moments of candidates from their covariances.
+
+        ``covariances`` are (candidates, contrasts, contrasts).
+        """
         v, half = self.inverse @ covariances, 0.5 * self.segments
         return Moments(
             0.5 * np.tensordot(covariances, self.excess, 2),
@@ -93,7 +100,10 @@ class LowBandFit:
         )
 
     def waves(self, waves: Floats) -> Moments:
-        """Return the moments of covariances w'w of (candidates, 2, contrasts) waves w."""
+        """Return the moments of sinusoids, whose covariances are w'w.
+
+        ``waves`` are the contrasts w of cosine and sine, (candidates, 2, contrasts).
+        """
         squares, half = waves @ self.inverse @ waves.transpose(0, 2, 1), 0.5 * self.segments
         outer = (waves[:, :, :, None] * waves[:, :, None, :]).sum(1).reshape(len(waves), -1)
         return Moments(
@@ -112,7 +122,7 @@ class Kind:
     processes : sequence of Process
         Candidates of one class, at least one.
     statistics : Statistics
-        Those of a recording.
+        Statistics of a recording.
     """
 
     processes: Sequence[Process]
@@ -120,7 +130,7 @@ class Kind:
 
     @property
     def first(self) -> Process:
-        """One of the candidates, for what all have in common."""
+        """First candidate, for properties that all candidates have in common."""
         return self.processes[0]
 
     @cached_property
@@ -144,7 +154,10 @@ class Kind:
 
     @cached_property
     def covariances(self) -> list[Floats]:
-        """Covariances of the contrasts of each group of segments for the slow candidates."""
+        """Covariances of the contrasts for the slow candidates, for each group of segments.
+
+        Each array is (slow candidates, contrasts, contrasts).
+        """
         columns = [self.statistics.column(self.processes[i]).low for i in self.slow.tolist()]
         return [
             np.array([c[g][1:, 1:] for c in columns]) for g in range(len(self.statistics.groups))
@@ -152,9 +165,10 @@ class Kind:
 
     @cached_property
     def waves(self) -> list[Floats]:
-        """Contrasts of a cosine and a sine of each slow sinusoid, (sinusoids, 2, contrasts).
+        """Contrasts of a cosine and a sine of each slow sinusoid, for each group of segments.
 
-        The sum of their squares is the covariance for a random phase.
+        Each array is (sinusoids, 2, contrasts). The sum of the outer products of both is the
+        covariance of a sinusoid with random phase.
         """
         f, step = self.number[self.slow], self.statistics.step
         gain = np.sin(np.pi * step * f) / (step * np.sin(np.pi * f)) / math.sqrt(2.0)
@@ -168,12 +182,12 @@ class Kind:
     def gains(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Floats:
         """Return the approximate gain in -2 log L of each candidate, (candidates,).
 
-        ``low`` are the contrasts of the axis under the fit, for all groups of segments.
+        ``low`` are the contrasts of the axis, for all groups of segments, under the same fit.
         """
         return self.moments(data, fit, low).gains(fit)
 
     def moments(self, data: AxisData, fit: Fit, low: Sequence[LowBandFit]) -> Moments:
-        """Return the derivatives of the log likelihood for the candidates beside a fit."""
+        """Return the derivatives of the log likelihood by the coefficients of the candidates."""
         s, half = fit.spectrum(), data.dof[data.used] / 2.0
         relative = self.power[:, data.used] / s
         moments = Moments(
@@ -193,7 +207,8 @@ class Kind:
     def allowed(self, shortest: float, fastest: float) -> Floats:
         """Return 1 for each candidate within the limits of a search, and 0 for others.
 
-        They are a correlation time from ``shortest`` on, or a frequency below ``fastest``.
+        The limits are ``shortest``, for correlation times in samples, and ``fastest``, for
+        frequencies in cycles per sample.
         """
         by_frequency = FREQUENCY in self.first.parameters
         allowed = self.number < fastest if by_frequency else self.number >= shortest
@@ -202,7 +217,7 @@ class Kind:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Processes that may be added, with their expectations; equal for all axes of a recording."""
+    """Processes that a fit may add, with their expectations. All axes of a recording share them."""
 
     statistics: Statistics
 
@@ -215,7 +230,7 @@ class Candidates:
 
     @cached_property
     def kinds(self) -> tuple[Kind, ...]:
-        """The candidates of each kind of process that has any."""
+        """All kinds of processes that have at least one candidate."""
         grids = (list(kind.grid(self.search)) for kind in SEARCHED)
         return tuple(Kind(grid, self.statistics) for grid in grids if grid)
 

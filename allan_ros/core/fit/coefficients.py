@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coefficients of one axis in SI, with intervals and limits, from the selected model.
 
-A fit has variances in units of the scale of its data, and shapes in samples. Here they become the
-coefficients of the terms, the processes of a `Model`, and their covariance.
+A fit has variances in units of the scale of its data, and shapes in samples. This module converts
+them to the coefficients of the terms, the processes of a `Model`, and the covariance of both.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from .likelihood import (
 from .result import AxisFit, Floats, K, Q
 
 RAMP_RESOLVED = 2.58 / 1.96
-"""Least |R| in units of the half width of its interval for R to be resolved: two-sided 1 % (1.0 %
-of the 900 axes without R)."""
+"""Least |R|, relative to half of the width of its 95 % interval, for R to be resolved: false alarms
+of 1 % (two-sided). Measured: 1.0 % of 900 axes without R."""
 
 UNKNOWN = Estimate(None, status='not_observable')
 """A coefficient with neither a value nor a limit."""
@@ -48,20 +48,18 @@ def without_estimates() -> AxisFit:
 
 
 class Errors(NamedTuple):
-    """Errors of the coefficients and shapes of a fit, in the units of its data."""
+    """Errors of the coefficients and shapes of a fit, in the units of the fit."""
 
-    information: Floats
-    """Fisher information of the coefficients, then of the shapes."""
-
+    information: Floats  # Fisher information of the coefficients, then of the shapes
+    # covariance of the coefficients, in which the shapes are unknown, too; 0 for coefficients that
+    # are held at 0
     covariance: Floats
-    """Covariance of the coefficients if the shapes are unknown, too; 0 for those held at 0."""
-
+    # standard error of the logarithm of each fitted number of a shape, times the coefficient
     of_shapes: Mapping[Shape, float]
-    """Standard error of the logarithm of each fitted number of a shape, times the coefficient."""
 
     @classmethod
     def of(cls, data: AxisData, fit: Fit, known: Sequence[Process]) -> Errors:
-        """Return the errors of a fit; the shapes of the processes ``known`` were not fitted."""
+        """Return the errors of a fit; the shapes of the processes in ``known`` are known."""
         shapes = [
             Shape(k, parameter)
             for k, process in enumerate(fit.components)
@@ -70,9 +68,9 @@ class Errors(NamedTuple):
         ]
         information = information_with_shapes(data, fit, shapes)
         number = len(fit.p)
-        on = [*fit.free, *range(number, len(information))]
+        free = [*fit.free, *range(number, len(information))]
         covariance = np.zeros_like(information)
-        covariance[np.ix_(on, on)] = inverse(information[np.ix_(on, on)])
+        covariance[np.ix_(free, free)] = inverse(information[np.ix_(free, free)])
         scatter = np.sqrt(np.maximum(np.diag(covariance)[number:], 0.0))
         return cls(information, covariance[:number, :number], dict(zip(shapes, scatter.tolist())))
 
@@ -91,7 +89,7 @@ def axis_fit(selected: SelectedModel, tau0: float, brief: bool = False) -> AxisF
         profile_interval(data, fit, i, errors.information) for i in range(len(RANDOM_TERMS))
     ]
     if not rules.signed and intervals[Q].gain <= GAIN_RESOLVED:
-        # A q that is not resolved nearly doubles the error of N.
+        # with a q that is not resolved, the error of N would be nearly twice as large
         fit = data.solve(fit.components, fit.columns, fit.p, {Q: 0.0})
     variances, covariance = fit.p * data.scale, errors.covariance * data.scale**2
     noise = {
@@ -142,11 +140,13 @@ def random_coefficient(
     ----------
     term : Process
         One of `RANDOM_TERMS`.
-    variance, error : float
-        Square of the coefficient and its standard error, in the squared unit of the samples, with
-        the sample period as the unit of time.
+    variance : float
+        Square of the coefficient in the squared unit of the samples; the unit of time is the sample
+        period.
+    error : float
+        Standard error of ``variance``, in the same unit.
     interval : Interval
-        Interval of the square, in the same unit.
+        95 % interval of ``variance``, in the same unit.
     tau0 : float
         Sample period in s.
     """
@@ -176,8 +176,9 @@ def _ramp(ramp: RampEstimate | None) -> Estimate:
 def _ramp_of_model(ramp: RampEstimate | None, resolved: bool) -> float:
     """Return the ramp of the model in SI.
 
-    The other terms alone cause a random ramp, whose variance is ``ramp.error``^2. If the ramp is
-    not resolved, this is subtracted from its square, so that drift is not counted twice.
+    The random terms alone cause a ramp whose variance is ``ramp.error``^2. If the ramp is not
+    resolved, this variance is subtracted from the square of the ramp, so that drift is not counted
+    twice.
     """
     if ramp is None:
         return 0.0
@@ -218,7 +219,7 @@ def _covariance(
 ) -> Covariance:
     """Return the covariance of the squared coefficients in SI.
 
-    It contains the four terms, then the other components in the ``order`` of the model.
+    The rows are the four random terms, then the other components in the ``order`` of the model.
     """
     names, units = [], []
     numbers: Counter[str] = Counter()

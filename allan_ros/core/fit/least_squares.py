@@ -2,17 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Least squares on the Allan variance: method 'paper', and curves of other tools.
 
-Neither uses the covariance of the Allan variances.
+Method 'paper'
+--------------
+This is the method of Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019. It fits the
+polynomial sigma^2(tau) = sum A_p tau^p, p = -2..2, to the Allan variances of non-overlapping
+averages up to 1300 s, without weights. Each coefficient is computed from one A_p. The longest
+averaging times, which are the least precise, have the most influence, so that A_p is often negative
+for Q, K and R. The method gives no intervals.
 
-'paper' is the method of Cong, Wang & Yan, Industry and Mine Automation 45(10), 2019. It fits the
-Allan variance sigma^2(tau) = sum A_p tau^p, p = -2..2, without weights, to averages over groups
-that do not overlap, up to 1300 s, and computes each coefficient from its A_p. The long averaging
-times, which are the least precise, have the largest weight, so Q, K and R are often negative. It
-gives no intervals.
-
-`fit_curve` fits a curve that another tool computed. Its covariance is unknown without the samples:
-the points are decimated to four per octave and treated as independent, each with the degrees of
-freedom of an overlapping estimate. The intervals are therefore approximate.
+Curves of other tools
+---------------------
+`fit_curve` fits a curve that another tool has computed. The covariance of the points is unknown
+without the samples. The points are therefore decimated to four per octave and treated as
+independent, each with the degrees of freedom of an overlapping estimate. The intervals are
+approximate.
 """
 
 from __future__ import annotations
@@ -45,7 +48,8 @@ K^2/3, R^2/2 (the paper's eq. 3; IEEE Std 952-1997 annex C)."""
 def fit_paper(sums: AllanSums) -> NoiseModel:
     """Fit sum A_p tau^p to the Allan variances of all axes (Cong et al. 2019).
 
-    A term whose A_p is negative has no value, and a finding reports it.
+    A term whose A_p is negative has no value, and a finding reports the term. Raises AllanError if
+    there are fewer than two samples.
     """
     tau0 = sample_period(sums)
     tau = sums.m * tau0
@@ -87,24 +91,25 @@ def _axis_fit(squares: Floats, sign: int) -> AxisFit:
 
 
 POINTS_PER_OCTAVE = 4
-"""Largest number of points per octave that are used of a curve from another tool."""
+"""Largest number of points per octave that are used from a curve of another tool."""
 
 DEFAULT_RECORD = 9.0
-"""Assumed length of the record divided by the longest averaging time, if the length is unknown:
-most tools end their curves there."""
+"""Length of a recording divided by the longest averaging time of its curve, if the length is
+unknown. Most tools end their curves at a ninth of the recording."""
 
 FREEDOM_PER_AVERAGE = 0.75
-"""Degrees of freedom of an overlapping average over tau, divided by record/tau - 1."""
+"""Degrees of freedom of an overlapping Allan variance at tau, divided by record/tau - 1."""
 
 LEAST_ERROR = 0.05
-"""Smallest relative standard error of an Allan variance. It includes errors that the scatter of
-correlated points does not show."""
+"""Smallest relative standard error of an Allan variance. It stands for errors that correlated
+points have in common, which their scatter does not show."""
 
 LEAST_POINTS = 6
-"""Smallest number of points of a curve: one more than there are terms."""
+"""Fewest points of a curve: one more than there are terms."""
 
 RESOLVED = 2.33
-"""Ratio of a squared coefficient to its standard error above which it is resolved: 1 % of axes."""
+"""Least ratio of a squared coefficient to its standard error for the coefficient to be resolved:
+false alarms of 1 % (one-sided)."""
 
 
 def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> AxisFit:
@@ -122,7 +127,7 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
     Returns
     -------
     AxisFit
-        Its intervals are approximate, and R has no value.
+        Fit in SI. The intervals are approximate, and R has no value.
 
     Raises
     ------
@@ -164,10 +169,10 @@ def fit_curve(tau: ArrayLike, adev: ArrayLike, record: float | None = None) -> A
 
 
 def _decimated(tau: Floats, adev: Floats) -> tuple[Floats, Floats]:
-    """Return sorted tau and Allan variance of valid points, at most 4 per octave."""
-    good = np.isfinite(tau) & (tau > 0.0) & (adev > 1e-150) & (adev < 1e150)
-    order = np.argsort(tau[good])
-    tau, avar = tau[good][order], adev[good][order] ** 2
+    """Return tau, sorted, and Allan variance of the valid points, at most 4 per octave."""
+    valid = np.isfinite(tau) & (tau > 0.0) & (adev > 1e-150) & (adev < 1e150)
+    order = np.argsort(tau[valid])
+    tau, avar = tau[valid][order], adev[valid][order] ** 2
     if len(tau):
         bins = np.round(np.log2(tau / tau[0]) * POINTS_PER_OCTAVE)
         first = np.unique(bins, return_index=True)[1]

@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Likelihood of the statistics of one axis, its maximum by Fisher scoring, and 95 % intervals.
 
+Likelihood
+----------
 The power of each bin of the octave spectra has a Gamma distribution with known degrees of freedom.
-The contrasts of the block means are Gaussian; without the contrast that is a line, this is the
-restricted likelihood (REML) of the means with an unknown mean and ramp in each segment. Both
-expectations are linear in the coefficients, so one step of Fisher scoring is a linear least-squares
-problem with nonnegative unknowns.
+The contrasts of the block means are Gaussian. The contrast that is a line is not used, so this is
+the restricted likelihood (REML) of the means with an unknown mean and ramp in each segment.
+
+The expected power and the covariance of the contrasts are linear in the coefficients. One step of
+Fisher scoring is therefore a linear least-squares problem with nonnegative unknowns.
 """
 
 from __future__ import annotations
@@ -26,11 +29,12 @@ from .statistics import Floats, Statistics, contrasts
 Flags = NDArray[np.bool_]
 
 LEVEL_95 = 3.841
-"""Decrease of -2 log L at the ends of a 95 % interval."""
+"""Increase of -2 log L at the ends of a 95 % interval: 95 % quantile of chi-squared with one degree
+of freedom."""
 
 RIDGE = 1e-9
-"""Relative ridge of the information matrix: coefficients that the data cannot tell apart share
-their variance instead of making the matrix singular."""
+"""Number that is added to the diagonal of the scaled information matrix, so that the matrix is
+regular even if the data cannot tell two coefficients apart."""
 
 
 class Shape(NamedTuple):
@@ -41,10 +45,11 @@ class Shape(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Expectations for unit noise of each component of a model."""
+    """Expectations of the statistics for each component of a model, with the coefficient 1."""
 
-    power: Floats  # (bins, components)
-    low: list[Floats]  # (components, contrasts, contrasts) of each group
+    power: Floats  # (bins, components) expected power
+    # covariance of the contrasts of each group, (components, contrasts, contrasts)
+    low: list[Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,18 +59,20 @@ class Fit:
     Attributes
     ----------
     components : tuple of Process
-        Their shapes are in samples.
+        Processes with their shapes in samples.
     p : (components,) array
         Coefficients, in units of `AxisData.scale`.
     value : float
-        -2 log likelihood, up to a constant; infinite if the model is not positive.
+        -2 log likelihood, up to a constant; infinite if the expected power or covariance of the
+        model is not positive.
     information : (components, components) array
         Fisher information of the coefficients.
     moment : (components,) array
-        The score is ``moment`` - ``information`` @ ``p``.
+        ``moment`` - ``information`` @ ``p`` is the score (gradient of the log likelihood).
     columns : Columns
+        Expectations of the components.
     signed : tuple of int
-        Coefficients that may be negative.
+        Indices of the coefficients that may be negative.
     """
 
     components: tuple[Process, ...]
@@ -83,36 +90,36 @@ class Fit:
 
     def covariance(self) -> Floats:
         """Return the covariance of all coefficients; 0 for those that are held at 0."""
-        on = self.free
+        free = self.free
         out = np.zeros_like(self.information)
-        out[np.ix_(on, on)] = inverse(self.information[np.ix_(on, on)])
+        out[np.ix_(free, free)] = inverse(self.information[np.ix_(free, free)])
         return out
 
     def spectrum(self) -> Floats:
-        """Return the expected power of the bins."""
+        """Return the expected power of the bins that are used, (bins,)."""
         return np.asarray(self.columns.power @ self.p)
 
 
 def flags(size: int, chosen: Iterable[int]) -> Flags:
-    """Return an array that is True at the chosen indices."""
+    """Return a boolean array, (size,), that is True at the chosen indices."""
     out = np.zeros(size, bool)
     out[list(chosen)] = True
     return out
 
 
 def inverse(information: Floats) -> Floats:
-    """Return the inverse of an information matrix, scaled and with `RIDGE`."""
+    """Return the inverse of an information matrix after scaling and adding `RIDGE`."""
     d = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(d, d) + RIDGE * np.eye(len(d))
     return np.asarray(np.linalg.inv(scaled) / np.outer(d, d))
 
 
 class LowBand(NamedTuple):
-    """Products of the contrasts (weighted sums of block means) of segments of equal length."""
+    """Contrasts z (weighted sums of block means) of all segments of equal length, for one axis."""
 
-    segments: int
-    line: Floats  # (contrasts,) sum over the segments; the first one is the line
-    gram: Floats  # (contrasts - 1, contrasts - 1), without the line
+    segments: int  # number of segments
+    line: Floats  # (contrasts,) sum of z over the segments; the first contrast is the line
+    gram: Floats  # (contrasts - 1, contrasts - 1) sum of z z' over the segments, without the line
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,13 +129,17 @@ class AxisData:
     Attributes
     ----------
     statistics : Statistics
+        Statistics of all axes.
     axis : int
+        Index of the axis.
     scale : float
         Variance by which the statistics are divided.
     power : (bins,) array
+        Mean power of each bin, without a settling.
     low : list of LowBand
+        Contrasts of each group of segments.
     dof : (bins,) array
-        Degrees of freedom; smaller where the model has a relative error.
+        Degrees of freedom; smaller where the model is less accurate than the data.
     used : (bins,) array of bool
         Bins below the highest frequency of the fit.
     """
@@ -162,9 +173,9 @@ class AxisData:
         return cls(statistics, axis, scale, power / scale, low, dof, used)
 
     def columns(self, components: Sequence[Process], tangents: Sequence[Shape] = ()) -> Columns:
-        """Return the expectations of components, then their derivatives d/d log(shape).
+        """Return the expectations of components, then derivatives by the logarithm of shapes.
 
-        ``tangents`` are numbers of the shapes of some components.
+        ``tangents`` are the numbers of shapes for which the derivatives are computed.
         """
         columns = [self.statistics.column(each, self.axis) for each in components]
         power = [each.power for each in columns]
@@ -207,7 +218,10 @@ class AxisData:
         return value, information, moment
 
     def start(self, columns: Columns) -> Floats:
-        """Return coefficients with which no component alone exceeds any statistic."""
+        """Return coefficients, (components,), to start from.
+
+        No component alone exceeds any statistic.
+        """
         largest = np.full(len(columns.power.T), np.inf)
         if len(columns.power):
             ratios = self.power[self.used][:, None] / np.maximum(columns.power, 1e-300)
@@ -228,19 +242,20 @@ class AxisData:
         rounds: int = 40,
         tolerance: float = 1e-4,
     ) -> Fit:
-        """Return the maximum of the likelihood.
+        """Return the maximum of the likelihood over the coefficients of some components.
 
         Parameters
         ----------
         components : sequence of Process
+            Processes with their shapes in samples.
         columns : Columns, optional
             Expectations of the components, if already computed.
-        p : array, optional
+        p : (components,) array, optional
             Coefficients to start from.
         held : mapping of index to value, optional
-            Coefficients that are not fitted.
+            Coefficients that are not fitted, and their values.
         signed : tuple of int
-            Coefficients that may be negative.
+            Indices of the coefficients that may be negative.
         rounds : int
             Largest number of steps.
         tolerance : float
@@ -292,11 +307,11 @@ def _step(information: Floats, moment: Floats, sign: Flags) -> Floats:
 
 
 class Interval(NamedTuple):
-    """95 % interval of a coefficient, and the gain in -2 log L of its estimate over 0."""
+    """95 % interval of a coefficient."""
 
     low: float
     high: float
-    gain: float
+    gain: float  # decrease of -2 log L from the coefficient 0 to the estimate
 
     def times(self, factor: float) -> Interval:
         """Return the interval of the coefficient times a positive factor."""
@@ -304,9 +319,10 @@ class Interval(NamedTuple):
 
 
 def information_with_shapes(data: AxisData, fit: Fit, shapes: Sequence[Shape]) -> Floats:
-    """Return the Fisher information of the coefficients of a fit, then of the shapes.
+    """Return the Fisher information of the coefficients of a fit and of some shapes.
 
-    The unknown that belongs to a shape is the logarithm of its number times the coefficient.
+    The rows are the coefficients, then the shapes. The unknown of a shape is the logarithm of its
+    number, times the coefficient of the component.
     """
     columns = data.columns(fit.components, shapes)
     moments = data.moments(columns, np.append(fit.p, np.zeros(len(shapes))))
@@ -319,24 +335,24 @@ def profile_interval(
 ) -> Interval:
     """Return the interval of the coefficient ``i`` of a fit, by its profile likelihood.
 
-    All other coefficients are fitted again at each value. It is the set of values whose
-    -2 log L exceeds the minimum by at most 3.84. With ``with_shapes``, from
-    `information_with_shapes`, it is wider by the ratio of the standard errors with unknown and with
-    known shapes.
+    The interval contains all values whose -2 log L exceeds the minimum by at most 3.84, where all
+    other coefficients are fitted again at each value. If ``with_shapes``, the result of
+    `information_with_shapes`, is given, the interval is wider by the ratio of two standard errors:
+    with unknown and with known shapes.
     """
     estimate = float(fit.p[i])
-    on = np.union1d(fit.free, [i])
-    covariance = inverse(fit.information[np.ix_(on, on)])[:, int(np.searchsorted(on, i))]
-    error = math.sqrt(covariance[np.searchsorted(on, i)])
+    free = np.union1d(fit.free, [i])
+    covariance = inverse(fit.information[np.ix_(free, free)])[:, int(np.searchsorted(free, i))]
+    error = math.sqrt(covariance[np.searchsorted(free, i)])
     wider = 1.0
     if with_shapes is not None:
-        every = np.append(on, np.arange(len(fit.p), len(with_shapes)))
+        every = np.append(free, np.arange(len(fit.p), len(with_shapes)))
         scatter = np.diag(inverse(with_shapes[np.ix_(every, every)]))
-        wider = max(math.sqrt(scatter[np.searchsorted(on, i)]) / error, 1.0)
+        wider = max(math.sqrt(scatter[np.searchsorted(free, i)]) / error, 1.0)
 
     def distance(value: float) -> float:
         start = fit.p.copy()
-        start[on] += covariance / error**2 * (value - estimate)
+        start[free] += covariance / error**2 * (value - estimate)
         start = np.where(flags(len(start), fit.signed), start, np.maximum(start, 0.0))
         new = data.solve(
             fit.components, fit.columns, start, {i: value}, fit.signed, rounds=10, tolerance=1e-2
@@ -367,7 +383,7 @@ def profile_interval(
 
 
 def _crossing(distance, z: float, inside: float, outside: float, at_outside: float) -> float:  # type: ignore[no-untyped-def]
-    """Return the value between ``inside`` and ``outside`` whose distance is z."""
+    """Return the value between ``inside`` and ``outside`` at which ``distance`` is z."""
     at_inside, value = 0.0, outside
     for _ in range(10):
         share = (z - at_inside) / max(at_outside - at_inside, 1e-9)
@@ -383,14 +399,14 @@ def _crossing(distance, z: float, inside: float, outside: float, at_outside: flo
 
 
 class RampEstimate(NamedTuple):
-    """Ramp: estimate, standard error and its degrees of freedom."""
+    """Estimate of a ramp."""
 
     value: float
-    error: float
-    dof: float
+    error: float  # standard error
+    dof: float  # degrees of freedom of the standard error
 
     def times(self, factor: float) -> RampEstimate:
-        """Return the ramp in another unit, which is ``1 / factor`` of this one."""
+        """Return the ramp in another unit: value and error are multiplied by ``factor``."""
         return self._replace(value=factor * self.value, error=factor * self.error)
 
     @property
@@ -404,10 +420,9 @@ class RampEstimate(NamedTuple):
 def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
     """Return the ramp that all segments have in common, or None if there are too few block means.
 
-    It is the change per sample of the scaled data.
-
-    It is the generalized least-squares estimate from the block means with the fitted covariance.
-    Its degrees of freedom follow from the errors of the coefficients (Satterthwaite).
+    The ramp is the change per sample of the scaled data. It is estimated from the block means by
+    generalized least squares with the fitted covariance. The degrees of freedom of its error follow
+    from the errors of the coefficients (Satterthwaite).
     """
     information, moment = 0.0, 0.0
     slope = np.zeros(len(fit.p))
@@ -416,7 +431,7 @@ def ramp_estimate(data: AxisData, fit: Fit) -> RampEstimate | None:
     for g, (group, low) in enumerate(zip(statistics.groups, data.low)):
         d = np.array([column[g] for column in columns])
         line = contrasts(group.size)[:, 0]
-        # the line contrast of a ramp of 1
+        # the line contrast of a ramp of 1 per sample
         unit = statistics.step * float(np.arange(group.size.points) @ line)
         e = np.zeros(d.shape[1])
         e[0] = unit

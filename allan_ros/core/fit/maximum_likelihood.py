@@ -23,16 +23,18 @@ LEAST_DRIFT_S = 10.0
 """Shortest time at rest in s for which B, K and R are estimated."""
 
 LEAST_STATISTICS = 12
-"""Fewest bins and contrasts of a fit."""
+"""Fewest statistics from which an axis is fitted: bins of the spectra plus contrasts of block
+means."""
 
 
 def fit_likelihood(sums: AllanSums, of_axes: Sequence[Statistics] = ()) -> NoiseModel:
     """Estimate the noise of every axis by maximum likelihood.
 
-    ``of_axes`` are the statistics of the sums for each axis, if already computed: those of a sensor
-    whose bias settles contain no settling.
+    ``of_axes`` are the statistics of the sums for each axis, if they are already computed. The
+    settling of a sensor is already subtracted from its statistics.
 
-    Too few data raise no error: a term that the data do not determine has no value and no limit.
+    Too few data raise no error: a term that the data do not determine has no value and no limit,
+    and a finding reports the axis.
     """
     tau0 = sums.tau0 or 1.0
     of_axes = of_axes or [statistics(sums)] * len(sums.axes)

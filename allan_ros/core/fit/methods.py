@@ -9,7 +9,8 @@ from ..errors import AllanError
 from .result import NoiseModel
 
 METHODS = ('likelihood', 'paper')
-"""Maximum likelihood of octave spectra and block means, or least squares as Cong et al. 2019."""
+"""Fit methods: maximum likelihood of octave spectra and block means, and the least squares of Cong
+et al. 2019."""
 
 
 def fit_noise(sums: AllanSums, method: str = 'likelihood') -> NoiseModel:
@@ -18,7 +19,7 @@ def fit_noise(sums: AllanSums, method: str = 'likelihood') -> NoiseModel:
     Parameters
     ----------
     sums : AllanSums
-        Sums of one or many segments.
+        Allan sums of one IMU.
     method : str
         One of `METHODS`.
 
@@ -30,7 +31,8 @@ def fit_noise(sums: AllanSums, method: str = 'likelihood') -> NoiseModel:
     Raises
     ------
     AllanError
-        If the method is unknown, or the sums contain fewer than two samples.
+        If the method is unknown, or if the method is 'paper' and there are fewer than two samples.
+        With 'likelihood', a finding reports too few samples.
     """
     if method not in METHODS:
         raise AllanError(f'fit method {method!r} is unknown: choose one of {", ".join(METHODS)}')

@@ -1,8 +1,8 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Curve of a fitted model: its line, the largest deviation from it, and the dominant terms.
+"""Allan deviation of a fitted model, largest deviation of the measured curve, and dominant terms.
 
-The term that dominates in each range of averaging times is stated as in Cong et al. 2019.
+The dominant term in each range of averaging times is stated as in Cong et al. 2019.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MIN_WIDTH = 3.0
 """Smallest ratio tau_high/tau_low of a range with a single dominant term: half a decade."""
 
 SIGNIFICANT = 3.0
-"""Number of error bars below which the deviation of a point from the model is not significant."""
+"""Least deviation of a point from the model that is significant, in error bars of the point."""
 
 
 class ModelLine(NamedTuple):
@@ -36,7 +36,7 @@ class ModelLine(NamedTuple):
     adev : (factors,) float64 array
         Allan deviation of the model.
     upper : (factors,) float64 array
-        The same with every unresolved term at its 95 % upper limit.
+        Allan deviation of the model with every unresolved term at its 95 % upper limit.
     """
 
     adev: Floats
@@ -44,11 +44,12 @@ class ModelLine(NamedTuple):
 
 
 def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
-    """Return the Allan deviation of the model at the averaging factors of a curve.
+    """Return the Allan deviation of the model at the averaging factors ``m`` of a curve.
 
-    It is NaN below the shortest averaging time of the fit; ``tau0`` is the sample period in s.
+    ``tau0`` is the sample period in s. Below the shortest averaging time that the model describes,
+    the Allan deviation is NaN.
     """
-    with np.errstate(invalid='ignore'):  # a filter is described at long averaging times only
+    with np.errstate(invalid='ignore'):  # with a filter, the model is negative at short times
         line, upper = (
             np.sqrt(model.avar(m * tau0, tau0)) for model in (fit.model, fit.model_at_limits)
         )
@@ -59,32 +60,33 @@ def model_line(fit: AxisFit, tau0: float, m: NDArray[np.int64]) -> ModelLine:
 def largest_deviation(line: ModelLine, curve: AxisCurve) -> Deviation | None:
     """Return the largest significant deviation of a measured curve from the model, or None.
 
-    A point above the line is compared with ``line.upper``. A deviation is significant if it exceeds
-    `SIGNIFICANT` error bars on a logarithmic axis. Uncertain points are not compared.
+    A point above ``line.adev`` is compared with ``line.upper``. A deviation is significant if it
+    exceeds `SIGNIFICANT` error bars on a logarithmic axis. Uncertain points are not compared.
     """
     adev, low, high = curve.adev, curve.ci_low, curve.ci_high
     with np.errstate(divide='ignore', invalid='ignore'):
         edge = np.clip(adev, line.adev, line.upper)
-        off = np.log(adev / edge)
-        bar = np.where(off > 0.0, np.log(adev / low), np.log(high / adev))
-        significant = ~curve.is_uncertain & (adev > 0.0) & (np.abs(off) > SIGNIFICANT * bar)
-    if not significant.any():
+        difference = np.log(adev / edge)
+        bar = np.where(difference > 0.0, np.log(adev / low), np.log(high / adev))
+        is_large = np.abs(difference) > SIGNIFICANT * bar
+        is_significant = ~curve.is_uncertain & (adev > 0.0) & is_large
+    if not is_significant.any():
         return None
-    at = int(np.argmax(np.where(significant, np.abs(off), -1.0)))
-    return Deviation(math.expm1(off[at]), float(curve.tau[at]))
+    at = int(np.argmax(np.where(is_significant, np.abs(difference), -1.0)))
+    return Deviation(math.expm1(difference[at]), float(curve.tau[at]))
 
 
 @dataclass(frozen=True)
 class Region:
-    """A range of averaging times and the noise that dominates there.
+    """Range of averaging times, and the noise that dominates in this range.
 
     Attributes
     ----------
     tau_low, tau_high : float
         Ends of the range in s.
     term : str
-        Term or process with the largest share of the Allan variance; several names joined by '+' if
-        no single one dominates over a wide enough range.
+        Term or process with the largest share of the Allan variance; several names, joined by '+',
+        if no single one dominates over a factor of 3 in tau.
     """
 
     tau_low: float
@@ -94,7 +96,7 @@ class Region:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Range of consecutive points of a curve with its dominant terms."""
+    """Range of consecutive points of a curve, and the dominant terms in this range."""
 
     terms: tuple[str, ...]
     points: slice
@@ -103,10 +105,12 @@ class _Stretch:
 def dominant_regions(curve: AllanCurve, fit: AxisFit) -> list[Region]:
     """Return the ranges of averaging times with the dominant term of each.
 
+    A term or process dominates where it has the largest share of the Allan variance of the model.
+    Adjacent ranges that are narrower than a factor of 3 in tau are merged. A single narrow range
+    gets the two terms with the largest shares.
+
     The ranges are contiguous, cover the measured curve, and are sorted by tau. The list is empty if
-    no term is known. A term or process of the model dominates where it has the largest
-    share of the Allan variance of the model. Adjacent ranges narrower than a factor of 3 in tau are
-    merged; a single narrow range gets the two terms with the largest shares.
+    the model is empty.
     """
     tau0 = curve.tau[0] / curve.m[0] if len(curve.m) else math.nan
     parts = fit.model.contributions(curve.tau, tau0) if len(curve.m) else {}
@@ -125,21 +129,21 @@ def _stretches(parts: Sequence[str], shares: Floats, edges: Floats) -> list[_Str
     """Divide a curve into ranges with their dominant terms; narrow ranges are merged."""
     simple = []
     for k, same in groupby(range(len(shares)), key=lambda j: int(np.argmax(shares[j]))):
-        run = list(same)
-        simple.append(_Stretch((parts[k],), slice(run[0], run[-1] + 1)))
+        points = list(same)
+        simple.append(_Stretch((parts[k],), slice(points[0], points[-1] + 1)))
 
     def is_wide(s: _Stretch) -> bool:
         return bool(edges[s.points.stop] >= MIN_WIDTH * edges[s.points.start])
 
     out: list[_Stretch] = []
     for wide, group in groupby(simple, key=is_wide):
-        alike = list(group)
+        neighbors = list(group)
         if wide:
-            out += alike
+            out += neighbors
             continue
-        points = slice(alike[0].points.start, alike[-1].points.stop)
-        names = {s.terms[0] for s in alike}
+        merged = slice(neighbors[0].points.start, neighbors[-1].points.stop)
+        names = {s.terms[0] for s in neighbors}
         if len(names) == 1:
-            names = {parts[k] for k in np.argsort(shares[points].mean(axis=0))[-2:]}
-        out.append(_Stretch(tuple(name for name in parts if name in names), points))
+            names = {parts[k] for k in np.argsort(shares[merged].mean(axis=0))[-2:]}
+        out.append(_Stretch(tuple(name for name in parts if name in names), merged))
     return out

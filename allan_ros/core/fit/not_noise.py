@@ -1,17 +1,20 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a recording shows the noise of the sensor, or rather motion and vibration.
-
-An axis is disturbed if the noise of the sensor is not what its model mainly describes. There are
-three marks; none of them occurs with a sensor at rest beside a fan, which adds few narrow lines.
-
-1. Several oscillations that are broad or slow, or more than `MOST_LINES` processes of any kind,
-   have together more variance than the white noise of a sample.
-2. The white noise is not resolved, or known much less precisely than white noise of this bandwidth
-   and length would be: something else lies above it at all frequencies.
-3. The model does not fit in more than a third of the octaves of frequencies.
+"""Whether a recording shows motion and vibration instead of the noise of the sensor.
 
 A recording is not a noise recording if at least half of its axes are disturbed.
+
+Conditions for a disturbed axis
+-------------------------------
+An axis is disturbed if one of these conditions holds. None of them holds for a sensor at rest
+beside a fan, which adds only a few sinusoids.
+
+1. Several broad or slow oscillations, or more than `MOST_LINES` processes of any kind, together
+have
+   more variance than the white noise of a sample.
+2. The white noise is not resolved, or is known much less precisely than white noise of this
+   bandwidth and length would be, because other noise is larger at all frequencies.
+3. The model does not fit in more than a third of the octaves of frequencies.
 """
 
 from __future__ import annotations
@@ -24,22 +27,25 @@ from ..findings import Finding, finding
 from .result import AxisFit, NoiseModel
 
 MOST_LINES = 3
-"""Largest number of processes with a shape that a fan or another machine beside a sensor causes."""
+"""Largest number of fast processes with a shape that a machine, such as a fan, beside a sensor
+causes."""
 
 SLOW_HZ = 3.0
-"""Frequency in Hz below which an oscillation is motion: machines and buildings vibrate faster."""
+"""Frequency in Hz below which an oscillation counts as motion. Machines and buildings vibrate
+faster."""
 
 LARGEST_WIDTH, LARGEST_EXCESS = 0.1, 5.0
-"""Half the width of the interval of N, relative to N, above which the white noise is obscured, and
-the least ratio of this width to that of pure white noise. Clean recordings have ratios of 1 to 3,
-heavy tails 8. Gauss-Markov noise of 2 samples has ratios up to 30, but widths below 0.1 on nearly
-all axes. Vehicles have ratios of 6 to 20 and widths up to 0.4."""
+"""The white noise is obscured if half of the width of the interval of N, relative to N, exceeds
+both `LARGEST_WIDTH` and `LARGEST_EXCESS` times the half width for pure white noise. The ratio of
+the half widths is 1 to 3 in clean recordings, 8 with heavy tails, and 6 to 20 in vehicles, with
+half widths up to 0.4. Gauss-Markov noise of 2 samples has ratios up to 30, but half widths below
+0.1 on nearly all axes."""
 
 LACK_OF_FIT_SHARE = 1.0 / 3.0
-"""Share of the octaves without fit above which the model does not describe an axis."""
+"""Largest share of octaves with a lack of fit for which the model describes an axis."""
 
 DISTURBED_SHARE = 0.5
-"""Share of disturbed axes from which on a recording is not a noise recording."""
+"""Least share of disturbed axes for which a recording is not a noise recording."""
 
 LEAST_S = 20.0
 """Shortest recording in s that is judged."""
@@ -70,6 +76,7 @@ def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
     Parameters
     ----------
     fit : AxisFit
+        Fit of the axis.
     tau0 : float
         Sample period in s.
     seconds : float
@@ -89,14 +96,14 @@ def is_disturbed(fit: AxisFit, tau0: float, seconds: float) -> bool:
         return True
     if len(shares) > MOST_LINES and sum(s for _, s in shares) > 1.0:
         return True
-    return _is_obscured(fit, tau0, seconds) or _is_misfit(fit, tau0, seconds)
+    return _is_obscured(fit, tau0, seconds) or _has_lack_of_fit(fit, tau0, seconds)
 
 
 def _is_obscured(fit: AxisFit, tau0: float, seconds: float) -> bool:
-    """Return whether N is known much less precisely than white noise of this length would be.
+    """Return whether N is known much less precisely than if all noise was white.
 
-    2 B T samples of white noise of the bandwidth B determine N to a relative standard deviation of
-    1 / sqrt(4 B T). N may be unknown beside quantization noise (Q).
+    White noise of the bandwidth B determines N in the time T with a relative standard deviation of
+    1 / sqrt(4 B T). If quantization noise (Q) is resolved, N need not be resolved.
     """
     n = fit.noise['N']
     if not n.resolved:
@@ -109,7 +116,7 @@ def _is_obscured(fit: AxisFit, tau0: float, seconds: float) -> bool:
     return width > max(LARGEST_WIDTH, LARGEST_EXCESS * Z_95 / math.sqrt(4.0 * bandwidth * seconds))
 
 
-def _is_misfit(fit: AxisFit, tau0: float, seconds: float) -> bool:
+def _has_lack_of_fit(fit: AxisFit, tau0: float, seconds: float) -> bool:
     octaves = math.log2(max(seconds / (2.0 * tau0), 2.0))
     missed = sum(math.log2(each.high / each.low) for each in fit.lack_of_fit if each.low > 0.0)
     return missed > LACK_OF_FIT_SHARE * octaves

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recommended length of a recording, from the terms that are not resolved."""
+"""Recommended length of a recording, computed from the terms that are not resolved."""
 
 from __future__ import annotations
 
@@ -13,50 +13,48 @@ from ..noise import FLICKER_FLOOR
 from .result import AxisFit
 
 ADVISED_TERMS = ('N', 'B', 'K')
-"""The terms for which a longer record is recommended; filters do not use Q and R."""
+"""Terms for which a longer recording is recommended. Most state estimators do not use Q and R."""
 
 HORIZON_S = 100.0
-"""Time in s over which a filter integrates without correction. A term with a small effect at this
-time is negligible."""
+"""Averaging time in s at which the effect of a term is judged: a long time of integration of a
+state estimator without a correction."""
 
 NEGLIGIBLE = 0.25
-"""Fraction of the known Allan variance at `HORIZON_S` below which an unresolved term is
-negligible."""
+"""Share of the known Allan variance at `HORIZON_S` below which an unresolved term is negligible."""
 
 SECONDS_FOR_N = 60.0
-"""Length in s of a record that resolves N at any sample rate of an IMU."""
+"""Length in s of a recording that resolves N at any sample rate of an IMU."""
 
 B_RESOLVED = 8.5
-"""Smallest B that a record of T seconds resolves, divided by N/sqrt(T), if K is not resolved."""
+"""Smallest B that is resolved in T seconds, divided by N/sqrt(T), if K is not resolved."""
 
 B_RESOLVED_WITH_K = ((10.0, 2.8), (1e2, 1.3), (1e3, 0.70), (1e4, 0.41))
 """Pairs of K T/N and the smallest resolved B divided by sqrt(N K), if K is resolved."""
 
 K_RESOLVED = 51.0
-"""Smallest K that a record of T seconds resolves, divided by N/T."""
+"""Smallest K that is resolved in T seconds, divided by N/T."""
 
 K_RESOLVED_WITH_B = 6.2
-"""Smallest K that a record of T seconds resolves, divided by B/sqrt(T), if B dominates the
-curve."""
+"""Smallest K that is resolved in T seconds, divided by B/sqrt(T), if B dominates the curve."""
 
 LENGTHS_S = (
     *(60.0 * n for n in (1, 2, 5, 10, 20, 30)),
     *(3600.0 * n for n in (1, 1.5, 2, 3, 4, 6, 8, 12, 16, 24)),
 )
-"""Recommended lengths in s. A length is rounded up to one of these; longer ones are not
-recommended."""
+"""Lengths in s that are recommended. A required length is rounded up to one of these; longer
+recordings are not recommended."""
 
 
 def recommended_duration(
     fit: AxisFit, seconds: float, limits: Mapping[str, float] | None = None
 ) -> tuple[float, tuple[str, ...]] | None:
-    """Return the recommended length of a record of one axis, or None if a longer one is not useful.
+    """Return the recommended length of a recording, or None if a longer one is not useful.
 
-    A longer record is recommended if N, B or K is not resolved and its upper limit is relevant:
-    above the limit of the datasheet or, without a datasheet, above a quarter of the known Allan
-    variance at 100 s. The length is computed from N (and from B and K if they are resolved), not
-    from the uncertain estimate of the unresolved term. The advice is therefore stable during a
-    recording.
+    A longer recording is recommended if N, B or K is not resolved and its upper limit is relevant:
+    if it exceeds the limit of the datasheet or, without a datasheet, would contribute a quarter of
+    the known Allan variance at 100 s. The length is computed from N, and from B and K if they are
+    resolved. The uncertain estimate of the unresolved term is not used, so that the advice is
+    stable during a recording.
 
     Parameters
     ----------
@@ -93,8 +91,8 @@ def longest_recommended(
 ) -> tuple[float, tuple[str, ...]] | None:
     """Return the longest of the recommended lengths in s, and the terms of all recommendations.
 
-    ``advice`` contains the results of `recommended_duration` for the axes. Returns None if no axis
-    needs a longer record.
+    ``advice`` contains the result of `recommended_duration` for each axis. The result is None if no
+    axis needs a longer recording.
     """
     known = [each for each in advice if each is not None]
     if not known:
@@ -109,7 +107,7 @@ def _known(term: str, fit: AxisFit) -> float:
 
 
 def _negligible(term: str, fit: AxisFit) -> float:
-    """Return the size below which a term has no relevant effect at averaging time `HORIZON_S`."""
+    """Return the coefficient in SI below which a term has no relevant effect at `HORIZON_S`."""
     n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
     known = n**2 / HORIZON_S + FLICKER_FLOOR * b**2 + k**2 * HORIZON_S / 3.0
     unit = FLICKER_FLOOR if term == 'B' else HORIZON_S / 3.0
@@ -117,7 +115,7 @@ def _negligible(term: str, fit: AxisFit) -> float:
 
 
 def _seconds_for(term: str, size: float, fit: AxisFit) -> float:
-    """Return the length in s of a record that resolves a term of a given SI coefficient."""
+    """Return the length in s of a recording that resolves a term of a given ``size`` in SI."""
     n, b, k = (_known(t, fit) for t in ADVISED_TERMS)
     if term == 'K':
         return max(K_RESOLVED * n / size, (K_RESOLVED_WITH_B * b / size) ** 2)

@@ -1,12 +1,16 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effect of replaced samples on white noise.
+"""Effect of replaced samples on the autocovariance of white noise.
 
-A stretch of g samples is replaced by a line between the means of L samples on either side. This
-removes the noise of g samples, and gives each of the L samples before it the weights
-(1 - i/(g + 1))/L at the positions i = 1 .. g of the stretch, in addition to its own weight of 1;
-likewise after it. At a frequency f far below 1/(g + L), one stretch between single samples (L = 1)
-adds the power of about g^2/2 samples; at frequencies far above 1/L, it removes g samples.
+Derivation
+----------
+A stretch of g samples is replaced by a line between two means of L samples, before and after the
+stretch. This removes the noise of g samples. Each of the L samples before the stretch keeps its own
+weight of 1. In addition, it has the weight (1 - i/(g + 1))/L at the positions i = 1 .. g of the
+stretch. The samples after the stretch have such weights in reverse order.
+
+At frequencies far below 1/(g + L), one stretch between single samples (L = 1) adds the power of
+about g^2/2 samples. At frequencies far above 1/L, it removes the power of g samples.
 """
 
 from __future__ import annotations
@@ -20,9 +24,10 @@ Floats = NDArray[np.float64]
 
 
 def stretch_excess(length: int, level: int) -> Floats:
-    """Return the autocovariance of white noise with one stretch minus that without it.
+    """Return the change of the autocovariance of white noise by one replaced stretch.
 
-    The result is its sum over all positions, at lags of 0, 1, 2 ... samples, for unit variance.
+    The result is the sum over all positions, at lags of 0, 1 ... ``length`` + ``level`` - 1
+    samples, for unit variance. ``level`` is the number of samples of the means on either side.
     """
     n = 2 * (length + level)
     own = np.fft.rfft(np.ones(level), n)
@@ -34,12 +39,14 @@ def stretch_excess(length: int, level: int) -> Floats:
 
 
 def replaced_excess(stretches: NDArray[np.int64], number: Floats) -> Gamma:
-    """Return gamma(M, j) of white noise with stretches, minus that of unit white noise.
+    """Return the change of gamma(M, j) of unit white noise by replaced stretches.
 
-    ``stretches`` is a table of `AllanSums`, and ``number``, (stretches,), the number of each kind
-    relative to the number of samples. gamma(M, j) is the autocovariance of means over M samples at
-    a lag of j means: minus the second difference over M^2 of the function whose second difference
-    at a lag of one sample is minus the autocovariance.
+    ``stretches`` is `AllanSums.replaced`. ``number``, (stretches,), is the number of stretches of
+    each row, divided by the number of samples.
+
+    gamma(M, j) is the autocovariance of means over M samples at a lag of j means. It is minus the
+    second difference of a function P with step M, divided by M^2. The second difference of P with
+    step 1 is minus the autocovariance of the samples.
     """
     total = np.zeros(max(int((stretches[:, :2]).sum(axis=1).max(initial=1)), 2))
     for (length, level, *_), share in zip(stretches.tolist(), number.tolist()):

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Result types of a fit: five terms per axis with intervals, and additional processes."""
+"""Result types of a fit: five terms per axis with intervals, and the model of each axis."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Deviation(NamedTuple):
     Attributes
     ----------
     relative : float
-        Measured Allan deviation / Allan deviation of the model - 1. Points above the model are
-        compared with the model that contains unresolved terms at their upper limits.
+        Measured Allan deviation / Allan deviation of the model - 1. A point above the model is
+        compared with the model in which all unresolved terms are at their upper limits.
     tau : float
         Averaging time of the point in s.
     """
@@ -67,10 +67,11 @@ class AxisFit:
     Attributes
     ----------
     noise : mapping of term to Estimate
-        All five of `TERMS`.
+        Estimates of all five terms in SI.
     model : Model
-        The fitted model, complete: it is what is tested, drawn and exported. Terms that are not
-        resolved are included with their estimates, and processes with a shape have intervals.
+        The complete fitted model, which is tested, drawn and exported. Terms that are not resolved
+        are included with their estimates. With method 'likelihood', Q is then 0, and R is only the
+        part that the random terms do not explain. Processes with a shape have intervals.
     m_min : int
         Smallest averaging factor that the model describes; above 1 if the samples are low-pass
         filtered.
@@ -85,7 +86,7 @@ class AxisFit:
     lack_of_fit : tuple of LackOfFit
         Octaves in which the data differ from the model; empty if the model passes the test.
     deviation : Deviation or None
-        Largest deviation of the curve from the model; None if no deviation is significant.
+        Largest significant deviation of the curve from the model; None if there is none.
     """
 
     noise: Mapping[str, Estimate]
@@ -117,8 +118,8 @@ class AxisFit:
 def with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
     """Return a fit with the predictive intervals of N, B and K.
 
-    ``white`` and ``drift`` are `AxisFit.white_scatter` and `AxisFit.drift_scatter`. Limits are
-    widened by the same factor.
+    ``white`` and ``drift`` are `AxisFit.white_scatter` and `AxisFit.drift_scatter`. Upper limits
+    are multiplied by the same factor.
     """
     noise = dict(fit.noise)
     for letter, half in (('N', white), ('B', drift), ('K', drift)):
@@ -128,7 +129,7 @@ def with_scatter(fit: AxisFit, white: float, drift: float) -> AxisFit:
 
 
 def _predicted(estimate: Estimate, half: float) -> Estimate:
-    """Return an estimate with its predictive interval, or a wider limit.
+    """Return an estimate with its predictive interval, or with a larger upper limit.
 
     ``half`` is half of the 95 % interval of the logarithm of the number in another hour.
     """
@@ -143,7 +144,7 @@ def _predicted(estimate: Estimate, half: float) -> Estimate:
 
 
 def model_of_terms(noise: Mapping[str, Estimate]) -> Model:
-    """Return the model that contains the estimates of the terms only."""
+    """Return the model that contains only the terms, with their estimates."""
     return Model.of(**{t: c.value for t, c in noise.items() if c.value})
 
 

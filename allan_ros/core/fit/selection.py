@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Selection of processes: which Gauss-Markov processes, sinusoids and resonances the data need.
 
-Processes are added one at a time. Every candidate is rated by the square of its score divided by
-its information, which approximates the gain in -2 log L; the best one of each kind is fitted, its
-shape is moved along its derivative, and it is kept if the gain exceeds the threshold of its kind.
+Processes are added one at a time. Every candidate is rated by an approximation of its gain in
+-2 log L: the square of the score divided by the information. The best candidate of each kind is
+fitted, and its shape is improved. It is kept if the gain exceeds the threshold of its kind.
 """
 
 from __future__ import annotations
@@ -25,33 +25,39 @@ from .result import N
 from .statistics import Floats
 
 MAX_PROCESSES = 6
+"""Largest number of processes that are added to the five terms."""
 
 LEAST_BINS = 8
-"""Smallest number of bins for which the threshold of a search over frequencies is computed."""
+"""Least number of bins in the threshold of a search over frequencies, also if there are fewer
+bins."""
 
 LEAST_LINE_DOF = 100.0
-"""Least degrees of freedom of a bin that a sinusoid dominates. With fewer, the amplitude is
-inaccurate; with all, a strong sinusoid would have to be as narrow as the model."""
+"""Degrees of freedom that a bin keeps if a sinusoid dominates it. With fewer, the amplitude would
+be inaccurate. With all of them, the fit would require a strong sinusoid to be as narrow as the
+model."""
 
 LINES_PER_OCTAVE = 3
-"""Sinusoids within an octave that can imitate any smooth spectrum (no axis)."""
+"""Number of sinusoids within an octave that can imitate any smooth spectrum. None of 2100 simulated
+axes without a filter has as many."""
 
 ALIASED = 0.1
-"""Variance of the block means, or power of a bin, due to the alias of a fast sinusoid, relative to
-noise, from which it matters."""
+"""Least effect of the alias of a fast sinusoid that is taken into account: variance of the block
+means, or power of a bin, relative to noise."""
 
 STRONG = 0.998
-"""Share of a sinusoid in the power of a bin from which it reaches bins far from it."""
+"""Least share of a sinusoid in the power of a bin for which the sinusoid also adds power to distant
+bins."""
 
 EXCLUDED = 1e-6
-"""Weight of the bins that may contain the alias of a sinusoid."""
+"""Factor of the degrees of freedom of bins that may contain the alias of a sinusoid: nearly 0, so
+that these bins have no effect."""
 
 TOLERANCE = 0.03
-"""Change of -2 log L below which the fit of a candidate ends."""
+"""Change of -2 log L in one step below which the fit of a candidate ends."""
 
 PROMISING = 0.4
-"""Share of its threshold that the approximate gain of a candidate must reach to be fitted. It saves
-time: without it, the same processes are found in records without any."""
+"""Least approximate gain of a candidate that is fitted, relative to its threshold. This saves time.
+In recordings without processes, the same processes are found without this condition."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +71,11 @@ class Selection:
     base : tuple of Process
         Components that every model contains.
     signed : tuple of int
-        Coefficients that may be negative: q if the samples are low-pass filtered.
-    shortest, fastest : float
-        Shortest correlation time in samples, and highest frequency of a sinusoid.
+        Indices of the coefficients that may be negative: q if the samples are low-pass filtered.
+    shortest : float
+        Shortest correlation time of a process in samples.
+    fastest : float
+        Highest frequency of a sinusoid in cycles per sample.
     """
 
     data: AxisData
@@ -91,7 +99,7 @@ class Selection:
         return self.data.solve(components, None, p, signed=self.signed, tolerance=TOLERANCE)
 
     def selected(self) -> tuple[Selection, Fit]:
-        """Return the fit with all processes that exceed their threshold, and its rules."""
+        """Return the selection with adapted weights, and its fit with all processes it added."""
         rules, fit = self, self.fit(self.base)
         while len(fit.p) < len(self.base) + MAX_PROCESSES:
             more = rules._with_one_more(fit)
@@ -127,10 +135,10 @@ class Selection:
         return best if best.value + self.threshold(best.components[-1]) < fit.value else None
 
     def _located(self, fit: Fit) -> Fit:
-        """Return the fit with the best frequency of the last sinusoid within one bin.
+        """Return the fit with the best frequency of the last component, if it is a strong sinusoid.
 
-        A strong one reaches the bins of the longest blocks of samples, too, where its power has
-        many maxima. So the likelihood has many minima.
+        A strong sinusoid also adds power to the bins of the longest blocks of samples. The
+        likelihood then has many maxima within one bin, which are all tried.
         """
         last = fit.components[-1]
         share = float(np.max(fit.p[-1] * fit.columns.power[:, -1] / fit.spectrum(), initial=0.0))
@@ -147,9 +155,9 @@ class Selection:
         return best
 
     def _with_limits(self, fit: Fit) -> Fit:
-        """Return the fit with the limits of processes that are at the end of their range.
+        """Return the fit in which processes at a limit of their shape are replaced by simpler ones.
 
-        A resonance that is narrow in the spectra becomes a sinusoid.
+        A resonance that is too narrow for the spectra becomes a sinusoid.
         """
         search = self.search
         components = tuple(c.limit(search) for c in fit.components)
@@ -158,7 +166,7 @@ class Selection:
         return self.refined(self.fit(components, fit.p), range(len(self.base), len(fit.p)))
 
     def without_superfluous(self, fit: Fit) -> Fit:
-        """Remove processes that later ones have made superfluous."""
+        """Return the fit without processes that became superfluous when others were added."""
         k = len(self.base)
         while k < len(fit.p):
             process = fit.components[k]
@@ -172,9 +180,11 @@ class Selection:
         return fit
 
     def refined(self, fit: Fit, which: Iterable[int], rounds: int = 8) -> Fit:
-        """Move the shapes of some components while the likelihood grows.
+        """Return the fit after the shapes of some components were improved.
 
-        A step of Fisher scoring of all coefficients and shapes together gives the direction.
+        The components have the indices ``which``. The direction of a change is a step of Fisher
+        scoring for all coefficients and shapes together. The search ends when the likelihood no
+        longer increases, or after some ``rounds``.
         """
         which = list(which)
         for _ in range(rounds):
@@ -211,7 +221,7 @@ class Selection:
         return fit
 
     def _moved(self, process: Process, parameter: Parameter, step: float) -> Process:
-        """Return a process of which the logarithm of one number of its shape is changed."""
+        """Return a process in which the logarithm of one number of the shape is changed."""
         low, high = process.bounds(parameter, self.search)
         most = parameter.largest_step
         moved = process.numbers[parameter.name] * math.exp(min(max(step, -most), most))
@@ -220,38 +230,40 @@ class Selection:
     def _aliased(self, fit: Fit) -> bool:
         """Return whether the alias of a fast sinusoid in the block means is comparable to noise.
 
-        The averages over M samples leave 1/(M sin(pi f)) of its amplitude, at an alias that depends
-        on more digits of the frequency than the spectra determine. A slow sinusoid or a bounded
-        walk cannot be told from it.
+        In means over M samples, a sinusoid keeps up to 1/(M sin(pi f)) of its amplitude. The
+        frequency of the alias depends on more digits of f than the spectra determine. A slow
+        sinusoid or a bounded random walk therefore cannot be told from the alias.
         """
         step = self.data.statistics.step
-        left = (p * c.alias_variance(step) for p, c in zip(fit.p, fit.components))
-        return bool(sum(left) > ALIASED * fit.p[N] / step)
+        aliases = (p * c.alias_variance(step) for p, c in zip(fit.p, fit.components))
+        return bool(sum(aliases) > ALIASED * fit.p[N] / step)
 
     def imitates_filter(self, fit: Fit) -> bool:
         """Return whether processes have the smooth spectrum of a low-pass filter.
 
-        They are close sinusoids, or a broad resonance near the highest frequency below which the
-        spectrum bends. Six octaves below it, a filter does not bend the spectrum.
+        Such processes are several sinusoids within one octave, or a broad resonance near the
+        highest frequency of a spectrum that bends. Sinusoids six octaves below the highest
+        frequency do not count, because a filter does not bend the spectrum there.
         """
         lines = (c.shape[0] for c in fit.components if c.is_line)
         f = np.log2(sorted(each for each in lines if each > self.fastest / 64.0))
-        near = LINES_PER_OCTAVE - 1
+        others = LINES_PER_OCTAVE - 1
         bends = self.signed or any(c.bends_spectrum for c in fit.components)
-        broad = bends and any(c.is_broad_near(self.fastest) for c in fit.components)
-        return bool(broad or np.any(f[near:] - f[:-near] < 1.0))
+        has_broad = bends and any(c.is_broad_near(self.fastest) for c in fit.components)
+        return bool(has_broad or np.any(f[others:] - f[:-others] < 1.0))
 
     def bounded(self, fit: Fit) -> Fit:
-        """Return the fit in which processes with a shape replace terms, if the data show this.
+        """Return the fit in which processes with a shape replace terms, if the data show the shape.
 
-        K is a Gauss-Markov process of infinite correlation time T; 1/T > 0 is one more coefficient.
+        For example, a random walk is a Gauss-Markov process with an infinite correlation time T. It
+        is replaced by a bounded random walk if the data show that 1/T is above 0.
         """
         for term, kind in REPLACEMENTS.items():
             fit = self._replaced(fit, RANDOM_TERMS.index(term()), kind)
         return fit
 
     def _replaced(self, fit: Fit, at: int, kind: type[Process]) -> Fit:
-        """Return the fit in which a process of some kind replaces the term at an index, or not."""
+        """Return the fit with a process instead of the term at an index, if it is better."""
         if fit.p[at] <= 0.0 or self._aliased(fit):
             return fit
         best = new = fit
@@ -268,10 +280,11 @@ class Selection:
         return best if fit.value - best.value > least else fit
 
     def weighed(self, fit: Fit) -> tuple[Selection, Fit]:
-        """Reduce the weight of bins that sinusoids dominate, and exclude bins with their aliases.
+        """Return the selection with less weight of bins that contain sinusoids, and its fit.
 
-        A sinusoid is never as narrow as the model; such bins say little except its amplitude. The
-        result is the selection with these weights, and its fit of the same components.
+        A real sinusoid is never as narrow as the model, so a bin that it dominates determines
+        little except the amplitude. Bins that may contain the alias of a sinusoid get nearly no
+        weight. The fit has the same components as ``fit``.
         """
         lines = [i for i, c in enumerate(fit.components) if c.is_line]
         columns = [self.data.statistics.column(c, self.data.axis).power for c in fit.components]

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Settling of the bias: A exp(-t/T) after the start of each recording.
 
-T is common to the axes of a sensor, and maximizes the likelihood. The size A of each axis is
-estimated by generalized least squares, and the noise is fitted again to what remains.
+All axes of a sensor have one time constant T, which maximizes the likelihood. The size A of each
+axis is estimated by generalized least squares, and the noise is fitted again to the data minus the
+settling.
 """
 
 from __future__ import annotations
@@ -20,18 +21,21 @@ from .bias_changes import AxisSegment, FittedEffects, Segment
 from .statistics import Floats, Settling, Statistics, decay_of_means, elapsed
 
 GAIN_SETTLING = 16.5
-"""Least gain in -2 log L of a settling, summed over the axes of a sensor: 1 % per sensor. The 99 %
-quantiles without a settling are 10 to 13, depending on the noise (`bench_stationarity.py`)."""
+"""Least gain in -2 log L of a settling, summed over the axes of a sensor. In simulations without a
+settling, the 99 % quantiles of the gain are 10 to 13, depending on the noise, so that false alarms
+are below 1 % of the sensors (`bench/bench_stationarity.py`)."""
 
 TIMES = 2.0 * 0.5 ** np.arange(9)
-"""First trials of the time constant, relative to the length of the segment."""
+"""Trial values of the time constant, relative to the length of the segment."""
 
 REFINEMENTS = 4
-"""Number of bisections of the interval between two trials, in the logarithm."""
+"""Number of times that the distance of the logarithms of the trial values is halved near the best
+one."""
 
 PROMISING_SCORE = 5.0
-"""Least score of a settling for which the noise is fitted again. Scores use the noise that was
-fitted without it, which is too large if there is one."""
+"""Least score of a settling for which the noise is fitted again. It is below the least gain,
+because a score uses the noise of a fit without the settling, which is too large if there is a
+settling."""
 
 LEAST_SEGMENT = 0.3
 """Shortest first segment, relative to its recording, in which a settling is searched for."""
@@ -49,12 +53,12 @@ class SensorSettling:
     settling : Settling
         Time constant, and sizes of each axis.
     axes : tuple of int
-        Axes that take part.
+        Indices of the axes that settle.
     gain : float
         Gain in -2 log L, summed over the axes, in the recording with the largest gain.
     left : float
-        What is left at the end of a recording, relative to the Allan deviation of the noise at the
-        time constant: the largest of all axes and recordings.
+        Part of the settling that is left at the end of a recording, relative to the Allan deviation
+        of the noise at the time constant. The value is the largest one of all axes and recordings.
     """
 
     settling: Settling
@@ -65,13 +69,13 @@ class SensorSettling:
 
 @dataclass(frozen=True, eq=False)
 class _Sensor:
-    """First segment of a recording: its block means, and the noise of the axes of a sensor."""
+    """First segment of a recording, with the noise of the axes of one sensor in this segment."""
 
     segment: Segment
     noise: Mapping[int, AxisSegment]
 
     def effects(self, time: float) -> dict[int, FittedEffects]:
-        """Return the fits of each axis with a settling of a time constant, in samples."""
+        """Return index of an axis -> fit with a settling; ``time`` is its T in samples."""
         decay = self.segment.contrasts_of(_decays([time], self.segment.means))
         return {axis: one.with_effects(decay) for axis, one in self.noise.items()}
 
@@ -80,7 +84,10 @@ class _Sensor:
         return sum(max(one.gain, 0.0) for one in self.effects(time).values())
 
     def best_time(self) -> tuple[float, float]:
-        """Return the time constant with the largest gain, and this gain; 0 if none is promising."""
+        """Return the time constant in samples with the largest gain, and this gain.
+
+        Both are 0 if no score reaches `PROMISING_SCORE`.
+        """
         means = self.segment.means
         times = (TIMES * (len(means.values) * means.step)).tolist()
         decays = self.segment.contrasts_of(_decays(times, means))
@@ -101,10 +108,10 @@ class _Sensor:
 
 
 def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorSettling | None:
-    """Return the settling of some axes, or None if no recording shows one.
+    """Return the settling of the axes of a sensor, or None if no recording shows a settling.
 
-    The time constant is the one of the recording that shows it best. ``known`` are the statistics
-    of the sums.
+    The time constant is taken from the recording with the largest gain. ``known`` are the
+    statistics of the sums, and ``axes`` are the indices of the axes.
     """
     tau0 = sums.tau0 or 1.0
     order = sorted(range(len(sums.recordings)), key=lambda i: -sums.recordings[i].samples)
@@ -125,12 +132,12 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
     if gain < GAIN_SETTLING:
         return None
     sizes: dict[int, Floats] = {}
-    taking: set[int] = set()
+    settling_axes: set[int] = set()
     left = 0.0
     for i, sensor in sensors.items():
         effects = sensor.effects(time)
         if sum(max(one.gain, 0.0) for one in effects.values()) < GAIN_SETTLING:
-            continue
+            continue  # this recording does not settle
         recording, segment = sums.recordings[i], sensor.segment
         before = elapsed(recording, segment.means, tau0)
         size = np.zeros(len(sums.axes))
@@ -138,11 +145,11 @@ def settling(sums: AllanSums, known: Statistics, axes: Sequence[int]) -> SensorS
             if max(one.gain, 0.0) < GAIN_SETTLING / len(effects) / 2.0:
                 continue
             size[axis] = float(one.sizes[0]) * math.exp(min(before / time, 50.0))
-            taking.add(axis)
+            settling_axes.add(axis)
             rest = abs(float(one.sizes[0])) * math.exp(-segment.means.samples / time)
             left = max(left, rest / sensor.noise[axis].deviation(one.fit, time))
         sizes[i] = size
-    return SensorSettling(Settling(time, sizes), tuple(sorted(taking)), gain, left)
+    return SensorSettling(Settling(time, sizes), tuple(sorted(settling_axes)), gain, left)
 
 
 def _decays(times: Sequence[float], means: BlockMeans) -> Floats:

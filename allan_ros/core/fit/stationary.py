@@ -3,8 +3,8 @@
 """Fit of recordings whose noise changes with time: `fit_stationary`.
 
 If the level of the white noise has changed, only the data after the change are fitted. A settling
-of the bias is part of the model. The predictive intervals contain the scatter of the levels between
-periods. Findings report all of these, and steps of the bias.
+of the bias is part of the model. The predictive intervals contain the scatter of the noise level
+between periods. Findings report changed levels, a settling, scatter, and steps of the bias.
 """
 
 from __future__ import annotations
@@ -36,14 +36,15 @@ from .statistics import Statistics, statistics
 
 MOST_LEFT = 1.0
 """Largest part of a settling that may be left at the end of a recording, relative to the Allan
-deviation of the noise at the time constant; with more, the sensor is not settled."""
+deviation of the noise at the time constant. If more is left, the sensor has not settled."""
 
 SHAKY_RATIO = 1.3
-"""Ratio of the highest to the lowest N above which steps are not searched for."""
+"""Largest ratio of the highest to the lowest N of the periods for which steps of the bias are
+searched for."""
 
 LEVEL_RATIO, LARGE_RATIO = 1.02, 1.1
-"""Least ratio of the highest to the lowest N of the periods that is reported; the second if the
-scatter may come from impulsive noise."""
+"""Least ratio of the highest to the lowest N of the periods that is reported. The second value is
+used if impulsive noise alone may cause the scatter of N."""
 
 
 def fit_stationary(
@@ -54,6 +55,7 @@ def fit_stationary(
     Parameters
     ----------
     sums : AllanSums
+        Allan sums of one IMU.
     method : str
         One of `METHODS`; 'paper' always fits all data.
     may_exclude : bool
@@ -69,7 +71,7 @@ def fit_stationary(
     Raises
     ------
     AllanError
-        If the method is unknown, or there are fewer than two samples.
+        If the method is unknown, or if the method is 'paper' and there are fewer than two samples.
     """
     if method != 'likelihood' or not sums.tau0:
         return sums, fit_noise(sums, method)
@@ -95,11 +97,11 @@ def fit_stationary(
         since = data.samples * sums.tau0
         found += [_level_finding(model, sums.axes[i], levels, i, at, since) for i in changed]
         levels = white_noise_levels(spectra)
-    # a larger level of the white noise in a part would look like steps
+    # white noise that increases for some time, or a settling, would look like steps
     ratios = (np.divide(*levels.extremes(i)) for i in range(len(sums.axes)))
-    shaky = {i for i, ratio in enumerate(ratios) if ratio < 1.0 / SHAKY_RATIO}
-    shaky |= {a for one in settles for a in one.axes}
-    found += step_findings(data, known, shaky)
+    not_tested = {i for i, ratio in enumerate(ratios) if ratio < 1.0 / SHAKY_RATIO}
+    not_tested |= {a for one in settles for a in one.axes}
+    found += step_findings(data, known, not_tested)
     found = [*level_findings(data, levels, model), *found, *model.findings]
     return data, replace(_with_scatter(spectra, of_axis, levels, model), findings=tuple(found))
 
@@ -114,7 +116,7 @@ def _from_period(sums: AllanSums, at: int) -> AllanSums:
 
 
 def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
-    """Return the sums of each recording from the period ``first`` of it on."""
+    """Return the sums over the periods of each recording from the index ``first`` on."""
     if not any(first):
         return sums
     parts = [
@@ -132,7 +134,7 @@ def _parts(sums: AllanSums, first: Sequence[int]) -> AllanSums:
 
 
 def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[Finding]:
-    """Return the findings about the settling of each sensor."""
+    """Return one finding about each settling in ``found``."""
     tau0 = sums.tau0 or 1.0
     out = []
     for one in found:
@@ -155,7 +157,10 @@ def settling_findings(sums: AllanSums, found: Sequence[SensorSettling]) -> list[
 def _level_finding(
     model: NoiseModel, axis: str, levels: PeriodLevels, i: int, at: int, since: float
 ) -> Finding:
-    """Return the finding that the level of an axis has changed at a period."""
+    """Return the finding that the white noise of axis ``i`` changed at the period ``at``.
+
+    ``since`` is the time since the change in s.
+    """
     n = model.axes[axis].noise['N'].value or 0.0
     ratio = math.sqrt(levels.usual(i, at) / levels.mean(i, slice(at, None)))
     return finding('level_changed', (axis,), before=n * ratio, value=n, since=since)
@@ -164,7 +169,7 @@ def _level_finding(
 def _with_scatter(
     spectra: PeriodSpectra, known: Sequence[Statistics], levels: PeriodLevels, model: NoiseModel
 ) -> NoiseModel:
-    """Return the model with predictive intervals, where the noise of a sensor varies with time."""
+    """Return the model with predictive intervals for sensors whose noise varies with time."""
     axes, names = dict(model.axes), list(model.axes)
     drifts = drift_levels(spectra, known, list(axes.values()), model.tau0)
     for indices in axes_of_sensors(names).values():
@@ -175,7 +180,7 @@ def _with_scatter(
 
 
 def level_findings(sums: AllanSums, levels: PeriodLevels, model: NoiseModel) -> list[Finding]:
-    """Return the findings about a level of the white noise that varies."""
+    """Return a finding for each axis whose white noise varies between the periods."""
     which = 'between recordings' if len(sums.recordings) > 1 else 'within the recording'
     found = []
     for i, axis in enumerate(sums.axes):

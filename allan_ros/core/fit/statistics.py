@@ -1,12 +1,16 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of a recording for the fit, and their expectation for each noise type.
+"""Statistics of a recording for the fit, and the expectation of the statistics for each noise type.
 
-Two frequency bands are used. Above the crossover, the octave spectra: averaged periodograms whose
-expectation for unit noise is a linear function of gamma(M, j), exact with the leakage of the taper
-and the aliases of the decimation. Below it, the block means of each segment, as cosine contrasts
-that are orthogonal to a constant and a line: their covariance follows from gamma(M, j) as well.
-Segments of equal length share one Gram matrix.
+Frequency bands
+---------------
+Above the crossover frequency, the statistics are the octave spectra (averaged periodograms). Their
+expectation is a linear function of gamma(M, j), which includes the leakage of the taper and the
+aliases of the decimation.
+
+Below the crossover frequency, the statistics are contrasts: sums of the block means of a segment,
+weighted with cosines that are orthogonal to a constant and to a line. Their covariance is a linear
+function of gamma(M, j), too. Segments of equal length share one Gram matrix.
 """
 
 from __future__ import annotations
@@ -36,50 +40,52 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class LowPassCurvature(Process):
-    """Second term of the spectrum of a low-pass filter, f^4, which follows f^2 of quantization.
+    """Second term, in f^4, of the spectrum of a low-pass filter; the first term is quantization.
 
-    It does not reach the block means, and exists only within a fit.
+    It has no effect on block means, and exists only within a fit.
     """
 
 
 class Size(NamedTuple):
     """Size of the contrasts of a group of segments."""
 
-    points: int  # block means of a segment
-    high: int  # cosines
+    points: int  # number of block means of a segment
+    high: int  # number of cosines
+    # time constant, in block means, of a settling to which the contrasts are orthogonal; 0 for none
     decay: float = 0.0
-    """Time constant in block means of a settling, to which the contrasts are orthogonal; 0: none"""
 
 
 Sizes = tuple[Size, ...]
-"""Those of all groups."""
+"""Sizes of the contrasts of all groups of segments."""
 
 LOWEST_BLOCKS = 2
-"""The longest blocks of the spectra are at most 1/2 of the longest segment, so that at least three
-overlapping blocks are averaged."""
+"""Least length of the longest segment, in spectral blocks of the lowest octave, so that at least
+three overlapping blocks are averaged."""
 
 LEAST_POINTS = 4
 """Fewest block means of a segment from which contrasts are formed."""
 
 MOST_CONTRASTS = 300
-"""Largest number of cosines of a segment; fewer are used if there are spectra."""
+"""Largest number of cosines of a segment. If there are spectra, only cosines below the crossover
+frequency are used."""
 
 SETTLED = 5.0
-"""Time constants after which a settling has ended: 0.7 % of it is left."""
+"""Time, in time constants, after which a settling has ended: 0.7 % of its size is left."""
 
 LARGEST_SHARE = 0.99
-"""Largest share of a settling in the power of a bin that is subtracted; such bins hardly count."""
+"""Largest share of the power of a bin that is subtracted for a settling. The weight of a bin
+decreases with this share."""
 
 EQUAL_LENGTHS = 8
-"""Largest number of different lengths of segments that are treated exactly; with more, segments are
-divided into pieces of a few lengths."""
+"""Largest number of different segment lengths for which whole segments are used. If there are more
+lengths, segments are divided into pieces of a few lengths."""
 
 
 @lru_cache
 def _kernels() -> tuple[Floats, Floats]:
     """Return the matrices, (bins, lags), that turn gamma(M, lags) into the expected power.
 
-    The first one is for the octaves of samples, the second for each octave of means.
+    The first matrix is for all octaves of samples together, the second for one octave of means.
     """
 
     def kernel(o: int) -> Floats:
@@ -94,15 +100,15 @@ def _kernels() -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=1024)
 def expected_power(process: Process, octaves: int) -> Floats:
-    """Return the expected power of unit noise in the bins of the first octaves.
+    """Return the expected power in the bins of the first ``octaves`` octaves, (bins,).
 
-    The shape of the process is in samples.
+    The coefficient of the process is 1, and its shape is in samples.
     """
     return _power_of(process.gamma, octaves)
 
 
 def _power_of(gamma: Gamma, octaves: int) -> Floats:
-    """Return the expected power in the bins of the first octaves."""
+    """Return the expected power, (bins,), of noise with the autocovariance ``gamma``."""
     means = max(octaves - SAMPLE_OCTAVES, 0)
     step = 1 << np.arange(means + 1)
     values = gamma(step[:, None], np.arange(LONGEST_BLOCK))
@@ -113,9 +119,10 @@ def _power_of(gamma: Gamma, octaves: int) -> Floats:
 
 @lru_cache(maxsize=64)
 def contrasts(size: Size) -> Floats:
-    """Return a line and cosines of up to ``high`` half periods, (points, 1 + cosines).
+    """Return weights of block means: a line, and cosines of 1 to ``high`` half periods.
 
-    The columns are orthonormal, and orthogonal to a constant and to a settling, if there is one.
+    The columns, (points, 1 + high), are orthonormal. They are orthogonal to a constant and, if
+    there is a settling, to the settling.
     """
     points, high, decay = size
     t = np.arange(points)
@@ -127,12 +134,12 @@ def contrasts(size: Size) -> Floats:
     return np.asarray(q[:, len(known) :])
 
 
-@lru_cache(maxsize=24)  # more than the groups of a recording: 8 lengths, or 18 of pieces
+@lru_cache(maxsize=24)  # a recording has at most 8 groups of segments, or 18 groups of pieces
 def _transformed(size: Size) -> Floats:
     """Return the Fourier transform of the contrasts, real and imaginary parts, (rows, contrasts).
 
-    The sum of its squares, weighted with the eigenvalues of a circulant matrix of twice as many
-    points, is the covariance of the contrasts.
+    The covariance of the contrasts is the sum over the rows of the product of two columns, weighted
+    with the eigenvalues of a circulant matrix of twice as many points.
     """
     f = np.fft.rfft(contrasts(size), 2 * size.points, axis=0) / math.sqrt(size.points)
     f[[0, -1]] *= math.sqrt(0.5)
@@ -158,19 +165,20 @@ def _covariances_of(gamma: Gamma, step: int, sizes: Sizes) -> list[Floats]:
 
 
 class Group(NamedTuple):
-    """Contrasts of the block means of all segments of one size, summed over the segments."""
+    """Contrasts z of the block means of all segments of one size."""
 
     size: Size
-    segments: int
-    sums: Floats  # (axes, contrasts)
-    gram: Floats  # (axes, contrasts, contrasts)
+    segments: int  # number of segments
+    sums: Floats  # (axes, contrasts) sum of z over the segments
+    gram: Floats  # (axes, contrasts, contrasts) sum of z z' over the segments
 
 
 class Column(NamedTuple):
-    """Expectation of the statistics for unit noise of one type."""
+    """Expectation of the statistics for a process with the coefficient 1."""
 
-    power: Floats  # (bins,)
-    low: list[Floats]  # covariance of the contrasts of each group; the line comes first
+    power: Floats  # (bins,) expected power
+    # covariance of the contrasts of each group, (contrasts, contrasts); the line is the first one
+    low: list[Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,13 +196,14 @@ class Statistics:
     settling : (bins, axes) array
         Share of the power that is due to a settling of the bias.
     dof, dof_alone : (bins,) arrays
-        Degrees of freedom of a bin with its share of the correlation with its neighbors, and of the
-        bin alone.
+        Degrees of freedom of a bin in a sum over many bins, which are correlated, and of one bin
+        alone.
     correlation : float
-        Sum of the squared correlations of the powers of a bin with all bins of its block.
+        Sum of the squared correlations of the power of a bin with all bins of its block.
     step : int
         Samples per block mean.
     groups : tuple of Group
+        Contrasts of the block means, in groups of segments of equal size.
     replaced : (stretches, 2 + axes) array
         Stretches of replaced samples, as in `AllanSums`.
     """
@@ -229,10 +238,10 @@ class Statistics:
 
     @cached_property
     def white(self) -> list[Column]:
-        """Expectation for unit white noise of each axis, with its replaced samples.
+        """Expectation for unit white noise for each axis, with the effect of replaced samples.
 
-        Spectral blocks of which most is replaced are excluded from the sums. Of a stretch that is
-        longer than this share, only the ends are in blocks: on average, half a block of samples.
+        Spectral blocks of which more than `MAX_INTERPOLATED` is replaced are excluded from the
+        sums. Of a longer stretch, only the ends are in blocks: on average, half a block of samples.
         """
         power = self.power_of(White())
         low = _low_covariances(White(), self.step, self.sizes)
@@ -262,11 +271,14 @@ class Statistics:
         return np.asarray(self.dof * noise**2)
 
     def power_of(self, process: Process) -> Floats:
-        """Return the expected power of the bins for unit noise without interpolated samples."""
+        """Return the expected power, (bins,), of a process with the coefficient 1.
+
+        No sample is interpolated.
+        """
         return expected_power(process, self.octaves)
 
     def column(self, process: Process, axis: int = 0) -> Column:
-        """Return the expectation for unit noise of a process of an axis."""
+        """Return the expectation of the statistics for a process with the coefficient 1."""
         if process == LowPassCurvature():
             q = self.column(Quantization())
             return Column(q.power**2, [0.0 * low for low in q.low])
@@ -274,8 +286,8 @@ class Statistics:
             return self.white[axis]
         aliases = process.alias_variance(self.step)
         if aliases:
-            # An alias in the block means depends on more digits of the frequency than are known:
-            # there, the mean power of all aliases is taken as white noise.
+            # The frequency of an alias in the block means depends on more digits than are known.
+            # The alias is replaced by white noise with the mean power of all possible aliases.
             mean = 0.5 * self.step * aliases
             low = [mean * each for each in self.white[axis].low]
         else:
@@ -284,7 +296,10 @@ class Statistics:
 
 
 def lower_edge(octaves: int) -> float:
-    """Return the lower edge of the lowest of a number of octaves in cycles per sample."""
+    """Return the lower edge of the lowest octave in cycles per sample; 1 without octaves.
+
+    ``octaves`` is the number of octaves.
+    """
     if not octaves:
         return 1.0
     means, size, bins = octave(octaves - 1)
@@ -300,8 +315,8 @@ class Settling:
     time : float
         Time constant T in samples.
     sizes : mapping of int to (axes,) array
-        Index of a recording -> A of each axis at its start, in the unit of the samples; 0 for other
-        recordings.
+        Index of a recording -> A of each axis at the start of the recording, in the unit of the
+        samples. A recording that is not in the mapping has no settling.
     """
 
     time: float
@@ -309,10 +324,10 @@ class Settling:
 
 
 def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
-    """Return the statistics of sums, in which a settling has no part.
+    """Return the statistics of Allan sums, without the effect of a settling.
 
-    The contrasts of the block means are orthogonal to the decay, so that its size has no effect.
-    Its expected power is subtracted from the octave spectra.
+    The contrasts of the block means are orthogonal to the exponential of the settling, so that its
+    size has no effect. The share of the settling in the power of the octave spectra is computed.
     """
     spectra = pooled_spectra(sums)
     longest = max((m.samples for r in sums.recordings for m in r.means), default=0)
@@ -345,7 +360,7 @@ def statistics(sums: AllanSums, settling: Settling | None = None) -> Statistics:
 
 
 def decay_of_means(time: float, step: int, number: int) -> Floats:
-    """Return consecutive means over ``step`` samples of exp(-t/T) from t = 0 on, (number,).
+    """Return consecutive means of exp(-t/T) over ``step`` samples, from t = 0 on, (number,).
 
     ``time`` is T in samples.
     """
@@ -354,7 +369,7 @@ def decay_of_means(time: float, step: int, number: int) -> Floats:
 
 
 def settling_power(sums: AllanSums, settling: Settling, octaves: int) -> Floats:
-    """Return the power of a settling in all spectral blocks of the first octaves, (bins, axes)."""
+    """Return the power of a settling, summed over the spectral blocks, (bins, axes)."""
     segments = [
         (settling.sizes[i] * math.exp(-elapsed(r, m, sums.tau0 or 1.0) / settling.time), m.samples)
         for i, r in enumerate(sums.recordings)
@@ -378,10 +393,11 @@ def settling_power(sums: AllanSums, settling: Settling, octaves: int) -> Floats:
 def _groups(
     sums: AllanSums, edge: float, settling: Settling | None
 ) -> tuple[int, tuple[Group, ...]]:
-    """Return the samples per block mean, and contrasts in groups of segments of equal size.
+    """Return the samples per block mean, and the contrasts in groups of segments of equal size.
 
-    All block means are first brought to the longest of their steps. A segment settles if it begins
-    within `SETTLED` time constants after the start of its recording.
+    The block means of all segments are first averaged to the longest step of a segment. A segment
+    contains a settling if it begins within `SETTLED` time constants after the start of its
+    recording. ``edge`` is the crossover frequency in cycles per sample.
     """
     means = [(r, m) for r in sums.recordings for m in r.means]
     step = max((m.step for _, m in means), default=1)
@@ -409,18 +425,18 @@ def _groups(
 
 
 def elapsed(recording: RecordedPeriods, means: BlockMeans, tau0: float) -> float:
-    """Return the time from the start of a recording to a segment of it, in samples."""
+    """Return the time from the start of a recording to the start of a segment, in samples."""
     return (means.start_ns - recording.periods[0].begin_ns) * 1e-9 / tau0
 
 
 def _coarser(y: Floats, factor: int) -> Floats:
-    """Return the means of ``factor`` columns each."""
+    """Return the means of each ``factor`` neighboring columns."""
     points = y.shape[1] // factor
     return np.asarray(y[:, : points * factor].reshape(len(y), points, factor).mean(axis=2))
 
 
 def _lengths(points: int) -> list[int]:
-    """Divide ``points`` into as few groups as possible, of 4, 6, 8, 12, 16, 24 ... points."""
+    """Divide ``points`` into as few pieces as possible, of 4, 6, 8, 12, 16, 24 ... points."""
     out, sizes = [], sorted((s << k for k in range(9) for s in (4, 6)), reverse=True)
     for size in sizes:
         while points >= size:
