@@ -81,7 +81,7 @@ READ: tuple[Option | Settings, ...] = (
         default='',
     ),
     Settings('data at rest', SegmenterSettings, ['declared_rate', 'motion_ratio', 'rate_limit']),
-    Settings('reading', ReadOptions, ['rate_hz', 'trust_covariance']),
+    Settings('reading', ReadOptions, ['rate_hz']),
 )
 """Options for reading recordings and selecting the data at rest."""
 

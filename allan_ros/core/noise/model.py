@@ -103,9 +103,11 @@ class Model:
         Raises
         ------
         AllanError
-            If a term is not finite, or a term other than R is negative.
+            If a term is unknown or not finite, or a term other than R is negative.
         """
         for name, value in terms.items():
+            if name not in [*LETTERS]:
+                raise AllanError(f'there is no term {name!r}: give {", ".join(LETTERS)}')
             if not math.isfinite(value) or (value < 0.0 and name != 'R'):
                 least = '' if name == 'R' else ' of 0 or above'
                 raise AllanError(f'{name} is {value}: give a finite number{least}')

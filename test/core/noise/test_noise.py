@@ -75,7 +75,7 @@ def test_a_model_at_the_ends_of_its_intervals():
     assert model['gauss_markov'] == (part,) and model.shaped.parts == (part, line)
 
 
-@pytest.mark.parametrize('bad', [{'N': -1.0}, {'K': math.nan}, {'R': math.inf}])
+@pytest.mark.parametrize('bad', [{'N': -1.0}, {'K': math.nan}, {'R': math.inf}, {'X': 1.0}])
 def test_impossible_coefficients_are_refused(bad):
     with pytest.raises(AllanError):
         Model.of(**bad)

@@ -1,6 +1,6 @@
 # Copyright 2026 the allan_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The worst cells of the table of faults: named, healed, N afterwards, good data used."""
+"""The worst cell of each row of the table of faults: named, healed, N afterwards, data used."""
 
 import sys
 from pathlib import Path
@@ -23,15 +23,12 @@ import bench_faults as bench  # noqa: E402
         ('stuck', True, 30),
         ('dead_sensor', True, 120),
         ('every_second_zero', True, 30),
-        ('held', True, 30),
         ('stamps_zero', True, 30),
-        ('stamps_zero', False, 30),
         ('stamps_reversed', True, 30),
         ('nan', True, 30),
         ('bursts', False, 30),
         ('spikes', False, 30),
         ('second_imu', False, 120),
-        ('flipped', False, 30),
         ('flipped', True, 120),
         ('bias_step', False, None),
         ('permuted', False, None),
@@ -39,22 +36,15 @@ import bench_faults as bench  # noqa: E402
         ('every_second_zero', False, 30),
         ('held', False, 120),
         ('unit_g', True, 30),
-        ('unit_g', False, 120),
         ('unit_g', False, None),
         ('unit_deg', True, 120),
-        ('unit_deg', False, 30),
         ('unit_mrad', False, 30),
         ('no_gravity', False, 30),
-        ('15_percent', True, 30),
         ('15_percent', False, 120),
-        ('clipped', True, 30),
         ('clipped', False, 30),
-        ('half_clipped', True, 30),
         ('half_clipped', False, 120),
-        ('toggling', True, 30),
         ('toggling', False, 120),
         ('fan', False, 120),
-        ('driving', True, 30),
         ('driving', False, 120),
     ],
 )
